@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,14 +71,9 @@ class AxesFound:
         """What is wrong and the line to change, if gyro and accelerometer are right; else empty."""
         if self.right:
             return ""
-        words = f"the magnetometer's axes do not belong to the IMU's: {self._say(self.meant)}"
-        others = self.candidates[1 : TUNING.most_named]
-        if len(self.candidates) > 1:
-            words += "; or " + "; or ".join(self._say(axes) for axes in others)
-            left = len(self.candidates) - 1 - len(others)
-            words += f"; or {left} more" if left else ""
-            words += f". To tell which, {self.movement}"
-        return words
+        ways = named(self.candidates, self._say)
+        words = f"the magnetometer's axes do not belong to the IMU's: {ways}"
+        return f"{words}. To tell which, {self.movement}" if self.movement else words
 
     @property
     def movement(self) -> str:
@@ -85,11 +81,8 @@ class AxesFound:
         if len(self.candidates) < 2:
             return ""
         first = self.candidates[0]
-        if all(np.array_equal(np.abs(first), np.abs(c)) for c in self.candidates) and (
-            len(self.candidates) == 2
-            and np.array_equal(first, -self.candidates[1])
-            and not self.dip_known
-        ):
+        is_opposite = len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
+        if is_opposite and not self.dip_known:
             return (
                 "give the place or the field's inclination: only this separates axes from their "
                 "opposites"
@@ -106,6 +99,13 @@ class AxesFound:
             return f"{spoken(whole)} (mirrored: no mounting explains this; {likely_slip(whole)})"
         named = " (NED)" if np.array_equal(whole, np.diag([1.0, -1.0, -1.0])) else ""
         return f"{spoken(whole)}{named}: set `{parameter_line(mount_of(axes, self.pose))}`"
+
+
+def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
+    """Say the likeliest of the candidates (k, 3, 3), and how many more there are."""
+    left = len(candidates) - TUNING.most_named
+    words = [say(axes) for axes in candidates[: TUNING.most_named]]
+    return "; or ".join([*words, f"{left} more"] if left > 0 else words)
 
 
 def mount_of(axes: FloatArray, pose: FloatArray) -> tuple[int, int, int]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.doctor.axes import LIFT, AxesFound, dip_is_known
+from magcal_ros.core.doctor.axes import LIFT, AxesFound, dip_is_known, named
 from magcal_ros.core.doctor.axes import TUNING as AXES
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations
@@ -223,8 +224,11 @@ def _accused(
             axes = AxesFound(candidates, False, knowledge.mounting.pose, dip_is_known(knowledge))
             said[sensor] = axes.words
         else:
-            words = _gyro_words if sensor == "gyro" else _force_words
-            said[sensor] = words(_distinct(explanations.gyro[ways]))
+            words, slip = SAID[sensor]
+            candidates = _distinct(explanations.gyro[ways])
+            said[sensor] = words.format(named(candidates, slip))
+            if len(candidates) > AXES.most_named:
+                said[sensor] += f". To tell which, {LIFT}"
     names = " or ".join(said)
     if len(said) > 1:
         evidence = f"{names} contradicts the other sensors"
@@ -247,21 +251,6 @@ def _distinct(axes: FloatArray) -> FloatArray:
     return np.array(kept)
 
 
-def _gyro_words(candidates: FloatArray) -> str:
-    said = "; or ".join(gyro_slip(axes) for axes in candidates[: AXES.most_named])
-    left = len(candidates) - AXES.most_named
-    more = f"; or {left} more. To tell which, {LIFT}" if left > 0 else ""
-    return f"the gyro's axes are not the accelerometer's: {said}{more}; correct it in the driver"
-
-
-def _force_words(candidates: FloatArray) -> str:
-    said = "; or ".join(spoken(axes.T) for axes in candidates[: AXES.most_named])
-    return (
-        "gyro and magnetometer agree and the accelerometer does not: in their axes the "
-        f"accelerometer's are {said}; correct them in the driver"
-    )
-
-
 def gyro_slip(axes: FloatArray) -> str:
     """Say what was done to a gyro whose axes (3, 3), rows in the body's, are not the body's."""
     if np.array_equal(np.abs(axes), STANDARD):
@@ -275,3 +264,17 @@ def gyro_slip(axes: FloatArray) -> str:
         along = int(np.argmax(np.abs(row)))
         parts.append(f"{name} holds {'-' if row[along] < 0.0 else ''}{'xyz'[along]}")
     return ", ".join(parts)
+
+
+SAID: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
+    "gyro": (
+        "the gyro's axes are not the accelerometer's: {}; correct it in the driver",
+        gyro_slip,
+    ),
+    "accelerometer": (
+        "gyro and magnetometer agree and the accelerometer does not: in their axes the "
+        "accelerometer's are {}; correct them in the driver",
+        lambda axes: spoken(axes.T),
+    ),
+}
+"""What is said of a sensor that errs, and of one way in which its axes may lie."""

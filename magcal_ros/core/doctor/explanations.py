@@ -18,7 +18,7 @@ import numpy as np
 
 from magcal_ros.core.doctor.axes import TUNING as AXES
 from magcal_ros.core.doctor.axes import inclination_misfit, most_turned
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray, accumulated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
@@ -239,11 +239,8 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
 
     Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
-    seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
-    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
-    last = np.searchsorted(seconds, seconds + GRAVITY.span)
-    first = np.flatnonzero(last < len(seconds))
-    last = last[first]
+    seconds = accumulated(stretch.seconds)
+    first, last, turn = _turns_in(stretch, GRAVITY.span)
     if len(first) < 4:
         return np.zeros(len(ways)), np.zeros(len(ways))
     size = np.linalg.norm(stretch.up, axis=1, keepdims=True)
@@ -251,7 +248,7 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     up = stretch.up / np.maximum(size, 1e-9)
     middle = skews(0.5 * (up[last] + up[first]))
     seen = up[last] - up[first]
-    turned = (angle[last] - angle[first]) @ ways
+    turned = turn @ ways
     # seen = middle x (turned (1 + scale) - bias seconds) + swung r
     count, n = len(ways), len(first)
     moved = np.einsum("nij,knj->kni", middle, turned)
@@ -277,6 +274,14 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
     cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
     return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, GRAVITY.floor))
+
+
+def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return first and last row of each span of so many seconds, and the gyro's turn (n, 3)."""
+    seconds, angle = accumulated(stretch.seconds), accumulated(stretch.turn)
+    last = np.searchsorted(seconds, seconds + span)
+    first = np.flatnonzero(last < len(seconds))
+    return first, last[first], angle[last[first]] - angle[first]
 
 
 def _accelerated(rate: FloatArray, seconds: FloatArray) -> FloatArray:
@@ -324,20 +329,16 @@ def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
     that changes from place to place goes farther than the gyro turns, and is no slip. A field that
     does not move shows nothing of the unit, which is then 1.
     """
-    seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
-    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
     for span in UNIT_TUNING.spans:
-        last = np.searchsorted(seconds, seconds + span)
-        first = np.flatnonzero(last < len(seconds))
-        last = last[first]
+        first, last, turn = _turns_in(stretch, span)
         way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
         moved = way > max(UNIT_TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
         if moved.sum() >= 3:
             break
     else:
         return (1.0,)
-    turned = np.linalg.norm(angle[last] - angle[first], axis=1)
-    rough = float(np.median(way[moved])) / max(float(np.median(turned[moved])), 1e-12)
+    turned = np.linalg.norm(turn[moved], axis=1)
+    rough = float(np.median(way[moved])) / max(float(np.median(turned)), 1e-12)
     if 1.0 / UNIT_TUNING.plain < rough < UNIT_TUNING.plain:
         return None
     known = (1.0, *(factor for factor, _ in KNOWN))

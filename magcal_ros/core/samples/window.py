@@ -14,6 +14,7 @@ from magcal_ros.core.geometry.arrays import (
     IntArray,
     block_means,
     frozen_array,
+    integral,
     interpolated,
 )
 from magcal_ros.core.samples.rest import RestBeside
@@ -213,7 +214,7 @@ def stretch_of_log(
         return None
     imu = (log.imu_time >= span[0]) & (log.imu_time <= span[1])
     time, rate = log.imu_time[imu], log.rate[imu]
-    turned = _integral(time, rate)
+    turned = integral(time, rate)
     usual = float(np.linalg.norm(np.diff(turned, axis=0), axis=1).sum())
     count = int(np.clip(usual / tuning.widest_block, tuning.fewest, tuning.most))
     inside = (field_time >= span[0]) & (field_time <= span[1])
@@ -224,10 +225,10 @@ def stretch_of_log(
         return None
     moment, field = block_means(stamps, first), block_means(field, first)
     width = (span[1] - span[0]) / count
-    force = _mean_around(time, _integral(time, log.force[imu]), moment, width)
+    force = _mean_around(time, integral(time, log.force[imu]), moment, width)
     angle, bend = (
         interpolated(moment, time, path)
-        for path in (turned, _integral(time, np.cross(turned, rate)))
+        for path in (turned, integral(time, np.cross(turned, rate)))
     )
     step = np.diff(angle, axis=0)
     size = field_size(field)
@@ -258,7 +259,7 @@ def _liveliest(
         if len(rows) < 20 or high - low < 1.0:
             continue
         size = np.linalg.norm(log.rate[rows], axis=1)
-        done = _integral(time, size[:, None])[:, 0]
+        done = integral(time, size)
         begin = low + np.arange(0.0, max(high - longest - low, 0.0) + 0.5, 1.0)
         gained = np.interp(np.minimum(begin + longest, high), time, done)
         gained -= np.interp(begin, time, done)
@@ -267,12 +268,6 @@ def _liveliest(
             best = (float(begin[k]), float(min(begin[k] + longest, high)))
             most = float(gained[k])
     return best
-
-
-def _integral(time: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the integral of values (n, d) up to each moment."""
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
-    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
 
 
 def _mean_around(
