@@ -18,7 +18,6 @@ from magcal_ros.cli import recorded
 from magcal_ros.cli.common import Exit, bullets, document, reference_in_use
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import CourseSeen
 from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStepState
 from magcal_ros.core.doctor.health import TUNING, Finding, looked_at, not_shown, wrong
@@ -77,8 +76,8 @@ class Heard:
     samples: list[ImuSample | FieldSample]
     knowledge: Knowledge
     """What the user gave, and the described pose of the magnetometer."""
-    answers: UserAnswers
-    """What the robot or the person did, as far as it is known."""
+    turned_left: bool | None
+    """Whether the robot turned to the left; None where that is not known."""
     more: tuple[Finding, ...]
     """What the recording or the graph shows beside the samples."""
     described: str = ""
@@ -87,7 +86,7 @@ class Heard:
 
     def page_of(self, log: SensorLog) -> Page:
         """Return the findings: of the samples, of what is beside them, and of their comparison."""
-        page = examine(log, self.knowledge, self.answers).with_more(self.more)
+        page = examine(log, self.knowledge, self.turned_left).with_more(self.more)
         if self.travel and page.used is not None:
             course = recorded_course(page.used.compass, self.samples, self.travel)
             page = page.with_course(_course_seen(course, self.knowledge.reference))
@@ -128,12 +127,12 @@ def run(options: argparse.Namespace) -> int:
 
 def _recorded(options: argparse.Namespace) -> Heard:
     samples: list[ImuSample | FieldSample] = []
-    left = {ImuSample: MOST, FieldSample: MOST}
+    rest = {ImuSample: MOST, FieldSample: MOST}
 
     def kept(readings: Iterator[Reading]) -> Iterator[Reading]:
         for reading in readings:
-            if reading is not None and left[type(reading)] > 0:
-                left[type(reading)] -= 1
+            if reading is not None and rest[type(reading)] > 0:
+                rest[type(reading)] -= 1
                 samples.append(reading)
             yield reading
 
@@ -146,8 +145,8 @@ def _recorded(options: argparse.Namespace) -> Heard:
         travel = source.travel()
     complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
     more = tuple(looked_at("recording", "recording", words, words) for words in complaints)
-    answers = UserAnswers(None if options.turned is None else options.turned == "left")
-    return Heard(samples, Knowledge(reference.field, mounting), answers, more, travel=travel)
+    left = None if options.turned is None else options.turned == "left"
+    return Heard(samples, Knowledge(reference.field, mounting), left, more, travel=travel)
 
 
 def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> CourseSeen:
@@ -376,4 +375,4 @@ def gathered(
     more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
     more += [wrong("publishers", "publishers", words, CROWD) for words in listener.crowded]
     known = Knowledge(reference.field, mounting)
-    return Heard(samples, known, UserAnswers(guide.turned_left), tuple(more), described)
+    return Heard(samples, known, guide.turned_left, tuple(more), described)

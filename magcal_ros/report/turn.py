@@ -12,7 +12,7 @@ from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration, Estimate, Figure
 from magcal_ros.core.doctor.page import Page, examine_window
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, integral
 from magcal_ros.core.geometry.attitude import (
     body_from_enu,
     field_in_enu,
@@ -179,8 +179,7 @@ def _gyro_angle(window: Window, up: FloatArray) -> FloatArray | None:
     level = np.hypot(up[:, 1], up[:, 2])
     across = np.einsum("ni,ni->n", window.angular_rate[:, 1:], up[:, 1:])
     rate = across / np.maximum(level, 0.05) ** 2
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(window.time)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    return integral(window.time, rate)
 
 
 def _correct(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import is_mirrored, likely_slip, rpy_from_rotation, spoken
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment import Alignment
-from magcal_ros.core.samples.alignment_fit import FIELD, UP
+from magcal_ros.core.samples.alignment import FIELD, UP, Alignment
 from magcal_ros.core.samples.window import Stretch
 
 
@@ -30,14 +30,11 @@ class AxesTuning:
     dip_sigma: float = math.radians(3.0)
     """Radians that a reference inclination is trusted to at best."""
     attitude_error: float = math.radians(0.5)  # radians that propagated attitudes are off at best
-    vaguest_dip: float = math.radians(15.0)
-    """Radians of uncertainty beyond which the seen inclination is not used."""
     least_dip: float = math.radians(10.0)  # radians of inclination from which its sign is used
     most_named: int = 3  # explanations that are written out for one sensor
 
 
 TUNING = AxesTuning()
-AS_THEY_SHOULD_BE: FloatArray = np.eye(3)
 LIFT = "lift the nose by 20° while it turns"
 DRIVE = "; on a straight drive a receiver's course shows its yaw, too"
 
@@ -48,50 +45,35 @@ class AxesFound:
 
     candidates: FloatArray
     """What explains the samples, the likeliest first; rows are the magnetometer's axes, after the
-    mounting that is known, in the body's. Empty if nothing does. Shape (k, 3, 3)."""
+    mounting that is known, in the body's. Shape (k, 3, 3)."""
     right: bool  # whether the axes as given are among them, or not excluded beyond doubt
     pose: FloatArray
     """The mounting that is known. Shape (3, 3)."""
     dip_known: bool  # whether a reference inclination separates a field from its opposite
 
     @property
-    def meant(self) -> FloatArray | None:
-        """The likeliest axes, those as given where they are not excluded; None if none fit."""
-        if self.right:
-            return AS_THEY_SHOULD_BE
-        return self.candidates[0] if len(self.candidates) else None
+    def meant(self) -> FloatArray:
+        """The likeliest axes, those as given where they are not excluded."""
+        return np.eye(3) if self.right else np.asarray(self.candidates[0])
 
     @property
     def mirrored(self) -> bool:
         """Whether the likeliest axes are such as no mounting makes."""
-        return self.meant is not None and is_mirrored(self.meant)
+        return is_mirrored(self.meant)
 
     @property
     def mount_rpy_deg(self) -> tuple[int, int, int] | None:
         """What the parameter `mount_rpy_deg` should be; None if no mounting corrects the axes."""
-        if self.meant is None or self.mirrored:
-            return None
-        return mount_of(self.meant, self.pose)
+        return None if self.mirrored else mount_of(self.meant, self.pose)
 
     @property
     def words(self) -> str:
         """What is wrong and the line to change, if gyro and accelerometer are right; else empty."""
         if self.right:
             return ""
-        if self.meant is None:
-            return (
-                "no mounting and no swapped or mirrored axes of the magnetometer make gyro and "
-                "field agree: check the gyro's unit, axes and stamps, and turn away from "
-                "iron"
-            )
-        words = f"the magnetometer's axes do not belong to the IMU's: {self._say(self.meant)}"
-        others = self.candidates[1 : TUNING.most_named]
-        if len(self.candidates) > 1:
-            words += "; or " + "; or ".join(self._say(axes) for axes in others)
-            left = len(self.candidates) - 1 - len(others)
-            words += f"; or {left} more" if left else ""
-            words += f". To tell which, {self.movement}"
-        return words
+        ways = named(self.candidates, self._say)
+        words = f"the magnetometer's axes do not belong to the IMU's: {ways}"
+        return f"{words}. To tell which, {self.movement}" if self.movement else words
 
     @property
     def movement(self) -> str:
@@ -99,11 +81,8 @@ class AxesFound:
         if len(self.candidates) < 2:
             return ""
         first = self.candidates[0]
-        if all(np.array_equal(np.abs(first), np.abs(c)) for c in self.candidates) and (
-            len(self.candidates) == 2
-            and np.array_equal(first, -self.candidates[1])
-            and not self.dip_known
-        ):
+        is_opposite = len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
+        if is_opposite and not self.dip_known:
             return (
                 "give the place or the field's inclination: only this separates axes from their "
                 "opposites"
@@ -120,6 +99,13 @@ class AxesFound:
             return f"{spoken(whole)} (mirrored: no mounting explains this; {likely_slip(whole)})"
         named = " (NED)" if np.array_equal(whole, np.diag([1.0, -1.0, -1.0])) else ""
         return f"{spoken(whole)}{named}: set `{parameter_line(mount_of(axes, self.pose))}`"
+
+
+def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
+    """Say the likeliest of the candidates (k, 3, 3), and how many more there are."""
+    left = len(candidates) - TUNING.most_named
+    words = [say(axes) for axes in candidates[: TUNING.most_named]]
+    return "; or ".join([*words, f"{left} more"] if left > 0 else words)
 
 
 def mount_of(axes: FloatArray, pose: FloatArray) -> tuple[int, int, int]:
@@ -170,7 +156,5 @@ def inclination_misfit(found: Alignment, k: int, sign: float, dip: Belief) -> fl
     # Drift of the gyro looks like a small tilt, which shows nothing of the field.
     variance += (TUNING.attitude_error / max(found.tilt_seen, 1e-6)) ** 2
     seen = -math.asin(max(-1.0, min(1.0, along)))
-    if variance > TUNING.vaguest_dip**2:
-        return 0.0
     allowed = TUNING.dip_sigma**2 + dip.sigma**2
     return (seen - dip.value) ** 2 / (allowed + variance)

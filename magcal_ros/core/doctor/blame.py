@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.doctor.axes import LIFT, AxesFound, dip_is_known
+from magcal_ros.core.doctor.axes import LIFT, AxesFound, dip_is_known, named
 from magcal_ros.core.doctor.axes import TUNING as AXES
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations
@@ -29,47 +30,29 @@ UPSIDE_DOWN = (
 WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is positive"
 
 
-@dataclass(frozen=True)
-class UserAnswers:
-    """What the user answered about the motion."""
-
-    turned_left: bool | None = None
-    """Whether the robot turned to the left; None where it was not asked."""
-
-    @property
-    def opposite(self) -> UserAnswers:
-        """The same where up is down."""
-        return UserAnswers(None if self.turned_left is None else not self.turned_left)
-
-
-@dataclass(frozen=True)
-class Upright:
-    """What was found of gravity's direction."""
-
-    findings: tuple[Finding, ...]  # one line
-    sign_wrong: bool | None = False
-    """Whether gravity's sign is what errs; None where that or the IMU's axes do."""
-
-
 def upright(
-    log: SensorLog, given: Explanations | None, other: Explanations | None, answers: UserAnswers
-) -> Upright:
-    """Look at which way gravity points."""
+    log: SensorLog, given: Explanations | None, other: Explanations | None, turned_left: bool | None
+) -> tuple[Finding, bool | None]:
+    """Look at which way gravity points.
+
+    Return a line, and whether gravity's sign is what errs; None where that or the IMU's axes do.
+    `turned_left` is what the user says of the turn; None where that was not asked.
+    """
     usual = np.median(log.force, axis=0)
     usual = usual / max(float(np.linalg.norm(usual)), 1e-9)
     name = "accelerometer: up"
     evidence = f"up is ({usual[0]:.2f}, {usual[1]:.2f}, {usual[2]:.2f})"
     if usual[2] > LEAST_UPRIGHT:
-        return Upright((looked_at("gravity_sign", name, evidence),))
+        return looked_at("gravity_sign", name, evidence), False
     if usual[2] > -LEAST_UPRIGHT:
-        return Upright((wrong("imu_axes", name, evidence, sideways(usual)),))
-    flipped = _is_flipped(given, other, answers)
+        return wrong("imu_axes", name, evidence, sideways(usual)), False
+    flipped = _is_flipped(given, other, turned_left)
     if flipped is None:
         either = f"either {SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"
-        return Upright((wrong("gravity_sign", name, evidence, either),), None)
+        return wrong("gravity_sign", name, evidence, either), None
     if flipped:
-        return Upright((wrong("gravity_sign", name, evidence, SIGN),), True)
-    return Upright((wrong("imu_axes", name, evidence, UPSIDE_DOWN),))
+        return wrong("gravity_sign", name, evidence, SIGN), True
+    return wrong("imu_axes", name, evidence, UPSIDE_DOWN), False
 
 
 def sideways(up: FloatArray) -> str:
@@ -83,15 +66,15 @@ def sideways(up: FloatArray) -> str:
 
 
 def _is_flipped(
-    given: Explanations | None, other: Explanations | None, answers: UserAnswers
+    given: Explanations | None, other: Explanations | None, turned_left: bool | None
 ) -> bool | None:
     """Return whether gravity's sign errs rather than the IMU lies upside down."""
     if given is None or other is None:
         return None
     best = given.best
-    if answers.turned_left is not None and abs(given.turned(best)) > WEIGHED.least_turn:
+    if turned_left is not None and abs(given.turned(best)) > WEIGHED.least_turn:
         # About an up that points down a turn to the left looks like one to the right.
-        return (given.turned(best) > 0.0) is not answers.turned_left
+        return (given.turned(best) > 0.0) is not turned_left
     as_given, turned_round = given.field_right, other.field_right
     if abs(as_given - turned_round) < WEIGHED.doubtful:
         return None
@@ -127,7 +110,7 @@ class Blame:
     explained: bool  # whether the explanation explains the movement
 
 
-def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers) -> Blame:
+def blame(explanations: Explanations, knowledge: Knowledge, turned_left: bool | None) -> Blame:
     """Name the sensors whose axes err, or may err."""
     best = explanations.best
     if explanations.rms[best] > AXES.worst_fit:
@@ -137,7 +120,7 @@ def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers
     remains = misfit < AXES.remains
     given = explanations.plain
     # What was asked for and what all sensors saw may differ because a person erred.
-    contrary = _contrary(explanations, answers)
+    contrary = _contrary(explanations, turned_left)
     if misfit[given] < AXES.wrong:
         return _all_agree(explanations, given, remains, knowledge, contrary)
     kept = remains & ~contrary
@@ -151,15 +134,13 @@ def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers
     return _accused(explanations, fewest, rank, knowledge)
 
 
-def _contrary(explanations: Explanations, answers: UserAnswers) -> BoolArray:
+def _contrary(explanations: Explanations, turned_left: bool | None) -> BoolArray:
     """Return which explanations say that the robot turned the other way than was asked for."""
     count = len(explanations.misfit)
-    if answers.turned_left is None:
+    if turned_left is None:
         return np.zeros(count, dtype=np.bool_)
     turned = np.array([explanations.turned(k) for k in range(count)])
-    return np.asarray(
-        (np.abs(turned) > WEIGHED.least_turn) & ((turned > 0.0) != answers.turned_left)
-    )
+    return np.asarray((np.abs(turned) > WEIGHED.least_turn) & ((turned > 0.0) != turned_left))
 
 
 def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:
@@ -243,8 +224,11 @@ def _accused(
             axes = AxesFound(candidates, False, knowledge.mounting.pose, dip_is_known(knowledge))
             said[sensor] = axes.words
         else:
-            words = _gyro_words if sensor == "gyro" else _force_words
-            said[sensor] = words(_distinct(explanations.gyro[ways]))
+            words, slip = SAID[sensor]
+            candidates = _distinct(explanations.gyro[ways])
+            said[sensor] = words.format(named(candidates, slip))
+            if len(candidates) > AXES.most_named:
+                said[sensor] += f". To tell which, {LIFT}"
     names = " or ".join(said)
     if len(said) > 1:
         evidence = f"{names} contradicts the other sensors"
@@ -267,21 +251,6 @@ def _distinct(axes: FloatArray) -> FloatArray:
     return np.array(kept)
 
 
-def _gyro_words(candidates: FloatArray) -> str:
-    said = "; or ".join(gyro_slip(axes) for axes in candidates[: AXES.most_named])
-    left = len(candidates) - AXES.most_named
-    more = f"; or {left} more. To tell which, {LIFT}" if left > 0 else ""
-    return f"the gyro's axes are not the accelerometer's: {said}{more}; correct it in the driver"
-
-
-def _force_words(candidates: FloatArray) -> str:
-    said = "; or ".join(spoken(axes.T) for axes in candidates[: AXES.most_named])
-    return (
-        "gyro and magnetometer agree and the accelerometer does not: in their axes the "
-        f"accelerometer's are {said}; correct them in the driver"
-    )
-
-
 def gyro_slip(axes: FloatArray) -> str:
     """Say what was done to a gyro whose axes (3, 3), rows in the body's, are not the body's."""
     if np.array_equal(np.abs(axes), STANDARD):
@@ -295,3 +264,17 @@ def gyro_slip(axes: FloatArray) -> str:
         along = int(np.argmax(np.abs(row)))
         parts.append(f"{name} holds {'-' if row[along] < 0.0 else ''}{'xyz'[along]}")
     return ", ".join(parts)
+
+
+SAID: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
+    "gyro": (
+        "the gyro's axes are not the accelerometer's: {}; correct it in the driver",
+        gyro_slip,
+    ),
+    "accelerometer": (
+        "gyro and magnetometer agree and the accelerometer does not: in their axes the "
+        "accelerometer's are {}; correct them in the driver",
+        lambda axes: spoken(axes.T),
+    ),
+}
+"""What is said of a sensor that errs, and of one way in which its axes may lie."""

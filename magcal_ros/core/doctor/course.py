@@ -15,7 +15,7 @@ from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import is_mirrored, rotation_from_rpy, spoken
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.alignment_fit import FIELD, IRON, SOFT
+from magcal_ros.core.samples.alignment import FIELD, IRON, SOFT
 
 NAME = "axes: yaw by course"
 LONGER = "drive farther, to several sides, straight and at more than walking pace"

@@ -18,12 +18,20 @@ import numpy as np
 
 from magcal_ros.core.doctor.axes import TUNING as AXES
 from magcal_ros.core.doctor.axes import inclination_misfit, most_turned
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray, accumulated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.rotations import is_mirrored, signed_permutations, skews
+from magcal_ros.core.geometry.rotations import signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
-from magcal_ros.core.samples.alignment import Alignment, align
-from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, WIDE
+from magcal_ros.core.samples.alignment import (
+    BIAS,
+    FIELD,
+    IRON,
+    LAG,
+    SCALE,
+    WIDE,
+    Alignment,
+    align,
+)
 from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
 
 
@@ -90,12 +98,9 @@ class Explanations:
     @property
     def plain(self) -> int:
         """The way in which all axes are right."""
-        right = [
-            k
-            for k in range(len(self.misfit))
-            if np.array_equal(self.gyro[k], np.eye(3)) and np.array_equal(self.field[k], np.eye(3))
-        ]
-        return right[0]
+        return int(
+            np.argmax(((self.gyro == np.eye(3)) & (self.field == np.eye(3))).all(axis=(1, 2)))
+        )
 
     @property
     def best(self) -> int:
@@ -126,10 +131,8 @@ def explain(log: SensorLog, inclination: Belief) -> Explanations | None:
             break
         part, lag = nearer, lag + more
         senses = _against_the_field(part, proper)
-    ways = _remaining(part, senses, every, proper)
-    gyro, field = every[[way.gyro for way in ways]], np.array([way.field for way in ways])
+    gyro, field, base = _remaining(part, senses, every, proper)
     found = align(part, field, gyro)
-    base = np.array([way.cost for way in ways])
     return _signed(gyro, field, base - base.min(), found, inclination, lag, part)
 
 
@@ -139,37 +142,29 @@ def _against_the_field(stretch: Stretch, proper: FloatArray) -> Alignment:
     return align(stretch, np.concatenate([proper, proper]), senses, with_up=False)
 
 
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """Row of the gyro's axes among all, the field's axes, and chi-square of both comparisons."""
-
-    gyro: int
-    field: FloatArray
-    cost: float
-
-
 def _remaining(
     stretch: Stretch, senses: Alignment, every: FloatArray, proper: FloatArray
-) -> list[_Way]:
-    """Return the ways worth a fit together, and that in which all axes are right."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the ways worth a fit together, and that in which all axes are right.
+
+    Axes of gyro and field, (m, 3, 3) each, and chi-square (m,) of both comparisons.
+    """
     # A vehicle's accelerations lean gravity for long: only its changes are compared.
     misfit, rms = gravity_misfit(stretch, every)
     gravity = _decisive(misfit, rms, senses.tilt_seen > 0.0)
     is_good = bool(senses.rms[senses.best] < TUNING.good_fit)
     lifted = senses.tilt_seen > AXES.lift and is_good
-    against_field = _decisive(senses.misfit, senses.rms, lifted)
-    ways = []
-    for g, axes in enumerate(every):
-        mirrored = int(is_mirrored(axes))
-        for k, relative in enumerate(proper):
-            cost = float(against_field[24 * mirrored + k] + gravity[g])
-            ways.append(_Way(g, relative @ (-axes if mirrored else axes), cost))
-    ways.sort(key=lambda way: way.cost)
-    fits = [way for way in ways if way.cost - ways[0].cost < TUNING.pruned]
+    against_field = _decisive(senses.misfit, senses.rms, lifted).reshape(2, -1)
+    sense = np.rint(np.linalg.det(every))
+    cost = (against_field[(sense < 0.0).astype(int)] + gravity[:, None]).ravel()
+    field = np.einsum("kij,gjl->gkil", proper, sense[:, None, None] * every).reshape(-1, 3, 3)
+    order = np.argsort(cost, kind="stable")
+    gyro = order // len(proper)
     # A turn on the level leaves most axes of a gyro open: those as given are always among them.
-    kept = fits[: TUNING.most] + [way for way in fits[TUNING.most :] if way.gyro == 0]
-    right = next(w for w in ways if w.gyro == 0 and np.array_equal(w.field, np.eye(3)))
-    return kept if any(way is right for way in kept) else [*kept, right]
+    likely = (np.arange(len(order)) < TUNING.most) | (gyro == 0)
+    right = (gyro == 0) & (field[order] == np.eye(3)).all(axis=(1, 2))
+    kept = (likely & (cost[order] - cost.min() < TUNING.pruned)) | right
+    return every[gyro[kept]], field[order[kept]], cost[order[kept]]
 
 
 def _decisive(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
@@ -244,11 +239,8 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
 
     Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
-    seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
-    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
-    last = np.searchsorted(seconds, seconds + GRAVITY.span)
-    first = np.flatnonzero(last < len(seconds))
-    last = last[first]
+    seconds = accumulated(stretch.seconds)
+    first, last, turn = _turns_in(stretch, GRAVITY.span)
     if len(first) < 4:
         return np.zeros(len(ways)), np.zeros(len(ways))
     size = np.linalg.norm(stretch.up, axis=1, keepdims=True)
@@ -256,7 +248,7 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     up = stretch.up / np.maximum(size, 1e-9)
     middle = skews(0.5 * (up[last] + up[first]))
     seen = up[last] - up[first]
-    turned = (angle[last] - angle[first]) @ ways
+    turned = turn @ ways
     # seen = middle x (turned (1 + scale) - bias seconds) + swung r
     count, n = len(ways), len(first)
     moved = np.einsum("nij,knj->kni", middle, turned)
@@ -282,6 +274,14 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
     cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
     return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, GRAVITY.floor))
+
+
+def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return first and last row of each span of so many seconds, and the gyro's turn (n, 3)."""
+    seconds, angle = accumulated(stretch.seconds), accumulated(stretch.turn)
+    last = np.searchsorted(seconds, seconds + span)
+    first = np.flatnonzero(last < len(seconds))
+    return first, last[first], angle[last[first]] - angle[first]
 
 
 def _accelerated(rate: FloatArray, seconds: FloatArray) -> FloatArray:
@@ -329,20 +329,16 @@ def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
     that changes from place to place goes farther than the gyro turns, and is no slip. A field that
     does not move shows nothing of the unit, which is then 1.
     """
-    seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
-    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
     for span in UNIT_TUNING.spans:
-        last = np.searchsorted(seconds, seconds + span)
-        first = np.flatnonzero(last < len(seconds))
-        last = last[first]
+        first, last, turn = _turns_in(stretch, span)
         way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
         moved = way > max(UNIT_TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
         if moved.sum() >= 3:
             break
     else:
         return (1.0,)
-    turned = np.linalg.norm(angle[last] - angle[first], axis=1)
-    rough = float(np.median(way[moved])) / max(float(np.median(turned[moved])), 1e-12)
+    turned = np.linalg.norm(turn[moved], axis=1)
+    rough = float(np.median(way[moved])) / max(float(np.median(turned)), 1e-12)
     if 1.0 / UNIT_TUNING.plain < rough < UNIT_TUNING.plain:
         return None
     known = (1.0, *(factor for factor, _ in KNOWN))

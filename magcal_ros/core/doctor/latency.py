@@ -1,4 +1,4 @@
-"""How late the field and the accelerometer are against the gyro, by every sample.
+"""How late field and accelerometer are against the gyro, and the motors' field, by every sample.
 
 A vector that stands still in the world shows when a sensor measured it by how far it has turned.
 What moves it beside that is fitted with the latency: the sensor's own installation, scale and
@@ -17,9 +17,21 @@ import numpy as np
 from magcal_ros.core.doctor.explanations import GRAVITY, Explanations
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.geometry.arrays import FloatArray, running_mean
+from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import skews
-from magcal_ros.core.samples.alignment import inefficiency
-from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, WIDE, AlignmentFit
+from magcal_ros.core.samples.alignment import (
+    BIAS,
+    FIELD,
+    IRON,
+    LAG,
+    SCALE,
+    SOFT,
+    START_NOISE,
+    WIDE,
+    AlignmentFit,
+    inefficiency,
+    turned,
+)
 from magcal_ros.core.samples.window import (
     SensorLog,
     Stretch,
@@ -47,6 +59,11 @@ class LatencyTuning:
     shaken: float = 1.5  # seconds over which the noise is taken together
     least: float = 1e-3  # seconds, standard deviation of the stamps' own habits
     steps: int = 4  # of the fit between two estimates of the noise
+    motors: float = 20e-6  # tesla, standard deviation of what motors add while the robot turns
+    turns: float = math.radians(5.0)  # rad/s about up above which motors turn the robot
+    starts: float = 0.2  # seconds over which that rate is averaged
+    both: float = 0.03  # share of the time that it must turn, and that it must not
+    in_time: float = 5e-3  # seconds, standard deviation of a latency that is taken for known
 
 
 @dataclass(frozen=True)
@@ -67,17 +84,55 @@ def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
     `log` is as it was explained: rates in rad/s, the known mounting taken off. Explanation `k`
     gives the axes, the bias and the hard iron.
     """
+    before = float(explanations.parameters[k, LAG])
+    begun = _of_the_field(log, explanations, k, before)
+    if begun is None:
+        return None
+    found = _latency(*_fitted(*begun, log))
+    return Latency(before + found.lag, found.sigma)
+
+
+def motors_field(
+    log: SensorLog, explanations: Explanations, k: int, lag: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return what the motors add to the field while the robot turns about up, tesla in body axes.
+
+    Shape (3,), and the covariance (3, 3). None where it did not both rest and turn. The field is
+    late by `lag`, seconds; the rest is as in `field_latency`.
+    """
+    begun = _of_the_field(log, explanations, k, lag)
+    if begun is None:
+        return None
+    fit, state, part = begun
+    rate = (1.0 + state[0, SCALE]) * fit.rate[0] - state[0, BIAS]
+    width = max(1, int(TUNING.starts / max(float(np.median(np.diff(part.time))), 1e-4)))
+    about_up = np.abs(rate @ unit(np.median(log.force, axis=0)))
+    turning, moving = (
+        running_mean(each, width) > TUNING.turns
+        for each in (about_up, np.linalg.norm(rate, axis=1))
+    )
+    if min(turning.mean(), 1.0 - moving.mean()) < TUNING.both:
+        return None
+    fit.prior[LAG, LAG] = TUNING.in_time**-2
+    # A nose may be lifted by hand or by motors: what is added then is another unknown.
+    when = np.repeat(np.column_stack([moving & ~turning, turning]), 3, axis=1)
+    columns = TUNING.motors / part.size * when[:, None] * np.tile(np.eye(3), 2)
+    found, covariance = _fitted(*begun, log, np.asarray(columns))
+    return TUNING.motors * found[-3:], TUNING.motors**2 * covariance[-3:, -3:]
+
+
+def _of_the_field(
+    log: SensorLog, explanations: Explanations, k: int, lag: float
+) -> tuple[AlignmentFit, FloatArray, Stretch] | None:
+    """Return the fit of the field by each sample, where it begins, and the samples."""
     state = explanations.parameters[k : k + 1].copy()
-    before = float(state[0, LAG])
-    part = stretch_of_log(log, before, EACH_SAMPLE)
+    part = stretch_of_log(log, lag, EACH_SAMPLE)
     if part is None:
         return None
     state[:, LAG] = 0.0
     state[:, FIELD.start : IRON.stop] *= explanations.part.size / part.size
     axes, gyro = explanations.field[k : k + 1], explanations.gyro[k : k + 1]
-    fit = AlignmentFit(part, axes, OF_FIELD, gyro)
-    found = _fitted(fit, state, part, log, None)
-    return Latency(before + found.lag, found.sigma)
+    return AlignmentFit(part, axes, gyro, OF_FIELD), state, part
 
 
 def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency | None:
@@ -92,11 +147,11 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
         part = stretch_of_log(gravity, before, EACH_SAMPLE)
         if part is None:
             break
-        fit = AlignmentFit(part, np.eye(3)[None], OF_FORCE, gyro, with_up=False)
-        state = fit.descend(fit.start(), OF_FORCE.start_noise, TUNING.steps)
+        fit = AlignmentFit(part, np.eye(3)[None], gyro, OF_FORCE, with_up=False)
+        state = fit.descend(fit.start(), START_NOISE, TUNING.steps)
         turns = skews(fit.rate[0])
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
-        more = _fitted(fit, state, part, log, TUNING.lever / part.size * lever)
+        more = _latency(*_fitted(fit, state, part, log, TUNING.lever / part.size * lever))
         found = Latency(before + more.lag, more.sigma)
         if abs(more.lag) < WEIGHED.settled:
             break
@@ -105,18 +160,25 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
 
 
 def _fitted(
-    fit: AlignmentFit, state: FloatArray, part: Stretch, log: SensorLog, lever: FloatArray | None
-) -> Latency:
-    """Fit the latency with all that looks like it; `lever` (n, 3, 3) is of unit prior."""
+    fit: AlignmentFit,
+    state: FloatArray,
+    part: Stretch,
+    log: SensorLog,
+    more: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Fit all parameters, the gyro's walk, and what `more` columns (n, 3, m) of unit prior act on.
+
+    Return them in this order, and their covariance.
+    """
     for _ in range(2):
         noise = fit.noise(state, 0)
         state = fit.descend(state, noise, TUNING.steps)
-    attitude, moved = fit.propagate(state)
-    residual = fit.residuals(state)[0][0]
-    walked = fit.field_turned(state, attitude, _walk(attitude, part.time, log))
-    parts = [fit.field_jacobian(state, attitude, moved)[0], walked[0]]
-    if lever is not None:
-        parts.append(lever)
+    residual, jacobian = (values[0, 0] for values in fit.linearised(state))
+    attitude, _ = fit.propagate(state)
+    walked = turned(attitude @ state[0, FIELD], _walk(attitude, part.time, log))[0]
+    parts = [jacobian, (np.eye(3) + state[0, SOFT].reshape(3, 3)) @ walked]
+    if more is not None:
+        parts.append(more)
     design = np.concatenate(parts, axis=2)
     count = design.shape[2]
     prior = np.eye(count)
@@ -131,9 +193,13 @@ def _fitted(
         information = rows.T @ design.reshape(-1, count) + prior
         step = np.linalg.solve(information, rows.T @ residual.ravel() - slope)
         left = residual - design @ step
-    covariance = np.linalg.inv(information)
+    found = np.concatenate([state[0], np.zeros(count - len(fit.prior))]) + step
+    return found, np.linalg.inv(information)
+
+
+def _latency(found: FloatArray, covariance: FloatArray) -> Latency:
     off = math.hypot(math.sqrt(float(covariance[LAG, LAG])), TUNING.least)
-    return Latency(float(state[0, LAG] + step[LAG]), off)
+    return Latency(float(found[LAG]), off)
 
 
 def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:

@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.doctor.axes import AxesFound, most_turned
-from magcal_ros.core.doctor.blame import UserAnswers, blame, upright
+from magcal_ros.core.doctor.blame import blame, upright
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations, explain, factor_in_words, rate_factors
 from magcal_ros.core.doctor.health import SIGMAS, Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
-from magcal_ros.core.doctor.prepared import CleanLog, Rest, longest_rest
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.doctor.prepared import CleanLog
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment import align
-from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
+from magcal_ros.core.samples.alignment import BIAS, SCALE, align
+from magcal_ros.core.samples.rest import LongestRest, longest_stand
 from magcal_ros.core.samples.streams import slow_words
 from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
 
@@ -39,8 +39,8 @@ TURN_BETWEEN_RESTS = (
     "begins and ends at rest knows it, and the node takes it off while the robot moves"
 )
 MOVE_THE_SENSOR = (
-    "if motors turn it, their current makes a field of its own, too large or too uneven to be "
-    "taken off well. Moving the sensor is the better cure: away from motors, drivers and battery "
+    "if motors turn it, their current makes a field of its own, too large to be taken off "
+    "well. Moving the sensor is the better cure: away from motors, drivers and battery "
     "wires, and each pair of wires twisted"
 )
 """What to do where the field changes as the robot sets off."""
@@ -82,32 +82,34 @@ class MotionFound:
 
 
 def compare(
-    prepared: CleanLog, knowledge: Knowledge, answers: UserAnswers = UserAnswers()
+    prepared: CleanLog, knowledge: Knowledge, turned_left: bool | None = None
 ) -> MotionFound:
     """Compare accelerometer, gyro and field."""
     log = prepared.log
     if not log.has_gyro:
         found = looked_at("no_gyro", "gyro", "absent", NO_GYRO)
-        return MotionFound((found, *upright(log, None, None, answers).findings))
+        return MotionFound((found, upright(log, None, None, turned_left)[0]))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = stretch_of_log(body)
     if part is None or not _field_moves(part):
-        return _nothing_shown(log, None, answers)
-    rest = longest_rest(body)
+        return _nothing_shown(log, None, turned_left)
+    rest = _longest_rest(body)
     factors = rate_factors(part)
     stands_still = rest is not None and rest.is_certain and not _turns_beside(part, rest)
     given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge)
     if given is None:
-        return _nothing_shown(log, rest if stands_still else None, answers)
+        return _nothing_shown(log, rest if stands_still else None, turned_left)
     body = replace(body, rate=factor * body.rate)
     # Where gravity points down, its sign may be wrong: then the field seems to point up.
     other = given.with_inclination(_opposite(knowledge.reference.inclination))
-    stands = upright(log, given, other, answers)
-    explanations = other if stands.sign_wrong else given
-    blamed = blame(explanations, knowledge, answers if not stands.sign_wrong else answers.opposite)
-    findings = [_unit(factor, factors is None), *stands.findings, *blamed.findings]
+    stands, up_is_down = upright(log, given, other, turned_left)
+    explanations = other if up_is_down else given
+    if up_is_down and turned_left is not None:
+        turned_left = not turned_left
+    blamed = blame(explanations, knowledge, turned_left)
+    findings = [_unit(factor, factors is None), stands, *blamed.findings]
     if blamed.explained:
-        rest = None if rest is None else replace(rest, rate=factor * rest.rate)
+        rest = None if rest is None else rest._replace(rate=factor * rest.rate)
         findings += _gyro_errors(explanations, blamed.chosen, factor, rest, prepared.restamped)
         if prepared.restamped:
             findings.append(not_shown("latency", "field: latency", NO_BURSTS))
@@ -119,7 +121,7 @@ def compare(
         explanations,
         blamed.chosen,
         factor,
-        stands.sign_wrong,
+        up_is_down,
         blamed.explained,
     )
 
@@ -145,6 +147,12 @@ def _explained(
     return way, factor
 
 
+def _longest_rest(log: SensorLog) -> LongestRest | None:
+    inside = (log.field_time >= log.imu_time[0]) & (log.field_time <= log.imu_time[-1])
+    time = log.field_time[inside]
+    return longest_stand(time, log.field[inside], interpolated(time, log.imu_time, log.rate))
+
+
 def _field_moves(stretch: Stretch) -> bool:
     """Return whether the field changes by more than its noise."""
     usual = float(np.median(np.linalg.norm(np.diff(stretch.field, axis=0), axis=1)))
@@ -155,13 +163,15 @@ def _opposite(belief: Belief) -> Belief:
     return Belief(-belief.value, belief.sigma)
 
 
-def _turns_beside(stretch: Stretch, rest: Rest) -> bool:
+def _turns_beside(stretch: Stretch, rest: LongestRest) -> bool:
     """Return whether the gyro reads a turn beside what it reads at rest."""
     alone = replace(stretch, turn=stretch.turn - stretch.seconds[:, None] * rest.rate)
     return most_turned(alone) >= WEIGHED.least_turn
 
 
-def _nothing_shown(log: SensorLog, rest: Rest | None, answers: UserAnswers) -> MotionFound:
+def _nothing_shown(
+    log: SensorLog, rest: LongestRest | None, turned_left: bool | None
+) -> MotionFound:
     """Return that the sensors were not compared; a rest still shows the gyro's bias."""
     why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
     bias = not_shown("gyro_bias", "gyro: bias", why)
@@ -173,7 +183,7 @@ def _nothing_shown(log: SensorLog, rest: Rest | None, answers: UserAnswers) -> M
         not_shown("rate_scale", "gyro: scale", why),
         not_shown("latency", "field: latency", why),
     )
-    return MotionFound((*findings, *upright(log, None, None, answers).findings))
+    return MotionFound((*findings, upright(log, None, None, turned_left)[0]))
 
 
 def _unit(factor: float, turns_alike: bool) -> Finding:
@@ -186,7 +196,11 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
 
 
 def _gyro_errors(
-    explanations: Explanations, chosen: int, factor: float, rest: Rest | None, restamped: bool
+    explanations: Explanations,
+    chosen: int,
+    factor: float,
+    rest: LongestRest | None,
+    restamped: bool,
 ) -> list[Finding]:
     state, sigma = explanations.parameters[chosen], explanations.sigma[chosen]
     if not np.isfinite(sigma).all():
@@ -253,7 +267,7 @@ def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
     return gap < SIGMAS * max(sigma, float(explanations.sigma[chosen, SCALE]))
 
 
-def _borne_out(rest: Rest | None, bias: FloatArray) -> bool:
+def _borne_out(rest: LongestRest | None, bias: FloatArray) -> bool:
     if rest is None:
         return False
     size = float(np.linalg.norm(bias))

@@ -13,7 +13,6 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.axes import AxesFound, parameter_line
-from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Explanations, rate_factors
 from magcal_ros.core.doctor.health import (
@@ -26,18 +25,18 @@ from magcal_ros.core.doctor.health import (
     not_shown,
     unchanging,
 )
+from magcal_ros.core.doctor.latency import motors_field
 from magcal_ros.core.doctor.motion import MOVE_THE_SENSOR, TURN_BETWEEN_RESTS, MotionFound, compare
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, UP
+from magcal_ros.core.samples.alignment import FIELD, IRON, LAG, UP
 from magcal_ros.core.samples.stamps import bursts_of_a_turn
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
-from magcal_ros.core.samples.window import SensorLog, Window, stretch_of
+from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
 
 PAIRED = ("bursts", "stamps", "repeats")
 """Lines of which paired samples show nothing."""
@@ -77,14 +76,17 @@ class Page:
 
 
 def examine(
-    log: SensorLog, knowledge: Knowledge = Knowledge(), answers: UserAnswers = UserAnswers()
+    log: SensorLog, knowledge: Knowledge = Knowledge(), turned_left: bool | None = None
 ) -> Page:
-    """Look at everything that a log shows of its sensors."""
+    """Look at everything that a log shows of its sensors.
+
+    `turned_left` is what the user says of the turn; None where that was not asked.
+    """
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:
         return Page((*prepared.findings, *known_habits(log)))
-    found = compare(prepared, knowledge, answers)
+    found = compare(prepared, knowledge, turned_left)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
     lines += _of_the_field(prepared, found, knowledge)
     mount = None
@@ -105,10 +107,7 @@ def examine(
 
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
     """Look at what the samples of a turn show, which are paired and cleaned already."""
-    nothing = np.full((len(window), 3), np.nan)
-    rate = nothing if window.angular_rate is None else window.angular_rate
-    log = SensorLog(window.time, window.specific_force, rate, window.time, window.field)
-    page = examine(log, knowledge)
+    page = examine(SensorLog.of_window(window), knowledge)
     kept = [f for f in page.findings if f.key not in PAIRED]
     return replace(page, findings=tuple(kept))
 
@@ -135,25 +134,20 @@ class PlaceTuning:
     strength: float = 0.2  # relative difference
     inclination: float = math.radians(8.0)  # radians
     vague: float = 0.1  # relative standard deviation of the strength beyond which it is not shown
-    motors: float = 1.5e-6  # tesla by which the field steps when the robot sets off
-    turned_too_far: float = 25.0
-    scatter_too_large: float = 5.0
-    """Degrees of heading of that step, and by which it differs from one time to another, from which
-    moving the sensor is the better cure: half the level field, where a tenth of it in the motors'
-    current is three degrees, and the largest error that may stay unsaid."""
-    still: float = math.radians(3.0)
-    moves: float = math.radians(8.0)
-    """rad/s below which it stands, and above which it turns."""
-    late: float = 0.05  # seconds of a latency that is not shown, up to which it does not matter
-    before: tuple[float, float] = (-0.6, -0.1)
-    after: tuple[float, float] = (0.3, 0.8)
-    """Seconds from and to, around the moment in which it sets off or stops."""
+    motors: float = 1.5e-6  # tesla that the motors add
+    clear: float = 5.0  # sigmas of that
+    turned_too_far: float = math.radians(25.0)
+    """Radians of heading of that field from which moving the sensor is the better cure: half the
+    level field, where a tenth of it in the motors' current is three degrees."""
 
 
 TUNING = PlaceTuning()
 MOTORS = "field: motors"
 BETWEEN_RESTS = "stand still, turn, and stand still again"
-OR_LATE = "start and stop several times while you turn: motors and a late field look alike here"
+OR_LATE = (
+    ". A late field looks like this, too: to tell them apart, start and stop several times while "
+    "you turn"
+)
 
 
 def reference_findings(
@@ -201,98 +195,32 @@ def reference_findings(
 def motors_finding(
     log: SensorLog, explanations: Explanations, k: int, lag_is_shown: bool = True
 ) -> Finding:
-    """Look for a step of the field when the robot sets off or stops, beside what it turned.
+    """Look for a field that is there while the robot turns alone.
 
     A field that is late looks like motors, and motors like one that is late: where the latency is
-    not shown and the step may be either, both are said.
-
-    `log` is as it was explained: rates in rad/s, the known mounting taken off. Explanation `k`
-    gives the axes, the bias and the hard iron.
+    not shown, both are said. Takes the same as `motors_field`.
     """
-    lag = float(explanations.parameters[k, LAG])
-    found = _motors_with(log, explanations, k, lag)
-    if lag_is_shown or abs(lag) < TUNING.late:
-        return found
-    in_time = _motors_with(log, explanations, k, 0.0)
-    if found.grade is in_time.grade:
-        return found
-    if not in_time.remedy:
-        return not_shown("motors", MOTORS, OR_LATE)
-    or_late = f"or the field is {abs(lag):.2f} s {'early' if lag < 0.0 else 'late'}"
-    return looked_at("motors", MOTORS, f"{in_time.evidence}; {or_late}", OR_LATE)
-
-
-def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float) -> Finding:
-    """Look for the motors' step where the field is late by so many seconds."""
-    state = explanations.parameters[k]
-    rate = (1.0 + state[SCALE]) * log.rate @ explanations.gyro[k] - state[BIAS]
-    field = log.field @ explanations.field[k]
-    time = log.field_time - lag
-    iron = state[IRON] * explanations.part.size
-    up = unit(np.median(log.force, axis=0))
-    steps, spread, level = [], [], []
-    for moment, sign in _starts_and_stops(log, rate):
-        since = sign * (time - moment)
-        low, high = ((since >= a) & (since <= b) for a, b in (TUNING.before, TUNING.after))
-        if min(low.sum(), high.sum()) < 4:
-            continue
-        still, moving = field[low], field[high]
-        turn = _turned(log.imu_time, rate, float(time[low].mean()), float(time[high].mean()))
-        expected = exp_rotation(-turn) @ (still.mean(axis=0) - iron) + iron
-        steps.append(moving.mean(axis=0) - expected)
-        level.append(float(np.linalg.norm(np.cross(still.mean(axis=0) - iron, up))))
-        # What turns of 5 ms and 3 % of the way would be, and the noise of the means.
-        way = float(np.linalg.norm(expected - still.mean(axis=0)))
-        noise = float(np.median(np.abs(np.diff(field, axis=0)))) / 0.95
-        spread.append(math.hypot(noise / math.sqrt(min(low.sum(), high.sum())), 0.06 * way))
-    if len(steps) < 2:
+    state, size = explanations.parameters[k], explanations.part.size
+    found = motors_field(log, explanations, k, float(state[LAG]) if lag_is_shown else 0.0)
+    if found is None:
         return not_shown("motors", MOTORS, BETWEEN_RESTS)
-    step = np.mean(steps, axis=0)
-    scatter = max(float(np.mean(spread)), float(np.linalg.norm(np.std(steps, axis=0, ddof=1))))
-    size, off = float(np.linalg.norm(step)), scatter / math.sqrt(len(steps))
-    words = ", ".join(f"{value * 1e6:+.1f}" for value in step)
-    across = np.arctan2((size, scatter), max(float(np.median(level)), 1e-9))
-    turned, scattered = (float(each) for each in np.degrees(across))
-    evidence = (
-        f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times: up to "
-        f"{turned:.0f}° of heading, and {scattered:.0f}° from one time to another"
-    )
-    is_step = size > max(TUNING.motors, SIGMAS * 1.7 * off)
-    if off > TUNING.motors and not is_step:
+    field, covariance = found
+    off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
+    strength = float(np.linalg.norm(field))
+    is_seen = float(field @ np.linalg.solve(covariance, field)) > TUNING.clear**2
+    is_seen &= strength > TUNING.motors
+    if off > TUNING.motors and not is_seen:
         return not_shown("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
-    is_too_large = max(turned / TUNING.turned_too_far, scattered / TUNING.scatter_too_large) > 1.0
-    remedy = MOVE_THE_SENSOR if is_too_large else TURN_BETWEEN_RESTS
-    return looked_at("motors", MOTORS, evidence, remedy * is_step)
-
-
-def _starts_and_stops(log: SensorLog, rate: FloatArray) -> list[tuple[float, float]]:
-    """Return the moments in which the robot begins to turn (+1) and those in which it stops (-1).
-
-    About its up: a hand that lifts the nose is no motor.
-    """
-    time = log.imu_time
-    up = np.median(log.force, axis=0)
-    width = max(1, int(0.2 / max(float(np.median(np.diff(time))), 1e-4)))
-    about = rate @ (up / max(float(np.linalg.norm(up)), 1e-12))
-    speed = np.abs(running_mean(about, width))
-    found, resting, edge = [], bool(speed[0] < TUNING.still), 0
-    for row in range(1, len(time)):
-        if speed[row] < TUNING.still:
-            if not resting:
-                found.append((float(time[row]), -1.0))
-            resting, edge = True, row
-        elif speed[row] > TUNING.moves and resting:
-            found.append((float(time[edge]), 1.0))
-            resting = False
-    return found
-
-
-def _turned(time: FloatArray, rate: FloatArray, first: float, last: float) -> FloatArray:
-    """Return the rotation vector from one moment to another, which may be earlier."""
-    low, high = min(first, last), max(first, last)
-    inside: BoolArray = (time >= low) & (time <= high)
-    mean = rate[inside].mean(axis=0) if inside.any() else np.zeros(3)
-    return np.asarray(mean * (last - first))
+    level = size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
+    turned = math.atan2(strength, level)
+    words = ", ".join(f"{value * 1e6:+.1f}" for value in field)
+    evidence = (
+        f"({words}) ± {off * 1e6:.1f} µT while it turns: up to {math.degrees(turned):.0f}° of "
+        "heading"
+    )
+    remedy = MOVE_THE_SENSOR if turned > TUNING.turned_too_far else TURN_BETWEEN_RESTS
+    remedy += "" if lag_is_shown else OR_LATE
+    return looked_at("motors", MOTORS, evidence, remedy * is_seen)
 
 
 AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit")
@@ -340,7 +268,7 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
             "calibrated without a gyro",
         )
-    stretch = stretch_of(window)
+    stretch = stretch_of_log(SensorLog.of_window(window))
     if stretch is not None and set(rate_factors(stretch) or ()) - {1.0}:
         unit = _by_the_page(window, knowledge, ("rate_unit",))
         return Refusal(Reason.AXES_DISAGREE, unit) if unit else None

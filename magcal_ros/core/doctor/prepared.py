@@ -1,4 +1,4 @@
-"""A log made fit for comparing its sensors, and the parts of it in which the sensor rests."""
+"""A log made fit for comparing its sensors."""
 
 from __future__ import annotations
 
@@ -20,32 +20,14 @@ from magcal_ros.core.doctor.health import (
     stamps_finding,
     wrong,
 )
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, interpolated, runs
-from magcal_ros.core.samples.rest import longest_stand
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.samples.stamps import evenly, long_gaps
 from magcal_ros.core.samples.window import SensorLog
 
 
-@dataclass(frozen=True, eq=False)
-class Rest:
-    """The longest rest."""
-
-    rate: FloatArray
-    """What the gyro read, rad/s. Shape (3,)."""
-    is_certain: bool  # whether a turn at that rate would have moved the field, which did not move
-
-
-def longest_rest(log: SensorLog) -> Rest | None:
-    """Return the longest rest of a clean log; None if there was none."""
-    inside = (log.field_time >= log.imu_time[0]) & (log.field_time <= log.imu_time[-1])
-    time = log.field_time[inside]
-    found = longest_stand(time, log.field[inside], interpolated(time, log.imu_time, log.rate))
-    return None if found is None else Rest(*found)
-
-
 def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
     """Return means (k, 3) between edges (k + 1,); not a number where nothing lies between."""
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    total = accumulated(values)
     rows = np.searchsorted(time, edges)
     number = np.diff(rows)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -224,23 +206,16 @@ def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
     starts = log.imu_time[0], log.field_time[0]
     ends = log.imu_time[-1], log.field_time[-1]
     shorter = min(end - start for start, end in zip(starts, ends, strict=True))
-    if min(ends) - max(starts) < CLOCKS.shared * shorter:
-        # What was recorded together began together, roughly.
-        off = float(starts[1] - starts[0])
-        log = replace(log, field_time=log.field_time - off)
-        rest = _apart(log)
-        log = replace(log, field_time=log.field_time - rest)
-        return log, (_line(off + rest),)
-    off = _apart(log)
+    overlap = min(ends) - max(starts) > CLOCKS.shared * shorter
+    # What was recorded together began together, roughly.
+    off = 0.0 if overlap else float(starts[1] - starts[0])
+    off += _apart(replace(log, field_time=log.field_time - off))
     if not off:
         return log, ()
-    return replace(log, field_time=log.field_time - off), (_line(off),)
-
-
-def _line(off: float) -> Finding:
     size = f"{abs(off):.1f} s" if abs(off) < 1e5 else f"{abs(off):.4g} s"
     evidence = f"the field's are {size} {'later' if off > 0.0 else 'earlier'} than the IMU's"
-    return wrong("clocks", "stamps: clocks", evidence, ONE_CLOCK)
+    line = wrong("clocks", "stamps: clocks", evidence, ONE_CLOCK)
+    return replace(log, field_time=log.field_time - off), (line,)
 
 
 def _apart(log: SensorLog) -> float:

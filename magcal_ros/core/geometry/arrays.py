@@ -51,6 +51,17 @@ def interpolated(moments: FloatArray, time: FloatArray, rows: FloatArray) -> Flo
     return np.column_stack([np.interp(moments, time, column) for column in rows.T])
 
 
+def accumulated(steps: FloatArray) -> FloatArray:
+    """Return the sums of steps (n, ...) from zero on, shape (n + 1, ...)."""
+    return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
+
+
+def integral(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the integral of values (n, ...) up to each moment, by the trapezoid rule."""
+    seconds = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
+    return accumulated(0.5 * (values[1:] + values[:-1]) * seconds)
+
+
 def runs(flags: BoolArray) -> list[tuple[int, int]]:
     """Return first row and end of every run of true flags (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))

@@ -60,20 +60,13 @@ def exp_rotations(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + sine[:, None, None] * k + versine[:, None, None] * (k @ k))
 
 
-def axial_vectors(matrices: FloatArray) -> FloatArray:
-    """Return v (n, 3) of the antisymmetric parts [v]x of matrices (n, 3, 3).
-
-    Of a rotation it is the axis times the sine of the angle.
-    """
-    return np.asarray(0.5 * (matrices[:, [2, 0, 1], [1, 2, 0]] - matrices[:, [1, 2, 0], [2, 0, 1]]))
-
-
 def rotation_vectors(rotations: FloatArray) -> FloatArray:
     """Return the vectors (n, 3) of small rotations (n, 3, 3), the inverse of `exp_rotations`.
 
     Angles below a quarter turn.
     """
-    part = axial_vectors(rotations)
+    # The antisymmetric part is the axis times the sine of the angle.
+    part = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
     sine = np.minimum(np.linalg.norm(part, axis=1), 1.0)
     longer = np.where(sine > 1e-9, np.arcsin(sine) / np.maximum(sine, 1e-9), 1.0)
     return np.asarray(part * longer[:, None])

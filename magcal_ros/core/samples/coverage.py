@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, integral
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
 from magcal_ros.core.geometry.planes import fit_circle_in_space
 
@@ -120,18 +120,13 @@ def yaw_progress(
     if len(time) < 5:
         return None
     up = unit(force.mean(axis=0))
-    by_gyro = None if rate is None else _turn_by_gyro(time, rate @ up)
+    by_gyro = None if rate is None else integral(time, rate @ up)
     if by_gyro is not None and np.ptp(by_gyro) < COVERAGE.gyro_leads_until:
         return _beyond_drift(time, by_gyro)
     by_field = _magnetic_progress(field, up)
     if by_field is None and by_gyro is not None:
         return _beyond_drift(time, by_gyro)
     return by_field
-
-
-def _turn_by_gyro(time: FloatArray, about_up: FloatArray) -> FloatArray:
-    steps = 0.5 * (about_up[1:] + about_up[:-1]) * np.diff(time)
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _beyond_drift(time: FloatArray, turned: FloatArray) -> FloatArray | None:

@@ -39,6 +39,14 @@ class GyroAtRest(NamedTuple):
         return math.hypot(self.sigma, CHANGES_BY * length(self.rate))
 
 
+class LongestRest(NamedTuple):
+    """The longest rest."""
+
+    rate: FloatArray
+    """What the gyro read, rad/s. Shape (3,)."""
+    is_certain: bool  # whether a turn at that rate would have moved the field, which did not move
+
+
 @dataclass(frozen=True)
 class BiasAtRestTuning:
     """When a robot is taken to have rested."""
@@ -125,10 +133,7 @@ def _stands(
     for start, end in _runs(fields.stays & rates.stays):
         inside = rates.mean[start:end]
         creeps = float(np.linalg.norm(inside.mean(axis=0))) > TUNING.next_to_nothing * fastest
-        if not creeps or (
-            _stood(inside, fields.mean[start:end], 0.5 * swing)
-            and _would_show(inside, 0.5 * swing, float(fields.limit[start:end].max()))
-        ):
+        if not creeps or all(_stood(fields, rates, slice(start, end), 0.5 * swing)):
             found.append((start, end))
     return found
 
@@ -157,33 +162,25 @@ def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Float
     rests = [
         rates.mean[start:end]
         for start, end in _runs(fields.stays & rates.stays)
-        if _stood(rates.mean[start:end], fields.mean[start:end], 0.5 * swing)
-        and _would_show(rates.mean[start:end], 0.5 * swing, float(fields.limit[start:end].max()))
+        if all(_stood(fields, rates, slice(start, end), 0.5 * swing))
     ]
     return np.median(np.concatenate(rests), axis=0) if rests else None
 
 
-def longest_stand(
-    time: FloatArray, field: FloatArray, rate: FloatArray
-) -> tuple[FloatArray, bool] | None:
-    """Return the mean rate (3,) of the longest rest; None if there was none.
-
-    And whether a turn at that rate would have moved the field. Takes the same as `bias_at_rest`.
-    """
+def longest_stand(time: FloatArray, field: FloatArray, rate: FloatArray) -> LongestRest | None:
+    """Return the longest rest; None if there was none. Takes the same as `bias_at_rest`."""
     if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
         return None
     fields, rates = _still(field, rate, _split(time))
     found = _runs(fields.stays & rates.stays)
     if not found:
         return None
-    start, end = max(found, key=lambda run: run[1] - run[0])
+    longest = slice(*max(found, key=lambda run: run[1] - run[0]))
     # A robot that stands all the time has not swung its field; its level part is about so large.
     radius = 0.3 * float(np.median(np.linalg.norm(field, axis=1)))
-    inside = rates.mean[start:end]
-    stood = _stood(inside, fields.mean[start:end], radius)
-    shows = _would_show(inside, radius, float(fields.limit[start:end].max()))
+    stood, shows = _stood(fields, rates, longest, radius)
     # A slow turn passes from block to block.
-    return None if shows and not stood else (inside.mean(axis=0), shows)
+    return None if shows and not stood else LongestRest(rates.mean[longest].mean(axis=0), shows)
 
 
 def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
@@ -238,21 +235,14 @@ def _runs(stays: BoolArray) -> list[tuple[int, int]]:
     return [(first, end + TUNING.at_least - 1) for first, end in runs(stays)]
 
 
-def _chord(rates: FloatArray, radius: float) -> float:
-    """Return how far a turn at the mean rate would have moved the field, in its unit."""
-    turned = float(np.linalg.norm(rates.mean(axis=0))) * TUNING.block * (len(rates) - 1)
-    return 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
+def _stood(fields: _Blocks, rates: _Blocks, rows: slice, radius: float) -> tuple[bool, bool]:
+    """Return whether the field moved far less than a turn at the gyro's rate would have moved it.
 
-
-def _stood(rates: FloatArray, fields: FloatArray, radius: float) -> bool:
-    """Return whether the field moved far less than a turn at the gyro's rate would have it.
-
-    A slow turn passes from block to block; over the whole of a stretch it shows.
+    A slow turn passes from block to block; over the whole of a stretch it shows. And whether such a
+    turn would have moved the field, of this radius, out of what a rest may move by.
     """
-    moved = float(np.linalg.norm(fields - fields[0], axis=1).max())
-    return moved < TUNING.most_moved * _chord(rates, radius)
-
-
-def _would_show(rates: FloatArray, radius: float, limit: float) -> bool:
-    """Return whether a turn at the rate of a rest would have moved the field out of its limits."""
-    return _chord(rates, radius) > TUNING.shown * limit
+    inside, field = rates.mean[rows], fields.mean[rows]
+    turned = float(np.linalg.norm(inside.mean(axis=0))) * TUNING.block * (len(inside) - 1)
+    chord = 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
+    moved = float(np.linalg.norm(field - field[0], axis=1).max())
+    return moved < TUNING.most_moved * chord, chord > TUNING.shown * float(fields.limit[rows].max())

@@ -14,6 +14,7 @@ from magcal_ros.core.geometry.arrays import (
     IntArray,
     block_means,
     frozen_array,
+    integral,
     interpolated,
 )
 from magcal_ros.core.samples.rest import RestBeside
@@ -146,6 +147,13 @@ class SensorLog:
             np.array([s.orientation or NO_ORIENTATION for s in imu]).reshape(-1, 4),
         )
 
+    @classmethod
+    def of_window(cls, window: Window) -> SensorLog:
+        """Return the samples of a window as two streams."""
+        rate = window.angular_rate
+        rate = np.full((len(window), 3), np.nan) if rate is None else rate
+        return cls(window.time, window.specific_force, rate, window.time, window.field)
+
     @property
     def has_gyro(self) -> bool:
         """Whether most IMU samples carry a rate."""
@@ -193,15 +201,6 @@ def field_size(field: FloatArray) -> float:
     return max(float(np.linalg.norm(span)) / 2.0, 1e-12)
 
 
-def stretch_of(window: Window) -> Stretch | None:
-    """Average the samples of a turn that has a gyro; None where there are too few."""
-    assert window.angular_rate is not None
-    log = SensorLog(
-        window.time, window.specific_force, window.angular_rate, window.time, window.field
-    )
-    return stretch_of_log(log)
-
-
 def stretch_of_log(
     log: SensorLog, lag: float = 0.0, tuning: StretchTuning = TUNING
 ) -> Stretch | None:
@@ -215,7 +214,7 @@ def stretch_of_log(
         return None
     imu = (log.imu_time >= span[0]) & (log.imu_time <= span[1])
     time, rate = log.imu_time[imu], log.rate[imu]
-    turned = _integral(time, rate)
+    turned = integral(time, rate)
     usual = float(np.linalg.norm(np.diff(turned, axis=0), axis=1).sum())
     count = int(np.clip(usual / tuning.widest_block, tuning.fewest, tuning.most))
     inside = (field_time >= span[0]) & (field_time <= span[1])
@@ -226,10 +225,10 @@ def stretch_of_log(
         return None
     moment, field = block_means(stamps, first), block_means(field, first)
     width = (span[1] - span[0]) / count
-    force = _mean_around(time, _integral(time, log.force[imu]), moment, width)
+    force = _mean_around(time, integral(time, log.force[imu]), moment, width)
     angle, bend = (
         interpolated(moment, time, path)
-        for path in (turned, _integral(time, np.cross(turned, rate)))
+        for path in (turned, integral(time, np.cross(turned, rate)))
     )
     step = np.diff(angle, axis=0)
     size = field_size(field)
@@ -260,7 +259,7 @@ def _liveliest(
         if len(rows) < 20 or high - low < 1.0:
             continue
         size = np.linalg.norm(log.rate[rows], axis=1)
-        done = _integral(time, size[:, None])[:, 0]
+        done = integral(time, size)
         begin = low + np.arange(0.0, max(high - longest - low, 0.0) + 0.5, 1.0)
         gained = np.interp(np.minimum(begin + longest, high), time, done)
         gained -= np.interp(begin, time, done)
@@ -269,12 +268,6 @@ def _liveliest(
             best = (float(begin[k]), float(min(begin[k] + longest, high)))
             most = float(gained[k])
     return best
-
-
-def _integral(time: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the integral of values (n, d) up to each moment."""
-    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
-    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
 
 
 def _mean_around(

@@ -10,7 +10,6 @@ from imu_faults_cases import FAULTS, HABITS, Habit, good_case
 from long_form import first_of
 
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.explanations import explain, gravity_misfit
 from magcal_ros.core.doctor.latency import force_latency
 from magcal_ros.core.doctor.page import examine, examine_window
@@ -24,7 +23,7 @@ MOST_SEEN = "half minute"
 
 
 def page_of(case, log=None):
-    return examine(log or case.log, case.knowledge, UserAnswers(case.turned_left))
+    return examine(log or case.log, case.knowledge, case.turned_left)
 
 
 def wrong(page):
@@ -193,9 +192,7 @@ def test_stamps_of_two_clocks_are_named_and_the_rest_is_looked_at(off):
 def test_a_person_who_turned_the_other_way_makes_no_sensor_wrong():
     for seed in range(2):
         case = good_case(np.random.default_rng([4, seed]), MOST_SEEN, habit=Habit(left=-1.0))
-        (line,) = [
-            f for f in examine(case.log, case.knowledge, UserAnswers(True)).findings if f.is_wrong
-        ]
+        (line,) = [f for f in examine(case.log, case.knowledge, True).findings if f.is_wrong]
         assert line.key == "imu_axes"
         assert "look again, turning left" in line.remedy
 

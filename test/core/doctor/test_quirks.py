@@ -10,7 +10,6 @@ from imu_faults_cases import good_case
 from long_form import first_of
 from scipy.spatial.transform import Rotation
 
-from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.doctor.quirks import (
     AK09916_IN_ICM20948,
@@ -29,7 +28,7 @@ def case_of(seed):
 
 
 def wrong_lines(case, log):
-    page = examine(log, case.knowledge, UserAnswers(case.turned_left))
+    page = examine(log, case.knowledge, case.turned_left)
     return [f"{f.name} {f.evidence} {f.remedy}" for f in page.findings if f.is_wrong]
 
 
@@ -119,7 +118,7 @@ def test_the_driver_is_named(name):
 def test_the_sample_for_the_chip_gives_the_mounting_that_doctor_names(name, line):
     case = case_of(0)
     log = CASES[name](np.random.default_rng([35, 0]), case.log)
-    page = examine(log, case.knowledge, UserAnswers(case.turned_left))
+    page = examine(log, case.knowledge, case.turned_left)
     assert np.allclose(*(_rotation(text) for text in (page.parameters, line)), atol=1e-9)
     sample = Path(__file__).parents[3] / "config" / "sensors" / "icm20948.yaml"
     assert line.partition(": ")[2].replace(".0", "") in sample.read_text().replace(".0", "")
