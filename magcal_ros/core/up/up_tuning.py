@@ -51,7 +51,9 @@ class RestTuning:
     largest_rate: float = 0.035
     """rad/s. A steady gyro that reads more than this beyond its known bias may be turning; less is
     taken for bias while no field is there to decide."""
-    doubtful_rate: float = 0.01  # rad/s, the same where there is a field
+    doubtful_rate: float = 0.01
+    """rad/s, the same where there is a field, and by how much the mean rate of a second of a shaken
+    rest may be off."""
     lasting: float = 4.0
     """Seconds of steadiness after which there is no linear acceleration, although the length shows
     one."""
@@ -75,10 +77,7 @@ class RestTuning:
     field_lasts: float = 1.0  # seconds after which the last field says nothing
     shaken: int = 4
     """Averages over a second that must agree for a rest of a robot whose engine shakes it."""
-    shaken_force: float = 0.007
-    shaken_rate: float = math.radians(0.5)
-    shaken_field: float = 0.012
-    """g, rad/s and share of the raw field by which each average may be off their mean."""
+    shaken_field: float = 0.012  # share of the raw field by which each average may be off
     shaken_sigma: float = math.radians(0.1)  # rad/s per axis across up, of the bias at least
 
 
@@ -91,11 +90,11 @@ class PropagationTuning:
     starting_noise: float = 0.01
     starting_rate_noise: float = 0.005
     """g and rad/s per axis, before they are measured."""
-    smallest: float = 1e-3  # sigma of up, radians, that no filter removes
+    smallest: float = 1e-3
+    """Sigma of up, radians, that no filter removes; g by which an accelerometer's length on the
+    way, or without a gyro, differs from that at rest."""
     most_turning: int = 500
     """Messages of a turning robot over which its accelerometer's length is averaged."""
-    length_sigma: float = 1e-3
-    """g. How well that length, or one without a gyro, is the length at rest."""
     smoothing: float = 0.15  # seconds over which up is smoothed without a gyro
     rest_memory: float = 30.0  # seconds over which the length at rest is learnt without a gyro
 
