@@ -150,8 +150,8 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
     return outcome if wrong is None else Outcome.refused(wrong, window)
 
 
-def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Judge an estimate; `window` holds the samples that its residuals are of."""
+def judged(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Outcome:
+    """Judge an estimate; `window` holds the samples that its residuals are of, if of any."""
     verdict = judge(estimate, knowledge, window)
     calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
     return Outcome(verdict, calibration, estimate, window=window)

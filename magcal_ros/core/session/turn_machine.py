@@ -188,14 +188,13 @@ class TurnMachine:
         self._end_with(steering, now)
 
     def _end_with(self, steering: Steering, now: float) -> None:
-        stand, end = self._stand, steering.end
-        if end is None or not isinstance(stand, ev.Collecting):
+        if not isinstance(self._stand, ev.Collecting):
             return
-        if not end.is_usable:
+        if steering.broken_off:
             self._leave_collecting()
-            self._conclude(False, f"{end.reason}; {UNCHANGED}")
-        elif end.reason:
-            self._begin_fit(stand, end.reason, now)
+            self._conclude(False, f"{steering.broken_off}; {UNCHANGED}")
+        elif steering.ended:
+            self._begin_fit(self._stand, steering.ended, now)
 
     def stop_robot(self, reason: str, now: float) -> None:
         """Stop a robot that turns itself: what has failed may be what supervises it."""
