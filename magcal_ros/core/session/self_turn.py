@@ -222,18 +222,13 @@ class SelfTurn:
                 return self.break_off(f"nothing subscribes to {topic}: {remedy}")
         elif around.is_guarded:
             if now - stage.since >= TUNING.stands_first:
-                self._set_off(stage.order, now)
+                speed, longest = stage.order.speed, stage.order.longest
+                proof = RotationProof(stage.order.to_body)
+                limits = RotationLimits(speed, now, longest)
+                self._stage, self._paired = Moving(RotationPlan(speed, now), proof, limits), now
         elif now - stage.since > TUNING.guarded_within:
             return self.break_off(UNGUARDED)
         return Steering()
-
-    def _set_off(self, order: Order, now: float) -> None:
-        self._stage = Moving(
-            RotationPlan(order.speed, now),
-            RotationProof(order.to_body),
-            RotationLimits(order.speed, now, order.longest),
-        )
-        self._paired = now
 
     def _lead(
         self, stage: Moving, now: float, since: float, progress: Progress, around: Around

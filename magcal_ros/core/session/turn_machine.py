@@ -166,8 +166,7 @@ class TurnMachine:
         ):
             window = self.last_window = stand.session.look()
             self._stand = replace(stand, previewed_since=now)
-            brief = stand.brief
-            self._do(ev.Preview(self._number, window, brief.knowledge, brief.method))
+            self._do(ev.Preview(self._number, window, stand.brief))
 
     def note_preview(self, turn: int, sigma: float, now: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
@@ -220,7 +219,7 @@ class TurnMachine:
         return None
 
     def _begin_fit(self, stand: ev.Collecting, why: str, now: float) -> None:
-        session, brief = stand.session, stand.brief
+        session = stand.session
         self.progress = session.progress(now)
         why = "; ".join(filter(None, (why, SET_BACK * session.was_set_back)))
         self._leave_collecting()
@@ -234,8 +233,7 @@ class TurnMachine:
             self._sensors_of_kept = self._sensors
             self.forget()
         self._stand = ev.Fitting(why, window, self._kept)
-        known, method, joins = brief.knowledge, brief.method, brief.accumulate
-        self._do(ev.FitTurn(self._number, self._kept, window, known, method, joins))
+        self._do(ev.FitTurn(self._number, self._kept, window, stand.brief))
 
     def note_fit(self, turn: int, outcome: Outcome, kept: Kept) -> None:
         """Take the fit of a turn, and what is kept for the next one to join."""

@@ -176,7 +176,7 @@ class ShakenRest:
         self._begin()
 
     def _begin(self) -> None:
-        self._seconds, self._count, self._sums = 0.0, 0, np.zeros((3, 3))
+        self._seconds, self._count, self._sums = 0.0, 0, (ZERO, ZERO, ZERO)
 
     def forget(self) -> None:
         """Begin anew: the field came no more, or time has jumped."""
@@ -187,10 +187,11 @@ class ShakenRest:
         """Take a block and the raw field at its end, in any unit; None while nothing is shown."""
         self._count += 1
         self._seconds += block.seconds
-        self._sums += (block.force, block.rate, field)
+        force, rate, total = self._sums
+        self._sums = plus(force, block.force), plus(rate, block.rate), plus(total, field)
         if self._seconds < 1.0:
             return None
-        self._means.append(self._sums / self._count)
+        self._means.append(np.array(self._sums) / self._count)
         self._begin()
         each = np.array(self._means)
         mean = each.mean(axis=0)
