@@ -196,7 +196,8 @@ class ShakenRest:
         each = np.array(self._means)
         mean = each.mean(axis=0)
         gaps = np.linalg.norm(each - mean, axis=2)
-        most = (REST.agrees, REST.doubtful_rate, REST.shaken_field * np.linalg.norm(mean[2]))
+        field_bound = REST.shaken_field * np.linalg.norm(mean[2])
+        most = (REST.shaken_force, REST.shaken_rate, field_bound)
         if len(each) < REST.shaken or (gaps > most).any():
             return None
         # The next one is of other seconds.

@@ -51,9 +51,7 @@ class RestTuning:
     largest_rate: float = 0.035
     """rad/s. A steady gyro that reads more than this beyond its known bias may be turning; less is
     taken for bias while no field is there to decide."""
-    doubtful_rate: float = 0.01
-    """rad/s, the same where there is a field, and by how much the mean rate of a second of a shaken
-    rest may be off."""
+    doubtful_rate: float = 0.01  # rad/s, the same where there is a field
     lasting: float = 4.0
     """Seconds of steadiness after which there is no linear acceleration, although the length shows
     one."""
@@ -77,7 +75,10 @@ class RestTuning:
     field_lasts: float = 1.0  # seconds after which the last field says nothing
     shaken: int = 4
     """Averages over a second that must agree for a rest of a robot whose engine shakes it."""
-    shaken_field: float = 0.012  # share of the raw field by which each average may be off
+    shaken_force: float = 0.007
+    shaken_rate: float = math.radians(0.5)
+    shaken_field: float = 0.012
+    """g, rad/s and share of the raw field by which each average may be off their mean."""
     shaken_sigma: float = math.radians(0.1)  # rad/s per axis across up, of the bias at least
 
 
