@@ -150,8 +150,8 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
     return outcome if wrong is None else Outcome.refused(wrong, window)
 
 
-def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Judge an estimate; `window` holds the samples that its residuals are of."""
+def judged(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Outcome:
+    """Judge an estimate; `window` holds the samples that its residuals are of, if of any."""
     verdict = judge(estimate, knowledge, window)
     calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
     return Outcome(verdict, calibration, estimate, window=window)
@@ -214,23 +214,22 @@ def calibrate_turns(
         if len(windows) > 1:
             raise Misuse(f"the method {method} takes one turn; {JOINS} joins several")
         return calibrate(windows[0], knowledge, method)
-    from magcal_ros.core.multi_turn.joined import join
-    from magcal_ros.core.multi_turn.turn import survey
+    from magcal_ros.core.multi_turn.joined import join, survey
 
-    joined = join(survey(windows, called, knowledge), knowledge)
-    if joined.estimate is not None:
-        outcome = judged(joined.estimate, knowledge, joined.members[-1].window)
-        return replace(outcome, several=joined.several)
-    turn = (joined.members or joined.turns)[-1]
-    if turn.unfit and len(joined.turns) > 1:
-        each = "; ".join(f"{turn.name}: {turn.unfit}" for turn in joined.turns)
+    turns, joint, several = join(survey(windows, called, knowledge), knowledge)
+    members = [turn for turn in turns if not turn.unfit]
+    turn = (members or turns)[-1]
+    if joint is not None:
+        outcome = judged(joint, knowledge, turn.window)
+    elif turn.unfit and len(turns) > 1:
+        each = "; ".join(f"{turn.name}: {turn.unfit}" for turn in turns)
         words = f"none of the turns can be used: {each}"
-        return Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), turn.window)
-    if turn.estimate is not None:
+        outcome = Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), turn.window)
+    elif turn.estimate is not None and turn.reason is None:
         outcome = _judged_by_axes_too(turn.estimate, knowledge, turn.window)
     else:
         outcome = calibrate(turn.window, knowledge)
-    return replace(outcome, several=joined.several)
+    return replace(outcome, several=several)
 
 
 def pooled(windows: Sequence[Window]) -> Window:

@@ -215,16 +215,17 @@ class Control:
             self._conclude(command.conclusion)
 
     def _preview(self, asked: ev.Preview) -> None:
+        known, method = asked.brief.knowledge, asked.brief.method
         self._fits.run(
-            lambda: self._worker.run(predicted_sigma, asked.window, asked.knowledge, asked.method),
+            lambda: self._worker.run(predicted_sigma, asked.window, known, method),
             lambda sigma: self._tell(self.turn.note_preview, asked.turn, sigma, now()),
             # A preview that failed predicts nothing; the fit will tell.
             lambda _: self._tell(self.turn.note_preview, asked.turn, math.inf, now()),
         )
 
     def _fit(self, asked: ev.FitTurn) -> None:
-        settings = (asked.knowledge, asked.method, asked.accumulate)
-        turn = (asked.kept, asked.window, *settings)
+        brief = asked.brief
+        turn = (asked.kept, asked.window, brief.knowledge, brief.method, brief.accumulate)
         self._fits.run(
             lambda: self._worker.run(take_turn, *turn),
             lambda found: self._tell(self.turn.note_fit, asked.turn, *found),

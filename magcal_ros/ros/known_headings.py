@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.heading.fusion_tuning import FUSION
+from magcal_ros.core.heading.yaw_filter import FUSION
 from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer

@@ -327,8 +327,8 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "confidence.target_sigma_deg",
         0.5,
-        "Predicted heading error (1 σ, on the level) at which a complete turn is enough; so is up "
-        "to twice as much where turning on no longer makes it more certain, or after 1.2 turns",
+        "Predicted heading error (1 σ, on the level) at which a complete turn is enough; after 1.2 "
+        "turns, up to twice as much is",
         Span(0.01, 10.0, "°"),
     ),
     Spec(

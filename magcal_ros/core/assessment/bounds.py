@@ -43,17 +43,35 @@ AGAINST_REFERENCE: tuple[Bound, ...] = (
     ),
 )
 """The level field against that of the reference."""
+SIGMA = Bound(
+    Figure.HEADING_SIGMA,
+    0.7,
+    12.0,
+    "predicted heading error on the level (1σ)",
+    "turn the full circle, or through all orientations, more slowly",
+    excellent=0.3,
+    aspect=Aspect.CONFIDENCE,
+    after_full="turn once more, more slowly or on other ground",
+)
+UPRIGHT = Bound(
+    Figure.AXIS_LEAN,
+    45.0,
+    90.0,
+    "up is tilted from the body's z by",
+    Z_NOT_UP,
+    excellent=20.0,
+)
+STRENGTH = Bound(
+    Figure.STRENGTH_DEVIATION,
+    3.0,
+    5.0,
+    "field strength deviates from the reference by",
+    "check reference.strength_ut, or turn where the field is undisturbed",
+    excellent=1.5,
+    unit="σ",
+)
 TURN_BOUNDS: tuple[Bound, ...] = (
-    Bound(
-        Figure.HEADING_SIGMA,
-        0.7,
-        12.0,
-        "predicted heading error on the level (1σ)",
-        "turn the full circle, or through all orientations, more slowly",
-        excellent=0.3,
-        aspect=Aspect.CONFIDENCE,
-        after_full="turn once more, more slowly or on other ground",
-    ),
+    SIGMA,
     Bound(
         Figure.RESIDUAL_RATIO,
         6.0,
@@ -111,23 +129,12 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         when_refused="the field is distorted here, or the sensors' axes do not belong together;"
         " turn elsewhere",
     ),
-    Bound(
-        Figure.STRENGTH_DEVIATION,
-        3.0,
-        5.0,
-        "field strength deviates from the reference by",
-        "check reference.strength_ut, or turn where the field is undisturbed",
-        excellent=1.5,
-        unit="σ",
-    ),
-    Bound(
-        Figure.INCLINATION_DEVIATION,
-        3.0,
-        5.0,
-        "inclination deviates from the reference by",
-        "check reference.inclination_deg, or turn where the field is undisturbed",
-        excellent=1.5,
-        unit="σ",
+    STRENGTH,
+    replace(
+        STRENGTH,
+        figure=Figure.INCLINATION_DEVIATION,
+        words="inclination deviates from the reference by",
+        remedy="check reference.inclination_deg, or turn where the field is undisturbed",
     ),
     INSTALLATION,
     Bound(
@@ -177,29 +184,14 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         "other axes than the accelerometer",
         excellent=1.0,
     ),
-    Bound(
-        Figure.AXIS_LEAN,
-        45.0,
-        75.0,
-        "the turn's axis is tilted from the body's z by",
-        Z_NOT_UP,
-        excellent=20.0,
-    ),
+    replace(UPRIGHT, warn=75.0, words="the turn's axis is tilted from the body's z by"),
 )
 """From simulation and about ten recordings. The most important come first."""
 
-KNOWN_MOTORS = Bound(
-    Figure.MOTOR_FIELD,
-    1.0,
-    50.0,
-    "between rest and turn the field changes by",
+MOTORS_TAKEN_OFF = (
     "it is taken off while the robot moves; a magnetometer further away from motors and power "
-    "wires is the better cure",
-    excellent=0.3,
-    unit=" µT",
+    "wires is the better cure"
 )
-"""Of an estimate that knows the field of the motors."""
-
 ARC_SIGMAS = 2.0
 """Sigmas by which a turn must exceed the least arc to be known to reach it."""
 
@@ -211,7 +203,7 @@ def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
 
 def _adapted(bound: Bound, estimate: Estimate) -> Bound:
     if bound.figure is Figure.MOTOR_FIELD and estimate.motors is not None:
-        return KNOWN_MOTORS
+        return replace(bound, warn=50.0, remedy=MOTORS_TAKEN_OFF)
     if bound.figure is Figure.ARC and math.degrees(estimate.arc) > bound.warn:
         doubt = ARC_SIGMAS * math.degrees(arc_sigma(estimate))
         least = round(min(bound.warn + doubt, bound.good), 1)
@@ -221,27 +213,9 @@ def _adapted(bound: Bound, estimate: Estimate) -> Bound:
 
 
 DRIVE_ON = "drive on, with bends to both sides, to all headings"
-UPRIGHT = Bound(
-    Figure.AXIS_LEAN,
-    45.0,
-    90.0,
-    "up is tilted from the body's z by",
-    Z_NOT_UP,
-    excellent=20.0,
-)
-SITS_STRAIGHT: tuple[Bound, ...] = (INSTALLATION, UPRIGHT)
-"""Whether the sensors sit on the robot as expected."""
 DRIVE_BOUNDS: tuple[Bound, ...] = (
     UPRIGHT,
-    Bound(
-        Figure.HEADING_SIGMA,
-        2.0,
-        12.0,
-        "predicted heading error on the level (1σ)",
-        DRIVE_ON,
-        excellent=0.7,
-        aspect=Aspect.CONFIDENCE,
-    ),
+    replace(SIGMA, good=2.0, excellent=0.7, remedy=DRIVE_ON, after_full=""),
     Bound(
         Figure.HEADINGS_DRIVEN,
         8.0,
@@ -269,14 +243,13 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
 
 ONE_MORE = "stand at another known heading"
 HEADING_BOUNDS: tuple[Bound, ...] = (
-    Bound(
-        Figure.HEADING_SIGMA,
-        3.0,
-        12.0,
-        "predicted heading error on the level, over all headings (1σ)",
-        ONE_MORE,
+    replace(
+        SIGMA,
+        good=3.0,
         excellent=1.0,
-        aspect=Aspect.CONFIDENCE,
+        words="predicted heading error on the level, over all headings (1σ)",
+        remedy=ONE_MORE,
+        after_full="",
         when_refused=f"{ONE_MORE}, and give the reference field",
     ),
     Bound(
@@ -299,6 +272,7 @@ HEADING_BOUNDS: tuple[Bound, ...] = (
         excellent=1.2,
         unit=" times their sigma",
     ),
-    *SITS_STRAIGHT,
+    INSTALLATION,
+    UPRIGHT,
 )
 """From simulated robots at known headings."""

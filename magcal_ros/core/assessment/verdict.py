@@ -141,17 +141,21 @@ NOT_COMPARED = (
 )
 NO_GYRO = NOT_COMPARED + "there is no gyro"
 GYRO_UNUSED = NOT_COMPARED + "this method does not use the gyro"
-GYRO_EXPLAINS = "the turn that the gyro measured explains the samples"
-GYRO_CONTRADICTS = (
-    "the turn that the gyro measured does not explain the samples: check the axes and the stamps "
-    "of the gyro, and keep the sensor near the turn's centre, away from iron"
-)
-CONVERGED = "the optimisation converged"
-NOT_CONVERGED = (
-    "the optimisation did not converge, so the errors may be larger than stated: "
-    "turn once more, evenly, away from moving iron"
-)
-
+FLAGS = {
+    Figure.GYRO_CARRIED: (
+        True,
+        "the turn that the gyro measured explains the samples",
+        "the turn that the gyro measured does not explain the samples: check the axes and the "
+        "stamps of the gyro, and keep the sensor near the turn's centre, away from iron",
+    ),
+    Figure.NOT_CONVERGED: (
+        False,
+        "the optimisation converged",
+        "the optimisation did not converge, so the errors may be larger than stated: "
+        "turn once more, evenly, away from moving iron",
+    ),
+}
+"""What should be, and what is said where it is and where it is not."""
 NO_REFERENCE = "the size of the field: the reference field is not known"
 
 
@@ -171,12 +175,11 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     if doubt is not None:
         checks.append(doubt)
     checks.append(_check_strength(estimate.strength, knowledge))
-    if Figure.GYRO_CARRIED in figures:
-        holds = figures[Figure.GYRO_CARRIED] > 0.0
-        checks.append(_check_flag(Figure.GYRO_CARRIED, holds, GYRO_EXPLAINS, GYRO_CONTRADICTS))
-    if Figure.NOT_CONVERGED in figures:
-        holds = figures[Figure.NOT_CONVERGED] == 0.0
-        checks.append(_check_flag(Figure.NOT_CONVERGED, holds, CONVERGED, NOT_CONVERGED))
+    for figure, (is_good, good, bad) in FLAGS.items():
+        if figure in figures:
+            holds = bool(figures[figure]) is is_good
+            grade, words = (Grade.EXCELLENT, good) if holds else (Grade.WARN, bad)
+            checks.append(Check(figure, Aspect.QUALITY, grade, words))
     if window is not None:
         checks.append(_check_gravity(window))
     not_shown = _not_shown(estimate, figures, knowledge, has_gyro=has_gyro)
@@ -248,11 +251,6 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
         hint = likely_field_unit(strength)
         words += f" is not the Earth's ({low:.0f} to {high:.0f} µT){': ' + hint if hint else ''}"
     return Check(Figure.STRENGTH, Aspect.QUALITY, grade, words)
-
-
-def _check_flag(figure: Figure, holds: bool, good: str, bad: str) -> Check:
-    grade = Grade.EXCELLENT if holds else Grade.WARN
-    return Check(figure, Aspect.QUALITY, grade, good if holds else bad)
 
 
 def _check_gravity(window: Window) -> Check:

@@ -107,18 +107,14 @@ def where_is_the_front(
     sigma = math.hypot(course.sigma, mounting.sigma)
     if not declination.is_known:
         return Front(own, gap, sigma, _missing_declination(gap, sigma))
-    sigma = math.hypot(sigma, declination.sigma)
+    by_course = math.hypot(course.sigma, declination.sigma)
+    sigma = math.hypot(by_course, mounting.sigma)
     if abs(gap) > max(FRONT.clear * sigma, FRONT.smallest):
         return Front(own, gap, sigma, _suspicion(gap, sigma, declination.value))
-    return Front(_joined(mounting, course, declination), gap, sigma)
-
-
-def _joined(mounting: MountingYaw, course: CourseOffset, declination: Declination) -> VehicleYaw:
-    """Weigh both, which agree, by their variances."""
-    own, other = mounting.sigma**2, course.sigma**2 + declination.sigma**2
-    gap = math.remainder(course.offset - declination.value - mounting.yaw, math.tau)
-    yaw = math.remainder(mounting.yaw + gap * own / (own + other), math.tau)
-    return VehicleYaw(yaw, math.sqrt(own * other / (own + other)), "accelerations and course")
+    # Both agree, and are weighed by their variances.
+    yaw = math.remainder(mounting.yaw + gap * (mounting.sigma / sigma) ** 2, math.tau)
+    both = VehicleYaw(yaw, mounting.sigma * by_course / sigma, "accelerations and course")
+    return Front(both, gap, sigma)
 
 
 def _missing_declination(gap: float, sigma: float) -> str:

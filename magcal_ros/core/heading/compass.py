@@ -177,19 +177,10 @@ class Compass:
 
         None where gravity or the level part of the field is too small for a direction.
 
-        Parameters
-        ----------
-        field : tuple of float
-            Corrected field, tesla.
-        force : tuple of float
-            Specific force, m/s², or up as a unit vector.
-        tilt_variance : float, optional
-            Of up in either direction, rad²; that of a single accelerometer reading unless given.
-        motors : ndarray, shape (3, 3), optional
-            Covariance of what motors add to the field, tesla².
+        `field` is in tesla, `force` in m/s², or up as a unit vector. `tilt_variance` is that of up
+        in either direction, rad²; that of a single accelerometer reading unless given. `motors`
+        (3, 3) is the covariance of what motors add to the field, tesla².
 
-        Notes
-        -----
         In the magnetic ENU axes of the moment let body x be (xe, xn, xu) and the field
         (0, mn, mu). A small error of the attitude, a turn (pe, pn) about east and north that the
         up vector missed, shows a yaw error

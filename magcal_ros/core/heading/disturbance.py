@@ -10,7 +10,32 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import field_variance
-from magcal_ros.core.heading.fusion_tuning import DISTURBANCE
+
+
+@dataclass(frozen=True)
+class DisturbanceTuning:
+    """How a disturbed field is recognised, and how far it may turn the yaw."""
+
+    strength: float = 0.02
+    dip: float = math.radians(1.0)
+    """Share of its strength, and radians of its inclination, by which a good field varies from
+    place to place (1 sigma)."""
+    noise_share: float = 2.0  # sigmas of the calibration's field noise that are added to both
+    gate: float = 3.0
+    """Sigmas of deviation from which a field is no compass, and from which a sample has less
+    weight; amplitudes that a single deviation counts for at most, or passing iron would be taken
+    for the street."""
+    believed_below: float = 2.0  # sigmas to which an ignored field must come back
+    memory: float = 0.3  # seconds over which strength and dip are averaged
+    amplitude: float = 0.01
+    """Share of the field's strength per axis that places add to it, before any was seen: 0.5 µT, as
+    on open land. However clean the field looks, half of it remains."""
+    amplitude_memory: float = 100.0
+    """Seconds over which the amplitude is learnt: a few hundred metres of road."""
+
+
+DISTURBANCE = DisturbanceTuning()
+
 
 PATIENCE = 60.0
 """Seconds after which a deviating field is taken for the expected one, unless a parameter gives

@@ -25,9 +25,8 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
 )
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading
-from magcal_ros.core.heading.disturbance import DisturbanceDetector, Trust
-from magcal_ros.core.heading.fusion_tuning import DISTURBANCE, FUSION
-from magcal_ros.core.heading.yaw_filter import GyroLoss, YawFilter
+from magcal_ros.core.heading.disturbance import DISTURBANCE, DisturbanceDetector, Trust
+from magcal_ros.core.heading.yaw_filter import FUSION, GyroLoss, YawFilter
 from magcal_ros.core.samples.streams import STREAMS, enclosing
 from magcal_ros.core.up import GyroBias, Up
 
@@ -162,13 +161,13 @@ class FusedYaw:
             # A compass that headings calibrate adds nothing to them.
             return
         if is_new:
-            self._filter.doubt_yaw(innovation**2)
+            self._filter.yaw_variance += innovation**2
         elif detector.trust is Trust.IGNORED:
             self._overruled = 0.0
             if stamp - self._begun < FUSION.start:
                 # What turns out to be bent soon after the start was so at the start.
                 missing = FUSION.unknown**2 - self._filter.yaw_variance
-                self._filter.doubt_yaw(max(0.0, missing))
+                self._filter.yaw_variance += max(0.0, missing)
             return
         self._weigh(self._north, innovation, heading, min(since, FUSION.noise_tau))
 
@@ -282,7 +281,7 @@ class FusedYaw:
         clear = min(doubt - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
         self._overruled = max(0.0, self._overruled + clear * seconds) if is_good else 0.0
         if self._overruled > FUSION.overruled_after:
-            following.doubt_yaw(innovation**2)
+            following.yaw_variance += innovation**2
             self._overruled = doubt = 0.0
         departed = max(1.0, self.detector.departure**4)
         noise = (by_tilt * FUSION.tilt_tau + by_noise * FUSION.noise_tau) / seconds

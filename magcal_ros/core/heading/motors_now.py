@@ -190,17 +190,10 @@ class _Answer(NamedTuple):
 class MotorsNow:
     """Follows the field of the place and what is left of the motors' field.
 
-    Parameters
-    ----------
-    motors : MotorField
-        What is known of them.
-    matrix : ndarray, shape (3, 3)
-        From the magnetometer's axes to those of the body.
-    iron_variance : float
-        Of the corrected field per axis by the calibration's own uncertainty, tesla²: that part
-        does not turn as the field of the place does.
-    noise : ndarray, shape (3, 3)
-        Covariance of a corrected sample, tesla².
+    `matrix` (3, 3) is from the magnetometer's axes to those of the body, and `noise` (3, 3) the
+    covariance of a corrected sample, tesla². `iron_variance` is that of the corrected field per
+    axis by the calibration's own uncertainty, tesla²: that part does not turn as the field of the
+    place does.
     """
 
     def __init__(

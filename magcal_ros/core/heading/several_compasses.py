@@ -14,23 +14,27 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, between, minus, plus, propagated, scaled
-from magcal_ros.core.heading.compass import Compass, Moment
-from magcal_ros.core.heading.disturbance import FieldDoubt
+from magcal_ros.core.heading.compass import Compass, Heading, Moment
+from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDoubt
 from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
-from magcal_ros.core.heading.fusion_tuning import DISTURBANCE
-from magcal_ros.core.heading.yaw_agreement import (
-    SMALLEST_VARIANCE,
-    CompassYaw,
-    believed,
-    excess_variance,
-    misfit,
-)
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up import Up
 
 LASTING = 3.0
-"""Seconds over which a disagreement without a reason is averaged, for the time when only one
-magnetometer is left."""
+"""Seconds over which a disagreement without a reason is averaged, for when only one is left."""
+
+
+SMALLEST_VARIANCE = 1e-10
+"""rad². Smallest variance that is believed."""
+
+
+class CompassYaw(NamedTuple):
+    """The yaw of one magnetometer at a moment."""
+
+    number: int  # which it is
+    field: Triple  # in the body axes of the moment, tesla
+    ahead: float  # its yaw less that of the origin common to all, radians
+    variance: float  # of its yaw, rad²
 
 
 class Share(NamedTuple):
@@ -81,19 +85,17 @@ class _Member:
             )
 
     @property
-    def own_variance(self) -> float:
-        """Variance of the yaw by calibration and noise, rad²; tilt is common to all."""
+    def heading(self) -> Heading:
+        """By its last message, of one that has a heading."""
         assert self.moment is not None
         assert self.moment.heading is not None
-        lasting = self.moment.heading.lasting_variance
-        return max(lasting + self.noise_variance, SMALLEST_VARIANCE)
+        return self.moment.heading
 
     @property
-    def noise_variance(self) -> float:
-        """The part of it that is new with each message, rad²."""
-        assert self.moment is not None
-        assert self.moment.heading is not None
-        return self.moment.heading.noise_variance
+    def own_variance(self) -> float:
+        """Variance of the yaw by calibration and noise, rad²; tilt is common to all."""
+        own = self.heading.lasting_variance + self.heading.noise_variance
+        return max(own, SMALLEST_VARIANCE)
 
     @property
     def is_doubted(self) -> bool:
@@ -159,6 +161,7 @@ class SeveralCompasses:
         self._now = self._stamp = -math.inf
         self._is_by_gyro = False
         self._left_out: frozenset[int] = frozenset()
+        self._gate = DISTURBANCE.gate**2  # squared sigmas
         self._between = self._lasting = self.disagreement = 0.0
         for member in self._members.values():
             member.forget()
@@ -238,7 +241,7 @@ class SeveralCompasses:
         variance = member.own_variance + member.doubt_variance
         change = wrapped(ahead - member.off)
         # A step that is too large for noise need not be averaged.
-        leaps = abs(change) > DISTURBANCE.gate * math.sqrt(member.noise_variance)
+        leaps = abs(change) > DISTURBANCE.gate * math.sqrt(member.heading.noise_variance)
         if math.isnan(change) or leaps:
             member.off = ahead
         else:
@@ -258,20 +261,16 @@ class SeveralCompasses:
         The gyro shows which one has changed, so it is no help between those that never agreed.
         `known` is the variance of its yaw, rad².
         """
-        gate = self._gate
         if not all(self._members[each.number].has_agreed for each in yaws):
             known = math.inf
-        kept = believed(yaws, known, gate)
-        if len(kept) > 1 and misfit(kept) <= gate:
+        kept = believed(yaws, known, self._gate)
+        if len(kept) > 1 and misfit(kept) <= self._gate:
             for each in kept:
                 self._members[each.number].has_agreed = True
         self._left_out = frozenset(each.number for each in yaws if each not in kept)
+        # Those that were left out must agree better.
+        self._gate = (DISTURBANCE.believed_below if self._left_out else DISTURBANCE.gate) ** 2
         return kept
-
-    @property
-    def _gate(self) -> float:
-        """Squared sigmas; those that were left out must agree better."""
-        return (DISTURBANCE.believed_below if self._left_out else DISTURBANCE.gate) ** 2
 
     def _note_disagreement(
         self, yaws: list[CompassYaw], kept: list[CompassYaw], seconds: float
@@ -336,11 +335,9 @@ class SeveralCompasses:
         by_tilt = heading.yaw_variance - heading.lasting_variance - heading.noise_variance
         lasting = noise = 0.0
         for share, each in zip(shares, kept, strict=True):
-            of_one = self._members[each.number].moment
-            assert of_one is not None
-            assert of_one.heading is not None
-            lasting += share**2 * (of_one.heading.lasting_variance + self._between)
-            noise += share**2 * of_one.heading.noise_variance
+            own = self._members[each.number].heading
+            lasting += share**2 * (own.lasting_variance + self._between)
+            noise += share**2 * own.noise_variance
         return moment._replace(
             heading=heading._replace(
                 yaw_variance=by_tilt + lasting + noise,
@@ -354,3 +351,50 @@ def _mean(vectors: list[Triple], shares: list[float]) -> Triple:
     """Return the mean by shares whose sum is one."""
     x, y, z = (sum(s * v[k] for s, v in zip(shares, vectors, strict=True)) for k in range(3))
     return (x, y, z)
+
+
+def believed(yaws: list[CompassYaw], known: float, gate: float) -> list[CompassYaw]:
+    """Return the yaws without those that are wrong.
+
+    One is left out if the others and the origin agree far better without it, and far better than
+    without any other.
+
+    `known` is the variance of the origin's yaw, rad², infinite if it is unknown; `gate` are the
+    squared sigmas that count as far.
+    """
+    kept = yaws
+    while len(kept) > 1 and misfit(kept) > gate:
+        rests = [kept[:k] + kept[k + 1 :] for k in range(len(kept))]
+        rests.sort(key=lambda rest: misfit(rest, known))
+        best, second = (misfit(rest, known) for rest in rests[:2])
+        if min(misfit(kept, known), second) - best <= gate:
+            break
+        kept = rests[0]
+    return kept
+
+
+def misfit(yaws: list[CompassYaw], known: float = math.inf) -> float:
+    """Return the squared sigmas by which the yaws miss the one that suits them best.
+
+    `known` is as of `believed`.
+    """
+    first = yaws[0].ahead if math.isinf(known) else 0.0
+    whole, moment, square = 1.0 / max(known, SMALLEST_VARIANCE), 0.0, 0.0
+    for each in yaws:
+        ahead, weight = wrapped(each.ahead - first), 1.0 / each.variance
+        whole += weight
+        moment += weight * ahead
+        square += weight * ahead * ahead
+    return square - moment * moment / whole
+
+
+def excess_variance(yaws: list[CompassYaw]) -> float:
+    """Return the variance that each must have beside its own for all to agree, rad².
+
+    The estimate of DerSimonian and Laird for the variance between the studies of a meta-analysis.
+    """
+    weights = [1.0 / each.variance for each in yaws]
+    spread = sum(weights) - sum(weight**2 for weight in weights) / sum(weights)
+    if spread <= 0.0:
+        return 0.0
+    return max(0.0, misfit(yaws) - (len(yaws) - 1)) / spread

@@ -8,20 +8,59 @@ message.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.heading.fusion_tuning import FUSION
+
+
+@dataclass(frozen=True)
+class FusionTuning:
+    """The Kalman filter on yaw, gyro bias and the field's disturbance."""
+
+    angle_walk: float = 1e-3  # radians per root second that a gyro loses
+    turn_error: float = 0.005  # share of a turn that the gyro's scale gets wrong, per root radian
+    bias_sigma: float = 0.001  # rad/s about up that the up filter left, at the least
+    bias_walk: float = 1.8e-5
+    walk_spread: float = 1.0
+    """Median of how much a gyro's bias walks, rad/s per root second, and standard deviation of its
+    natural logarithm: cheap gyros drift in a minute by a thousandth to a hundredth of a degree per
+    second."""
+    loss_spread: float = 1.5
+    """Standard deviation of the natural logarithm of the share of `angle_walk` and `turn_error`,
+    squared, that a gyro has."""
+    tilt_tau: float = 3.0
+    """Seconds over which errors by tilt are correlated: more samples add no information."""
+    noise_tau: float = 0.5  # the same for the field's noise and for small iron on the way
+    small_iron: float = 0.3  # share of the disturbance's variance that changes within two metres
+    moving_tau: float = 12.0
+    """Seconds over which the disturbance of a moving robot is correlated: streets bend the field
+    over 25 to 30 m, which is 0.7 after a second and gone after 12 s."""
+    standing_tau: float = 300.0  # the same of a robot that stands
+    learning_step: float = 0.1  # seconds after which the disturbance is learnt anew
+    overruled_after: float = 3.0
+    """Seconds of a good field that disagrees beyond all doubt, after which rather the propagated
+    yaw is wrong."""
+    beyond_doubt: float = 4.0
+    """Squared gates of disagreement that count fully; what disagrees less needs longer."""
+    heading_tau: float = 2.0
+    """Seconds over which the error of a heading from another device is correlated."""
+    heading_gate: float = 4.0  # sigmas by which such a heading may miss
+    unknown: float = 0.5  # radians of uncertainty of a start in a field that is not expected
+    start: float = 5.0  # seconds from the start in which that may be found out
+
+
+FUSION = FusionTuning()
 
 
 class YawFilter:
     """A Kalman filter on the error of a propagated yaw, the gyro's bias about up, and disturbance.
 
-    `bias` is in rad/s about up, and `disturbance` the angle by which the field of the place turns
-    the compass. `yaw_variance` (rad²) is without the calibration's error, of which the `share` is
-    in the yaw. `error` and `error_variance` are those of the calibration's own heading, as far as
-    headings of another device show it, in its sigmas.
+    `bias` is in rad/s about up, with `bias_variance`, and `disturbance` the angle by which the
+    field of the place turns the compass. `yaw_variance` (rad²) is without the calibration's error,
+    of which the `share` is in the yaw. `error` and `error_variance` are those of the calibration's
+    own heading, as far as headings of another device show it, in its sigmas.
     """
 
     def __init__(self) -> None:
@@ -35,7 +74,7 @@ class YawFilter:
         """
         self.bias = self.disturbance = 0.0
         self.yaw_variance = yaw_variance + disturbance
-        self._bias, self._disturbance = bias_variance, disturbance
+        self.bias_variance, self._disturbance = bias_variance, disturbance
         # The yaw is wrong by what the disturbance is.
         self._yaw_disturbance = -disturbance
         self._yaw_bias = self._bias_disturbance = 0.0
@@ -56,12 +95,12 @@ class YawFilter:
 
     def propagate(self, seconds: float, lost: float, bias_lost: float) -> None:
         """Go on: the gyro loses so many rad² and (rad/s)² meanwhile."""
-        bias_part = self._bias * seconds
+        bias_part = self.bias_variance * seconds
         self.yaw_variance += (bias_part - 2.0 * self._yaw_bias) * seconds + lost
         self._yaw_bias -= bias_part
         self._yaw_disturbance -= seconds * self._bias_disturbance
         self.share += self._bias_share * seconds
-        self._bias += bias_lost
+        self.bias_variance += bias_lost
 
     def move_on(self, share: float, variance: float) -> None:
         """Let the disturbance become another one.
@@ -85,19 +124,10 @@ class YawFilter:
         self._yaw_bias *= yaw
         self._bias_disturbance *= root
 
-    def doubt_yaw(self, variance: float) -> None:
-        """Add to the variance of the yaw, rad²."""
-        self.yaw_variance += variance
-
     def know_bias(self, variance: float) -> None:
         """Begin anew with a bias of which another filter has subtracted what it knows."""
         self.bias = self._yaw_bias = self._bias_disturbance = self._bias_share = 0.0
-        self._bias = variance
-
-    @property
-    def bias_variance(self) -> float:
-        """Variance of the bias, (rad/s)²."""
-        return self._bias
+        self.bias_variance = variance
 
     def spread(self, noise: float, lasting: float = 0.0) -> float:
         """Return the variance of compass less propagated yaw, rad²; parameters as of `observe`."""
@@ -141,7 +171,7 @@ class YawFilter:
         self.bias += by_bias * left
         self.disturbance += by_disturbance * left
         self.yaw_variance -= by[0] * by_yaw
-        self._bias -= by[1] * by_bias
+        self.bias_variance -= by[1] * by_bias
         self._disturbance -= by[2] * by_disturbance
         self._yaw_bias -= by[0] * by_bias
         self._yaw_disturbance -= by[0] * by_disturbance

@@ -1,4 +1,9 @@
-"""Several turns joined: one optimum, what it shows, and what one more turn would add."""
+"""Several turns joined: which agree, what they show, and what one more turn would add.
+
+Whether a turn shows the same calibration as the others is a comparison of two hypotheses: one
+calibration for all turns, or one for the turn and another for the rest. Both are fitted, each with
+its own noise. The difference of their evidences is twice the log likelihood ratio.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +13,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.assessment.verdict import judge
 from magcal_ros.core.calibration import PARAMETERS, Estimate, Figure
 from magcal_ros.core.calibration.heading_sigma import CHECKED_TILT, heading_jacobian, rms_sigma
+from magcal_ros.core.doctor.page import blamed_on_axes, wrong_axes
+from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry import FloatArray, field_in_enu, minimal_rotation, rotation_from_rpy
-from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.methods.maximum_likelihood import estimate_of
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.methods.maximum_likelihood import check, estimate_of, smoothed
 from magcal_ros.core.multi_turn.result import Advice, Several, Shown, TurnFate
-from magcal_ros.core.multi_turn.turn import Agreement, Turn, agreement
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed
 from magcal_ros.core.smoother.posterior import Posterior, posterior, posterior_at
 from magcal_ros.core.smoother.several import Together, fit_together, imagined_information
 from magcal_ros.core.smoother.unknowns import (
+    AT,
     EARTH,
     MICROTESLA,
     SHARED,
@@ -28,29 +39,247 @@ from magcal_ros.core.smoother.unknowns import (
     YAW,
 )
 
-Z: FloatArray = np.array([0.0, 0.0, 1.0])
-
-SLOPES = (("east", 0.0), ("north", 0.5 * math.pi), ("west", math.pi), ("south", 1.5 * math.pi))
-LEANINGS = (
-    ("the nose 10° up", (0.0, -CHECKED_TILT)),
-    ("the nose 10° down", (0.0, CHECKED_TILT)),
-    ("the left side 10° up", (CHECKED_TILT, 0.0)),
-    ("the right side 10° up", (-CHECKED_TILT, 0.0)),
+LOOKED_AT = 2.0
+"""Misfit below which turns are not compared further; this only saves time."""
+LEAST = 0.03
+"""Share of a turn's own variance that the others take away at least, or they tell it nothing."""
+COPIED = 0.5
+"""Share of samples in common from which a turn is a copy of another."""
+SHOWN_YAW = 0.5
+"""Share of its prior's sigma below which the installation's yaw counts as shown."""
+SHORT = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
+"""Reasons that forbid a turn to stand alone and that other turns may mend."""
+GUESSED = (Reason.CIRCLE_TOO_SMALL, Reason.AXIS_ALONG_FIELD, Reason.FIELD_TOO_STEEP)
+"""The same where nothing is known of the field: one turn can only guess how steep it is."""
+WORST_IS_LARGEST = (
+    Figure.GYRO_COMPASS_SWING,
+    Figure.STEADY_ACCELERATION,
+    Figure.POSSIBLE_ACCELERATION,
+    Figure.MOTOR_FIELD,
 )
+WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
+"""Figures of the turns' own fits of which the worst is reported."""
+CONTRADICTS = (
+    "it contradicts {}: they are {:.0f} times as far apart as noise explains. Turn where the field "
+    "is undisturbed and the same, with the same load; if the robot itself has changed, start afresh"
+)
+Z: FloatArray = np.array([0.0, 0.0, 1.0])
+SIDES = (
+    ("east", "the nose 10° down", (0.0, CHECKED_TILT)),
+    ("north", "the right side 10° up", (-CHECKED_TILT, 0.0)),
+    ("west", "the nose 10° up", (0.0, -CHECKED_TILT)),
+    ("south", "the left side 10° up", (CHECKED_TILT, 0.0)),
+)
+"""Where a slope rises to; how a robot leans; roll and pitch (rad) that bring up to that axis."""
 
 
-def heading_jacobians(found: Posterior) -> tuple[FloatArray, FloatArray]:
-    """Return the derivative of the yaw by the twelve numbers: level (24, 12), tilted (96, 12)."""
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """One turn with its fits and what they come to, None where there are none.
+
+    `reason` is why it cannot stand alone, `unfit` why it cannot join; empty if it can.
+    """
+
+    name: str
+    window: Window
+    estimate: Estimate | None
+    smoothed: Smoothed | None
+    reason: Reason | None = None
+    unfit: str = ""
+
+    @property
+    def found(self) -> tuple[Estimate, Smoothed]:
+        """Its estimate and its fits, of a turn that may join."""
+        assert self.estimate is not None
+        assert self.smoothed is not None
+        return self.estimate, self.smoothed
+
+    @property
+    def fit(self) -> Fit:
+        """The fit of its most likely kind of motion."""
+        return self.found[1].fit
+
+
+def survey(windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge) -> list[Turn]:
+    """Fit each turn alone; what cannot join says why."""
+    turns: list[Turn] = []
+    for window, name in zip(windows, names, strict=True):
+        twin = next((t for t in turns if _is_copy(window, t.window)), None)
+        turn = _alone(window, name, knowledge)
+        if twin is not None:
+            turn = replace(turn, unfit=f"it holds the same samples as {twin.name}")
+        turns.append(turn)
+    return turns
+
+
+def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
+    found = estimate = None
+    try:
+        found = smoothed(window, knowledge)
+        estimate = estimate_of(found, window, knowledge)
+        check(found, estimate, window, knowledge)
+    except Refusal as refusal:
+        why = blamed_on_axes(refusal, window, knowledge)
+        reference = knowledge.reference
+        guessed = reference.strength.is_unknown and reference.inclination.is_unknown
+        mended = estimate is not None and refusal.reason in SHORT + GUESSED * guessed
+        return Turn(
+            name, window, estimate, found, why.reason, "" if mended else str(why).rstrip(".")
+        )
+    wrong = wrong_axes(window, knowledge)
+    if wrong is not None:
+        return Turn(name, window, estimate, found, wrong.reason, str(wrong))
+    verdict = judge(estimate, knowledge, window)
+    unfit = verdict.summary.rstrip(".") if verdict.quality is Grade.REFUSED else ""
+    return Turn(name, window, estimate, found, unfit=unfit)
+
+
+def _is_copy(window: Window, other: Window) -> bool:
+    """Return whether most samples of the shorter window are in the other; stamps may have moved."""
+    one, two = (
+        {row.tobytes() for row in np.hstack([each.field, each.specific_force])}
+        for each in (window, other)
+    )
+    return len(one & two) > COPIED * min(len(one), len(two))
+
+
+def agreement(alone: Sequence[Fit], together: Together, sigma: float) -> tuple[float, int | None]:
+    """Compare each turn with all others.
+
+    Returns how many times as far as noise explains the hard iron of one is off that of all, at
+    worst, and the turn that most likely has another calibration than the rest; None if none has. Of
+    two that disagree it is the later one. `alone` are the fits of each turn by itself, `sigma`
+    (rad) is the prior of the installation's yaw.
+    """
+    misfit = max(_misfit(one, joint) for one, joint in zip(alone, together.fits, strict=True))
+    if misfit < LOOKED_AT or len(alone) < 2:
+        return misfit, None
+    asked = range(len(alone)) if len(alone) > 2 else [1]
+    gains = {k: _gain(alone, k, together, sigma) for k in asked}
+    odd = max(gains, key=lambda k: gains[k])
+    return misfit, odd if gains[odd] > 0.0 else None
+
+
+def _gain(alone: Sequence[Fit], odd: int, together: Together, yaw_sigma: float) -> float:
+    """Return twice the log likelihood ratio of a calibration of its own for one turn."""
+    rest = fit_together([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
+    own = fit_together([alone[odd]], yaw_sigma)
+    return together.evidence - rest.evidence - own.evidence
+
+
+def _misfit(alone: Fit, joint: Fit) -> float:
+    """Return the RMS difference of hard iron in its own sigmas.
+
+    The answer of all varies with that of each, so that the variance of their difference is the
+    difference of their variances (Hausman, Econometrica 46, 1978).
+    """
+    iron = AT["iron"]
+    values, vectors = np.linalg.eigh(alone.covariance[iron, iron])
+    whiten = vectors / np.sqrt(np.maximum(values, 1e-12))
+    shares, turned = np.linalg.eigh(whiten.T @ joint.covariance[iron, iron] @ whiten)
+    off = turned.T @ whiten.T @ (alone.state.shared - joint.state.shared)[iron]
+    return float(np.sqrt(np.mean(off**2 / np.maximum(1.0 - shares, LEAST))))
+
+
+def those_that_agree(
+    surveyed: Sequence[Turn], knowledge: Knowledge
+) -> tuple[list[Turn], Together | None, float]:
+    """Leave out one turn after another until the rest agrees on one calibration.
+
+    Returns all turns, those left out with the reason, the joint fit of the others with the yaw of
+    the installation free, None if none is left, and by how much they disagree (`agreement`).
+    """
+    turns, sigma = list(surveyed), knowledge.mounting.yaw_sigma
+    while members := [turn for turn in turns if not turn.unfit]:
+        alone = [turn.fit for turn in members]
+        try:
+            together = fit_together(alone, sigma)
+            misfit, odd = agreement(alone, together, sigma)
+        except np.linalg.LinAlgError:
+            left_out, words = members[-1], "it has no solution together with the others"
+        else:
+            if odd is None:
+                return turns, together, misfit
+            others = "the other turns" if len(members) > 2 else "the turn before"
+            left_out, words = members[odd], CONTRADICTS.format(others, misfit)
+        turns[turns.index(left_out)] = replace(left_out, unfit=words)
+    return turns, None, 0.0
+
+
+def joint_estimate(
+    together: Together, misfit: float, turns: Sequence[Turn], knowledge: Knowledge
+) -> Estimate:
+    """Return a joint fit in the form that every method returns.
+
+    The turns are in the order of the fits; inliers and residuals are those of the last.
+    `Figure.HEADING_SIGMA` and its tilted twin leave out the offset that all headings have in
+    common, as for one turn; `installation_yaw_sigma` is that of the offset. The yaw is zero by
+    convention until the turns show it.
+    """
+    prior_sigma = knowledge.mounting.yaw_sigma
+    is_shown = yaw_sigma(together.fits[-1].covariance) < SHOWN_YAW * prior_sigma
+    if not is_shown:
+        together = fit_together([turn.fit for turn in turns], 0.0)
+    fit, (_, own) = together.fits[-1], turns[-1].found
+    found = posterior(fit, knowledge.mounting.matrix)
+    by_offset = rms_sigma(found.heading_jacobian, found.by_offset)
+    joint = replace(
+        own, fits={own.mode: fit}, weights={own.mode: 1.0}, posterior=found, by_pull=by_offset
+    )
+    estimate = estimate_of(joint, turns[-1].window, knowledge)
+    answers = [turn.found[0] for turn in turns]
+    _, _, level, tilted = heading_sigmas(found)
+    figures = {
+        **estimate.figures,
+        **_worst_of(turns),
+        **_pulls(estimate, knowledge),
+        Figure.HEADING_SIGMA: level,
+        Figure.HEADING_SIGMA_TILTED: tilted,
+        Figure.SAMPLES: float(sum(each.inliers.sum() for each in answers)),
+        Figure.TURNS: float(len(turns)),
+        Figure.TURN_MISFIT: misfit,
+    }
+    if is_shown:
+        figures[Figure.INSTALLATION_YAW_SIGMA] = yaw_sigma(fit.covariance)
+    arc = max(each.arc for each in answers)
+    words = f"{len(turns)} turns {'converged' if fit.converged else 'did not converge'} together"
+    return replace(estimate, arc=arc, figures=figures, message=words)
+
+
+def _worst_of(turns: Sequence[Turn]) -> dict[Figure, float]:
+    """Return the worst of the turns' own figures, of those that could stand alone."""
+    own = [turn.found[0].figures for turn in turns if turn.reason is None]
+    figures: dict[Figure, float] = {}
+    for names, worst in ((WORST_IS_LARGEST, max), (WORST_IS_SMALLEST, min)):
+        for name in names:
+            if values := [each[name] for each in own if name in each]:
+                figures[name] = worst(values)
+    return figures
+
+
+def _pulls(estimate: Estimate, knowledge: Knowledge) -> dict[Figure, float]:
+    """Return by how many sigmas strength and inclination are off their beliefs."""
+    known = knowledge.reference
+    pairs = (
+        (Figure.STRENGTH_DEVIATION, estimate.strength, known.strength),
+        (Figure.INCLINATION_DEVIATION, estimate.inclination, known.inclination),
+    )
+    return {
+        figure: abs(value - belief.value) / belief.sigma
+        for figure, value, belief in pairs
+        if not belief.is_unknown and not belief.is_exact
+    }
+
+
+def heading_sigmas(found: Posterior) -> tuple[float, ...]:
+    """Return the yaw's sigma on the level and tilted, and both less the level's common offset."""
     field = field_in_enu(found.strength, found.inclination)
     level, tilted = (
         heading_jacobian(found.correction, field, tilt) for tilt in (0.0, CHECKED_TILT)
     )
-    return level, tilted
-
-
-def relative(jacobian: FloatArray, level: FloatArray) -> FloatArray:
-    """Return the Jacobian of the yaw after the level's common offset is taken off."""
-    return np.asarray(jacobian - level.mean(axis=0))
+    offset = level.mean(axis=0)
+    each = (level, tilted, level - offset, tilted - offset)
+    return tuple(rms_sigma(jacobian, found.covariance) for jacobian in each)
 
 
 def yaw_sigma(covariance: FloatArray) -> float:
@@ -66,8 +295,7 @@ def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> Shown:
     """
     covariance = _inverse(information)
     found = posterior_at(fit.state, covariance, mounting)
-    twelve = found.covariance
-    level, tilted = heading_jacobians(found)
+    absolute_level, absolute_tilted, level, tilted = heading_sigmas(found)
     axial = np.zeros(PARAMETERS)
     axial[9:] = np.linalg.solve(mounting, np.eye(3))[2]
     iron = np.zeros((6, SHARED))
@@ -76,19 +304,18 @@ def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> Shown:
     iron[:2, SHIELDING] = 1.0
     north, down = fit.state.earth[1], -fit.state.earth[2]
     strength = math.hypot(north, down)
-    along = np.array([north, down]) / strength
+    along, across = np.array([north, down]) / strength, np.array([-down, north]) / strength**2
     earth = covariance[EARTH, EARTH]
-    across = np.array([-along[1], along[0]]) / strength
     return Shown(
         installation_yaw=yaw_sigma(covariance),
         soft_iron=tuple(float(v) for v in np.sqrt(np.diag(iron @ covariance @ iron.T))),
-        axial_hard_iron=math.sqrt(max(float(axial @ twelve @ axial), 0.0)),
+        axial_hard_iron=math.sqrt(max(float(axial @ found.covariance @ axial), 0.0)),
         strength=math.sqrt(float(along @ earth @ along)) / MICROTESLA,
         inclination=math.sqrt(float(across @ earth @ across)),
-        level=rms_sigma(relative(level, level), twelve),
-        tilted=rms_sigma(relative(tilted, level), twelve),
-        absolute_level=rms_sigma(level, twelve),
-        absolute_tilted=rms_sigma(tilted, twelve),
+        level=level,
+        tilted=tilted,
+        absolute_level=absolute_level,
+        absolute_tilted=absolute_tilted,
     )
 
 
@@ -115,170 +342,37 @@ def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Adv
         turned = minimal_rotation(axis, body), minimal_rotation(world, up)
         return shown_by(information + imagined_information(fit, *turned), fit, mounting)
 
-    imagined = [Advice(pose, after(*each)) for pose, *each in _poses()]
+    imagined = [Advice("on the level once more", after(Z, Z))]
+    for slope, leaning, (roll, pitch) in SIDES:
+        axis_there = rotation_from_rpy(roll, pitch).T @ Z
+        imagined += [
+            Advice(f"on a slope of 10° that rises to the {slope}", after(Z, axis_there)),
+            Advice(f"about the vertical with {leaning}", after(axis_there, Z)),
+        ]
     return tuple(sorted(imagined, key=lambda advice: advice.after.absolute_tilted))
 
 
-def _poses() -> list[tuple[str, FloatArray, FloatArray]]:
-    """Return what to do, and the turn's axis in the body and in the world."""
-    poses = [("on the level once more", Z, Z)]
-    for name, azimuth in SLOPES:
-        lean = math.sin(CHECKED_TILT)
-        normal = [-lean * math.cos(azimuth), -lean * math.sin(azimuth), math.cos(CHECKED_TILT)]
-        poses.append((f"on a slope of 10° that rises to the {name}", Z, np.array(normal)))
-    for name, (roll, pitch) in LEANINGS:
-        poses.append((f"about the vertical with {name}", rotation_from_rpy(roll, pitch).T @ Z, Z))
-    return poses
+def join(
+    surveyed: Sequence[Turn], knowledge: Knowledge
+) -> tuple[list[Turn], Estimate | None, Several | None]:
+    """Put together the turns that agree.
 
-
-SHOWN_YAW = 0.5
-"""Share of its prior's sigma below which the installation's yaw counts as shown."""
-WORST_IS_LARGEST = (
-    Figure.GYRO_COMPASS_SWING,
-    Figure.STEADY_ACCELERATION,
-    Figure.POSSIBLE_ACCELERATION,
-    Figure.MOTOR_FIELD,
-)
-WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
-"""Figures of the turns' own fits of which the worst is reported."""
-
-
-@dataclass(frozen=True, eq=False)
-class Met:
-    """Turns that agree."""
-
-    together: Together
-    """With the yaw of the installation free."""
-    agreement: Agreement
-
-
-def those_that_agree(turns: list[Turn], knowledge: Knowledge) -> tuple[list[Turn], Met | None]:
-    """Leave out one turn after another until the rest agrees on one calibration.
-
-    Returns all turns, those left out with the reason, and the joint fit of the others; None if none
-    is left.
+    Returns all turns, the estimate of those that joined (one alone stands by its own), and what
+    became of each; None where none joined.
     """
-    sigma = knowledge.mounting.yaw_sigma
-    while members := [turn for turn in turns if not turn.unfit]:
-        alone = [turn.fit for turn in members]
-        try:
-            together = fit_together(alone, sigma)
-            found = agreement(alone, together, sigma)
-        except np.linalg.LinAlgError:
-            turns = _without(turns, members[-1], "it has no solution together with the others")
-            continue
-        if found.odd is None:
-            return turns, Met(together, found)
-        odd = members[found.odd]
-        turns = _without(turns, odd, _contradiction(found.misfit, len(members)))
-    return turns, None
-
-
-def _without(turns: list[Turn], odd: Turn, words: str) -> list[Turn]:
-    return [turn.left_out(words) if turn is odd else turn for turn in turns]
-
-
-def _contradiction(misfit: float, count: int) -> str:
-    others = "the other turns" if count > 2 else "the turn before"
-    return (
-        f"it contradicts {others}: they are {misfit:.0f} times as far apart as noise "
-        "explains. Turn where the field is undisturbed and the same, with the same load; if the "
-        "robot itself has changed, start afresh"
-    )
-
-
-def joint_estimate(met: Met, turns: Sequence[Turn], knowledge: Knowledge) -> Estimate:
-    """Return a joint fit in the form that every method returns.
-
-    The turns are in the order of the fits; inliers and residuals are those of the last.
-    `Figure.HEADING_SIGMA` and its tilted twin leave out the offset that all headings have in
-    common, as for one turn; `installation_yaw_sigma` is that of the offset. The yaw is zero by
-    convention until the turns show it.
-    """
-    together, prior_sigma = met.together, knowledge.mounting.yaw_sigma
-    is_shown = yaw_sigma(together.fits[-1].covariance) < SHOWN_YAW * prior_sigma
-    if not is_shown:
-        together = fit_together([turn.fit for turn in turns], 0.0)
-    fit, own = together.fits[-1], turns[-1].own
-    found = posterior(fit, knowledge.mounting.matrix)
-    by_offset = rms_sigma(found.heading_jacobian, found.by_offset)
-    joint = replace(
-        own, fits={own.mode: fit}, weights={own.mode: 1.0}, posterior=found, by_pull=by_offset
-    )
-    estimate = estimate_of(joint, turns[-1].window, knowledge)
-    level, tilted = heading_jacobians(found)
-    counted = sum(int(turn.own_answer.inliers.sum()) for turn in turns)
-    figures = {
-        **estimate.figures,
-        **_worst_of(turns),
-        **_pulls(estimate, knowledge),
-        Figure.HEADING_SIGMA: rms_sigma(relative(level, level), found.covariance),
-        Figure.HEADING_SIGMA_TILTED: rms_sigma(relative(tilted, level), found.covariance),
-        Figure.SAMPLES: float(counted),
-        Figure.TURNS: float(len(turns)),
-        Figure.TURN_MISFIT: met.agreement.misfit,
-    }
-    if is_shown:
-        figures[Figure.INSTALLATION_YAW_SIGMA] = yaw_sigma(fit.covariance)
-    arc = max(turn.own_answer.arc for turn in turns)
-    words = "converged" if fit.converged else "did not converge"
-    return replace(
-        estimate, arc=arc, figures=figures, message=f"{len(turns)} turns {words} together"
-    )
-
-
-def _worst_of(turns: Sequence[Turn]) -> dict[Figure, float]:
-    """Return the worst of the turns' own figures, of those that could stand alone."""
-    own = [turn.estimate.figures for turn in turns if turn.estimate is not None]
-    figures: dict[Figure, float] = {}
-    for names, worst in ((WORST_IS_LARGEST, max), (WORST_IS_SMALLEST, min)):
-        for name in names:
-            values = [each[name] for each in own if name in each]
-            if values:
-                figures[name] = worst(values)
-    return figures
-
-
-def _pulls(estimate: Estimate, knowledge: Knowledge) -> dict[Figure, float]:
-    """Return by how many sigmas strength and inclination are off their beliefs."""
-    reference = knowledge.reference
-    pairs: tuple[tuple[Figure, float, Belief], ...] = (
-        (Figure.STRENGTH_DEVIATION, estimate.strength, reference.strength),
-        (Figure.INCLINATION_DEVIATION, estimate.inclination, reference.inclination),
-    )
-    return {
-        figure: abs(value - belief.value) / belief.sigma
-        for figure, value, belief in pairs
-        if not belief.is_unknown and not belief.is_exact
-    }
-
-
-@dataclass(frozen=True, eq=False)
-class Joined:
-    """Turns put together."""
-
-    turns: list[Turn]
-    members: list[Turn]
-    estimate: Estimate | None = None
-    """Of two members or more; one stands by its own estimate."""
-    several: Several | None = None
-    """What became of each turn; None where none joined."""
-
-
-def join(surveyed: list[Turn], knowledge: Knowledge) -> Joined:
-    """Put together the turns that agree."""
-    turns, met = those_that_agree(surveyed, knowledge)
+    turns, together, misfit = those_that_agree(surveyed, knowledge)
     members = [turn for turn in turns if not turn.unfit]
-    if met is None:
-        return Joined(turns, members)
-    together, mounting = met.together, knowledge.mounting.matrix
-    shown = [_shown(together, count, mounting) for count in range(1, len(members) + 1)]
+    if together is None:
+        return turns, None, None
+    mounting, count = knowledge.mounting.matrix, len(members)
+    known = [_known(together, first) for first in range(1, count + 1)]
+    shown = [shown_by(each, together.fits[0], mounting) for each in known]
     # The turn that saw most is the one that is imagined on other tilts.
-    whole = int(np.argmax([turn.own_answer.arc for turn in members]))
-    advice = advise(_known(together, len(members)), together.fits[whole], mounting)
+    whole = int(np.argmax([turn.found[0].arc for turn in members]))
+    advice = advise(known[-1], together.fits[whole], mounting)
     several = Several(_fates(turns, shown), shown[-1], advice)
-    estimate = joint_estimate(met, members, knowledge) if len(members) > 1 else None
-    return Joined(turns, members, estimate, several)
+    joint = joint_estimate(together, misfit, members, knowledge) if count > 1 else None
+    return turns, joint, several
 
 
 def _known(together: Together, count: int) -> FloatArray:
@@ -293,20 +387,13 @@ def _known(together: Together, count: int) -> FloatArray:
     return known
 
 
-def _shown(together: Together, count: int, mounting: FloatArray) -> Shown:
-    """Return what the first `count` turns show at the joint optimum."""
-    return shown_by(_known(together, count), together.fits[0], mounting)
-
-
 def _fates(turns: list[Turn], shown: Sequence[Shown]) -> tuple[TurnFate, ...]:
     fates: list[TurnFate] = []
-    count = 0
+    coming, before = iter(shown), None
     for turn in turns:
-        if turn.unfit:
-            fates.append(TurnFate(turn.name, False, turn.unfit))
-            continue
-        now = shown[count]
-        words = now.brought(shown[count - 1]) if count else now.in_words
-        fates.append(TurnFate(turn.name, True, words, now))
-        count += 1
+        now = None if turn.unfit else next(coming)
+        words = turn.unfit
+        if now is not None:
+            words, before = now.in_words if before is None else now.brought(before), now
+        fates.append(TurnFate(turn.name, now is not None, words, now))
     return tuple(fates)

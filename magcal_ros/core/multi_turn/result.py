@@ -122,28 +122,30 @@ class Shown:
 
     def brought(self, before: Shown) -> str:
         """Say what a turn brought, from what was shown before it."""
-        said = changes(before, self)
+        said = self.changes(before)
         if not said:
             return "the same tilt as before: it steadies the noise but shows nothing new"
         return "brought " + ", ".join(said)
 
+    def changes(self, before: Shown) -> list[str]:
+        """Name what is better known than before, the most important first."""
+        tilted, iron = "absolute heading at 10° of tilt", max(self.soft_iron)
+        rows = [
+            ("installation yaw", before.installation_yaw, self.installation_yaw, _degrees),
+            (tilted, before.absolute_tilted, self.absolute_tilted, _degrees),
+            ("inclination", before.inclination, self.inclination, _degrees),
+            ("axial hard iron", before.axial_hard_iron, self.axial_hard_iron, _microtesla),
+            ("soft iron at worst", max(before.soft_iron), iron, _percent),
+        ]
+        return [
+            f"{name} from ±{unit(old)} to ±{unit(new)}"
+            for name, old, new, unit in rows
+            if new < WORTH_A_TURN * old
+        ]
 
-def changes(before: Shown, after: Shown) -> list[str]:
-    """Name what is better known than before, the most important first."""
-    tilted = "absolute heading at 10° of tilt"
-    iron = max(before.soft_iron), max(after.soft_iron)
-    rows = [
-        ("installation yaw", before.installation_yaw, after.installation_yaw, _degrees),
-        (tilted, before.absolute_tilted, after.absolute_tilted, _degrees),
-        ("inclination", before.inclination, after.inclination, _degrees),
-        ("axial hard iron", before.axial_hard_iron, after.axial_hard_iron, _microtesla),
-        ("soft iron at worst", *iron, _percent),
-    ]
-    return [
-        f"{name} from ±{unit(old)} to ±{unit(new)}"
-        for name, old, new, unit in rows
-        if new < WORTH_A_TURN * old
-    ]
+    def is_worth_a_turn(self, before: Shown) -> bool:
+        """Whether the absolute heading is so much better known that a turn is advised."""
+        return self.absolute_tilted < WORTH_A_TURN * before.absolute_tilted
 
 
 @dataclass(frozen=True)
@@ -194,16 +196,17 @@ class Several:
         now = f"absolute heading at 10° of tilt ±{_degrees(self.shown.absolute_tilted)}"
         if not self.advice:
             return f"Now {now}."
-        best = self.advice[0].after
-        if not _is_worth_it(self.shown, best):
-            left = _degrees(best.absolute_tilted)
-            return f"Another turn would bring little: {now} (at best ±{left})."
         first = self.advice[0]
-        words = f"Next turn {first.pose}: {_change(self.shown, first.after)}."
-        other = next((a for a in self.advice[1:] if _kind(a) != _kind(first)), None)
-        if other is not None and _is_worth_it(self.shown, other.after):
-            words += f" Or {other.pose}: {_change(self.shown, other.after)}."
-        return words
+        if not first.after.is_worth_a_turn(self.shown):
+            left = _degrees(first.after.absolute_tilted)
+            return f"Another turn would bring little: {now} (at best ±{left})."
+        # The best of the other kind: on a slope, or leaning.
+        other = next((a for a in self.advice if a.pose[:2] != first.pose[:2]), first)
+        both = [first]
+        if other is not first and other.after.is_worth_a_turn(self.shown):
+            both.append(other)
+        said = [f"{a.pose}: {', '.join(a.after.changes(self.shown)[:2])}." for a in both]
+        return "Next turn " + " Or ".join(said)
 
     @property
     def in_words(self) -> str:
@@ -231,18 +234,6 @@ class Several:
             "next": [{"pose": a.pose, "after": a.after.facts()} for a in self.advice],
             "advice": self.advice_in_words,
         }
-
-
-def _is_worth_it(before: Shown, after: Shown) -> bool:
-    return after.absolute_tilted < WORTH_A_TURN * before.absolute_tilted
-
-
-def _change(before: Shown, after: Shown) -> str:
-    return ", ".join(changes(before, after)[:2])
-
-
-def _kind(advice: Advice) -> str:
-    return advice.pose.split(" ", maxsplit=1)[0]
 
 
 def _degrees(radians: float) -> str:

@@ -1,7 +1,8 @@
-"""What the sensors measure while their robot does not turn.
+"""What the sensors measure while their robot does not turn, and a turn without its rests.
 
 A robot rests, or rolls straight on, where neither its field nor its turn rate moves. The field is
-needed: a robot that turns evenly has a steady rate, too.
+needed: a robot that turns evenly has a steady rate, too. The rests before and after a turn have no
+weight in its fit; they show the gyro's bias, and the field while the motors are off.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from magcal_ros.core.geometry.arrays import (
     frozen_array,
     runs,
 )
+from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
 
 CHANGES_BY = 0.03
@@ -49,7 +51,7 @@ class LongestRest(NamedTuple):
 
 @dataclass(frozen=True)
 class BiasAtRestTuning:
-    """When a robot is taken to have rested."""
+    """When a robot is taken to have rested, and which part of a rest is used."""
 
     block: float = 0.5  # seconds of samples that are averaged before anything is compared
     at_least: int = 4  # blocks in a row that make a rest
@@ -65,6 +67,10 @@ class BiasAtRestTuning:
     """Share of a turn's own rate at which no robot turns steadily for seconds beforehand."""
     turned: float = 5.0
     """Times what a rest may move by that the field must move in all to tell a rest by itself."""
+    longest: float = 10.0
+    """Seconds of a rest that count, those nearest to the turn: before, things may have been
+    moved."""
+    fewest: int = 20  # rows that are left of a turn; where there are fewer, it hardly moved
 
 
 TUNING = BiasAtRestTuning()
@@ -92,50 +98,92 @@ class RestBeside:
             object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
 
 
+def apart_from_rests(
+    rows: FloatArray, known: GyroAtRest | None = None
+) -> tuple[FloatArray, tuple[RestBeside, ...], float]:
+    """Subtract the gyro's bias, and separate the rests before and after the turn.
+
+    The rows (n, 10) hold stamp, field, specific force and angular rate; the rates are all finite,
+    or none is. `known` is from a rest before all of them; a rest among them has priority. Returns
+    the rows of the turn, the rests, and the sigma (rad/s) of the known bias if it was subtracted;
+    else infinity.
+    """
+    time, field, rate = rows[:, 0], rows[:, 1:4], rows[:, 7:10]
+    has_gyro = bool(np.isfinite(rate).all())
+    first, end, bias = rests_around(time, field, rate if has_gyro else None)
+    if end - first < TUNING.fewest:
+        first, end = 0, len(rows)
+    # Of a long recording, thinned, a rest may end long before the turn's first row: it says nothing
+    # of the turn then.
+    before = rows[:first][time[:first] > time[first] - TUNING.longest]
+    after = rows[end:][time[end:] < time[end - 1] + TUNING.longest]
+    rests = [_rest(before, before[-1], rows[first], has_gyro)] if len(before) else []
+    rests += [_rest(after, after[0], rows[end - 1], has_gyro)] if len(after) else []
+    sigma = math.inf
+    if bias is None and known is not None:
+        bias, sigma = np.array(known.rate), known.later_sigma
+    turn = rows[first:end].copy()
+    if bias is not None:
+        turn[:, 7:10] -= bias
+    return turn, tuple(rests), sigma
+
+
+def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool) -> RestBeside:
+    """Return what rows at rest show; `last` is the one of them next to the turn's row `beside`."""
+    time = rows[:, 0]
+    field, field_sigma = mean_and_sigma(time, rows[:, 1:4])
+    rate, rate_sigma, step = np.zeros(3), math.inf, np.zeros(3)
+    if has_gyro:
+        rate, rate_sigma = mean_and_sigma(time, rows[:, 7:10])
+        # Turned back by what the gyro read over the step between them, which may run either way.
+        step = (0.5 * (last[7:10] + beside[7:10]) - rate) * (last[0] - beside[0])
+    seconds, stamp, turned = float(time[-1] - time[0]), float(beside[0]), exp_rotation(-step)
+    force = rows[:, 4:7].mean(axis=0)
+    return RestBeside(seconds, field, field_sigma, force, rate, rate_sigma, stamp, turned)
+
+
 def rests_around(
     time: FloatArray, field: FloatArray, rate: FloatArray | None
-) -> tuple[slice | None, slice | None]:
-    """Return the rows at which a robot stands before its turn, and after it; None for no rest.
+) -> tuple[int, int, FloatArray | None]:
+    """Return first row and end of what lies between the rests, and the gyro's bias, rad/s.
 
-    It stood if the field did, and turned later, far faster than the gyro then read, if there is
-    one.
+    The robot stood if the field did, and turned later, far faster than the gyro then read, if there
+    is one. The bias is the median of what it read at rests, those of which the field proves that
+    the robot stood if there are any; None without a rest or a gyro.
 
     `time` (n,) is in seconds, `field` (n, 3) raw and in any unit, `rate` (n, 3) in rad/s; None
     without a gyro.
     """
     blocks = _split(time)
-    if len(blocks[0]) <= 2 * TUNING.at_least:
-        return None, None
-    found: list[slice | None] = [None, None]
-    ends = [*blocks[0], len(time)]
-    for start, end in _stands(field, rate, blocks):
+    starts, count = blocks[0], len(blocks[0])
+    first, end = 0, len(time)
+    if count <= TUNING.at_least:
+        return first, end, None
+    rests = _stands_by_field(field, blocks) if rate is None else _stands(field, rate, blocks)
+    for rest in rests if count > 2 * TUNING.at_least else []:
         # The block in which the robot sets off, or comes to stand, counts on neither side.
-        if start == 0 and end < len(blocks[0]):
-            found[0] = slice(0, ends[end - 1])
-        elif start > 0 and end == len(blocks[0]):
-            found[1] = slice(ends[start + 1], len(time))
-    return found[0], found[1]
+        if rest.first == 0 and rest.end < count:
+            first = int(starts[rest.end - 1])
+        elif rest.first > 0 and rest.end == count:
+            end = int(starts[rest.first + 1])
+    shown = [each.rates for each in rests if each.is_proven] or [each.rates for each in rests]
+    has_bias = rate is not None and bool(shown)
+    return first, end, np.median(np.concatenate(shown), axis=0) if has_bias else None
 
 
-def _stands(
-    field: FloatArray, rate: FloatArray | None, blocks: tuple[IntArray, IntArray]
-) -> list[tuple[int, int]]:
-    """Return first block and end of every stretch in which the robot stood."""
-    swing = float(np.ptp(field, axis=0).max())
-    if rate is None:
-        alone = _Blocks.of(field, *blocks, TUNING.smallest_turn * swing)
-        if not alone.moves_by(TUNING.turned):
-            return []
-        return [run for run in _runs(alone.stays) if alone.is_one(slice(*run))]
-    fields, rates = _still(field, rate, blocks)
-    fastest = np.sort(np.linalg.norm(rates.mean, axis=1))[-TUNING.at_least]
-    found = []
-    for start, end in _runs(fields.stays & rates.stays):
-        inside = rates.mean[start:end]
-        creeps = float(np.linalg.norm(inside.mean(axis=0))) > TUNING.next_to_nothing * fastest
-        if not creeps or all(_stood(fields, rates, slice(start, end), 0.5 * swing)):
-            found.append((start, end))
-    return found
+def longest_stand(time: FloatArray, field: FloatArray, rate: FloatArray) -> LongestRest | None:
+    """Return the longest rest; None if there was none. Takes the same as `rests_around`."""
+    if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
+        return None
+    # A robot that stands all the time has not swung its field; its level part is about so large.
+    radius = 0.3 * float(np.median(np.linalg.norm(field, axis=1)))
+    found = _steady(field, rate, _split(time), radius)
+    if not found:
+        return None
+    longest = max(found, key=lambda each: each.end - each.first)
+    # A slow turn passes from block to block.
+    is_turn = longest.shows and not longest.stood
+    return None if is_turn else LongestRest(longest.rates.mean(axis=0), longest.shows)
 
 
 def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
@@ -147,42 +195,6 @@ def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, fl
     return values.mean(axis=0), math.sqrt(max(between, within))
 
 
-def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> FloatArray | None:
-    """Return the mean turn rate while the robot did not turn, rad/s.
-
-    None if it never rested, or if a turn at that rate would not have shown in the field.
-
-    `time` (n,) is in seconds, `field` (n, 3) raw and in any unit, `rate` (n, 3) in rad/s.
-    """
-    blocks = _split(time)
-    if len(blocks[0]) <= TUNING.at_least:
-        return None
-    swing = float(np.ptp(field, axis=0).max())
-    fields, rates = _still(field, rate, blocks)
-    rests = [
-        rates.mean[start:end]
-        for start, end in _runs(fields.stays & rates.stays)
-        if all(_stood(fields, rates, slice(start, end), 0.5 * swing))
-    ]
-    return np.median(np.concatenate(rests), axis=0) if rests else None
-
-
-def longest_stand(time: FloatArray, field: FloatArray, rate: FloatArray) -> LongestRest | None:
-    """Return the longest rest; None if there was none. Takes the same as `bias_at_rest`."""
-    if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
-        return None
-    fields, rates = _still(field, rate, _split(time))
-    found = _runs(fields.stays & rates.stays)
-    if not found:
-        return None
-    longest = slice(*max(found, key=lambda run: run[1] - run[0]))
-    # A robot that stands all the time has not swung its field; its level part is about so large.
-    radius = 0.3 * float(np.median(np.linalg.norm(field, axis=1)))
-    stood, shows = _stood(fields, rates, longest, radius)
-    # A slow turn passes from block to block.
-    return None if shows and not stood else LongestRest(rates.mean[longest].mean(axis=0), shows)
-
-
 def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
     """Return the first row of each block, and how many rows it has."""
     block = ((time - time[0]) / TUNING.block).astype(int)
@@ -190,14 +202,68 @@ def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
     return first, count
 
 
-def _still(
+class _Stretch(NamedTuple):
+    """Blocks in a row in which nothing moved from one to the next, and what the gyro read in them.
+
+    `stood` is whether the field moved far less than a turn at the gyro's rate would have moved it:
+    a slow turn passes from block to block, but shows over the whole. `shows` is whether such a turn
+    would have moved the field out of its limits. `rates` (b, 3) are in rad/s.
+    """
+
+    first: int
+    end: int
+    rates: FloatArray
+    stood: bool = False
+    shows: bool = False
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether the field shows that the robot stood."""
+        return self.stood and self.shows
+
+
+def _stands(
     field: FloatArray, rate: FloatArray, blocks: tuple[IntArray, IntArray]
-) -> tuple[_Blocks, _Blocks]:
-    """Return the blocks of field and rate, and where each stays with the next."""
+) -> list[_Stretch]:
+    """Return every stretch in which the robot stood."""
+    rates = np.linalg.norm(block_means(rate, blocks[0]), axis=1)
+    creeps = TUNING.next_to_nothing * float(np.sort(rates)[-TUNING.at_least])
+    found = _steady(field, rate, blocks, 0.5 * float(np.ptp(field, axis=0).max()))
+    return [
+        each
+        for each in found
+        if each.is_proven or float(np.linalg.norm(each.rates.mean(axis=0))) <= creeps
+    ]
+
+
+def _stands_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_Stretch]:
+    """Return the same without a gyro: where nothing moved over the whole; a slow turn does."""
+    alone = _Blocks.of(field, *blocks, TUNING.smallest_turn * float(np.ptp(field, axis=0).max()))
+    turned = np.ptp(alone.mean, axis=0) > TUNING.turned * np.median(alone.limit, axis=0)
+    return [
+        _Stretch(start, end, np.zeros((end - start, 3)))
+        for start, end in (_runs(alone.stays) if turned.any() else [])
+        if (np.ptp(alone.mean[start:end], axis=0) <= alone.limit[start:end].max(axis=0)).all()
+    ]
+
+
+def _steady(
+    field: FloatArray, rate: FloatArray, blocks: tuple[IntArray, IntArray], radius: float
+) -> list[_Stretch]:
+    """Return where field and gyro stay; `radius` is that of the field's circle, in its unit."""
     swing = float(np.ptp(field, axis=0).max())
-    return _Blocks.of(field, *blocks, TUNING.smallest_turn * swing), _Blocks.of(
-        rate, *blocks, TUNING.loose_rate
-    )
+    fields = _Blocks.of(field, *blocks, TUNING.smallest_turn * swing)
+    rates = _Blocks.of(rate, *blocks, TUNING.loose_rate)
+    found = []
+    for start, end in _runs(fields.stays & rates.stays):
+        inside, seen = rates.mean[start:end], fields.mean[start:end]
+        # How far a turn at the mean rate would have moved the field.
+        turned = float(np.linalg.norm(inside.mean(axis=0))) * TUNING.block * (len(inside) - 1)
+        chord = 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
+        moved = float(np.linalg.norm(seen - seen[0], axis=1).max())
+        shows = chord > TUNING.shown * float(fields.limit[start:end].max())
+        found.append(_Stretch(start, end, inside, moved < TUNING.most_moved * chord, shows))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,28 +287,7 @@ class _Blocks:
             stays[: len(apart)] &= ~apart.any(axis=1)
         return cls(mean, limit, stays)
 
-    def moves_by(self, times: float) -> bool:
-        """Return whether all of them together move by so many times what a rest may move by."""
-        return bool((np.ptp(self.mean, axis=0) > times * np.median(self.limit, axis=0)).any())
-
-    def is_one(self, rows: slice) -> bool:
-        """Return whether nothing moved over all of these; a robot that creeps does."""
-        return bool((np.ptp(self.mean[rows], axis=0) <= self.limit[rows].max(axis=0)).all())
-
 
 def _runs(stays: BoolArray) -> list[tuple[int, int]]:
     """Return first block and end of every stretch in which each block stays with the next ones."""
     return [(first, end + TUNING.at_least - 1) for first, end in runs(stays)]
-
-
-def _stood(fields: _Blocks, rates: _Blocks, rows: slice, radius: float) -> tuple[bool, bool]:
-    """Return whether the field moved far less than a turn at the gyro's rate would have moved it.
-
-    A slow turn passes from block to block; over the whole of a stretch it shows. And whether such a
-    turn would have moved the field, of this radius, out of what a rest may move by.
-    """
-    inside, field = rates.mean[rows], fields.mean[rows]
-    turned = float(np.linalg.norm(inside.mean(axis=0))) * TUNING.block * (len(inside) - 1)
-    chord = 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
-    moved = float(np.linalg.norm(field - field[0], axis=1).max())
-    return moved < TUNING.most_moved * chord, chord > TUNING.shown * float(fields.limit[rows].max())

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.verdict import judge
-from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration import Calibration, Estimate, calibration_sigma, yaw_jacobian
+from magcal_ros.core.calibrate import Outcome, judged
+from magcal_ros.core.calibration import Calibration, calibration_sigma, yaw_jacobian
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray, unit, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
@@ -150,7 +149,7 @@ def add_standing(
         estimate = fit(standings, knowledge)
     except Refusal as refusal:
         return _refused(before, refusal)
-    outcome = _judged(estimate, knowledge)
+    outcome = judged(estimate, knowledge)
     verdict = outcome.verdict
     words = [verdict.summary, declination_hint(estimate, standings, knowledge)]
     words.append(_next_in_words(standings, knowledge))
@@ -166,12 +165,6 @@ def add_standing(
             )
     said = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
     return HeadingResult(standings, outcome, applies, said.replace(":.", ":"))
-
-
-def _judged(estimate: Estimate, knowledge: Knowledge) -> Outcome:
-    verdict = judge(estimate, knowledge)
-    calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
-    return Outcome(verdict, calibration, estimate)
 
 
 def _apart_from(before: tuple[Standing, ...], new: Standing) -> tuple[Standing, ...]:
@@ -325,7 +318,7 @@ def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outc
         estimate = fit(standings, knowledge, SIZES["street"])
     except Refusal as refusal:
         return Outcome.refused(refusal), ""
-    return _judged(estimate, knowledge), declination_hint(estimate, standings, knowledge)
+    return judged(estimate, knowledge), declination_hint(estimate, standings, knowledge)
 
 
 class HeadingCollector:

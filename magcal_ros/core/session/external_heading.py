@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from magcal_ros.core.calibration import Calibration, calibration_sigma
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
-from magcal_ros.core.heading.fusion_tuning import FUSION
+from magcal_ros.core.heading.yaw_filter import FUSION
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, HeadingSample
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TypeAlias, TypeVar
@@ -254,7 +255,6 @@ def without_motors(
         return
     compass, up, sense = Compass(calibration), UpFollower(), MotionSense()
     speeds = [(each.stamp, each.speed) for each in travel if isinstance(each, SpeedSample)]
-    speed, current = _Newest(speeds), _Newest(currents)
     back = calibration.correction
     for reading in readings:
         if isinstance(reading, ImuSample):
@@ -263,7 +263,7 @@ def without_motors(
             stamp = reading.stamp
             up.add_field(stamp, reading.field)
             rate = up.rate if up.is_propagated else None
-            inputs = speed.at(stamp), current.at(stamp)
+            inputs = _newest(speeds, stamp), _newest(currents, stamp)
             running = sense.at(stamp, rate, up.is_at_rest, *inputs)
             field, _ = compass.at_rest(stamp, reading.field, rate, running)
             x, y, z = back.undo(np.array(field)).tolist()
@@ -272,19 +272,11 @@ def without_motors(
         yield reading
 
 
-class _Newest:
-    """The newest of some values by stamp."""
-
-    def __init__(self, values: Sequence[tuple[float, float]]) -> None:
-        self._values, self._next = values, 0
-
-    def at(self, stamp: float) -> float:
-        """Return the value at a stamp, seconds; NaN if it is unknown. Stamps must increase."""
-        values = self._values
-        while self._next < len(values) and values[self._next][0] <= stamp:
-            self._next += 1
-        since, value = values[self._next - 1] if self._next else (-math.inf, math.nan)
-        return value if stamp - since < SILENT else math.nan
+def _newest(values: Sequence[tuple[float, float]], stamp: float) -> float:
+    """Return the newest of some values (stamp in s, value) at a stamp; NaN if it is unknown."""
+    row = bisect_right(values, (stamp, math.inf))
+    since, value = values[row - 1] if row else (-math.inf, math.nan)
+    return value if stamp - since < SILENT else math.nan
 
 
 FORWARD = np.array([1.0, 0.0, 0.0])

@@ -29,8 +29,6 @@ class ProofTuning:
     """Seconds over which the gyro's rate is averaged."""
     kept: int = 2000
     """Samples kept to tell the compass's sense of rotation."""
-    smallest_swing: float = 4e-6
-    """Tesla. A field that moved less has not turned."""
     asked_every: float = 0.25
     """Seconds between two looks at the field."""
     recently: float = 2.0
@@ -143,7 +141,6 @@ class RotationProof:
         self._has_gyro = False
         self._commanded = 0.0
         self._asked = -math.inf
-        self._recent: deque[tuple[float, float]] = deque(maxlen=TUNING.kept)
         self._rows: deque[tuple[float, ...]] = deque(maxlen=TUNING.kept)
 
     def add(self, pair: Pair, command: float = 0.0) -> None:
@@ -155,15 +152,10 @@ class RotationProof:
         about_up = dot(force, rate) / length(force)
         if self._newest is not None:
             step = stamp - self._newest[0]
-            if not 0.0 < step <= STREAMS.longest_gyro_step:
-                self._recent.clear()
-            else:
+            if 0.0 < step <= STREAMS.longest_gyro_step:
                 self._turned += 0.5 * step * (about_up + self._newest[1])
                 self._commanded += step * command
         self._newest = (stamp, about_up)
-        self._recent.append((stamp, self._turned))
-        while stamp - self._recent[0][0] > TUNING.rate_span:
-            self._recent.popleft()
         row = (self._turned, *pair.field.field, *force, stamp, self._commanded)
         self._rows.append(row)
 
@@ -220,16 +212,19 @@ class RotationProof:
         if np.ptp(turned) < TUNING.smallest_arc:
             return 0
         misfits = [fit_circle_by_angle(sense * turned, level)[0] for sense in (1.0, -1.0)]
-        swings = np.ptp(level, axis=0).max() > TUNING.smallest_swing
-        if not swings or min(misfits) > TUNING.clearly_better * max(misfits):
+        if min(misfits) > TUNING.clearly_better * max(misfits):
             return 0
         return 1 if misfits[0] < misfits[1] else -1
 
     def _rate(self) -> float:
-        if len(self._recent) < 2:
-            return 0.0
-        (first, before), (last, after) = self._recent[0], self._recent[-1]
-        return (after - before) / (last - first)
+        """Return the mean rate over the last moments, rad/s."""
+        first = last = self._rows[-1]
+        for row in reversed(self._rows):
+            if last[7] - row[7] > TUNING.rate_span:
+                break
+            first = row
+        seconds = last[7] - first[7]
+        return (last[0] - first[0]) / seconds if seconds > 0.0 else 0.0
 
     def _field_moves_now(self) -> bool:
         if len(self._rows) < 10:

@@ -90,21 +90,16 @@ class Around:
 
 
 @dataclass(frozen=True)
-class End:
-    """How a robot's own turn ended."""
-
-    reason: str
-    """Empty if every heading was seen."""
-    is_usable: bool
-    """Whether what was seen is to be fitted."""
-
-
-@dataclass(frozen=True)
 class Steering:
-    """What a look at the robot leads to: a rate to command (rad/s) or none, and its end or none."""
+    """What a look at the robot leads to: a rate to command (rad/s), or none.
+
+    `broken_off` is why its turn is given up, `ended` why it goes no further and what was seen is to
+    be fitted. Both are empty while it goes on, and where every heading was seen.
+    """
 
     rate: float | None = None
-    end: End | None = None
+    broken_off: str = ""
+    ended: str = ""
 
 
 @dataclass(frozen=True)
@@ -210,7 +205,7 @@ class SelfTurn:
         """Stop the robot and end its turn, with the reason."""
         moved = self.may_move
         rate = self.stop().rate
-        return Steering(rate, End(f"the robot was stopped: {reason}" if moved else reason, False))
+        return Steering(rate, f"the robot was stopped: {reason}" if moved else reason)
 
     def _wait(self, stage: Waiting, now: float, around: Around) -> Steering:
         if stage.zeros:
@@ -227,18 +222,13 @@ class SelfTurn:
                 return self.break_off(f"nothing subscribes to {topic}: {remedy}")
         elif around.is_guarded:
             if now - stage.since >= TUNING.stands_first:
-                self._set_off(stage.order, now)
+                speed, longest = stage.order.speed, stage.order.longest
+                proof = RotationProof(stage.order.to_body)
+                limits = RotationLimits(speed, now, longest)
+                self._stage, self._paired = Moving(RotationPlan(speed, now), proof, limits), now
         elif now - stage.since > TUNING.guarded_within:
             return self.break_off(UNGUARDED)
         return Steering()
-
-    def _set_off(self, order: Order, now: float) -> None:
-        self._stage = Moving(
-            RotationPlan(order.speed, now),
-            RotationProof(order.to_body),
-            RotationLimits(order.speed, now, order.longest),
-        )
-        self._paired = now
 
     def _lead(
         self, stage: Moving, now: float, since: float, progress: Progress, around: Around
@@ -251,13 +241,13 @@ class SelfTurn:
             return self.break_off(objection)
         if stage.limits.is_late(now):
             words = "the robot did not complete its turn in time"
-            return Steering(self.stop().rate, End(words, True))
+            return Steering(self.stop().rate, ended=words)
         rate = plan.step(now, seen)
         if plan.fault is not None:
             return self.break_off(proof.explain(plan.fault, seen, commanded))
         if plan.phase is Phase.ENDED:
             words = "" if seen.is_complete else "the robot has turned once each way"
-            return Steering(self.stop().rate, End(words, True))
+            return Steering(self.stop().rate, ended=words)
         return Steering(rate)
 
     def _objection(self, stage: Moving, now: float, since: float, around: Around) -> str:

@@ -7,7 +7,6 @@ and why. It does not fit: its owner passes the window to a method.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -19,8 +18,7 @@ from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples import STREAMS, Pair, Window
 from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
-from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.session.resting import apart_from_rests
+from magcal_ros.core.samples.rest import GyroAtRest, apart_from_rests
 from magcal_ros.core.up import relative_attitudes
 
 
@@ -43,12 +41,6 @@ class SessionTuning:
     """Radians turned at a look from which more only repeats what was seen."""
     once_more: float = 1.2
     """Full turns at which it ends, unless a look at a whole turn was farther than `near`."""
-    look_back: float = 1.125
-    """Times that a robot must have turned as far as at an earlier look, before the two tell whether
-    turning on makes the answer more certain."""
-    worth_while: float = 0.25
-    """Share of what noise alone would fall by from one look to the other. Where sigma falls by
-    less, nearly all of it is errors that last, and another round takes nothing off them."""
     stands_still: float = 3.0
     """Seconds without turning, after a complete turn, from which the robot is taken to be done."""
     slowest_turn: float = math.radians(3.0)
@@ -92,16 +84,6 @@ class Stage(str, Enum):
     COMPLETE = "complete"
     TIMED_OUT = "timed_out"
     SILENT = "silent"
-
-
-@dataclass(frozen=True)
-class Glance:
-    """The result of a fit of the samples so far."""
-
-    turned: float
-    """Radians that the robot had turned, either way."""
-    sigma: float
-    """Of the heading, radians; infinite where the fit failed."""
 
 
 @dataclass(frozen=True)
@@ -162,11 +144,13 @@ class Session:
         self._last_pair: float | None = None
         self._buffer = np.empty((1024, ROWS))
         self._size = 0
-        self._turned = 0.0
-        self._glances: list[Glance] = []
-        self._looked_at: float | None = None
+        self._turned = self._looked_at = 0.0
+        self._forget_looks()
         self._last_turning = now
         self.was_set_back = False
+
+    def _forget_looks(self) -> None:
+        self._sigma, self._seen = math.inf, 0.0
 
     @property
     def has_samples(self) -> bool:
@@ -190,7 +174,8 @@ class Session:
         if pair.field.stamp == newest:
             return
         if pair.field.stamp < newest:
-            self._size, self._turned, self._glances = 0, 0.0, []
+            self._size, self._turned = 0, 0.0
+            self._forget_looks()
             self.was_set_back = True
         if self._size == len(rows):
             self._thin_out()
@@ -205,15 +190,13 @@ class Session:
         return self.window()
 
     def note_sigma(self, sigma: float) -> None:
-        """Take the heading sigma (radians) that a fit of the last look predicts, or of now."""
-        turned = self._turned if self._looked_at is None else self._looked_at
-        self._glances.append(Glance(turned, sigma))
-        self._looked_at = None
+        """Take the heading sigma (radians) that a fit of the last look predicts."""
+        self._sigma, self._seen = sigma, self._looked_at
 
     @property
     def was_seen_whole(self) -> bool:
         """Whether a fit has looked at a whole turn."""
-        return bool(self._glances) and self._glances[-1].turned >= TUNING.whole
+        return self._seen >= TUNING.whole
 
     def progress(self, now: float) -> Progress:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
@@ -227,8 +210,7 @@ class Session:
             self._last_turning = now
         stage = self._stage(coverage, now)
         elapsed = now - self._started
-        sigma = self._glances[-1].sigma if self._glances else math.inf
-        return Progress(stage, coverage, self._size, elapsed, rate, sigma)
+        return Progress(stage, coverage, self._size, elapsed, rate, self._sigma)
 
     def window(self) -> Window:
         """Return what was collected of the turn, thinned to equal angles, and its rests."""
@@ -279,18 +261,13 @@ class Session:
     def _is_enough(self, coverage: Coverage, now: float) -> bool:
         """Whether the turn can end: certain enough, or no longer getting more certain."""
         target, turns = self.limits.target_sigma, abs(coverage.turned) / math.tau
-        is_near = self._is_within(TUNING.near * target)
+        is_near = self._sigma <= TUNING.near * target
         return (
-            self._is_within(target)
-            or (is_near and not _is_worth_while(self._glances))
+            self._sigma <= target
             or ((is_near or not self.was_seen_whole) and turns >= TUNING.once_more)
             or turns >= TUNING.most_turns
             or now - self._last_turning > TUNING.stands_still
         )
-
-    def _is_within(self, sigma: float) -> bool:
-        """Whether the newest fit is within a sigma; another would cost a good part of a turn."""
-        return bool(self._glances) and self._glances[-1].sigma <= sigma
 
     def _thin_out(self) -> None:
         largest = self._longer * TUNING.largest_buffer
@@ -309,18 +286,6 @@ class Session:
         rows = self._buffer[kept]
         self._buffer[: len(rows)] = rows
         self._size = len(rows)
-
-
-def _is_worth_while(glances: Sequence[Glance]) -> bool:
-    """Return whether the answer, of which the last is finite, still gets more certain."""
-    now = glances[-1]
-    latest = now.turned / TUNING.look_back
-    before = [each for each in glances if TUNING.whole <= each.turned <= latest]
-    if not before:
-        return True
-    by_noise = 1.0 - before[-1].turned / now.turned
-    fell = 1.0 - (now.sigma / before[-1].sigma) ** 2
-    return fell > TUNING.worth_while * by_noise
 
 
 def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:

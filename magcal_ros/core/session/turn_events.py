@@ -61,8 +61,7 @@ class Preview(Command):
 
     turn: int
     window: Window
-    knowledge: Knowledge
-    method: str
+    brief: Brief
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +71,7 @@ class FitTurn(Command):
     turn: int
     kept: Kept
     window: Window
-    knowledge: Knowledge
-    method: str
-    accumulate: bool
+    brief: Brief
 
 
 @dataclass(frozen=True, eq=False)

@@ -166,8 +166,7 @@ class TurnMachine:
         ):
             window = self.last_window = stand.session.look()
             self._stand = replace(stand, previewed_since=now)
-            brief = stand.brief
-            self._do(ev.Preview(self._number, window, brief.knowledge, brief.method))
+            self._do(ev.Preview(self._number, window, stand.brief))
 
     def note_preview(self, turn: int, sigma: float, now: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
@@ -188,14 +187,13 @@ class TurnMachine:
         self._end_with(steering, now)
 
     def _end_with(self, steering: Steering, now: float) -> None:
-        stand, end = self._stand, steering.end
-        if end is None or not isinstance(stand, ev.Collecting):
+        if not isinstance(self._stand, ev.Collecting):
             return
-        if not end.is_usable:
+        if steering.broken_off:
             self._leave_collecting()
-            self._conclude(False, f"{end.reason}; {UNCHANGED}")
-        elif end.reason:
-            self._begin_fit(stand, end.reason, now)
+            self._conclude(False, f"{steering.broken_off}; {UNCHANGED}")
+        elif steering.ended:
+            self._begin_fit(self._stand, steering.ended, now)
 
     def stop_robot(self, reason: str, now: float) -> None:
         """Stop a robot that turns itself: what has failed may be what supervises it."""
@@ -221,7 +219,7 @@ class TurnMachine:
         return None
 
     def _begin_fit(self, stand: ev.Collecting, why: str, now: float) -> None:
-        session, brief = stand.session, stand.brief
+        session = stand.session
         self.progress = session.progress(now)
         why = "; ".join(filter(None, (why, SET_BACK * session.was_set_back)))
         self._leave_collecting()
@@ -235,8 +233,7 @@ class TurnMachine:
             self._sensors_of_kept = self._sensors
             self.forget()
         self._stand = ev.Fitting(why, window, self._kept)
-        known, method, joins = brief.knowledge, brief.method, brief.accumulate
-        self._do(ev.FitTurn(self._number, self._kept, window, known, method, joins))
+        self._do(ev.FitTurn(self._number, self._kept, window, stand.brief))
 
     def note_fit(self, turn: int, outcome: Outcome, kept: Kept) -> None:
         """Take the fit of a turn, and what is kept for the next one to join."""

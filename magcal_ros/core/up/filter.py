@@ -84,21 +84,13 @@ class UpFilter:
         self.covariance[:3, :3] = moved[:, :3] @ turning.T + moved[:, 3:] + IDENTITY * variance
         self.state[:3], self.state[6:] = force, 0.0
 
-    def forget_acceleration(self, sigma: float) -> None:
-        """Allow for another linear acceleration from now on."""
-        self._renew(9, sigma)
-
-    def forget_motion(self, motion: MotionPrior) -> None:
-        """Allow for another linear acceleration and another velocity from now on."""
-        self._renew(6, motion.speed)
-        self._renew(9, motion.acceleration)
-
-    def _renew(self, first: int, sigma: float) -> None:
-        part = slice(first, first + 3)
-        self.covariance[part] = 0.0
-        self.covariance[:, part] = 0.0
-        self.covariance[part, part] = IDENTITY * sigma**2
-        self.state[part] = 0.0
+    def forget_motion(self, motion: MotionPrior, is_faster: bool = False) -> None:
+        """Allow for another linear acceleration from now on; for another speed if `is_faster`."""
+        first = 6 if is_faster else 9
+        self.covariance[first:] = self.covariance[:, first:] = 0.0
+        self.state[first:] = 0.0
+        sigmas = (motion.speed,) * 3 + (motion.acceleration,) * 3
+        self.covariance[range(first, 12), range(first, 12)] = np.square(sigmas[first - 6 :])
 
     def predict(self, up: Triple, turned: Triple, seconds: float, motion: MotionPrior) -> None:
         """Go on by a block of messages.
@@ -166,12 +158,6 @@ class UpFilter:
         gap, own = rate - self.state[3:6], self.covariance[3:6, 3:6]
         if float(gap @ gap) > CLEAR**2 * float(np.trace(own)):
             own += IDENTITY * float(gap @ gap)
-
-    def bound_bias(self) -> None:
-        """Keep the bias within what a gyro can have."""
-        size = length(self.state[3:6].tolist())
-        if size > FILTER.largest_bias:
-            self.state[3:6] *= FILTER.largest_bias / size
 
     def _correct(self, reads: FloatArray, variance: float, innovation: FloatArray) -> None:
         """Take three readings that differ from what was expected, and how they read the state."""

@@ -69,27 +69,22 @@ def propagated_up(window: Window) -> FloatArray:
     rate = window.angular_rate
     if rate is None or len(window) < 3:
         return unit(window.specific_force)
-    past = _followed(window, rate)
-    if length(past.bias) > CLEAR * FILTER.bias_sigma:
+    past, known, bias = _followed(window, rate)
+    if length(bias) > CLEAR * FILTER.bias_sigma:
         # Before it was known, up was wrong by more than its variance.
-        rate = rate - past.bias
-        past = _followed(window, rate)
-    future = _followed(window, rate, backwards=True)
-    return unit(past.up / past.variance + (future.up / future.variance)[::-1])
+        rate = rate - bias
+        past, known, _ = _followed(window, rate)
+    future, known_later, _ = _followed(window, rate, backwards=True)
+    return unit(past / known + (future / known_later)[::-1])
 
 
-class _Followed(NamedTuple):
-    """Up (n, 3) and its variance (n, 1) as the past of each sample gives it; the bias at last."""
-
-    up: FloatArray
-    variance: FloatArray
-    bias: Triple
-
-
-def _followed(window: Window, rate: FloatArray, backwards: bool = False) -> _Followed:
+def _followed(
+    window: Window, rate: FloatArray, backwards: bool = False
+) -> tuple[FloatArray, FloatArray, Triple]:
+    """Return up (n, 3) and its variance (n, 1) as the past of each sample gives it; the bias."""
     way = -1 if backwards else 1
     follower = UpFollower()
-    ups, variances = [], []
+    found: list[Up] = []
     columns = (
         values[::way].tolist()
         for values in (way * window.time, window.field, window.specific_force, way * rate)
@@ -99,9 +94,9 @@ def _followed(window: Window, rate: FloatArray, backwards: bool = False) -> _Fol
         follower.add(ImuSample(stamp, tuple(f), tuple(w)))
         up = follower.at(stamp, 0.0)
         assert up is not None
-        ups.append(up.direction)
-        variances.append([up.variance])
-    return _Followed(np.array(ups), np.array(variances), follower.gyro_bias.rate)
+        found.append(up)
+    variances = np.array([[each.variance] for each in found])
+    return np.array([each.direction for each in found]), variances, follower.gyro_bias.rate
 
 
 class Levelling:
@@ -140,7 +135,7 @@ class Levelling:
         Up that scatters is not known better than that, and an acceleration of p g across up
         stretches the accelerometer by p²/2.
         """
-        stretch = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.length_sigma)
+        stretch = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.smallest)
         return FILTER.floor**2 + self._scatter + stretch
 
 

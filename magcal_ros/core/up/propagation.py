@@ -54,9 +54,12 @@ class Block:
         self.force, self.up = plus(self.force, force), plus(self.up, up)
         self.rate, self.turn = plus(self.rate, rate), plus(self.turn, turn)
 
-    def mean(self, total: Triple) -> Triple:
-        """Return a sum over the number of messages."""
-        return scaled(total, 1.0 / self.count)
+    def means(self) -> BlockMeans:
+        """Return the means of force and rate."""
+        share = 1.0 / self.count
+        return BlockMeans(
+            scaled(self.force, share), scaled(self.rate, share), self.count, self.seconds
+        )
 
 
 class GyroPropagation:
@@ -114,7 +117,7 @@ class GyroPropagation:
         if is_given is not self._is_given:
             # Velocity and acceleration are now what is left of them, or the whole again.
             self._is_given = is_given
-            self._filter.forget_motion(self._motion(self.is_settled))
+            self._filter.forget_motion(self._motion(self.is_settled), is_faster=True)
         self.mean_rate = minus(between(before, rate, 0.5), self.bias)
         turn = scaled(self.mean_rate, seconds)
         self.up = propagated(self.up, turn)
@@ -136,10 +139,7 @@ class GyroPropagation:
 
     def _end(self, block: Block) -> None:
         """Let the filter correct up by what the block brought."""
-        means = BlockMeans(
-            block.mean(block.force), block.mean(block.rate), block.count, block.seconds
-        )
-        following, noise = self._filter, math.sqrt(self._noise)
+        means, following, noise = block.means(), self._filter, math.sqrt(self._noise)
         turn_variance = self._rate_noise * block.seconds**2 / block.count
         self.check.add(means.force, block.turn, block.seconds, turn_variance)
         goes_on = self._spell.add(means, noise, math.sqrt(self._rate_noise))
@@ -151,13 +151,13 @@ class GyroPropagation:
         following.predict(self.up, block.turn, block.seconds, motion)
         if self.is_settled and (doubt is None or not goes_on):
             self.is_settled = False
-            following.forget_acceleration(self._motion().acceleration)
+            following.forget_motion(self._motion())
         # A mean: its noise times the velocity would look like a turn.
         share = min(1.0, block.seconds / FILTER.acceleration_lasts)
         newest = self._turn_rate(block.turn) / block.seconds
         self._steady_turn += share * (newest - self._steady_turn)
         turning = 0.0 if doubt == 0.0 else self._steady_turn
-        innovation = np.array(minus(means.force, block.mean(block.up)))
+        innovation = np.array(minus(means.force, scaled(block.up, 1.0 / block.count)))
         following.observe_force(innovation, self._noise / block.count, turning)
         if self._is_rest_seen:
             # Where up is uncertain, its length along the estimate is, to second order, as well.
@@ -223,21 +223,25 @@ class GyroPropagation:
         sigma, up = REST.agrees, following.up.tolist()
         if distance(unit_triple(shown.force), unit_triple(up)) > CLEAR * sigma:
             following.begin(np.array(shown.force), sigma**2, 0.0, self._motion(True))
-            following.forget_acceleration(self._motion().acceleration)
+            following.forget_motion(self._motion())
 
     def _guess_rest(self, force: Triple, noise: float, count: int) -> None:
         """Until the robot was seen at rest, take its length while it turns for that at rest."""
         self._turning = min(self._turning + count, PROPAGATION.most_turning)
         self._rest += count / self._turning * (length(force) - self._rest)
-        self._rest_sigma = math.hypot(PROPAGATION.length_sigma, noise / math.sqrt(self._turning))
+        self._rest_sigma = math.hypot(PROPAGATION.smallest, noise / math.sqrt(self._turning))
 
     def _settle(self, doubt: float | None, noise: float) -> None:
         """Use the accelerometer once it is steady for long enough, or its length shows a rest."""
-        spell, following = self._spell, self._filter
-        sigma = self._settled_sigma(doubt)
-        if sigma is None or (doubt and not self._gains_by(sigma)):
+        spell, following, motion = self._spell, self._filter, self._motion(True)
+        if doubt is None:
             return
-        if self._is_given and spell.seconds < REST.undecided:
+        is_short = spell.seconds <= REST.undecided
+        # What a steady robot may hide, g: a turn may still be better than what is known of up.
+        hidden = motion.acceleration**2 + (motion.speed * doubt) ** 2
+        if doubt and (is_short or following.tilt_variance <= hidden):
+            return
+        if self._is_given and is_short:
             # A wrong acceleration turns the force without stretching it.
             return
         up: Triple = tuple(following.up.tolist())
@@ -250,26 +254,13 @@ class GyroPropagation:
         if not is_doubtful or jump < CLEAR * math.sqrt(following.tilt_variance):
             jump = 0.0
         variance = self._noise / spell.count + FILTER.floor**2
-        motion = self._motion(True)
         motion = MotionPrior(motion.speed, math.hypot(motion.acceleration, jump))
         following.begin(np.array(spell.force), variance, doubt or 0.0, motion)
-
-    def _gains_by(self, sigma: float) -> bool:
-        """Whether a steady spell that may be a turn is still better than what is known of up."""
-        is_long = self._spell.seconds > REST.undecided
-        return is_long and self._filter.tilt_variance > sigma**2
 
     def _turn_rate(self, rate: Triple) -> float:
         """Return the part about up of a rate without its bias."""
         size = length(self.up)
         return dot(rate, self.up) / size if size > 0.0 else 0.0
-
-    def _settled_sigma(self, doubt: float | None) -> float | None:
-        """Return how large an acceleration (g) a steady robot may hide; None if it turns."""
-        if doubt is None:
-            return None
-        motion = self._motion(True)
-        return math.hypot(motion.acceleration, motion.speed * doubt)
 
     def _motion(self, is_steady: bool = False) -> MotionPrior:
         """Return how the robot may move now."""
@@ -283,7 +274,8 @@ class GyroPropagation:
     def _take_over(self) -> None:
         x, y, z, p, q, r = self._filter.state[:6].tolist()
         self.up, self.bias = (x, y, z), (p, q, r)
-        if length(self.bias) > FILTER.largest_bias:
-            self._filter.bound_bias()
+        size = length(self.bias)
+        if size > FILTER.largest_bias:
+            self._filter.state[3:6] *= FILTER.largest_bias / size
         self.variance = self._filter.tilt_variance + PROPAGATION.smallest**2
         self.gyro_bias = GyroBias(self.bias, self._filter.bias_variance)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import (
     Triple,
     between,
@@ -159,9 +160,6 @@ class SteadySpell:
         return self.seconds >= (REST.agreeing if cosine > math.cos(REST.agrees) else REST.undecided)
 
 
-Means = tuple[Triple, Triple, Triple]
-
-
 class ShownAtRest(NamedTuple):
     """What a rest has shown: force (g), and rate (rad/s) with its variance per axis."""
 
@@ -174,12 +172,11 @@ class ShakenRest:
     """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds."""
 
     def __init__(self) -> None:
-        self._means: deque[Means] = deque(maxlen=REST.shaken)
+        self._means: deque[FloatArray] = deque(maxlen=REST.shaken)
         self._begin()
 
     def _begin(self) -> None:
-        self._seconds, self._count = 0.0, 0
-        self._sums: Means = (ZERO, ZERO, ZERO)
+        self._seconds, self._count, self._sums = 0.0, 0, (ZERO, ZERO, ZERO)
 
     def forget(self) -> None:
         """Begin anew: the field came no more, or time has jumped."""
@@ -190,32 +187,22 @@ class ShakenRest:
         """Take a block and the raw field at its end, in any unit; None while nothing is shown."""
         self._count += 1
         self._seconds += block.seconds
-        force, rate, mean = self._sums
-        share = 1.0 / self._count
-        self._sums = (
-            between(force, block.force, share),
-            between(rate, block.rate, share),
-            between(mean, field, share),
-        )
+        force, rate, total = self._sums
+        self._sums = plus(force, block.force), plus(rate, block.rate), plus(total, field)
         if self._seconds < 1.0:
             return None
-        self._means.append(self._sums)
+        self._means.append(np.array(self._sums) / self._count)
         self._begin()
-        return self._shown()
-
-    def _shown(self) -> ShownAtRest | None:
-        if len(self._means) < REST.shaken:
-            return None
         each = np.array(self._means)
         mean = each.mean(axis=0)
         gaps = np.linalg.norm(each - mean, axis=2)
-        field = REST.shaken_field * float(np.linalg.norm(mean[2]))
-        bounds = (REST.shaken_force, REST.shaken_rate, field)
-        if (gaps > bounds).any():
+        field_bound = REST.shaken_field * np.linalg.norm(mean[2])
+        most = (REST.shaken_force, REST.shaken_rate, field_bound)
+        if len(each) < REST.shaken or (gaps > most).any():
             return None
-        scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (REST.shaken - 1))
         # The next one is of other seconds.
         self._means.clear()
+        scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (REST.shaken - 1))
         variance = REST.shaken_sigma**2 + scatter / REST.shaken
         return ShownAtRest(tuple(mean[0].tolist()), tuple(mean[1].tolist()), variance)
 

@@ -18,7 +18,7 @@ from magcal_ros.core.geometry import wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.heading.fusion_tuning import FUSION
+from magcal_ros.core.heading.yaw_filter import FUSION
 from magcal_ros.core.samples import ImuSample, Streams
 from magcal_ros.core.samples.streams import SpeedSample
 from magcal_ros.core.up import Up, UpFollower

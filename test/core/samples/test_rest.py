@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.geometry import rotation_about
-from magcal_ros.core.samples.rest import bias_at_rest
+from magcal_ros.core.samples.rest import rests_around
 from magcal_ros.core.simulation import Motion, Robot, measure
 
 DEGREE = math.pi / 180.0
@@ -20,6 +20,10 @@ def turned(yaw, seconds, bias, seed=1):
     )
 
 
+def bias_at_rest(window):
+    return rests_around(window.time, window.field, window.angular_rate)[2]
+
+
 def rest_and_turn(rest=5.0, rate=0.5, hz=40.0):
     still = np.zeros(int(rest * hz))
     return np.concatenate([still, np.arange(0.0, math.tau, rate / hz)]), hz
@@ -29,14 +33,14 @@ def rest_and_turn(rest=5.0, rate=0.5, hz=40.0):
 def test_a_large_bias_is_learnt_within_seconds_of_rest(bias):
     yaw, hz = rest_and_turn()
     window = turned(yaw, len(yaw) / hz, bias)
-    found = bias_at_rest(window.time, window.field, window.angular_rate)
+    found = bias_at_rest(window)
     np.testing.assert_allclose(found / DEGREE, bias, atol=0.15)
 
 
 def test_an_even_turn_is_no_rest():
     yaw = np.linspace(0.0, 2.0 * math.tau, 1600)
     window = turned(yaw, 40.0, (0.0, 0.0, 0.0))
-    assert bias_at_rest(window.time, window.field, window.angular_rate) is None
+    assert bias_at_rest(window) is None
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -44,15 +48,15 @@ def test_an_even_turn_is_no_rest():
 def test_a_slow_turn_is_never_taken_off(rate, seed):
     yaw = np.arange(0.0, math.tau, rate / 10.0)
     window = turned(yaw, len(yaw) / 10.0, (0.0, 0.0, 0.0), seed)
-    assert bias_at_rest(window.time, window.field, window.angular_rate) is None
+    assert bias_at_rest(window) is None
 
 
-def test_a_rest_that_cannot_tell_a_slow_turn_says_nothing():
+def test_a_bias_too_small_for_the_field_to_prove_is_what_the_rest_reads():
     yaw, hz = rest_and_turn()
-    window = turned(yaw, len(yaw) / hz, (0.0, 0.0, 0.05))
-    assert bias_at_rest(window.time, window.field, window.angular_rate) is None
+    found = bias_at_rest(turned(yaw, len(yaw) / hz, (0.0, 0.0, 0.05)))
+    np.testing.assert_allclose(found / DEGREE, (0.0, 0.0, 0.05), atol=0.05)
 
 
 def test_too_few_samples_hold_no_rest():
     window = turned(np.zeros(4), 0.1, (5.0, 0.0, 0.0))
-    assert bias_at_rest(window.time, window.field, window.angular_rate) is None
+    assert bias_at_rest(window) is None

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from uneven_turns import DEGREE, REST, ROBOT, SECONDS, collected, driven, evenly, stop_and_go
 
+from magcal_ros.core.samples import rest
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.session import resting
 
 BIAS = np.array([0.3, -0.2, 0.1]) * DEGREE
 
@@ -19,13 +19,13 @@ def test_rests_before_and_after_are_no_part_of_the_turn(course):
     before, after = window.rests
     assert -0.6 < window.time[0] <= 0.0
     assert SECONDS <= window.time[-1] < SECONDS + 0.6
-    for rest, end in ((before, window.time[0]), (after, window.time[-1])):
-        assert rest.beside == end
-        assert rest.seconds == pytest.approx(REST - 0.5, abs=0.2)
-        np.testing.assert_allclose(rest.rate, BIAS, atol=5.0 * rest.rate_sigma)
-        assert rest.rate_sigma < 4e-4
-        assert rest.field_sigma < 0.1e-6
-        np.testing.assert_allclose(rest.turned, np.eye(3), atol=1e-3)
+    for beside, end in ((before, window.time[0]), (after, window.time[-1])):
+        assert beside.beside == end
+        assert beside.seconds == pytest.approx(REST - 0.5, abs=0.2)
+        np.testing.assert_allclose(beside.rate, BIAS, atol=5.0 * beside.rate_sigma)
+        assert beside.rate_sigma < 4e-4
+        assert beside.field_sigma < 0.1e-6
+        np.testing.assert_allclose(beside.turned, np.eye(3), atol=1e-3)
 
 
 def test_a_rest_that_ended_long_before_the_turn_is_no_rest_beside_it(monkeypatch):
@@ -33,11 +33,10 @@ def test_a_rest_that_ended_long_before_the_turn_is_no_rest_beside_it(monkeypatch
     _, window = driven(evenly)
     time = np.where(np.arange(len(window)) < 30, window.time - 60.0, window.time)
     rows = np.column_stack([time, window.field, window.specific_force, window.angular_rate])
-    ends = slice(0, 30), slice(len(rows) - 30, len(rows))
-    monkeypatch.setattr(resting, "rests_around", lambda *_: ends)
-    turn, rests, _ = resting.apart_from_rests(rows)
+    monkeypatch.setattr(rest, "rests_around", lambda *_: (30, len(rows) - 30, None))
+    turn, rests, _ = rest.apart_from_rests(rows)
     assert len(turn) == len(rows) - 60
-    assert [rest.beside for rest in rests] == [rows[-31, 0]]
+    assert [each.beside for each in rests] == [rows[-31, 0]]
 
 
 def test_even_a_small_bias_is_taken_off():
@@ -86,7 +85,7 @@ def test_a_bias_that_was_known_before_is_taken_off_where_no_rest_tells_more():
         rows = np.isin(motion.time, found.time)
         left = (found.angular_rate - motion.angular_rate[rows]).mean(axis=0)
         np.testing.assert_allclose(left, 0.0, atol=5e-4)
-        assert found.bias_sigma == (sigma or min(rest.rate_sigma for rest in found.rests))
+        assert found.bias_sigma == (sigma or min(each.rate_sigma for each in found.rests))
         assert math.isinf(found.sigma_before) == (sigma is None)
 
 
