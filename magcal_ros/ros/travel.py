@@ -14,7 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import NavSatFix
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource
-from magcal_ros.core.driving.mounting_watch import fault_words
+from magcal_ros.core.driving.mounting_yaw import fault_words
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.geometry.vec3 import Triple

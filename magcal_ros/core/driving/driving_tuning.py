@@ -152,11 +152,7 @@ class MountingYawTuning:
     standing: float = 10.0  # seconds of standing after which ticks are no longer kept
     moving: float = 0.15  # m/s, slower is standing
     block: float = 10.0  # seconds of a block whose errors count as one
-    short: float = 180.0
-    widening: float = 1.5
-    """Seconds of driving below which the sigma is widened, and the factor: NEES of such drives is 3
-    to 8 at one minute, 1 to 3 at two."""
-    lever_sigma: float = 1.0  # metres ahead of the rear axle where the IMU may be
+    lever_sigma: float = 1.0  # metres from the rear axle where the IMU may be
     scale: float = 0.2
     rough_scale: float = 0.6
     """By how much the force over the speed's change may differ from one, and how far below it may
@@ -171,9 +167,7 @@ class MountingYawTuning:
     largest_delay: float = 8.0
     earliest_delay: float = -1.0
     """Seconds of latency that are tried."""
-    reuse: float = 15.0
-    reuse_first: float = 4.0
-    """Seconds between fits, and in the first minute."""
+    reuse: float = 8.0  # seconds between fits
     wild: float = 0.02  # share of samples that jump as no vehicle can
     recent: int = 240  # ticks of the newest minute, over which a speed must hold as well
     stuck: int = 48

@@ -13,8 +13,7 @@ import numpy as np
 from magcal_ros.core.driving.chords import Chord, Chords, GyroFrame, Tick
 from magcal_ros.core.driving.course_offset import CourseCells, CourseOffset, fit_course_offset
 from magcal_ros.core.driving.driving_tuning import COURSE, DRIFT, MOUNTING, SPEED, TRIP, SpeedSource
-from magcal_ros.core.driving.mounting_watch import Judged, MountingWatch
-from magcal_ros.core.driving.mounting_yaw import MountingYaw
+from magcal_ros.core.driving.mounting_yaw import Judged, MountingWatch, MountingYaw
 from magcal_ros.core.driving.own_acceleration import OwnAcceleration
 from magcal_ros.core.driving.speedometer import Speedometer
 from magcal_ros.core.geometry.vec3 import Triple
