@@ -88,19 +88,16 @@ class GyroFrame:
         start = (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0)
         second = unit_triple(cross(up, start))
         self.axes = (cross(second, up), second, up)
-        self._levelled = 0.0
-        self._anew()
-
-    def _anew(self) -> None:
         self._force = (0.0, 0.0, 0.0)
-        self._turned = self._seconds = 0.0
+        self._levelled = self._turned = self._seconds = 0.0
 
     def _end(self, stamp: float) -> Tick | None:
         assert self.axes is not None
         x, y, z = (value / self._seconds for value in self._force)
         forward = complex(self.axes[0][0], self.axes[1][0])
         seconds, turned = self._seconds, self._turned
-        self._anew()
+        self._force = (0.0, 0.0, 0.0)
+        self._turned = self._seconds = 0.0
         self._level((x, y, z), seconds)
         if abs(forward) < TICKS.steepest:
             return None
@@ -190,8 +187,7 @@ class Chords:
                 chord = self._by_position(fix)
             else:
                 chord = self._by_velocity(fix)
-            if chord is not None:
-                made.append(chord)
+            made += [] if chord is None else [chord]
         return made
 
     def add_fix(self, fix: PositionSample | VelocitySample) -> None:
@@ -208,26 +204,25 @@ class Chords:
 
     def _by_position(self, fix: PositionSample) -> Chord | None:
         self._place, self._placed_at = (fix.east, fix.north), fix.stamp
-        if self._has_good_velocity(fix.stamp):
+        velocity, start = self._velocity, self._anchor
+        if velocity is not None and abs(fix.stamp - velocity.stamp) < 2.0:
             self._anchor = None
             return None
-        start = self._anchor
         if start is None or not 0.0 < fix.stamp - start.stamp <= CHORDS.longest:
             self._anchor = fix
             return None
         east, north = fix.east - start.east, fix.north - start.north
-        metres, seconds = math.hypot(east, north), fix.stamp - start.stamp
+        metres = math.hypot(east, north)
         if metres < CHORDS.shortest:
             return None
-        looked = self._straight(start.stamp, fix.stamp)
-        if looked is None or metres / seconds < CHORDS.slowest:
-            self._anchor = fix
-            return None
-        # The next chord begins with another fix: an error of this one shows once.
-        self._anchor = None
-        middle = (0.5 * (fix.east + start.east), 0.5 * (fix.north + start.north))
         sigma = math.sqrt(2.0) * CHORDS.relative_sigma / metres
-        return self._chord(fix.stamp, middle, math.atan2(north, east), looked, sigma, metres)
+        middle = (0.5 * (fix.east + start.east), 0.5 * (fix.north + start.north))
+        is_slow = metres < CHORDS.slowest * (fix.stamp - start.stamp)
+        span = start.stamp, fix.stamp
+        chord = None if is_slow else self._chord(span, middle, complex(east, north), sigma)
+        # The next chord begins with another fix: an error of this one shows once.
+        self._anchor = fix if chord is None else None
+        return chord
 
     def _by_velocity(self, fix: VelocitySample) -> Chord | None:
         before, self._velocity = self._velocity, fix
@@ -235,59 +230,41 @@ class Chords:
         seconds = math.inf if before is None else fix.stamp - before.stamp
         if not 0.0 < seconds <= CHORDS.longest:
             return None
+        way = seconds * complex(fix.east, fix.north)
         if fix.stamp - self._placed_at > CHORDS.longest:
             x, y = self._place
-            self._place = (x + fix.east * seconds, y + fix.north * seconds)
+            self._place = (x + way.real, y + way.imag)
         is_good = fix.sigma <= CHORDS.good_velocity
         if speed < (CHORDS.slowest_velocity if is_good else CHORDS.slowest):
             return None
-        looked = self._straight(fix.stamp - 0.5, fix.stamp + 0.1)
-        if looked is None:
-            return None
-        course = math.atan2(fix.north, fix.east)
-        return self._chord(
-            fix.stamp, self._place, course, looked, fix.sigma / speed, speed * seconds
-        )
-
-    def _has_good_velocity(self, stamp: float) -> bool:
-        return self._velocity is not None and abs(stamp - self._velocity.stamp) < 2.0
+        span = fix.stamp - 0.5, fix.stamp + 0.1
+        return self._chord(span, self._place, way, fix.sigma / speed)
 
     def _chord(
-        self,
-        stamp: float,
-        place: tuple[float, float],
-        course: float,
-        looked: tuple[float, float],
-        sigma: float,
-        metres: float,
-    ) -> Chord:
-        compass, gyro = looked
+        self, span: tuple[float, float], place: tuple[float, float], way: complex, sigma: float
+    ) -> Chord | None:
+        """Return the chord of a way, metres, between two stamps of fixes.
+
+        None unless the vehicle went straight on, with a compass, all the time.
+        """
+        begin, end = (stamp - self.delay for stamp in span)
+        among = [each for each in self._looked if each.end > begin and each.begin < end]
+        if not among or among[0].begin > begin + 0.3 or among[-1].end < end - 0.3:
+            return None
+        turned = abs(cmath.phase(among[-1].gyro / among[0].gyro))
+        if turned > CHORDS.largest_turn or not all(
+            each.compass and abs(each.turn_rate) <= CHORDS.largest_rate for each in among
+        ):
+            return None
+        course = cmath.phase(way)
+        compass = cmath.phase(sum(each.compass / abs(each.compass) for each in among))
+        gyro = cmath.phase(sum(each.gyro for each in among))
         return Chord(
-            stamp,
+            span[1],
             *place,
             course,
             math.remainder(compass - course, math.tau),
             math.remainder(gyro - course, math.tau),
             math.hypot(sigma, CHORDS.course_sigma),
-            metres,
+            abs(way),
         )
-
-    def _straight(self, begin: float, end: float) -> tuple[float, float] | None:
-        """Return the mean yaws of compass and gyro between two stamps of fixes.
-
-        None unless the vehicle went straight on, with a compass, all the time.
-        """
-        begin, end = begin - self.delay, end - self.delay
-        among = [each for each in self._looked if each.end > begin and each.begin < end]
-        if not among or among[0].begin > begin + 0.3 or among[-1].end < end - 0.3:
-            return None
-        if any(abs(each.turn_rate) > CHORDS.largest_rate for each in among):
-            return None
-        if not all(each.compass for each in among):
-            return None
-        turned = abs(cmath.phase(among[-1].gyro / among[0].gyro))
-        if turned > CHORDS.largest_turn:
-            return None
-        compass = sum(each.compass / abs(each.compass) for each in among)
-        gyro = sum(each.gyro for each in among)
-        return cmath.phase(compass), cmath.phase(gyro)
