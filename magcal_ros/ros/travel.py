@@ -26,10 +26,8 @@ from magcal_ros.core.heading.base_view import (
     where_is_the_front,
 )
 from magcal_ros.core.heading.compass import Moment
-from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.recorded_course import (
-    CourseCheckTuning,
     check_by_course,
     course_fault,
 )
@@ -118,16 +116,6 @@ class Travel:
         if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
             return math.nan
         return track.last
-
-    @property
-    def swing(self) -> CourseSwing | None:
-        """How the compass in force swings against course, where enough was driven."""
-        course = self._travelling.course
-        if course is None or self._travelling.known_mounting is None:
-            return None
-        if course.sectors < CourseCheckTuning.sectors:
-            return None
-        return CourseSwing(course.offset, course.harmonics, course.covariance[1:, 1:])
 
     def on_moment(self, moment: Moment) -> None:
         """Take what a field message comes to."""

@@ -193,9 +193,9 @@ def path_along(
 
 def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:
     """Return the path of what is remembered of a drive; None of less than a few seconds."""
-    every = KEEPING.map_rows
-    if len(log) < 2 * every:
+    if len(log) < 10:
         return None
+    every = max(1, round(KEEPING.map_every / float(np.median(np.diff(log.time)))))
     up = up_of(log.window)[::every]
     time, field, speed = (values[::every] for values in (log.time, log.field, log.speed))
     return path_along(calibration, time, field, up, speed)
