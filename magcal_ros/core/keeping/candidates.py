@@ -14,9 +14,9 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     calibration_sigma,
     headings_apart,
+    known_sigma,
     local_sigma,
 )
-from magcal_ros.core.geometry.arrays import FloatArray
 
 if TYPE_CHECKING:
     from magcal_ros.core.smoother.drives import DriveFit
@@ -184,28 +184,10 @@ def candidate_of(
     )
 
 
-def swing(old: Calibration, new: Calibration) -> FloatArray:
-    """Return yaw by the old less by the new one over headings of the new, (24,), radians.
-
-    The constant is taken off: no drive shows it.
-    """
-    apart = headings_apart(new.correction, old.correction, new.strength, new.inclination)
-    turn = np.exp(1j * apart)
-    return np.asarray(np.angle(turn / turn.mean()))
-
-
 def is_another(candidate: DriveCandidate, in_force: Calibration) -> bool:
     """Whether a candidate differs from what is in force by more than both are uncertain."""
     apart = difference(in_force, candidate.calibration)
     return apart > KEEPING.differs * math.hypot(candidate.sigma, calibration_sigma(in_force))
-
-
-def known_sigma(calibration: Calibration) -> float:
-    """Return the radians of heading to which a calibration says that it is known."""
-    said = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
-    if said is None:
-        return calibration_sigma(calibration)
-    return math.sqrt(max(said**2 - calibration.evidence.figure(Figure.LOCAL_SIGMA, 0.0) ** 2, 0.0))
 
 
 def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
@@ -215,5 +197,10 @@ def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
 
 
 def difference(old: Calibration, new: Calibration) -> float:
-    """Return the RMS over headings by which two calibrations differ, radians."""
-    return math.sqrt(float(np.mean(swing(old, new) ** 2)))
+    """Return the RMS over headings by which two calibrations differ, radians.
+
+    The constant is taken off: no drive shows it.
+    """
+    apart = headings_apart(new.correction, old.correction, new.strength, new.inclination)
+    turn = np.exp(1j * apart)
+    return math.sqrt(float(np.mean(np.angle(turn / turn.mean()) ** 2)))

@@ -52,8 +52,7 @@ class Mode(str, Enum):
     OFF = "off"
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
+class Trial(NamedTuple):
     """The calibration before the one in force, still compared with it."""
 
     calibration: Calibration

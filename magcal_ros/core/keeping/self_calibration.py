@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import replace
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma, known_sigma
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.candidates import (
     KEEPING,
@@ -21,7 +21,6 @@ from magcal_ros.core.keeping.candidates import (
     difference,
     is_another,
     is_finer,
-    known_sigma,
 )
 from magcal_ros.core.keeping.jobs import (
     Contest,
@@ -66,7 +65,6 @@ class SelfCalibration:
         self._trial: Trial | None = None
         self._decisions: deque[Decision] = deque(maxlen=KEEPING.remembered)
         self._not_before = self._changed = -math.inf
-        self._promised = 0.0
         self._looked = -math.inf
         self._round = 0
         self._pending = 0
@@ -127,7 +125,6 @@ class SelfCalibration:
         self._generation += 1
         if old is not None:
             self.before.append(old)
-        self._promised = 0.0 if calibration is None else calibration_sigma(calibration)
         rolled = last is not None and last.verb is Verb.ROLLED_BACK
         if last is not None and last.verb is Verb.REFINED and decided:
             self.before.pop()
@@ -156,13 +153,11 @@ class SelfCalibration:
         """Return what is to be computed for the look that is due; its findings come to `note`."""
         self._pending, self._looked = self._generation + 1, self._recorder.clock
         self._round += 1
-        in_force = self._in_force
-        windows = KEEPING.windows
+        in_force, windows = self._in_force, KEEPING.windows
+        contests = []
         if in_force is not None:
             # One window a look is enough where something is in force already.
             windows = windows[self._round % len(windows) :][:1]
-        contests = []
-        if in_force is not None:
             for kind, probation in self._on_probation.items():
                 contests.append(Contest(kind.value, in_force.correction, probation.steps))
             if self._trial is not None:
@@ -283,14 +278,9 @@ class SelfCalibration:
         """Replace what came of driving by what more of the same driving shows."""
         if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
             return []
-        if math.isfinite(self._changed):
-            found = [findings.finer]
-        else:
-            found = [each for each in findings.candidates if each.kind is Kind.ALL]
+        found = [findings.finer] if math.isfinite(self._changed) else findings.candidates
         for each in found:
-            if each is None or not self._is_believable(each):
-                continue
-            if is_finer(each, in_force):
+            if each is not None and self._is_believable(each) and is_finer(each, in_force):
                 known = math.degrees(known_sigma(in_force))
                 words = f"{each.in_words}, where ±{known:.1f}° were known"
                 self._on_probation.clear()
@@ -302,9 +292,8 @@ class SelfCalibration:
         good = [
             each
             for each in findings.candidates
-            if each.kind is Kind.ALL
-            and self._is_believable(each)
-            and self._is_worth_it(each, in_force)
+            if self._is_believable(each)
+            and (is_another(each, in_force) or is_finer(each, in_force))
             and not self._is_offered(each)
         ]
         if not good:
@@ -356,12 +345,6 @@ class SelfCalibration:
         if waits is None or is_another(candidate, waits):
             return False
         return candidate.sigma > KEEPING.much_better * known_sigma(waits)
-
-    def _is_worth_it(self, candidate: DriveCandidate, in_force: Calibration) -> bool:
-        if is_another(candidate, in_force):
-            return True
-        better = candidate.sigma < KEEPING.much_better * self._promised
-        return better and candidate.kind is Kind.ALL
 
     def _change(
         self, clock: float, calibration: Calibration, words: str, verb: Verb = Verb.APPLIED

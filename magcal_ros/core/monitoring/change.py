@@ -25,9 +25,6 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage
@@ -215,12 +212,6 @@ def compass_less_gyro(records: FloatArray, heading: FloatArray, sigmas: float) -
     waves = fit_waves(np.concatenate(columns), gap, stamp[every], sigmas, drift)
     deviation = wrap_angle(gap - waves.columns[:, 0] * waves.values[0])
     return GyroWaves(every, deviation, waves if is_round else None)
-
-
-def own_sigma(calibration: Calibration) -> float:
-    """Return the heading's sigma that a calibration was made with, radians."""
-    said = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
-    return calibration_sigma(calibration) if said is None else said
 
 
 def check_beside_chance(

@@ -12,6 +12,7 @@ from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroSwing
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
 from magcal_ros.core.knowledge import (
@@ -28,7 +29,6 @@ from magcal_ros.core.monitoring.change import (
     compass_less_gyro,
     fit_waves,
     harmonics,
-    own_sigma,
 )
 from magcal_ros.core.samples.coverage import BINS, Coverage
 from magcal_ros.core.samples.drive_log import DriveLog
@@ -201,7 +201,7 @@ def _own(figure: Figure, calibration: Calibration) -> float:
         Figure.STRENGTH_SPREAD: level**2,
         Figure.DIP_SPREAD: abs(level * upright),
     }
-    return shares.get(figure, 0.0) * own_sigma(calibration)
+    return shares.get(figure, 0.0) * known_sigma(calibration)
 
 
 def _records(

@@ -15,6 +15,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade
 from magcal_ros.core.calibration import Calibration, Figure
+from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.geometry import FloatArray, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import Moment
@@ -27,7 +28,6 @@ from magcal_ros.core.monitoring.change import (
     compass_less_gyro,
     fit_waves,
     harmonics,
-    own_sigma,
 )
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
@@ -169,7 +169,7 @@ def measure(
     if not what_lacks(records):
         swings, iron = _swings(records, calibration)
         figures |= swings
-    sigma, level = WATCH.promise * own_sigma(calibration), math.cos(calibration.inclination)
+    sigma, level = WATCH.promise * known_sigma(calibration), math.cos(calibration.inclination)
     own = {
         Figure.HARD_IRON_CHANGE: sigma * level,
         Figure.SOFT_IRON_CHANGE: sigma,
