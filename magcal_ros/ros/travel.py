@@ -221,12 +221,12 @@ class Travel:
             return
         sample = self._read(SpeedSource.ODOMETRY, wire.read_speed, data)
         if sample is not None:
-            self._travelling.add_speed(sample)
+            self._travelling.add_travel(sample)
 
     def _on_velocity(self, data: bytes) -> None:
         sample = self._read(SpeedSource.VELOCITY, wire.read_velocity, data)
         if sample is not None:
-            self._travelling.add_velocity(sample)
+            self._travelling.add_travel(sample)
 
     def _on_fix(self, data: bytes) -> None:
         fix = self._read(SpeedSource.FIXES, wire.read_fix, data)
@@ -236,7 +236,7 @@ class Travel:
         self._tell_fix(fix)
         position = self._plane.position(fix)
         if position is not None:
-            self._travelling.add_position(position)
+            self._travelling.add_travel(position)
 
     def _read(
         self, source: SpeedSource, read: Callable[[bytes], Sample | str], data: bytes

@@ -16,6 +16,7 @@ from magcal_ros.core.samples.streams import (
     PositionSample,
     SpeedSample,
     StampGuard,
+    TravelSample,
     VelocitySample,
     enclosing,
 )
@@ -171,23 +172,21 @@ class Speedometer:
         self.distrusted: set[SpeedSource] = set()
         self._fix: PositionSample | None = None
 
-    def add_speed(self, sample: SpeedSample) -> bool:
-        """Take a speed of the wheels; returns whether it was usable."""
-        track = self.tracks[SpeedSource.ODOMETRY]
-        track.is_signed = sample.is_signed
-        return track.add(sample.stamp, sample.speed)
+    def add(self, sample: TravelSample) -> bool:
+        """Take what wheels or a receiver say, m/s and metres; returns whether it was usable.
 
-    def add_velocity(self, sample: VelocitySample) -> bool:
-        """Take a receiver's velocity; returns whether it was usable."""
-        speed = math.hypot(sample.east, sample.north)
-        return self.tracks[SpeedSource.VELOCITY].add(sample.stamp, speed)
-
-    def add_position(self, sample: PositionSample) -> bool:
-        """Take a fix: the speed is that since the fix before; returns whether it was usable."""
-        before = self._fix
+        The speed of a fix is that since the fix before.
+        """
+        if isinstance(sample, SpeedSample):
+            wheels = self.tracks[SpeedSource.ODOMETRY]
+            wheels.is_signed = sample.is_signed
+            return wheels.add(sample.stamp, sample.speed)
+        if isinstance(sample, VelocitySample):
+            speed = math.hypot(sample.east, sample.north)
+            return self.tracks[SpeedSource.VELOCITY].add(sample.stamp, speed)
         if not math.isfinite(sample.stamp + sample.east + sample.north):
             return False
-        self._fix = sample
+        before, self._fix = self._fix, sample
         if before is None or not 0.05 < sample.stamp - before.stamp <= SPEED.receiver_gap:
             return False
         span = sample.stamp - before.stamp

@@ -12,7 +12,7 @@ import numpy as np
 
 from magcal_ros.core.driving.chords import Chord, Chords, GyroFrame, Tick
 from magcal_ros.core.driving.course_offset import CourseCells, CourseOffset, fit_course_offset
-from magcal_ros.core.driving.driving_tuning import COURSE, DRIFT, MOUNTING, SPEED, TRIP, SpeedSource
+from magcal_ros.core.driving.driving_tuning import COURSE, DRIFT, MOUNTING, TRIP, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import Judged, MountingWatch, MountingYaw
 from magcal_ros.core.driving.own_acceleration import OwnAcceleration
 from magcal_ros.core.driving.speedometer import Speedometer
@@ -21,7 +21,6 @@ from magcal_ros.core.samples.streams import (
     FieldSample,
     ImuSample,
     PositionSample,
-    SpeedSample,
     Streams,
     TravelSample,
     VelocitySample,
@@ -31,15 +30,10 @@ from magcal_ros.core.up.stillness import ZERO
 
 
 class DriftWatch:
-    """Compares course and gyro over a minute of straight driving.
-
-    `scatter` is that of course less the gyro's yaw, about a steady drift of the gyro, radians; zero
-    until known.
-    """
+    """Compares course and gyro over a minute of straight driving."""
 
     def __init__(self) -> None:
         self._seen: deque[Chord] = deque(maxlen=120)
-        self.scatter = 0.0
         self.judged = self.drifted = 0
 
     def add(self, chord: Chord) -> bool:
@@ -61,22 +55,19 @@ class DriftWatch:
         gaps, since = np.unwrap(gaps), time - time.mean()
         slope, lead = (float(since @ each / (since @ since)) for each in (gaps, leads))
         # The gyro leads the compass by its bias, and not by what a hull turns.
-        margin = DRIFT.bias
-        bias = since * min(max(slope, min(lead, 0.0) - margin), max(lead, 0.0) + margin)
-        left = gaps - bias
+        least, most = min(lead, 0.0) - DRIFT.bias, max(lead, 0.0) + DRIFT.bias
+        bias = since * min(max(slope, least), most)
+        left, turned = gaps - bias, headings - bias
         left -= np.median(left)
+        turned -= turned.mean()
         # What the receiver's own noise scatters is no drift.
         square = (1.4826 * float(np.median(np.abs(left)))) ** 2 - float(np.median(sigmas)) ** 2
-        self.scatter = math.sqrt(max(0.0, square))
-        if self.scatter > DRIFT.scatter:
+        if square > DRIFT.scatter**2:
             return True
-        turned = headings - bias
-        turned -= turned.mean()
-        square = float(turned @ turned)
-        if math.sqrt(square / len(turned)) < DRIFT.turned:
-            return False
         # A receiver's noise knows nothing of the hull's turns; a course that stays leaves them out.
-        return float(turned @ left) / square > DRIFT.share
+        by_turns = float(turned @ turned)
+        has_turned = by_turns >= len(turned) * DRIFT.turned**2
+        return has_turned and float(turned @ left) > DRIFT.share * by_turns
 
     @property
     def is_drifting(self) -> bool:
@@ -158,7 +149,8 @@ class Travelling:
         tick = self._frame.add(sample, gyro_bias)
         if self._frame.restarts != self._restarts:
             self._restarts = self._frame.restarts
-            self._restart()
+            for each in (self.own, self._chords, self.mounting, self.drift):
+                each.restart()
         if tick is not None:
             self._on_tick(tick)
         return self.own.linear(sample.stamp, sample.force, self._frame)
@@ -167,29 +159,12 @@ class Travelling:
         """Whether what wheels say at a stamp is of use; a message that is not need not be read."""
         return self.speedometer.tracks[SpeedSource.ODOMETRY].wants(stamp)
 
-    def add_speed(self, sample: SpeedSample) -> None:
-        """Take what wheels say."""
-        self.is_heard = self.speedometer.add_speed(sample) or self.is_heard
-
-    def add_velocity(self, sample: VelocitySample) -> None:
-        """Take a receiver's velocity."""
-        if self.speedometer.add_velocity(sample):
-            self.is_heard = True
-            self._chords.add_fix(sample)
-
-    def add_position(self, sample: PositionSample) -> None:
-        """Take a fix."""
-        self.is_heard = self.speedometer.add_position(sample) or self.is_heard
-        self._chords.add_fix(sample)
-
     def add_travel(self, sample: TravelSample) -> None:
         """Take whatever wheels and receivers say."""
-        if isinstance(sample, SpeedSample):
-            self.add_speed(sample)
-        elif isinstance(sample, VelocitySample):
-            self.add_velocity(sample)
-        else:
-            self.add_position(sample)
+        is_usable = self.speedometer.add(sample)
+        self.is_heard = is_usable or self.is_heard
+        if isinstance(sample, PositionSample) or (is_usable and isinstance(sample, VelocitySample)):
+            self._chords.add_fix(sample)
 
     def add_yaw(self, yaw: float) -> None:
         """Take a yaw of the compass to magnetic north, of the IMU's x, radians."""
@@ -223,12 +198,6 @@ class Travelling:
         """Forget a fit that has failed: the next one may be tried."""
         self._is_running = False
 
-    def _restart(self) -> None:
-        self.own.restart()
-        self._chords.restart()
-        self.mounting.restart()
-        self.drift.restart()
-
     def _on_tick(self, tick: Tick) -> None:
         track = self.speedometer.track
         is_due = False
@@ -238,8 +207,9 @@ class Travelling:
                 self.metres += abs(speed) * met.seconds
         if is_due and not self._is_running:
             self._fit(tick.stamp)
-        if track is not None:
-            self._chords.delay = self._receiver_delay()
+        for receiver in (SpeedSource.FIXES, SpeedSource.VELOCITY):
+            if math.isfinite(self.speedometer.tracks[receiver].newest):
+                self._chords.delay = self.speedometer.tracks[receiver].delay
         self._pending.extend(self._chords.add_tick(tick))
         self._settle()
 
@@ -269,13 +239,6 @@ class Travelling:
             own.is_yaw_known = found.is_known
         elif given is not None and given[1] < MOUNTING.believed:
             own.yaw, own.is_yaw_usable, own.is_yaw_known = given[0], True, True
-
-    def _receiver_delay(self) -> float:
-        tracks = self.speedometer.tracks
-        for source in (SpeedSource.VELOCITY, SpeedSource.FIXES):
-            if math.isfinite(tracks[source].newest):
-                return tracks[source].delay
-        return SPEED.receiver_delay
 
     def _settle(self) -> None:
         """Let chords count once it is known whether the vehicle went forwards."""
