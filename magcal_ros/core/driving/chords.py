@@ -217,9 +217,7 @@ class Chords:
             return None
         sigma = math.sqrt(2.0) * CHORDS.relative_sigma / metres
         middle = (0.5 * (fix.east + start.east), 0.5 * (fix.north + start.north))
-        is_slow = metres < CHORDS.slowest * (fix.stamp - start.stamp)
-        span = start.stamp, fix.stamp
-        chord = None if is_slow else self._chord(span, middle, complex(east, north), sigma)
+        chord = self._chord((start.stamp, fix.stamp), middle, complex(east, north), sigma)
         # The next chord begins with another fix: an error of this one shows once.
         self._anchor = fix if chord is None else None
         return chord
@@ -234,11 +232,8 @@ class Chords:
         if fix.stamp - self._placed_at > CHORDS.longest:
             x, y = self._place
             self._place = (x + way.real, y + way.imag)
-        is_good = fix.sigma <= CHORDS.good_velocity
-        if speed < (CHORDS.slowest_velocity if is_good else CHORDS.slowest):
-            return None
         span = fix.stamp - 0.5, fix.stamp + 0.1
-        return self._chord(span, self._place, way, fix.sigma / speed)
+        return self._chord(span, self._place, way, fix.sigma / max(speed, 1e-9))
 
     def _chord(
         self, span: tuple[float, float], place: tuple[float, float], way: complex, sigma: float
@@ -247,6 +242,8 @@ class Chords:
 
         None unless the vehicle went straight on, with a compass, all the time.
         """
+        if sigma > CHORDS.largest_sigma:
+            return None
         begin, end = (stamp - self.delay for stamp in span)
         among = [each for each in self._looked if each.end > begin and each.begin < end]
         if not among or among[0].begin > begin + 0.3 or among[-1].end < end - 0.3:

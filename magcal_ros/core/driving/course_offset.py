@@ -112,7 +112,7 @@ def fit_course_offset(cells: CellTable) -> CourseOffset | None:
     gap = wrap_angle(cells.gap - start)
     waves = (np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi))
     design = np.column_stack([np.ones(count), *waves])
-    prior = np.diag([1e-3, *2 * [1.0 / COURSE.first_sigma], *2 * [1.0 / COURSE.second_sigma]]) ** 2
+    prior = np.diag([1e-3, *4 * [1.0 / COURSE.wave_sigma]]) ** 2
     away = cells.place[:, None] - cells.place[None]
     distance = np.hypot(away[..., 0], away[..., 1])
     alike = np.exp(-distance / COURSE.reach)

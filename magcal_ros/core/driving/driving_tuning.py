@@ -25,10 +25,9 @@ class ChordTuning:
 
     shortest: float = 5.0  # metres
     longest: float = 4.0  # seconds
-    slowest: float = 2.0  # m/s for positions: those of a standing receiver wander
-    slowest_velocity: float = 0.5
-    """m/s where the receiver gives a velocity of a sigma below `good_velocity`."""
-    good_velocity: float = 0.1  # m/s
+    largest_sigma: float = math.radians(12.0)
+    """Radians beyond which a course is left out: of positions that is walking pace, of which those
+    of a standing receiver cannot be told."""
     largest_rate: float = math.radians(3.0)
     largest_turn: float = math.radians(5.0)
     """rad/s throughout, and radians in all: in bends lever arm, slip and latency show."""
@@ -63,8 +62,7 @@ class CourseTuning:
     sectors: int = 8  # sectors of course in a cell
     most_cells: int = 400  # cells kept
     reach: float = 30.0  # metres over which streets disturb the field alike
-    first_sigma: float = math.radians(3.0)
-    second_sigma: float = math.radians(2.0)
+    wave_sigma: float = math.radians(3.0)
     """Radians of the harmonics: hard iron and soft iron that a calibration leaves."""
     noise: float = math.radians(2.0)  # radians of a chord's compass beside streets and course
     street: float = math.radians(7.0)
@@ -85,10 +83,10 @@ class SpeedTuning:
     largest: float = 100.0  # m/s, no vehicle this is for is faster
     largest_acceleration: float = 15.0  # m/s², a speed that changes faster is no speed
     step: float = 0.5  # m/s by which it may change besides: noise, and the steps of an encoder
-    odometry_gap: float = 0.6
-    receiver_gap: float = 2.2
-    """Seconds between two samples that are interpolated between."""
-    seldom: float = 0.3  # seconds between samples from which wheels count as a receiver in this
+    receiver_gap: float = 2.2  # seconds between two samples that are interpolated between
+    seldom: float = 0.3
+    """Seconds between samples from which wheels count as a receiver in this; twice as many are
+    interpolated between."""
     receiver_delay: float = 0.5
     """Seconds by which a receiver's stamps are late, until it is measured; .4 to .8 were seen."""
     remembered: int = 6000  # samples kept of a source: ten minutes of ten a second
@@ -131,10 +129,7 @@ class OwnAccelerationTuning:
     latest: float = 2.5  # seconds by which a speed may be late to be of use
     watched: int = 60  # ticks over which it is tested whether the speed explains the force: 15 s
     fewest: int = 12  # of them before anything is subtracted
-    gain: float = 0.3
-    rough_gain: float = 0.5
-    """What remains of the force's variance where the speed explains it, at most, and where the
-    speed is that of mere fixes."""
+    gain: float = 0.4  # what remains of the force's variance where the speed explains it, at most
     along: float = 0.25
     """Share of the changes of velocity that must be starts and stops, where the speed is that of
     mere fixes."""
@@ -164,9 +159,7 @@ class MountingYawTuning:
     believed: float = math.radians(6.0)  # radians of sigma below which it is used so
     explained: float = 0.4  # share of the force's changes that the speed must explain
     floor: float = math.radians(0.3)  # radians that no drive removes: springs, tyres
-    largest_delay: float = 8.0
-    earliest_delay: float = -1.0
-    """Seconds of latency that are tried."""
+    largest_delay: float = 8.0  # seconds of latency that are tried, and an eighth of them early
     reuse: float = 8.0  # seconds between fits
     wild: float = 0.02  # share of samples that jump as no vehicle can
     recent: int = 240  # ticks of the newest minute, over which a speed must hold as well

@@ -155,7 +155,7 @@ def _delay(table: TickTable, record: SpeedRecord) -> float:
     step = 2.0 * TICKS.seconds
     if len(table.stamp) < 2 * MOUNTING.highpass:
         return record.delay
-    delays = np.arange(MOUNTING.earliest_delay, MOUNTING.largest_delay + step, step)
+    delays = np.arange(-MOUNTING.largest_delay / 8.0, MOUNTING.largest_delay + step, step)
     scores = np.array([_correlation(_met(table, record, d)) for d in delays])
     best = int(np.argmax(scores))
     now = float(np.interp(record.delay, delays, scores))

@@ -196,9 +196,8 @@ class OwnAcceleration:
         self._changes += gain * (abs(change) ** 2 - self._changes)
         if not self._is_signed and self._is_under_way:
             self._decide(force, change * self._turn)
-        most = OWN.rough_gain if self._is_rough else OWN.gain
         without, quiet = self._as_taken.force_square, OWN.quiet**2
-        limit = most * without if without > quiet else quiet
+        limit = OWN.gain * without if without > quiet else quiet
         self.is_used = self._tried >= OWN.fewest and self._as_taken.square_left(self._turn) <= limit
         # On an even circle the gyro suffices: the speed of mere fixes would only add noise.
         if self._is_rough and not (

@@ -133,7 +133,7 @@ class SpeedTrack:
     def gap(self) -> float:
         """Seconds between two samples that are interpolated between."""
         is_quick = self.source is SpeedSource.ODOMETRY and not self.is_slow
-        return SPEED.odometry_gap if is_quick else SPEED.receiver_gap
+        return 2.0 * SPEED.seldom if is_quick else SPEED.receiver_gap
 
     def at(self, stamp: float) -> float | None:
         """Return the speed at a stamp of the IMU's clock; None unless two near samples enclose it.
