@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import deque
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -12,7 +12,6 @@ import numpy as np
 from magcal_ros.core.driving.driving_tuning import SPEED, SpeedSource
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import (
-    Drop,
     PositionSample,
     SpeedSample,
     StampGuard,
@@ -27,6 +26,11 @@ Span = TypeVar("Span", float, FloatArray)
 def largest_change(seconds: Span) -> Span:
     """Return by how much a speed may change meanwhile, m/s; beyond it is a jump."""
     return SPEED.largest_acceleration * seconds + SPEED.step
+
+
+def is_jump(before: tuple[float, float], after: tuple[float, float]) -> bool:
+    """Whether a speed changes from one stamp to another as no vehicle's can."""
+    return abs(after[1] - before[1]) > largest_change(after[0] - before[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +62,8 @@ class SpeedRecord:
 class SpeedTrack:
     """What one source has measured lately.
 
-    `delay` are the seconds by which its stamps are late, `is_signed` is whether backwards is
-    negative, and `drops` counts what was not used.
+    `delay` are the seconds by which its stamps are late, and `is_signed` is whether backwards is
+    negative.
     """
 
     def __init__(self, source: SpeedSource) -> None:
@@ -67,7 +71,6 @@ class SpeedTrack:
         self.source = source
         self.delay = 0.0 if own else SPEED.receiver_delay
         self.is_signed = own
-        self.drops: Counter[Drop] = Counter()
         self._stamps = StampGuard()
         self._doubted: tuple[float, float] | None = None
         self._wild: deque[bool] = deque(maxlen=SPEED.newest)
@@ -92,14 +95,7 @@ class SpeedTrack:
         """Take a speed; returns whether it was usable."""
         if not self.wants(stamp):
             return True
-        if not math.isfinite(speed):
-            reason: Drop | None = Drop.NOT_FINITE
-        elif abs(speed) > SPEED.largest:
-            reason = Drop.TOO_LARGE
-        else:
-            reason = self._stamps.check(stamp)
-        if reason is not None:
-            self.drops[reason] += 1
+        if not abs(speed) <= SPEED.largest or self._stamps.check(stamp) is not None:
             return False
         if stamp < self.newest:
             self._recent.clear()
@@ -110,17 +106,14 @@ class SpeedTrack:
     def _weigh(self, sample: tuple[float, float]) -> None:
         """Accept a sample; one to which the speed jumps only if the next one stays there."""
         doubted, self._doubted = self._doubted, None
-        is_wild = bool(self._recent) and self._is_jump(self._recent[-1], sample)
+        is_wild = bool(self._recent) and is_jump(self._recent[-1], sample)
         self._wild.append(is_wild)
-        if is_wild and (doubted is None or self._is_jump(doubted, sample)):
+        if is_wild and (doubted is None or is_jump(doubted, sample)):
             self._doubted = sample
             return
         self._recent.append(sample)
         if not self._kept or sample[0] - self._kept[-1][0] >= 2.0 * SPEED.shortest:
             self._kept.append(sample)
-
-    def _is_jump(self, before: tuple[float, float], after: tuple[float, float]) -> bool:
-        return abs(after[1] - before[1]) > largest_change(after[0] - before[0])
 
     @property
     def is_slow(self) -> bool:
@@ -148,7 +141,7 @@ class SpeedTrack:
         if later is None:
             return sample[1] if sample[0] == stamp else None
         span = later[0] - sample[0]
-        if span > self.gap or self._is_jump(sample, later):
+        if span > self.gap or is_jump(sample, later):
             return None
         return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
 
