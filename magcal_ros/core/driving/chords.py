@@ -7,7 +7,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.driving.driving_tuning import CHORDS, SPEED, TICKS
+from magcal_ros.core.driving.driving_tuning import COURSE, OWN, SPEED
 from magcal_ros.core.geometry.vec3 import (
     Triple,
     between,
@@ -74,7 +74,7 @@ class GyroFrame:
         self._force = plus(self._force, scaled(force, seconds))
         self._turned += dot(third, turn)
         self._seconds += seconds
-        return self._end(stamp) if self._seconds >= TICKS.seconds - 1e-6 else None
+        return self._end(stamp) if self._seconds >= OWN.seconds - 1e-6 else None
 
     def to_body(self, vector: Triple) -> Triple:
         """Turn a vector from the frame's axes into body axes."""
@@ -99,13 +99,13 @@ class GyroFrame:
         self._force = (0.0, 0.0, 0.0)
         self._turned = self._seconds = 0.0
         self._level((x, y, z), seconds)
-        if abs(forward) < TICKS.steepest:
+        if abs(forward) < OWN.steepest:
             return None
         return Tick(stamp, seconds, (x, y, z), cmath.phase(forward), turned / seconds)
 
     def _level(self, force: Triple, seconds: float) -> None:
         """Lean the frame towards the force, by little: its up is right in the long run."""
-        self._levelled = min(self._levelled + seconds, TICKS.levelling)
+        self._levelled = min(self._levelled + seconds, OWN.levelling)
         size = length(force)
         if size <= 0.0:
             return
@@ -160,7 +160,7 @@ class Chords:
 
     def __init__(self) -> None:
         self.delay = SPEED.receiver_delay
-        self._looked: deque[_Looked] = deque(maxlen=CHORDS.remembered)
+        self._looked: deque[_Looked] = deque(maxlen=COURSE.remembered)
         self._sum, self._count = 0.0 + 0.0j, 0
         self._anchor: PositionSample | None = None
         self._waiting: deque[PositionSample | VelocitySample] = deque(maxlen=64)
@@ -208,14 +208,14 @@ class Chords:
         if velocity is not None and abs(fix.stamp - velocity.stamp) < 2.0:
             self._anchor = None
             return None
-        if start is None or not 0.0 < fix.stamp - start.stamp <= CHORDS.longest:
+        if start is None or not 0.0 < fix.stamp - start.stamp <= COURSE.longest:
             self._anchor = fix
             return None
         east, north = fix.east - start.east, fix.north - start.north
         metres = math.hypot(east, north)
-        if metres < CHORDS.shortest:
+        if metres < COURSE.shortest:
             return None
-        sigma = math.sqrt(2.0) * CHORDS.relative_sigma / metres
+        sigma = math.sqrt(2.0) * COURSE.relative_sigma / metres
         middle = (0.5 * (fix.east + start.east), 0.5 * (fix.north + start.north))
         chord = self._chord((start.stamp, fix.stamp), middle, complex(east, north), sigma)
         # The next chord begins with another fix: an error of this one shows once.
@@ -226,10 +226,10 @@ class Chords:
         before, self._velocity = self._velocity, fix
         speed = math.hypot(fix.east, fix.north)
         seconds = math.inf if before is None else fix.stamp - before.stamp
-        if not 0.0 < seconds <= CHORDS.longest:
+        if not 0.0 < seconds <= COURSE.longest:
             return None
         way = seconds * complex(fix.east, fix.north)
-        if fix.stamp - self._placed_at > CHORDS.longest:
+        if fix.stamp - self._placed_at > COURSE.longest:
             x, y = self._place
             self._place = (x + way.real, y + way.imag)
         span = fix.stamp - 0.5, fix.stamp + 0.1
@@ -242,15 +242,15 @@ class Chords:
 
         None unless the vehicle went straight on, with a compass, all the time.
         """
-        if sigma > CHORDS.largest_sigma:
+        if sigma > COURSE.largest_sigma:
             return None
         begin, end = (stamp - self.delay for stamp in span)
         among = [each for each in self._looked if each.end > begin and each.begin < end]
         if not among or among[0].begin > begin + 0.3 or among[-1].end < end - 0.3:
             return None
         turned = abs(cmath.phase(among[-1].gyro / among[0].gyro))
-        if turned > CHORDS.largest_turn or not all(
-            each.compass and abs(each.turn_rate) <= CHORDS.largest_rate for each in among
+        if turned > COURSE.largest_turn or not all(
+            each.compass and abs(each.turn_rate) <= COURSE.largest_rate for each in among
         ):
             return None
         course = cmath.phase(way)
@@ -262,6 +262,6 @@ class Chords:
             course,
             math.remainder(compass - course, math.tau),
             math.remainder(gyro - course, math.tau),
-            math.hypot(sigma, CHORDS.course_sigma),
+            math.hypot(sigma, COURSE.course_sigma),
             abs(way),
         )

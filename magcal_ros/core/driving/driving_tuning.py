@@ -20,63 +20,6 @@ class SpeedSource(str, Enum):
 
 
 @dataclass(frozen=True)
-class ChordTuning:
-    """Which stretches of road are straight enough for a course."""
-
-    shortest: float = 5.0  # metres
-    longest: float = 4.0  # seconds
-    largest_sigma: float = math.radians(12.0)
-    """Radians beyond which a course is left out: of positions that is walking pace, of which those
-    of a standing receiver cannot be told."""
-    largest_rate: float = math.radians(3.0)
-    largest_turn: float = math.radians(5.0)
-    """rad/s throughout, and radians in all: in bends lever arm, slip and latency show."""
-    relative_sigma: float = 0.3
-    """Metres of error between neighbouring fixes; not the fix's absolute accuracy."""
-    course_sigma: float = math.radians(1.0)  # radians of any course: slip, camber, lanes
-    remembered: int = 200  # ticks kept for chords that end late
-
-
-@dataclass(frozen=True)
-class DriftTuning:
-    """When a vehicle does not go where it looks."""
-
-    span: float = 60.0
-    chords: int = 8
-    """Seconds of straight driving that are examined, and the fewest chords in them."""
-    scatter: float = math.radians(10.0)
-    """Radians by which course less gyro yaw may scatter within them; boats exceed it."""
-    bias: float = math.radians(0.3)  # rad/s of the gyro's bias that the compass does not show
-    turned: float = math.radians(5.0)
-    """Radians, RMS, that it must have turned by to show whether its course followed."""
-    share: float = 0.5
-    """Of its turns that the course leaves out: none of a vehicle's on wheels, all of a hull's."""
-
-
-@dataclass(frozen=True)
-class CourseTuning:
-    """The offset of compass against course, and its harmonics."""
-
-    cell: float = 10.0
-    """Metres of a cell's side at first; twice as long whenever there are too many."""
-    sectors: int = 8  # sectors of course in a cell
-    most_cells: int = 400  # cells kept
-    reach: float = 30.0  # metres over which streets disturb the field alike
-    wave_sigma: float = math.radians(3.0)
-    """Radians of the harmonics: hard iron and soft iron that a calibration leaves."""
-    noise: float = math.radians(2.0)  # radians of a chord's compass beside streets and course
-    street: float = math.radians(7.0)
-    street_weight: float = 4.0
-    """Radians by which a street turns the compass, and pseudo-observations of it."""
-    freedom: float = 5.0  # degrees of freedom of Student's weights
-    swing_share: float = 0.5
-    """Share of a swing of compass against course that is in the offset's sigma: its cause may have
-    come or gone on the way."""
-    fewest: int = 5  # cells before the first fit, and new chords before another one
-    rounds: int = 5  # reweighted ones: weights and the street's size have settled
-
-
-@dataclass(frozen=True)
 class SpeedTuning:
     """How speeds are read."""
 
@@ -100,20 +43,14 @@ class SpeedTuning:
 
 
 @dataclass(frozen=True)
-class TickTuning:
-    """How IMU messages are gathered."""
+class OwnAccelerationTuning:
+    """When and how the vehicle's own acceleration is subtracted, and which way it goes."""
 
     seconds: float = 0.25  # of messages that make a tick: short against a start or a bend
     levelling: float = 60.0
     """Seconds over which the frame that the gyro keeps is levelled by the accelerometer; long
     against starts and stops."""
     steepest: float = 0.05  # sine of x to the upright, below which a body has no heading
-
-
-@dataclass(frozen=True)
-class OwnAccelerationTuning:
-    """When and how the vehicle's own acceleration is subtracted."""
-
     spans: Mapping[SpeedSource, int] = field(
         default_factory=lambda: dict(zip(SpeedSource, (2, 4, 8), strict=True))
     )
@@ -134,6 +71,13 @@ class OwnAccelerationTuning:
     """Share of the changes of velocity that must be starts and stops, where the speed is that of
     mere fixes."""
     quiet: float = 0.3  # m/s², scatter of the force below which nothing is to be explained
+    clear: float = 3.0  # sigmas of the force that decide on the direction of travel
+    correlated: float = 4.0  # by how much errors of the force last longer than the smoothing
+    standing: float = 0.5  # m/s of a speed that has no sign; a receiver's wanders
+    crawling: float = 1.5
+    """m/s below which it may have stood meanwhile, unseen by a receiver that measures once a
+    second."""
+    longest: float = 40.0  # seconds since standing that are examined
 
 
 @dataclass(frozen=True)
@@ -169,22 +113,53 @@ class MountingYawTuning:
 
 
 @dataclass(frozen=True)
-class TripTuning:
-    """Forwards or backwards, from the force."""
+class CourseTuning:
+    """Straight stretches of road, whether their course is a heading, and the compass against it."""
 
-    clear: float = 3.0  # sigmas that decide
-    correlated: float = 4.0  # by how much errors of the force last longer than the smoothing
-    standing: float = 0.5  # m/s of a speed that has no sign; a receiver's wanders
-    crawling: float = 1.5
-    """m/s below which it may have stood meanwhile, unseen by a receiver that measures once a
-    second."""
-    longest: float = 40.0  # seconds since standing that are examined
+    shortest: float = 5.0
+    longest: float = 4.0
+    """Metres and seconds between the fixes of a chord."""
+    largest_sigma: float = math.radians(12.0)
+    """Radians of a course, beyond which it is left out, as that of a receiver that stands."""
+    largest_rate: float = math.radians(3.0)
+    largest_turn: float = math.radians(5.0)
+    """rad/s throughout, and radians in all: in bends lever arm, slip and latency show."""
+    relative_sigma: float = 0.3
+    """Metres of error between neighbouring fixes; not the fix's absolute accuracy."""
+    course_sigma: float = math.radians(1.0)  # radians of any course: slip, camber, lanes
+    remembered: int = 200  # ticks kept for chords that end late
+    span: float = 60.0
+    chords: int = 8
+    """Seconds of straight driving that are examined, and the fewest chords in them."""
+    scatter: float = math.radians(10.0)
+    """Radians by which course less gyro yaw may scatter within them; boats exceed it."""
+    bias: float = math.radians(0.3)  # rad/s of the gyro's bias that the compass does not show
+    turned: float = math.radians(5.0)
+    """Radians, RMS, that it must have turned by to show whether its course followed."""
+    share: float = 0.5
+    """Of its turns that the course leaves out: none of a vehicle's on wheels, all of a hull's."""
+    cell: float = 10.0
+    """Metres of a cell's side at first; twice as long whenever there are too many."""
+    sectors: int = 8  # sectors of course in a cell
+    most_cells: int = 400  # cells kept
+    reach: float = 30.0  # metres over which streets disturb the field alike
+    wave_sigma: float = math.radians(3.0)
+    """Radians of the harmonics: hard iron and soft iron that a calibration leaves."""
+    noise: float = math.radians(2.0)  # radians of a chord's compass beside streets and course
+    street: float = math.radians(7.0)
+    street_weight: float = 4.0
+    """Radians by which a street turns the compass, and pseudo-observations of it."""
+    freedom: float = 5.0  # degrees of freedom of Student's weights
+    swing_share: float = 0.5
+    """Share of a swing of compass against course that is in the offset's sigma: its cause may have
+    come or gone on the way."""
+    fewest: int = 5  # cells before the first fit
+    rounds: int = 5  # reweighted ones: weights and the street's size have settled
 
 
-CHORDS, DRIFT, COURSE, SPEED = ChordTuning(), DriftTuning(), CourseTuning(), SpeedTuning()
-TICKS, OWN, MOUNTING, TRIP = (
-    TickTuning(),
+SPEED, OWN, MOUNTING, COURSE = (
+    SpeedTuning(),
     OwnAccelerationTuning(),
     MountingYawTuning(),
-    TripTuning(),
+    CourseTuning(),
 )

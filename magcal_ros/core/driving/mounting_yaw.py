@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from magcal_ros.core.driving.chords import Tick
-from magcal_ros.core.driving.driving_tuning import MOUNTING, OWN, TICKS, TRIP, SpeedSource
+from magcal_ros.core.driving.driving_tuning import MOUNTING, OWN, SpeedSource
 from magcal_ros.core.driving.speedometer import Speedometer, SpeedRecord
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 
@@ -152,7 +152,7 @@ def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
 
 def _delay(table: TickTable, record: SpeedRecord) -> float:
     """Find the shift at which force and change of velocity go together best."""
-    step = 2.0 * TICKS.seconds
+    step = 2.0 * OWN.seconds
     if len(table.stamp) < 2 * MOUNTING.highpass:
         return record.delay
     delays = np.arange(-MOUNTING.largest_delay / 8.0, MOUNTING.largest_delay + step, step)
@@ -211,7 +211,7 @@ def _signs(ticks: TickTable, force: ComplexArray, change: ComplexArray) -> Float
     The squares of the trips' sums do not know the trips' signs.
     """
     speed = np.abs(np.nan_to_num(ticks.speed))
-    moving = speed > TRIP.standing
+    moving = speed > OWN.standing
     label = np.where(moving, np.cumsum(moving & ~np.append(False, moving[:-1])), 0)
     count = int(label.max()) + 1
     product = force * np.conj(change)

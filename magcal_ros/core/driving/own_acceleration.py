@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from magcal_ros.core.driving.chords import GyroFrame, Tick
-from magcal_ros.core.driving.driving_tuning import OWN, TRIP, SpeedSource
+from magcal_ros.core.driving.driving_tuning import OWN, SpeedSource
 from magcal_ros.core.driving.speedometer import SpeedTrack
 from magcal_ros.core.geometry.vec3 import Triple, minus
 
@@ -156,10 +156,10 @@ class OwnAcceleration:
             self._matched.clear()
             self._gravity = None
             return
-        is_slow = abs(speed) < TRIP.standing
+        is_slow = abs(speed) < OWN.standing
         if is_slow and self._is_under_way:
             self._begin_trip(tick.stamp, 1.0, False)
-        elif not is_slow and self._span > 2 and abs(speed) < min(TRIP.crawling, self._speed):
+        elif not is_slow and self._span > 2 and abs(speed) < min(OWN.crawling, self._speed):
             # A speed that comes once a second may leave out that the vehicle stood, and mere fixes
             # smear a stop over seconds.
             self._begin_trip(tick.stamp, self.sign, self.is_clear and not self._is_rough)
@@ -215,8 +215,8 @@ class OwnAcceleration:
         self._energy += abs(forwards) ** 2
         if not self.is_yaw_known or self._energy <= 0.0:
             return
-        sigmas = self._product / (math.sqrt(TRIP.correlated * self._energy) * self.noise)
-        if sigmas * self.sign < -TRIP.clear:
+        sigmas = self._product / (math.sqrt(OWN.correlated * self._energy) * self.noise)
+        if sigmas * self.sign < -OWN.clear:
             self.sign = -self.sign
             self._as_taken, self._reversed = self._reversed, self._as_taken
-        self.is_clear = self.is_clear or sigmas * self.sign > TRIP.clear
+        self.is_clear = self.is_clear or sigmas * self.sign > OWN.clear

@@ -12,7 +12,7 @@ import numpy as np
 
 from magcal_ros.core.driving.chords import Chord, Chords, GyroFrame, Tick
 from magcal_ros.core.driving.course_offset import CourseCells, CourseOffset, fit_course_offset
-from magcal_ros.core.driving.driving_tuning import COURSE, DRIFT, MOUNTING, TRIP, SpeedSource
+from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING, OWN, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import Judged, MountingWatch, MountingYaw
 from magcal_ros.core.driving.own_acceleration import OwnAcceleration
 from magcal_ros.core.driving.speedometer import Speedometer
@@ -40,9 +40,9 @@ class DriftWatch:
         """Take a chord; returns whether the vehicle goes where it looks, as far as is known."""
         seen = self._seen
         seen.append(chord)
-        while chord.stamp - seen[0].stamp > DRIFT.span:
+        while chord.stamp - seen[0].stamp > COURSE.span:
             seen.popleft()
-        if len(seen) >= DRIFT.chords:
+        if len(seen) >= COURSE.chords:
             self.judged += 1
             self.drifted += self._drifts()
         return not self.is_drifting
@@ -55,19 +55,19 @@ class DriftWatch:
         gaps, since = np.unwrap(gaps), time - time.mean()
         slope, lead = (float(since @ each / (since @ since)) for each in (gaps, leads))
         # The gyro leads the compass by its bias, and not by what a hull turns.
-        least, most = min(lead, 0.0) - DRIFT.bias, max(lead, 0.0) + DRIFT.bias
+        least, most = min(lead, 0.0) - COURSE.bias, max(lead, 0.0) + COURSE.bias
         bias = since * min(max(slope, least), most)
         left, turned = gaps - bias, headings - bias
         left -= np.median(left)
         turned -= turned.mean()
         # What the receiver's own noise scatters is no drift.
         square = (1.4826 * float(np.median(np.abs(left)))) ** 2 - float(np.median(sigmas)) ** 2
-        if square > DRIFT.scatter**2:
+        if square > COURSE.scatter**2:
             return True
         # A receiver's noise knows nothing of the hull's turns; a course that stays leaves them out.
         by_turns = float(turned @ turned)
-        has_turned = by_turns >= len(turned) * DRIFT.turned**2
-        return has_turned and float(turned @ left) > DRIFT.share * by_turns
+        has_turned = by_turns >= len(turned) * COURSE.turned**2
+        return has_turned and float(turned @ left) > COURSE.share * by_turns
 
     @property
     def is_drifting(self) -> bool:
@@ -121,7 +121,6 @@ class Travelling:
         self.is_heard = False
         self._given: tuple[float, float] | None = None
         self._restarts = 0
-        self._fitted_chords = 0
 
     @property
     def known_mounting(self) -> MountingYaw | None:
@@ -174,23 +173,18 @@ class Travelling:
     def forget_compass(self) -> None:
         """Another calibration is in force: forget the comparison of the last one with course."""
         self.cells = CourseCells()
-        self.course, self._fitted_chords = None, 0
+        self.course = None
         self._pending.clear()
 
     def fit_course(self) -> CourseOffset | None:
         """Fit the offset of the compass with all that was driven."""
-        self._fitted_chords = 0
         self.course = self._begin_course()()
         return self.course
 
     def _begin_course(self) -> Callable[[], CourseOffset | None]:
         """Return the work of fitting the course; up to a tenth of a second with many cells."""
-        last, chords = self.course, self.cells.chords
-        if self.drift.is_drifting or not len(self.cells):
+        if self.drift.is_drifting:
             return lambda: None
-        if chords < self._fitted_chords + COURSE.fewest:
-            return lambda: last
-        self._fitted_chords = chords
         table = self.cells.table()
         return lambda: fit_course_offset(table)
 
@@ -252,7 +246,7 @@ class Travelling:
                 sign = sign if speed is None else math.copysign(1.0, speed)
             elif self.own.is_yaw_known and not is_clear and is_open:
                 waits = self._pending[-1].stamp - chord.stamp
-                if waits < TRIP.longest:
+                if waits < OWN.longest:
                     return
             self._pending.popleft()
             chord = chord if sign > 0.0 else chord.backwards
