@@ -99,8 +99,7 @@ class Travel:
     @property
     def speed(self) -> float:
         """The newest speed, m/s; NaN where it is unknown."""
-        track = self._travelling.speedometer.track
-        return math.nan if track is None else track.last
+        return self._travelling.speed
 
     @property
     def has_wheels(self) -> bool:

@@ -142,16 +142,6 @@ class Chord(NamedTuple):
         )
 
 
-class _Looked(NamedTuple):
-    """Where the vehicle looked in a tick: yaws at its end, as unit complex numbers."""
-
-    begin: float
-    end: float
-    gyro: complex
-    compass: complex
-    turn_rate: float
-
-
 class Chords:
     """Makes chords of fixes and yaws.
 
@@ -160,8 +150,8 @@ class Chords:
 
     def __init__(self) -> None:
         self.delay = SPEED.receiver_delay
-        self._looked: deque[_Looked] = deque(maxlen=COURSE.remembered)
-        self._sum, self._count = 0.0 + 0.0j, 0
+        self._looked: deque[tuple[Tick, complex]] = deque(maxlen=COURSE.remembered)
+        self._sum = 0j
         self._anchor: PositionSample | None = None
         self._waiting: deque[PositionSample | VelocitySample] = deque(maxlen=64)
         self._place = (0.0, 0.0)
@@ -171,15 +161,11 @@ class Chords:
     def add_yaw(self, yaw: float) -> None:
         """Take a yaw of the compass, radians, of the tick under way."""
         self._sum += cmath.exp(1j * yaw)
-        self._count += 1
 
     def add_tick(self, tick: Tick) -> list[Chord]:
         """Take the end of a tick; returns the chords that can be made now."""
-        compass = self._sum / self._count if self._count else 0.0
-        gyro = cmath.exp(1j * tick.yaw)
-        begin = tick.stamp - tick.seconds
-        self._looked.append(_Looked(begin, tick.stamp, gyro, compass, tick.turn_rate))
-        self._sum, self._count = 0.0 + 0.0j, 0
+        self._looked.append((tick, self._sum))
+        self._sum = 0j
         made: list[Chord] = []
         while self._waiting and self._waiting[0].stamp - self.delay <= tick.stamp:
             fix = self._waiting.popleft()
@@ -245,23 +231,29 @@ class Chords:
         if sigma > COURSE.largest_sigma:
             return None
         begin, end = (stamp - self.delay for stamp in span)
-        among = [each for each in self._looked if each.end > begin and each.begin < end]
-        if not among or among[0].begin > begin + 0.3 or among[-1].end < end - 0.3:
-            return None
-        turned = abs(cmath.phase(among[-1].gyro / among[0].gyro))
-        if turned > COURSE.largest_turn or not all(
-            each.compass and abs(each.turn_rate) <= COURSE.largest_rate for each in among
+        among = [
+            (tick, compass)
+            for tick, compass in self._looked
+            if tick.stamp > begin and tick.stamp - tick.seconds < end
+        ]
+        if not among or not all(
+            compass and abs(tick.turn_rate) <= COURSE.largest_rate for tick, compass in among
         ):
             return None
+        (first, _), (last, _) = among[0], among[-1]
+        is_whole = first.stamp - first.seconds <= begin + 0.3 and last.stamp >= end - 0.3
+        turned = abs(math.remainder(last.yaw - first.yaw, math.tau))
+        if not is_whole or turned > COURSE.largest_turn:
+            return None
         course = cmath.phase(way)
-        compass = cmath.phase(sum(each.compass / abs(each.compass) for each in among))
-        gyro = cmath.phase(sum(each.gyro for each in among))
+        compass_yaw = cmath.phase(sum(compass / abs(compass) for _, compass in among))
+        gyro_yaw = cmath.phase(sum(cmath.exp(1j * tick.yaw) for tick, _ in among))
         return Chord(
             span[1],
             *place,
             course,
-            math.remainder(compass - course, math.tau),
-            math.remainder(gyro - course, math.tau),
+            math.remainder(compass_yaw - course, math.tau),
+            math.remainder(gyro_yaw - course, math.tau),
             math.hypot(sigma, COURSE.course_sigma),
             abs(way),
         )

@@ -296,12 +296,6 @@ class MountingWatch:
         self.faults: dict[SpeedSource, SpeedFault] = {}
         self.seen: dict[SpeedSource, MountingYaw] = {}
 
-    @property
-    def known(self) -> MountingYaw | None:
-        """The yaw, where enough was seen to determine it."""
-        found = self.found
-        return found if found is not None and found.is_known else None
-
     def add(self, tick: Tick, speed: float) -> bool:
         """Take a tick and its speed (m/s, NaN where unknown); returns whether a fit is due."""
         self._still = 0.0 if abs(speed) > MOUNTING.moving else self._still + tick.seconds

@@ -125,13 +125,20 @@ class Travelling:
     @property
     def known_mounting(self) -> MountingYaw | None:
         """The yaw of the IMU in the vehicle, where enough was seen to determine it."""
-        return self.mounting.known
+        found = self.mounting.found
+        return found if found is not None and found.is_known else None
 
     @property
     def source(self) -> SpeedSource | None:
         """Whose speed is used."""
         track = self.speedometer.track
         return None if track is None else track.source
+
+    @property
+    def speed(self) -> float:
+        """The newest speed, m/s; NaN without a source."""
+        track = self.speedometer.track
+        return math.nan if track is None else track.last
 
     def believe(self, yaw: float, sigma: float) -> None:
         """Take a yaw of the IMU in the vehicle from elsewhere, radians, until more is seen."""
@@ -295,9 +302,3 @@ class TravelReplay:
                 self.travelling.add_travel(reading)
                 continue
             yield reading
-
-    @property
-    def speed(self) -> float:
-        """The newest speed, m/s; NaN without a source."""
-        track = self.travelling.speedometer.track
-        return math.nan if track is None else track.last

@@ -117,7 +117,7 @@ class DriveReplay:
         if math.isnan(self._first):
             self._first = sample.stamp
         self._last = sample.stamp
-        speed, up = replay.speed, replay.up.newest
+        speed, up = replay.travelling.speed, replay.up.newest
         due = self._points[-1][0] + KEEPING.map_every if self._points else -math.inf
         if up is not None and not sample.stamp < due:
             self._points.append((sample.stamp, speed, *sample.field, *up))

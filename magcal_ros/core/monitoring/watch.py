@@ -280,8 +280,8 @@ class Watch:
         self._turned = 0.0
         self._path = 0
         self._looked = -math.inf
-        self._doubts_since: float | None = None
-        self._clear_since: float | None = None
+        self._contradicted: bool | None = None
+        self._since = -math.inf
         self._stale_since = 0.0
         self.watched = Watched()
 
@@ -322,7 +322,7 @@ class Watch:
         if not 0.0 <= step <= WATCH.memory:
             self._records.clear()
             self._looked = -math.inf
-            self._doubts_since = self._clear_since = None
+            self._contradicted = None
             if math.isfinite(step):
                 self._stale_since += step
         if not 0.0 <= step <= STREAMS.longest_gyro_step:
@@ -368,17 +368,14 @@ class Watch:
                 lacking = what_lacks(rows)
         before, contradicts = self.watched, _contradicts(findings)
         if not findings:
-            self._doubts_since = self._clear_since = None
+            self._contradicted = None
             minutes = self._minutes(now, before.is_stale)
             self.watched = replace(before, minutes=minutes, lacking=lacking)
             return
-        if contradicts:
-            self._doubts_since, self._clear_since = self._doubts_since or now, None
-        else:
-            self._doubts_since, self._clear_since = None, self._clear_since or now
-        since = self._doubts_since or self._clear_since or now
+        if contradicts is not self._contradicted:
+            self._contradicted, self._since = contradicts, now
         is_stale = before.is_stale
-        if contradicts != is_stale and now - since >= WATCH.confirm:
+        if contradicts != is_stale and now - self._since >= WATCH.confirm:
             is_stale = contradicts
             self._stale_since = onset(records, self._calibration)
         keeps_words = is_stale and not contradicts
