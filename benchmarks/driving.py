@@ -247,7 +247,7 @@ def directions(drive: Drive) -> tuple[int, int]:
                 counted += 1
                 wrong += travelling.own.sign * true < 0.0
         elif isinstance(sample, SpeedSample):
-            travelling.add_speed(sample)
+            travelling.add_travel(sample)
     return counted, wrong
 
 

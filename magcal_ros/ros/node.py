@@ -251,12 +251,12 @@ class Calibrator(Node):
     def _on_heartbeat(self) -> None:
         self._fits.deliver()
         self._files.deliver()
-        settings, swing = self._table.settings, self._travel.swing
+        settings = self._table.settings
         self._magnetometers.look(self.count_publishers, settings)
         self._pipeline.follow(settings, self._keeper, self._control.state)
         self._reference.refresh()
         self._frames.note_up(self._up)
-        self._keeping.follow(settings.self_calibration, settings.report_folder, swing)
+        self._keeping.follow(settings.self_calibration, settings.report_folder)
         news = self._travel.follow(self._reference.reference.field, self._frames, self._announcer)
         if news is not None:
             self._keeper.keep_vehicle_yaw(news)

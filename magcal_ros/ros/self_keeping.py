@@ -13,7 +13,6 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.keeping.jobs import Decision, DriveJob, Findings, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.samples.drive_log import DriveLog
@@ -67,11 +66,10 @@ class SelfKeeping:
             self._machine.forget()
         self._sensors = sensors
 
-    def follow(self, mode: str, reports: str, course: CourseSwing | None) -> None:
+    def follow(self, mode: str, reports: str) -> None:
         """Look after the rest, once a second."""
         self._jobs.deliver()
         self._reports = reports
-        self._machine.note_course(course)
         self._idle += 1
         if self._machine.mode is not Mode(mode):
             self._machine.mode = Mode(mode)

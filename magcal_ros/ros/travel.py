@@ -14,7 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import NavSatFix
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource
-from magcal_ros.core.driving.mounting_watch import fault_words
+from magcal_ros.core.driving.mounting_yaw import fault_words
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.geometry.vec3 import Triple
@@ -26,10 +26,8 @@ from magcal_ros.core.heading.base_view import (
     where_is_the_front,
 )
 from magcal_ros.core.heading.compass import Moment
-from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.recorded_course import (
-    CourseCheckTuning,
     check_by_course,
     course_fault,
 )
@@ -101,8 +99,7 @@ class Travel:
     @property
     def speed(self) -> float:
         """The newest speed, m/s; NaN where it is unknown."""
-        track = self._travelling.speedometer.track
-        return math.nan if track is None else track.last
+        return self._travelling.speed
 
     @property
     def has_wheels(self) -> bool:
@@ -118,16 +115,6 @@ class Travel:
         if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
             return math.nan
         return track.last
-
-    @property
-    def swing(self) -> CourseSwing | None:
-        """How the compass in force swings against course, where enough was driven."""
-        course = self._travelling.course
-        if course is None or self._travelling.known_mounting is None:
-            return None
-        if course.sectors < CourseCheckTuning.sectors:
-            return None
-        return CourseSwing(course.offset, course.harmonics, course.covariance[1:, 1:])
 
     def on_moment(self, moment: Moment) -> None:
         """Take what a field message comes to."""
@@ -233,12 +220,12 @@ class Travel:
             return
         sample = self._read(SpeedSource.ODOMETRY, wire.read_speed, data)
         if sample is not None:
-            self._travelling.add_speed(sample)
+            self._travelling.add_travel(sample)
 
     def _on_velocity(self, data: bytes) -> None:
         sample = self._read(SpeedSource.VELOCITY, wire.read_velocity, data)
         if sample is not None:
-            self._travelling.add_velocity(sample)
+            self._travelling.add_travel(sample)
 
     def _on_fix(self, data: bytes) -> None:
         fix = self._read(SpeedSource.FIXES, wire.read_fix, data)
@@ -248,7 +235,7 @@ class Travel:
         self._tell_fix(fix)
         position = self._plane.position(fix)
         if position is not None:
-            self._travelling.add_position(position)
+            self._travelling.add_travel(position)
 
     def _read(
         self, source: SpeedSource, read: Callable[[bytes], Sample | str], data: bytes

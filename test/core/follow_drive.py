@@ -6,7 +6,6 @@ from simulated import Vehicle, simulated_drive, travel
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.geometry import yaw_from_up_and_field
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.streams import PositionSample, SpeedSample
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up import UpFollower
 
@@ -32,12 +31,8 @@ def follow(drive, travelling=None, watch=lambda travelling, stamp: None, added=0
             watch(travelling, sample.stamp)
         elif kind is FieldSample:
             travelling.add_yaw(next(yaws))
-        elif kind is SpeedSample:
-            travelling.add_speed(sample)
-        elif kind is PositionSample:
-            travelling.add_position(sample)
         else:
-            travelling.add_velocity(sample)
+            travelling.add_travel(sample)
     return travelling
 
 
@@ -54,14 +49,8 @@ def tilts(drive, travelling=None):
             found.append(follower.newest)
         elif kind is FieldSample:
             follower.add_field(sample.stamp, sample.field)
-        elif travelling is None:
-            continue
-        elif kind is SpeedSample:
-            travelling.add_speed(sample)
-        elif kind is PositionSample:
-            travelling.add_position(sample)
-        else:
-            travelling.add_velocity(sample)
+        elif travelling is not None:
+            travelling.add_travel(sample)
     ups = np.array(found)
     ups /= np.linalg.norm(ups, axis=1)[:, None]
     return np.degrees(np.arccos(np.clip(np.sum(ups * drive.up, axis=1), -1.0, 1.0)))

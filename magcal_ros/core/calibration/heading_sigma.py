@@ -55,6 +55,14 @@ def calibration_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> fl
     return rms_sigma(jacobian, estimate.covariance)
 
 
+def known_sigma(calibration: Calibration) -> float:
+    """Return the radians of heading to which a calibration says that it is known."""
+    said = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
+    if said is None:
+        return calibration_sigma(calibration)
+    return math.sqrt(max(said**2 - calibration.evidence.figure(Figure.LOCAL_SIGMA, 0.0) ** 2, 0.0))
+
+
 def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
     """Return the same by local magnetic disturbances along the drive; zero where none was found."""
     size = local_field(estimate)

@@ -7,7 +7,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.driving.driving_tuning import CHORDS, SPEED, TICKS
+from magcal_ros.core.driving.driving_tuning import COURSE, OWN, SPEED
 from magcal_ros.core.geometry.vec3 import (
     Triple,
     between,
@@ -74,7 +74,7 @@ class GyroFrame:
         self._force = plus(self._force, scaled(force, seconds))
         self._turned += dot(third, turn)
         self._seconds += seconds
-        return self._end(stamp) if self._seconds >= TICKS.seconds - 1e-6 else None
+        return self._end(stamp) if self._seconds >= OWN.seconds - 1e-6 else None
 
     def to_body(self, vector: Triple) -> Triple:
         """Turn a vector from the frame's axes into body axes."""
@@ -88,27 +88,24 @@ class GyroFrame:
         start = (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0)
         second = unit_triple(cross(up, start))
         self.axes = (cross(second, up), second, up)
-        self._levelled = 0.0
-        self._anew()
-
-    def _anew(self) -> None:
         self._force = (0.0, 0.0, 0.0)
-        self._turned = self._seconds = 0.0
+        self._levelled = self._turned = self._seconds = 0.0
 
     def _end(self, stamp: float) -> Tick | None:
         assert self.axes is not None
         x, y, z = (value / self._seconds for value in self._force)
         forward = complex(self.axes[0][0], self.axes[1][0])
         seconds, turned = self._seconds, self._turned
-        self._anew()
+        self._force = (0.0, 0.0, 0.0)
+        self._turned = self._seconds = 0.0
         self._level((x, y, z), seconds)
-        if abs(forward) < TICKS.steepest:
+        if abs(forward) < OWN.steepest:
             return None
         return Tick(stamp, seconds, (x, y, z), cmath.phase(forward), turned / seconds)
 
     def _level(self, force: Triple, seconds: float) -> None:
         """Lean the frame towards the force, by little: its up is right in the long run."""
-        self._levelled = min(self._levelled + seconds, TICKS.levelling)
+        self._levelled = min(self._levelled + seconds, OWN.levelling)
         size = length(force)
         if size <= 0.0:
             return
@@ -145,16 +142,6 @@ class Chord(NamedTuple):
         )
 
 
-class _Looked(NamedTuple):
-    """Where the vehicle looked in a tick: yaws at its end, as unit complex numbers."""
-
-    begin: float
-    end: float
-    gyro: complex
-    compass: complex
-    turn_rate: float
-
-
 class Chords:
     """Makes chords of fixes and yaws.
 
@@ -163,8 +150,8 @@ class Chords:
 
     def __init__(self) -> None:
         self.delay = SPEED.receiver_delay
-        self._looked: deque[_Looked] = deque(maxlen=CHORDS.remembered)
-        self._sum, self._count = 0.0 + 0.0j, 0
+        self._looked: deque[tuple[Tick, complex]] = deque(maxlen=COURSE.remembered)
+        self._sum = 0j
         self._anchor: PositionSample | None = None
         self._waiting: deque[PositionSample | VelocitySample] = deque(maxlen=64)
         self._place = (0.0, 0.0)
@@ -174,15 +161,11 @@ class Chords:
     def add_yaw(self, yaw: float) -> None:
         """Take a yaw of the compass, radians, of the tick under way."""
         self._sum += cmath.exp(1j * yaw)
-        self._count += 1
 
     def add_tick(self, tick: Tick) -> list[Chord]:
         """Take the end of a tick; returns the chords that can be made now."""
-        compass = self._sum / self._count if self._count else 0.0
-        gyro = cmath.exp(1j * tick.yaw)
-        begin = tick.stamp - tick.seconds
-        self._looked.append(_Looked(begin, tick.stamp, gyro, compass, tick.turn_rate))
-        self._sum, self._count = 0.0 + 0.0j, 0
+        self._looked.append((tick, self._sum))
+        self._sum = 0j
         made: list[Chord] = []
         while self._waiting and self._waiting[0].stamp - self.delay <= tick.stamp:
             fix = self._waiting.popleft()
@@ -190,8 +173,7 @@ class Chords:
                 chord = self._by_position(fix)
             else:
                 chord = self._by_velocity(fix)
-            if chord is not None:
-                made.append(chord)
+            made += [] if chord is None else [chord]
         return made
 
     def add_fix(self, fix: PositionSample | VelocitySample) -> None:
@@ -208,86 +190,70 @@ class Chords:
 
     def _by_position(self, fix: PositionSample) -> Chord | None:
         self._place, self._placed_at = (fix.east, fix.north), fix.stamp
-        if self._has_good_velocity(fix.stamp):
+        velocity, start = self._velocity, self._anchor
+        if velocity is not None and abs(fix.stamp - velocity.stamp) < 2.0:
             self._anchor = None
             return None
-        start = self._anchor
-        if start is None or not 0.0 < fix.stamp - start.stamp <= CHORDS.longest:
+        if start is None or not 0.0 < fix.stamp - start.stamp <= COURSE.longest:
             self._anchor = fix
             return None
         east, north = fix.east - start.east, fix.north - start.north
-        metres, seconds = math.hypot(east, north), fix.stamp - start.stamp
-        if metres < CHORDS.shortest:
+        metres = math.hypot(east, north)
+        if metres < COURSE.shortest:
             return None
-        looked = self._straight(start.stamp, fix.stamp)
-        if looked is None or metres / seconds < CHORDS.slowest:
-            self._anchor = fix
-            return None
-        # The next chord begins with another fix: an error of this one shows once.
-        self._anchor = None
+        sigma = math.sqrt(2.0) * COURSE.relative_sigma / metres
         middle = (0.5 * (fix.east + start.east), 0.5 * (fix.north + start.north))
-        sigma = math.sqrt(2.0) * CHORDS.relative_sigma / metres
-        return self._chord(fix.stamp, middle, math.atan2(north, east), looked, sigma, metres)
+        chord = self._chord((start.stamp, fix.stamp), middle, complex(east, north), sigma)
+        # The next chord begins with another fix: an error of this one shows once.
+        self._anchor = fix if chord is None else None
+        return chord
 
     def _by_velocity(self, fix: VelocitySample) -> Chord | None:
         before, self._velocity = self._velocity, fix
         speed = math.hypot(fix.east, fix.north)
         seconds = math.inf if before is None else fix.stamp - before.stamp
-        if not 0.0 < seconds <= CHORDS.longest:
+        if not 0.0 < seconds <= COURSE.longest:
             return None
-        if fix.stamp - self._placed_at > CHORDS.longest:
+        way = seconds * complex(fix.east, fix.north)
+        if fix.stamp - self._placed_at > COURSE.longest:
             x, y = self._place
-            self._place = (x + fix.east * seconds, y + fix.north * seconds)
-        is_good = fix.sigma <= CHORDS.good_velocity
-        if speed < (CHORDS.slowest_velocity if is_good else CHORDS.slowest):
-            return None
-        looked = self._straight(fix.stamp - 0.5, fix.stamp + 0.1)
-        if looked is None:
-            return None
-        course = math.atan2(fix.north, fix.east)
-        return self._chord(
-            fix.stamp, self._place, course, looked, fix.sigma / speed, speed * seconds
-        )
-
-    def _has_good_velocity(self, stamp: float) -> bool:
-        return self._velocity is not None and abs(stamp - self._velocity.stamp) < 2.0
+            self._place = (x + way.real, y + way.imag)
+        span = fix.stamp - 0.5, fix.stamp + 0.1
+        return self._chord(span, self._place, way, fix.sigma / max(speed, 1e-9))
 
     def _chord(
-        self,
-        stamp: float,
-        place: tuple[float, float],
-        course: float,
-        looked: tuple[float, float],
-        sigma: float,
-        metres: float,
-    ) -> Chord:
-        compass, gyro = looked
-        return Chord(
-            stamp,
-            *place,
-            course,
-            math.remainder(compass - course, math.tau),
-            math.remainder(gyro - course, math.tau),
-            math.hypot(sigma, CHORDS.course_sigma),
-            metres,
-        )
-
-    def _straight(self, begin: float, end: float) -> tuple[float, float] | None:
-        """Return the mean yaws of compass and gyro between two stamps of fixes.
+        self, span: tuple[float, float], place: tuple[float, float], way: complex, sigma: float
+    ) -> Chord | None:
+        """Return the chord of a way, metres, between two stamps of fixes.
 
         None unless the vehicle went straight on, with a compass, all the time.
         """
-        begin, end = begin - self.delay, end - self.delay
-        among = [each for each in self._looked if each.end > begin and each.begin < end]
-        if not among or among[0].begin > begin + 0.3 or among[-1].end < end - 0.3:
+        if sigma > COURSE.largest_sigma:
             return None
-        if any(abs(each.turn_rate) > CHORDS.largest_rate for each in among):
+        begin, end = (stamp - self.delay for stamp in span)
+        among = [
+            (tick, compass)
+            for tick, compass in self._looked
+            if tick.stamp > begin and tick.stamp - tick.seconds < end
+        ]
+        if not among or not all(
+            compass and abs(tick.turn_rate) <= COURSE.largest_rate for tick, compass in among
+        ):
             return None
-        if not all(each.compass for each in among):
+        (first, _), (last, _) = among[0], among[-1]
+        is_whole = first.stamp - first.seconds <= begin + 0.3 and last.stamp >= end - 0.3
+        turned = abs(math.remainder(last.yaw - first.yaw, math.tau))
+        if not is_whole or turned > COURSE.largest_turn:
             return None
-        turned = abs(cmath.phase(among[-1].gyro / among[0].gyro))
-        if turned > CHORDS.largest_turn:
-            return None
-        compass = sum(each.compass / abs(each.compass) for each in among)
-        gyro = sum(each.gyro for each in among)
-        return cmath.phase(compass), cmath.phase(gyro)
+        course = cmath.phase(way)
+        compass_yaw = cmath.phase(sum(compass / abs(compass) for _, compass in among))
+        gyro_yaw = cmath.phase(sum(cmath.exp(1j * tick.yaw) for tick, _ in among))
+        return Chord(
+            span[1],
+            *place,
+            course,
+            math.remainder(compass_yaw - course, math.tau),
+            math.remainder(gyro_yaw - course, math.tau),
+            math.hypot(sigma, COURSE.course_sigma),
+            abs(way),
+        )

@@ -18,27 +18,21 @@ import numpy as np
 from magcal_ros.core.driving.chords import Chord
 from magcal_ros.core.driving.driving_tuning import COURSE
 from magcal_ros.core.driving.mounting_yaw import ComplexArray
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-
-Key = tuple[int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class CellTable:
     """Cells in arrays, one row each."""
 
-    gap: FloatArray
-    """Mean yaw of the compass less course, radians. Shape (n,)."""
-    course: FloatArray
-    """Mean course, ENU, radians. Shape (n,)."""
-    place: FloatArray  # mean place, metres, shape (n, 2)
-    variance: FloatArray
-    """Of a chord's course, radians squared. Shape (n,)."""
+    gap: FloatArray  # mean yaw of the compass less course, radians, shape (n,)
+    course: FloatArray  # mean, ENU, radians, shape (n,)
+    place: FloatArray  # mean, metres, shape (n, 2)
+    variance: FloatArray  # of a chord's course, radians squared, shape (n,)
     count: FloatArray  # chords, shape (n,)
     metres: FloatArray  # way, shape (n,)
-    first: FloatArray
-    """Number of its first chord. Shape (n,)."""
+    first: FloatArray  # number of its first chord, shape (n,)
 
 
 class CourseCells:
@@ -50,7 +44,7 @@ class CourseCells:
     def __init__(self) -> None:
         self.side = COURSE.cell
         self.chords = 0
-        self._cells: dict[Key, tuple[ComplexArray, int]] = {}
+        self._cells: dict[tuple[int, int, int], tuple[ComplexArray, int]] = {}
 
     def __len__(self) -> int:
         return len(self._cells)
@@ -69,25 +63,19 @@ class CourseCells:
 
     def _put(self, sums: ComplexArray, first: int) -> None:
         """Add sums over chords to their cell, with the number of the first chord."""
-        east, north = (float(value) / float(sums[5].real) for value in sums[2:4].real)
+        east, north = (math.floor(x / (sums[5].real * self.side)) for x in sums[2:4].real)
         sector = round(cmath.phase(sums[1]) / math.tau * COURSE.sectors) % COURSE.sectors
-        key = (math.floor(east / self.side), math.floor(north / self.side), sector)
-        others, earlier = self._cells.get(key, (0.0, first))
-        self._cells[key] = (sums + others, min(first, earlier))
+        others, earlier = self._cells.get((east, north, sector), (0.0, first))
+        self._cells[east, north, sector] = sums + others, min(first, earlier)
 
     def table(self) -> CellTable:
         """Return what is kept."""
         sums = np.array([sums for sums, _ in self._cells.values()]).reshape(-1, 7)
+        gap, course = np.angle(sums[:, :2]).T
         count = sums[:, 5].real
-        return CellTable(
-            np.angle(sums[:, 0]),
-            np.angle(sums[:, 1]),
-            sums[:, 2:4].real / count[:, None],
-            sums[:, 4].real / count,
-            count,
-            sums[:, 6].real,
-            np.array([first for _, first in self._cells.values()], dtype=np.float64),
-        )
+        means = sums[:, 2:5].real / count[:, None]
+        first = np.array([first for _, first in self._cells.values()], dtype=np.float64)
+        return CellTable(gap, course, means[:, :2], means[:, 2], count, sums[:, 6].real, first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,24 +105,52 @@ class CourseOffset:
 
 def fit_course_offset(cells: CellTable) -> CourseOffset | None:
     """Fit the offset; None before enough places were seen."""
-    if len(cells.gap) < COURSE.fewest:
+    psi, count = cells.course, len(cells.gap)
+    if count < COURSE.fewest:
         return None
     start = _cluster(cells)
-    found = _Fit(cells, wrap_angle(cells.gap - start))
+    gap = wrap_angle(cells.gap - start)
+    waves = (np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi))
+    design = np.column_stack([np.ones(count), *waves])
+    prior = np.diag([1e-3, *4 * [1.0 / COURSE.wave_sigma]]) ** 2
+    away = cells.place[:, None] - cells.place[None]
+    distance = np.hypot(away[..., 0], away[..., 1])
+    alike = np.exp(-distance / COURSE.reach)
+    noise = (cells.variance + COURSE.noise**2) / cells.count
+    # What is seen counts by its places: a street that is driven again is the same one.
+    places = len(np.unique(np.floor(cells.place / COURSE.reach), axis=0))
+    weight, street = np.ones(count), COURSE.street
     for _ in range(COURSE.rounds):
-        found.improve()
-    variance = max(found.covariance[0, 0], found.by_first_ways())
-    variance += COURSE.swing_share**2 * found.plain_swing()
-    covariance = found.covariance.copy()
-    covariance[0, 0] = variance
-    sectors = np.round(cells.course / math.tau * COURSE.sectors) % COURSE.sectors
+        # A cell of little weight is one that its street disturbs more than others.
+        root = np.sqrt(weight)
+        spread = (street**2 * alike + np.diag(noise)) / np.outer(root, root)
+        solved = np.linalg.solve(spread, np.column_stack([design, gap]))
+        covariance = np.linalg.inv(design.T @ solved[:, :5] + prior)
+        values = covariance @ (design.T @ solved[:, 5])
+        left = gap - design @ values
+        weight = (COURSE.freedom + 1.0) / (COURSE.freedom + left**2 / (street**2 + noise))
+        own = np.sqrt(weight) * left
+        square = float(own @ np.linalg.solve(alike + np.diag(noise / street**2), own)) / count
+        pseudo = COURSE.street_weight
+        street = math.sqrt((pseudo * COURSE.street**2 + places * square) / (pseudo + places))
+    # What stands on one side of a street bends the field on one way: of a street, only the way
+    # that was driven first counts.
+    near = distance < max(1.5 * COURSE.cell, 0.5 * COURSE.reach)
+    is_back = near & (np.cos(psi[:, None] - psi) < 0.0) & (cells.first < cells.first[:, None])
+    kept = ~is_back.any(axis=1)
+    information = design[kept].T @ np.linalg.solve(spread[kept][:, kept], design[kept]) + prior
+    # Iron that is there for a part of the way swings the compass, and changes the offset in a way
+    # that the scatter of streets does not show.
+    swing = float(np.sum(values[1:] ** 2) - np.trace(covariance[1:, 1:]))
+    covariance[0, 0] = max(covariance[0, 0], np.linalg.inv(information)[0, 0])
+    covariance[0, 0] += COURSE.swing_share**2 * max(0.0, swing)
     return CourseOffset(
-        float(wrap_angle(start + found.values[0])),
-        math.sqrt(variance),
-        found.values[1:],
+        float(wrap_angle(start + values[0])),
+        math.sqrt(covariance[0, 0]),
+        values[1:],
         covariance,
         float(np.sum(cells.metres)),
-        len(np.unique(sectors)),
+        len(np.unique(np.round(psi / math.tau * COURSE.sectors) % COURSE.sectors)),
     )
 
 
@@ -146,94 +162,6 @@ def _cluster(cells: CellTable) -> float:
     centre = float(grid[np.argmax(near @ weight)])
     for _ in range(10):
         gap = wrap_angle(cells.gap - centre)
-        own = weight / (1.0 + (gap / math.radians(7.0)) ** 2)
+        own = weight / (1.0 + (gap / COURSE.street) ** 2)
         centre += float(own @ gap / np.sum(own))
     return centre
-
-
-class _Fit:
-    """The weights, the street's size and the values of one fit."""
-
-    def __init__(self, cells: CellTable, gap: FloatArray) -> None:
-        self._cells, self._gap = cells, gap
-        psi = cells.course
-        ones = np.ones(len(psi))
-        self._design = np.column_stack(
-            [ones, np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi)]
-        )
-        first, second = COURSE.first_sigma**-2, COURSE.second_sigma**-2
-        self._prior = np.diag([1e-6, first, first, second, second])
-        away = cells.place[:, None] - cells.place[None]
-        self._distance = np.hypot(away[..., 0], away[..., 1])
-        self._alike = np.exp(-self._distance / COURSE.reach)
-        self._noise = (cells.variance + COURSE.noise**2) / cells.count
-        self._weight = ones
-        self.street = COURSE.street
-        self.values: FloatArray = np.zeros(5)
-        self.covariance: FloatArray = np.eye(5)
-
-    def improve(self) -> None:
-        """One round: values by least squares, then weights and street by what is left."""
-        design = self._design
-        solved = self._solve(np.column_stack([design, self._gap]), slice(None))
-        information = design.T @ solved[:, :5] + self._prior
-        self.covariance = np.asarray(np.linalg.inv(information))
-        self.values = np.asarray(self.covariance @ (design.T @ solved[:, 5]))
-        self.left = self._gap - design @ self.values
-        own, freedom = self.street**2 + self._noise, COURSE.freedom
-        self._weight = (freedom + 1.0) / (freedom + self.left**2 / own)
-        self._weigh_street()
-
-    def _solve(self, right: FloatArray, rows: slice | BoolArray) -> FloatArray:
-        """Return the inverse covariance of some rows times `right`."""
-        weight = self._weight[rows]
-        own = np.sqrt(weight)
-        # A cell of little weight is one that its street disturbs more than others.
-        spread = self.street**2 * self._alike[rows][:, rows] / np.outer(own, own)
-        spread[np.diag_indices_from(spread)] += self._noise[rows] / weight
-        return np.asarray(np.linalg.solve(spread, right))
-
-    def _weigh_street(self) -> None:
-        """Take the street's size from what is left, with some pseudo-observations.
-
-        What is seen counts by its places: a street that is driven again is the same one.
-        """
-        own = np.sqrt(self._weight) * self.left
-        shape = self._alike.copy()
-        shape[np.diag_indices_from(shape)] += self._noise / self.street**2
-        squares = float(own @ np.linalg.solve(shape, own))
-        places = len(np.unique(np.floor(self._cells.place / COURSE.reach), axis=0))
-        seen = min(places, len(own))
-        total = COURSE.street_weight * COURSE.street**2 + seen * squares / len(own)
-        self.street = math.sqrt(total / (COURSE.street_weight + seen))
-
-    def plain_swing(self) -> float:
-        """Return the harmonics' square, radians², beyond what is uncertain of them.
-
-        Iron that is there for a part of the way swings the compass, and changes the offset in a
-        way that the scatter of streets does not show.
-        """
-        uncertain = np.trace(self.covariance[1:, 1:])
-        return max(0.0, float(np.sum(self.values[1:] ** 2) - uncertain))
-
-    def by_first_ways(self) -> float:
-        """Return the variance if each street counted only the way it was driven first.
-
-        What stands on one side of a street bends the field on one way: both ways of a street
-        count as one observation.
-        """
-        again = self._again()
-        if not again.any():
-            return 0.0
-        kept = ~again
-        design = self._design[kept]
-        information = design.T @ self._solve(design, kept) + self._prior
-        return float(np.linalg.inv(information)[0, 0])
-
-    def _again(self) -> BoolArray:
-        """Return which cells lie where the vehicle has been before, on another course."""
-        cells = self._cells
-        near = self._distance < max(1.5 * COURSE.cell, 0.5 * COURSE.reach)
-        other = np.cos(cells.course[:, None] - cells.course[None]) < 0.0
-        earlier = cells.first[None] < cells.first[:, None]
-        return np.asarray((near & other & earlier).any(axis=1))

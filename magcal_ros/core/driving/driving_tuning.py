@@ -20,75 +20,16 @@ class SpeedSource(str, Enum):
 
 
 @dataclass(frozen=True)
-class ChordTuning:
-    """Which stretches of road are straight enough for a course."""
-
-    shortest: float = 5.0  # metres
-    longest: float = 4.0  # seconds
-    slowest: float = 2.0  # m/s for positions: those of a standing receiver wander
-    slowest_velocity: float = 0.5
-    """m/s where the receiver gives a velocity of a sigma below `good_velocity`."""
-    good_velocity: float = 0.1  # m/s
-    largest_rate: float = math.radians(3.0)
-    largest_turn: float = math.radians(5.0)
-    """rad/s throughout, and radians in all: in bends lever arm, slip and latency show."""
-    relative_sigma: float = 0.3
-    """Metres of error between neighbouring fixes; not the fix's absolute accuracy."""
-    course_sigma: float = math.radians(1.0)  # radians of any course: slip, camber, lanes
-    remembered: int = 200  # ticks kept for chords that end late
-
-
-@dataclass(frozen=True)
-class DriftTuning:
-    """When a vehicle does not go where it looks."""
-
-    span: float = 60.0
-    chords: int = 8
-    """Seconds of straight driving that are examined, and the fewest chords in them."""
-    scatter: float = math.radians(10.0)
-    """Radians by which course less gyro yaw may scatter within them; boats exceed it."""
-    bias: float = math.radians(0.3)  # rad/s of the gyro's bias that the compass does not show
-    turned: float = math.radians(5.0)
-    """Radians, RMS, that it must have turned by to show whether its course followed."""
-    share: float = 0.5
-    """Of its turns that the course leaves out: none of a vehicle's on wheels, all of a hull's."""
-
-
-@dataclass(frozen=True)
-class CourseTuning:
-    """The offset of compass against course, and its harmonics."""
-
-    cell: float = 10.0
-    """Metres of a cell's side at first; twice as long whenever there are too many."""
-    sectors: int = 8  # sectors of course in a cell
-    most_cells: int = 400  # cells kept
-    reach: float = 30.0  # metres over which streets disturb the field alike
-    first_sigma: float = math.radians(3.0)
-    second_sigma: float = math.radians(2.0)
-    """Radians of the harmonics: hard iron and soft iron that a calibration leaves."""
-    noise: float = math.radians(2.0)  # radians of a chord's compass beside streets and course
-    street: float = math.radians(7.0)
-    street_weight: float = 4.0
-    """Radians by which a street turns the compass, and pseudo-observations of it."""
-    freedom: float = 5.0  # degrees of freedom of Student's weights
-    swing_share: float = 0.5
-    """Share of a swing of compass against course that is in the offset's sigma: its cause may have
-    come or gone on the way."""
-    fewest: int = 5  # cells before the first fit, and new chords before another one
-    rounds: int = 5  # reweighted ones: weights and the street's size have settled
-
-
-@dataclass(frozen=True)
 class SpeedTuning:
     """How speeds are read."""
 
     largest: float = 100.0  # m/s, no vehicle this is for is faster
     largest_acceleration: float = 15.0  # m/s², a speed that changes faster is no speed
     step: float = 0.5  # m/s by which it may change besides: noise, and the steps of an encoder
-    odometry_gap: float = 0.6
-    receiver_gap: float = 2.2
-    """Seconds between two samples that are interpolated between."""
-    seldom: float = 0.3  # seconds between samples from which wheels count as a receiver in this
+    receiver_gap: float = 2.2  # seconds between two samples that are interpolated between
+    seldom: float = 0.3
+    """Seconds between samples from which wheels count as a receiver in this; twice as many are
+    interpolated between."""
     receiver_delay: float = 0.5
     """Seconds by which a receiver's stamps are late, until it is measured; .4 to .8 were seen."""
     remembered: int = 6000  # samples kept of a source: ten minutes of ten a second
@@ -102,20 +43,14 @@ class SpeedTuning:
 
 
 @dataclass(frozen=True)
-class TickTuning:
-    """How IMU messages are gathered."""
+class OwnAccelerationTuning:
+    """When and how the vehicle's own acceleration is subtracted, and which way it goes."""
 
     seconds: float = 0.25  # of messages that make a tick: short against a start or a bend
     levelling: float = 60.0
     """Seconds over which the frame that the gyro keeps is levelled by the accelerometer; long
     against starts and stops."""
     steepest: float = 0.05  # sine of x to the upright, below which a body has no heading
-
-
-@dataclass(frozen=True)
-class OwnAccelerationTuning:
-    """When and how the vehicle's own acceleration is subtracted."""
-
     spans: Mapping[SpeedSource, int] = field(
         default_factory=lambda: dict(zip(SpeedSource, (2, 4, 8), strict=True))
     )
@@ -131,14 +66,18 @@ class OwnAccelerationTuning:
     latest: float = 2.5  # seconds by which a speed may be late to be of use
     watched: int = 60  # ticks over which it is tested whether the speed explains the force: 15 s
     fewest: int = 12  # of them before anything is subtracted
-    gain: float = 0.3
-    rough_gain: float = 0.5
-    """What remains of the force's variance where the speed explains it, at most, and where the
-    speed is that of mere fixes."""
+    gain: float = 0.4  # what remains of the force's variance where the speed explains it, at most
     along: float = 0.25
     """Share of the changes of velocity that must be starts and stops, where the speed is that of
     mere fixes."""
     quiet: float = 0.3  # m/s², scatter of the force below which nothing is to be explained
+    clear: float = 3.0  # sigmas of the force that decide on the direction of travel
+    correlated: float = 4.0  # by how much errors of the force last longer than the smoothing
+    standing: float = 0.5  # m/s of a speed that has no sign; a receiver's wanders
+    crawling: float = 1.5
+    """m/s below which it may have stood meanwhile, unseen by a receiver that measures once a
+    second."""
+    longest: float = 40.0  # seconds since standing that are examined
 
 
 @dataclass(frozen=True)
@@ -152,11 +91,7 @@ class MountingYawTuning:
     standing: float = 10.0  # seconds of standing after which ticks are no longer kept
     moving: float = 0.15  # m/s, slower is standing
     block: float = 10.0  # seconds of a block whose errors count as one
-    short: float = 180.0
-    widening: float = 1.5
-    """Seconds of driving below which the sigma is widened, and the factor: NEES of such drives is 3
-    to 8 at one minute, 1 to 3 at two."""
-    lever_sigma: float = 1.0  # metres ahead of the rear axle where the IMU may be
+    lever_sigma: float = 1.0  # metres from the rear axle where the IMU may be
     scale: float = 0.2
     rough_scale: float = 0.6
     """By how much the force over the speed's change may differ from one, and how far below it may
@@ -168,12 +103,8 @@ class MountingYawTuning:
     believed: float = math.radians(6.0)  # radians of sigma below which it is used so
     explained: float = 0.4  # share of the force's changes that the speed must explain
     floor: float = math.radians(0.3)  # radians that no drive removes: springs, tyres
-    largest_delay: float = 8.0
-    earliest_delay: float = -1.0
-    """Seconds of latency that are tried."""
-    reuse: float = 15.0
-    reuse_first: float = 4.0
-    """Seconds between fits, and in the first minute."""
+    largest_delay: float = 8.0  # seconds of latency that are tried, and an eighth of them early
+    reuse: float = 8.0  # seconds between fits
     wild: float = 0.02  # share of samples that jump as no vehicle can
     recent: int = 240  # ticks of the newest minute, over which a speed must hold as well
     stuck: int = 48
@@ -182,22 +113,53 @@ class MountingYawTuning:
 
 
 @dataclass(frozen=True)
-class TripTuning:
-    """Forwards or backwards, from the force."""
+class CourseTuning:
+    """Straight stretches of road, whether their course is a heading, and the compass against it."""
 
-    clear: float = 3.0  # sigmas that decide
-    correlated: float = 4.0  # by how much errors of the force last longer than the smoothing
-    standing: float = 0.5  # m/s of a speed that has no sign; a receiver's wanders
-    crawling: float = 1.5
-    """m/s below which it may have stood meanwhile, unseen by a receiver that measures once a
-    second."""
-    longest: float = 40.0  # seconds since standing that are examined
+    shortest: float = 5.0
+    longest: float = 4.0
+    """Metres and seconds between the fixes of a chord."""
+    largest_sigma: float = math.radians(12.0)
+    """Radians of a course, beyond which it is left out, as that of a receiver that stands."""
+    largest_rate: float = math.radians(3.0)
+    largest_turn: float = math.radians(5.0)
+    """rad/s throughout, and radians in all: in bends lever arm, slip and latency show."""
+    relative_sigma: float = 0.3
+    """Metres of error between neighbouring fixes; not the fix's absolute accuracy."""
+    course_sigma: float = math.radians(1.0)  # radians of any course: slip, camber, lanes
+    remembered: int = 200  # ticks kept for chords that end late
+    span: float = 60.0
+    chords: int = 8
+    """Seconds of straight driving that are examined, and the fewest chords in them."""
+    scatter: float = math.radians(10.0)
+    """Radians by which course less gyro yaw may scatter within them; boats exceed it."""
+    bias: float = math.radians(0.3)  # rad/s of the gyro's bias that the compass does not show
+    turned: float = math.radians(5.0)
+    """Radians, RMS, that it must have turned by to show whether its course followed."""
+    share: float = 0.5
+    """Of its turns that the course leaves out: none of a vehicle's on wheels, all of a hull's."""
+    cell: float = 10.0
+    """Metres of a cell's side at first; twice as long whenever there are too many."""
+    sectors: int = 8  # sectors of course in a cell
+    most_cells: int = 400  # cells kept
+    reach: float = 30.0  # metres over which streets disturb the field alike
+    wave_sigma: float = math.radians(3.0)
+    """Radians of the harmonics: hard iron and soft iron that a calibration leaves."""
+    noise: float = math.radians(2.0)  # radians of a chord's compass beside streets and course
+    street: float = math.radians(7.0)
+    street_weight: float = 4.0
+    """Radians by which a street turns the compass, and pseudo-observations of it."""
+    freedom: float = 5.0  # degrees of freedom of Student's weights
+    swing_share: float = 0.5
+    """Share of a swing of compass against course that is in the offset's sigma: its cause may have
+    come or gone on the way."""
+    fewest: int = 5  # cells before the first fit
+    rounds: int = 5  # reweighted ones: weights and the street's size have settled
 
 
-CHORDS, DRIFT, COURSE, SPEED = ChordTuning(), DriftTuning(), CourseTuning(), SpeedTuning()
-TICKS, OWN, MOUNTING, TRIP = (
-    TickTuning(),
+SPEED, OWN, MOUNTING, COURSE = (
+    SpeedTuning(),
     OwnAccelerationTuning(),
     MountingYawTuning(),
-    TripTuning(),
+    CourseTuning(),
 )

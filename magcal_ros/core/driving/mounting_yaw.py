@@ -1,28 +1,46 @@
 """The yaw of the IMU in the vehicle: specific force against the change of velocity.
 
-In a level frame that the gyro keeps still (`gyro_frame`), with the IMU's yaw theta in it,
+In a level frame that the gyro keeps still (`GyroFrame`), with the IMU's yaw theta in it,
 
-    F = z d/dt [(v + i l w) e^(i theta)] + e,    z = s e^(-i beta),
+    F = z d/dt [v e^(i theta)] + w d/dt [i r e^(i theta)] + e,    z = s e^(-i beta),
 
-where F is the force across up, v the signed speed, w the turn rate, l the way from the rear axle
-to the IMU, beta the yaw of the IMU in the vehicle and s one if the speed's unit is right. Neither
-field nor course is needed. All are low-passed over a second and less their mean over 20 s.
+where F is the force across up, v the signed speed, r the turn rate, w the lever arm from the rear
+axle to the IMU, beta the yaw of the IMU in the vehicle and s one if the speed's unit is right.
+Neither field nor course is needed. All are low-passed over a second and less their mean over 20 s.
 """
 
 from __future__ import annotations
 
 import cmath
 import math
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from magcal_ros.core.driving.driving_tuning import MOUNTING, TRIP
+from magcal_ros.core.driving.chords import Tick
+from magcal_ros.core.driving.driving_tuning import MOUNTING, OWN, SpeedSource
+from magcal_ros.core.driving.speedometer import Speedometer, SpeedRecord
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
+
+UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
+"""How often each is in a m/s."""
+
+
+class SpeedFault(str, Enum):
+    """What is wrong with a speed."""
+
+    JUMPS = "jumps"
+    FROZEN = "frozen"
+    SCALE = "scale"
+    LATE = "late"
+    UNRELATED = "unrelated"
 
 
 @dataclass(frozen=True)
@@ -37,7 +55,6 @@ class MountingYaw:
     explained: float  # share of the force's changes that the speed explains
     energy: float  # m²/s³ of changes of velocity that were seen
     force_energy: float  # the same of the force
-    seconds: float  # of driving that were fitted
     noise: float  # m/s² that the force departs by
     is_rough: bool = False
     """Whether the speed is a receiver's, whose noise makes the scale less than one."""
@@ -57,201 +74,302 @@ class MountingYaw:
     @property
     def is_known(self) -> bool:
         """Whether enough was seen, and the speed explains it."""
-        return (
-            min(self.energy, self.force_energy) >= MOUNTING.energy
-            and self.explained >= MOUNTING.explained
-            and self.has_scale
-        )
+        is_enough = min(self.energy, self.force_energy) >= MOUNTING.energy
+        return is_enough and self.explained >= MOUNTING.explained and self.has_scale
 
 
-@dataclass(frozen=True, eq=False)
-class TickTable:
-    """Ticks of a drive in arrays, with the speed at the end of each."""
+class TickTable(NamedTuple):
+    """Ticks of a drive in arrays of shape (n,), with the speed at the end of each."""
 
     stamp: FloatArray
     seconds: FloatArray
-    """End and length of each tick. Shape (n,)."""
-    force: ComplexArray
-    """m/s² across up in the gyro's frame. Shape (n,)."""
+    """End and length of each tick."""
+    force: ComplexArray  # m/s² across up in the gyro's frame
     yaw: FloatArray
     turn_rate: FloatArray
-    """Of the IMU in the frame, radians and rad/s. Shape (n,)."""
-    speed: FloatArray
-    """m/s; NaN where it is not known. Shape (n,)."""
-    is_signed: bool = True  # whether backwards is negative
+    """Of the IMU in the frame, radians and rad/s."""
+    speed: FloatArray  # m/s; NaN where it is not known
+    is_signed: bool  # whether backwards is negative
+
+    def last(self, count: int) -> TickTable:
+        """Return the newest ticks."""
+        stamp, seconds, force, yaw, rate, speed, is_signed = self
+        newest = slice(-count, None)
+        motion = yaw[newest], rate[newest], speed[newest]
+        return TickTable(stamp[newest], seconds[newest], force[newest], *motion, is_signed)
 
 
-@dataclass(frozen=True, eq=False)
-class _Filtered:
-    force: ComplexArray
-    change: ComplexArray
-    swing: ComplexArray
-    valid: BoolArray
+class Judged(NamedTuple):
+    """What a fit shows of one source: the yaw it leads to, what is wrong with it, its latency."""
+
+    source: SpeedSource
+    fitted: MountingYaw | None
+    fault: SpeedFault | None
+    delay: float
 
 
-def fit_mounting_yaw(ticks: TickTable, delay: float) -> MountingYaw | None:
-    """Fit yaw, scale and lever arm; None where nothing moved.
+def _judge(
+    source: SpeedSource, table: TickTable, record: SpeedRecord, measures_delay: bool
+) -> Judged:
+    delay = _delay(table, record) if measures_delay else record.delay
+    met = _met(table, record, delay)
+    is_rough = source is not SpeedSource.ODOMETRY
+    newest = met.last(MOUNTING.stuck)
+    if len(newest.speed) == MOUNTING.stuck and np.ptp(newest.speed) == 0.0:
+        stuck = fit_mounting_yaw(newest, delay, is_rough)
+        is_moved = stuck is not None and stuck.force_energy > MOUNTING.first_energy
+        if stuck is not None and is_moved and stuck.explained < MOUNTING.explained:
+            return Judged(source, stuck, SpeedFault.FROZEN, delay)
+    # What went wrong with wheels just now is not outweighed by minutes in which all was well; a
+    # receiver is worse between houses, and good again beyond them.
+    for ticks in (met,) if is_rough else (met.last(MOUNTING.recent), met):
+        found = fit_mounting_yaw(ticks, delay, is_rough)
+        fault = None if found is None else _fault(record, found)
+        if fault is not None:
+            break
+    return Judged(source, found, fault, delay)
 
-    The speeds are already corrected by the latency `delay`, seconds.
-    """
-    if len(ticks.stamp) < MOUNTING.highpass // 2 or not np.isfinite(ticks.speed).any():
+
+def _met(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
+    """Return ticks with the speeds of a source at a latency."""
+    speed = record.along(table.stamp, delay)
+    return table._replace(speed=speed, is_signed=record.is_signed)
+
+
+def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
+    if record.wild_share > MOUNTING.wild:
+        return SpeedFault.JUMPS
+    if fitted.force_energy < MOUNTING.energy:
         return None
-    signs = np.ones(len(ticks.stamp))
-    filtered = _filtered(ticks, signs)
-    if filtered.valid.sum() < MOUNTING.highpass // 4:
-        return None
-    if not ticks.is_signed:
-        signs = _signs(ticks, filtered)
-        filtered = _filtered(ticks, signs)
-    return _solved(ticks, filtered, delay)
+    if fitted.energy < 0.02 * fitted.force_energy:
+        return SpeedFault.FROZEN
+    if fitted.explained < MOUNTING.explained:
+        return SpeedFault.UNRELATED
+    if not fitted.has_scale:
+        return SpeedFault.SCALE
+    return SpeedFault.LATE if fitted.delay > OWN.latest else None
 
 
-def correlation(ticks: TickTable) -> float:
+def _delay(table: TickTable, record: SpeedRecord) -> float:
+    """Find the shift at which force and change of velocity go together best."""
+    step = 2.0 * OWN.seconds
+    if len(table.stamp) < 2 * MOUNTING.highpass:
+        return record.delay
+    delays = np.arange(-MOUNTING.largest_delay / 8.0, MOUNTING.largest_delay + step, step)
+    scores = np.array([_correlation(_met(table, record, d)) for d in delays])
+    best = int(np.argmax(scores))
+    now = float(np.interp(record.delay, delays, scores))
+    is_clear = scores[best] ** 2 > MOUNTING.explained and scores[best] > now + 0.02
+    if not is_clear or best in (0, len(delays) - 1):
+        return record.delay
+    before, top, after = scores[best - 1 : best + 2]
+    bend = before - 2.0 * top + after
+    shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return float(delays[best] + step * shift)
+
+
+def _correlation(ticks: TickTable) -> float:
     """Return how well force and change of velocity go together, zero to one."""
-    change, valid = _change(ticks, np.ones(len(ticks.stamp)))
-    force = _banded(np.where(valid, ticks.force, 0.0), valid)
-    change = _banded(change, valid)
+    force, change, _, _ = _filtered(ticks, np.ones(len(ticks.stamp)))
     size = math.sqrt(float(np.sum(np.abs(force) ** 2) * np.sum(np.abs(change) ** 2)))
     return 0.0 if size <= 0.0 else float(abs(np.vdot(change, force))) / size
 
 
-def _change(ticks: TickTable, signs: FloatArray) -> tuple[ComplexArray, BoolArray]:
-    """Return the change of velocity over each tick, m/s², and where it is known."""
-    velocity = signs * ticks.speed * np.exp(1j * ticks.yaw)
-    change = np.full(len(velocity), np.nan, dtype=np.complex128)
-    change[1:] = (velocity[1:] - velocity[:-1]) / ticks.seconds[1:]
-    valid = np.isfinite(change)
-    gap = np.diff(ticks.stamp)
-    valid[1:] &= np.abs(gap - ticks.seconds[1:]) < 0.5 * ticks.seconds[1:]
-    return np.where(valid, change, 0.0), valid
-
-
-def _filtered(ticks: TickTable, signs: FloatArray) -> _Filtered:
-    change, valid = _change(ticks, signs)
+def _filtered(
+    ticks: TickTable, signs: FloatArray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, BoolArray]:
+    """Return force, change of velocity and of a lever arm's, filtered, and where all are known."""
+    ahead = np.exp(1j * ticks.yaw)
     ends = 0.5 * (ticks.turn_rate + np.append(ticks.turn_rate[1:], ticks.turn_rate[-1]))
-    look = 1j * ends * np.exp(1j * ticks.yaw)
-    swing = np.zeros(len(look), dtype=np.complex128)
-    swing[1:] = (look[1:] - look[:-1]) / ticks.seconds[1:]
-    force, swing = (np.where(valid, x, 0.0) for x in (ticks.force, swing))
-    force, change, swing = (_banded(x, valid) for x in (force, change, swing))
-    return _Filtered(force, change, swing, valid)
+    change, swing = (
+        np.diff(each, prepend=np.nan) / ticks.seconds
+        for each in (signs * ticks.speed * ahead, 1j * ends * ahead)
+    )
+    gap = np.diff(ticks.stamp, prepend=-np.inf)
+    valid = np.isfinite(change) & (np.abs(gap - ticks.seconds) < 0.5 * ticks.seconds)
+    counts = np.append(0, np.cumsum(valid))
+
+    def banded(values: ComplexArray) -> ComplexArray:
+        sums = np.append(0.0, np.cumsum(np.where(valid, values, 0.0)))
+        low, mean = (_running(sums, counts, w) for w in (MOUNTING.smooth, MOUNTING.highpass))
+        return np.where(valid, low - mean, 0.0)
+
+    return banded(ticks.force), banded(change), banded(swing), valid
 
 
-def _banded(values: ComplexArray, valid: BoolArray) -> ComplexArray:
-    counts = np.zeros(len(values) + 1, dtype=np.int64)
-    np.cumsum(valid, out=counts[1:])
-    low = _running(values, counts, MOUNTING.smooth)
-    return np.where(valid, low - _running(values, counts, MOUNTING.highpass), 0.0)
-
-
-def _running(values: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
-    """Return the mean over so many rows about each; `counts` are running ones of valid rows."""
-    total = len(values)
-    sums = np.zeros(total + 1, dtype=np.complex128)
-    np.cumsum(values, out=sums[1:])
+def _running(sums: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
+    """Return the mean over so many rows about each, of running sums and of valid rows."""
+    total = len(sums) - 1
     last = np.minimum(np.maximum(np.arange(total) - width // 2, 0) + width, total)
     first = np.maximum(last - width, 0)
     return np.asarray((sums[last] - sums[first]) / np.maximum(counts[last] - counts[first], 1))
 
 
-def trip_labels(speed: FloatArray, slowest: float) -> IntArray:
-    """Return a number of the trip for each row, zero while the vehicle stands."""
-    moving = np.abs(np.nan_to_num(speed)) > slowest
-    begins = moving & ~np.r_[False, moving[:-1]]
-    return np.asarray(np.where(moving, np.cumsum(begins), 0))
-
-
-def _signs(ticks: TickTable, found: _Filtered) -> FloatArray:
+def _signs(ticks: TickTable, force: ComplexArray, change: ComplexArray) -> FloatArray:
     """Return plus or minus one per row: forwards where most of the way was driven.
 
     The squares of the trips' sums do not know the trips' signs.
     """
-    label = trip_labels(ticks.speed, TRIP.standing)
+    speed = np.abs(np.nan_to_num(ticks.speed))
+    moving = speed > OWN.standing
+    label = np.where(moving, np.cumsum(moving & ~np.append(False, moving[:-1])), 0)
     count = int(label.max()) + 1
-    product = found.force * np.conj(found.change)
+    product = force * np.conj(change)
     sums = np.bincount(label, product.real, count) + 1j * np.bincount(label, product.imag, count)
     sums[0] = 0.0
     axis = cmath.exp(0.5j * cmath.phase(complex(np.sum(sums**2))))
     sign = np.where((sums * np.conj(axis)).real < 0.0, -1.0, 1.0)
-    metres = np.bincount(label, np.abs(np.nan_to_num(ticks.speed)) * ticks.seconds, count)
-    if float(sign @ metres) < 0.0:
+    if float(sign @ np.bincount(label, speed * ticks.seconds, count)) < 0.0:
         sign = -sign
     sign[0] = 1.0
     return np.asarray(sign[label])
 
 
-class _Solution(NamedTuple):
-    """Where the reweighted steps ended, and what they saw there."""
+def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> MountingYaw | None:
+    """Fit yaw, scale and lever arm; None where nothing moved.
 
-    z: complex
-    noise: float
-    weight: FloatArray
-    error: ComplexArray
-    scores: FloatArray
-    information: FloatArray
-    prior_score: float
-
-
-def _solved(ticks: TickTable, found: _Filtered, delay: float) -> MountingYaw:
-    rows = np.flatnonzero(found.valid)
-    force, change, swing = (x[rows] for x in (found.force, found.change, found.swing))
+    The speeds are already corrected by the latency `delay`, seconds. Least squares with weights
+    1/(1 + |e|²/4s²); the errors of blocks of time are taken as one.
+    """
+    if len(ticks.stamp) < MOUNTING.highpass // 2 or not np.isfinite(ticks.speed).any():
+        return None
+    force, change, swing, valid = _filtered(ticks, np.ones(len(ticks.stamp)))
+    if valid.sum() < MOUNTING.highpass // 4:
+        return None
+    if not ticks.is_signed:
+        signs = _signs(ticks, force, change)
+        force, change, swing, valid = _filtered(ticks, signs)
+    force, columns = force[valid], np.array([change[valid], swing[valid]])
     period = float(np.median(ticks.seconds))
-    moving = np.abs(np.nan_to_num(ticks.speed)) > MOUNTING.moving
-    seconds = float(np.sum(ticks.seconds[moving]))
-    energy = float(np.sum(np.abs(change) ** 2)) * period
-    force_energy = float(np.sum(np.abs(force) ** 2)) * period
+    squares = np.abs(force) ** 2
+    force_energy = float(np.sum(squares)) * period
+    energy = float(np.sum(np.abs(columns[0]) ** 2)) * period
     if energy <= 0.0:
-        return MountingYaw(0.0, math.pi, 0.0, delay, 0.0, 0.0, force_energy, seconds, math.inf)
-    end = _steps(force, change, swing)
+        return MountingYaw(0.0, math.pi, 0.0, delay, 0.0, 0.0, force_energy, math.inf, is_rough)
+    error, weight = force, np.ones(len(force))
+    for _ in range(MOUNTING.iterations):
+        # The median of a Rayleigh distribution is 1.177 of its components' sigma.
+        noise = max(1e-3, 1.26 * float(np.median(np.abs(error))))
+        # Smoothed rows are correlated: the prior is weighed against independent ones.
+        prior = noise**2 * MOUNTING.smooth / MOUNTING.lever_sigma**2
+        weighted = columns.conj() * weight
+        inverse = np.linalg.inv(weighted @ columns.T + np.diag([1e-9, prior]))
+        found = inverse @ weighted @ force
+        error = force - found @ columns
+        weight = 1.0 / (1.0 + np.abs(error) ** 2 / (4.0 * noise**2))
+    stamp = ticks.stamp[valid]
+    blocks = np.flatnonzero(np.diff(np.floor((stamp - stamp[0]) / MOUNTING.block), prepend=-1.0))
+    steps = inverse[0] @ np.add.reduceat(weighted * error, blocks, axis=1)
+    by_lever = inverse[0, 1] * prior * MOUNTING.lever_sigma
+    z = complex(found[0])
+    # Across z a step turns it.
+    variance = float(np.sum((steps / z).imag ** 2)) + abs(by_lever / z) ** 2
     # A wild speed explains nothing, but is no worse than none.
-    spent = float(np.sum(np.abs(force) ** 2))
-    left = float(np.sum(np.minimum(np.abs(end.error) ** 2, np.abs(force) ** 2)))
-    variance = _yaw_variance(end, ticks.stamp[rows])
-    if seconds < MOUNTING.short:
-        variance *= MOUNTING.widening**2
+    left = float(np.sum(np.minimum(np.abs(error) ** 2, squares)))
     return MountingYaw(
-        -cmath.phase(end.z),
+        -cmath.phase(z),
         min(math.pi, math.sqrt(variance + MOUNTING.floor**2)),
-        abs(end.z),
+        abs(z),
         delay,
-        1.0 - left / spent if spent > 0.0 else 0.0,
+        1.0 - left / max(float(np.sum(squares)), 1e-300),
         energy,
         force_energy,
-        seconds,
-        end.noise,
+        noise,
+        is_rough,
     )
 
 
-def _steps(force: ComplexArray, change: ComplexArray, swing: ComplexArray) -> _Solution:
-    """Gauss-Newton on z and the lever arm, with weights 1/(1 + |e|²/4s²)."""
-    z = complex(np.vdot(change, force)) / float(np.sum(np.abs(change) ** 2))
-    lever = 0.0
-    for _ in range(MOUNTING.iterations):
-        error = force - z * (change + lever * swing)
-        # The median of a Rayleigh distribution is 1.177 of its components' sigma.
-        noise = max(1e-3, 1.26 * float(np.median(np.abs(error))))
-        weight = 1.0 / (1.0 + np.abs(error) ** 2 / (4.0 * noise**2))
-        model = change + lever * swing
-        columns = np.array([model, 1j * model, z * swing])
-        # Smoothed rows are correlated: the prior is weighed against independent ones.
-        prior = noise**2 * MOUNTING.smooth / MOUNTING.lever_sigma**2
-        information = np.real(columns.conj() * weight @ columns.T)
-        information += np.diag([1e-9, 1e-9, prior])
-        slope = np.real(columns.conj() @ (weight * error))
-        slope[2] -= prior * lever
-        step = np.linalg.solve(information, slope)
-        z, lever = z + complex(step[0], step[1]), lever + float(step[2])
-    error = force - z * (change + lever * swing)
-    scores = np.real(columns.conj() * (weight * error))
-    prior_score = (prior * MOUNTING.lever_sigma) ** 2
-    return _Solution(z, noise, weight, error, scores, information, prior_score)
+class MountingWatch:
+    """Keeps the ticks of some minutes and fits them now and then.
+
+    `found` is the newest fit of the source in use, `seen` that of each source, and `faults` is what
+    is wrong with which source.
+    """
+
+    def __init__(self, speedometer: Speedometer) -> None:
+        self._speedometer = speedometer
+        self._ticks: deque[Tick] = deque(maxlen=MOUNTING.remembered)
+        self._fitted_at = -math.inf
+        self._fits = 0
+        self._still = 0.0
+        self.found: MountingYaw | None = None
+        self.faults: dict[SpeedSource, SpeedFault] = {}
+        self.seen: dict[SpeedSource, MountingYaw] = {}
+
+    def add(self, tick: Tick, speed: float) -> bool:
+        """Take a tick and its speed (m/s, NaN where unknown); returns whether a fit is due."""
+        self._still = 0.0 if abs(speed) > MOUNTING.moving else self._still + tick.seconds
+        is_quiet = abs(tick.level_force) < 0.5 * MOUNTING.moving
+        if self._still < MOUNTING.standing or not is_quiet:
+            self._ticks.append(tick)
+        return tick.stamp - self._fitted_at >= MOUNTING.reuse
+
+    def restart(self) -> None:
+        """Forget the ticks: time was set back."""
+        self._ticks.clear()
+        self._fitted_at = -math.inf
+
+    def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
+        """Return the work of fitting what was driven, for any thread; give `take` its result.
+
+        The sources after the first good one wait for every eighth fit, which measures latencies.
+        """
+        self._fitted_at = stamp
+        self._fits += 1
+        ticks, is_thorough = list(self._ticks), self._fits % 8 == 0
+        recent = [
+            (source, track.record())
+            for source, track in self._speedometer.tracks.items()
+            if stamp - track.newest <= 2.0 * MOUNTING.reuse
+        ]
+
+        def work() -> tuple[Judged, ...]:
+            columns = np.array(
+                [(t.stamp, t.seconds, t.yaw, t.turn_rate, math.nan) for t in ticks],
+                dtype=np.float64,
+            ).reshape(-1, 5)
+            stamps, seconds, yaw, rate, speed = columns.T
+            force = np.array([tick.level_force for tick in ticks], dtype=np.complex128)
+            table = TickTable(stamps, seconds, force, yaw, rate, speed, True)
+            judged: list[Judged] = []
+            for source, record in recent:
+                judged.append(_judge(source, table, record, is_thorough))
+                is_good = judged[-1].fitted is not None and judged[-1].fault is None
+                if is_good and not is_thorough:
+                    break
+            return tuple(judged)
+
+        return work
+
+    def take(self, judged: tuple[Judged, ...]) -> None:
+        """Take over what was fitted: the best source without a fault is used."""
+        self.found = None
+        for source, fitted, fault, delay in judged:
+            if fitted is not None:
+                self.seen[source] = fitted
+            self._speedometer.tracks[source].delay = delay
+            if fault is None:
+                self.faults.pop(source, None)
+                self.found = self.found or fitted
+            else:
+                self.faults[source] = fault
+        self._speedometer.distrusted = set(self.faults)
 
 
-def _yaw_variance(end: _Solution, stamps: FloatArray) -> float:
-    """Return the variance of the yaw by blocks of time whose errors are taken as one."""
-    block = ((stamps - stamps[0]) / MOUNTING.block).astype(np.int64)
-    sums = np.array([np.bincount(block, row) for row in end.scores])
-    inverse = np.linalg.inv(end.information)
-    covariance = inverse @ (sums @ sums.T + np.diag([0.0, 0.0, end.prior_score])) @ inverse
-    across = np.array([-end.z.imag, end.z.real, 0.0]) / max(abs(end.z) ** 2, 1e-12)
-    return float(across @ covariance @ across)
+def fault_words(topic: str, fault: SpeedFault, fitted: MountingYaw) -> str:
+    """Say what is wrong with a speed, and what to do."""
+    if fault is SpeedFault.SCALE:
+        times = 1.0 / max(fitted.scale, 1e-6)
+        unit = next((name for k, name in UNITS.items() if abs(times / k - 1.0) < 0.12), "")
+        guess = f", as if it were in {unit}" if unit else ""
+        what = f"is {times:.2g} times what the accelerometer says{guess}: publish m/s"
+    else:
+        what = {
+            SpeedFault.JUMPS: "jumps as no vehicle can: look at the encoder or its driver",
+            SpeedFault.FROZEN: "does not change while the accelerometer says that the vehicle "
+            "moves: is its driver stuck?",
+            SpeedFault.LATE: f"is late by {fitted.delay:.1f} s: stamp it when it is measured",
+            SpeedFault.UNRELATED: "does not go with the accelerometer: is it this vehicle's, and "
+            "stamped by the same clock?",
+        }[fault]
+    return f"{topic}: its speed {what}. It is not used"

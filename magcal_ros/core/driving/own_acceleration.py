@@ -5,88 +5,38 @@ from __future__ import annotations
 import cmath
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numpy as np
-
 from magcal_ros.core.driving.chords import GyroFrame, Tick
-from magcal_ros.core.driving.driving_tuning import OWN, TRIP, SpeedSource
-from magcal_ros.core.driving.mounting_yaw import ComplexArray
+from magcal_ros.core.driving.driving_tuning import OWN, SpeedSource
 from magcal_ros.core.driving.speedometer import SpeedTrack
 from magcal_ros.core.geometry.vec3 import Triple, minus
 
 
-class Tried(NamedTuple):
-    """Force across up, and change of velocity if the IMU looked ahead, m/s².
+@dataclass
+class _Moments:
+    """Running means of force and change of velocity, m/s², and second moments about them."""
 
-    `along` is the latter's part along the vehicle.
-    """
+    force: complex = 0j
+    change: complex = 0j
+    force_square: float = 0.0
+    change_square: float = 0.0
+    product: complex = 0j
 
-    force: complex
-    change: complex
-    along: float
+    def add(self, force: complex, change: complex, gain: float) -> None:
+        by_force, by_change = force - self.force, change - self.change
+        self.force += gain * by_force
+        self.change += gain * by_change
+        keeps = 1.0 - gain
+        self.force_square = keeps * (self.force_square + gain * abs(by_force) ** 2)
+        self.change_square = keeps * (self.change_square + gain * abs(by_change) ** 2)
+        self.product = keeps * (self.product + gain * by_force * by_change.conjugate())
 
-
-class SpeedTrial:
-    """The newest forces and changes of velocity, and how they scatter."""
-
-    def __init__(self) -> None:
-        self._tried: deque[Tried] = deque(maxlen=OWN.watched)
-
-    def __len__(self) -> int:
-        return len(self._tried)
-
-    def clear(self) -> None:
-        """Forget them."""
-        self._tried.clear()
-
-    def add(self, tried: Tried) -> None:
-        """Take the newest, and leave the oldest."""
-        self._tried.append(tried)
-
-    def turn_back(self, count: int) -> None:
-        """Negate the newest changes, as many as `count`: the vehicle has backed up."""
-        for index in range(max(0, len(self._tried) - count), len(self._tried)):
-            tried = self._tried[index]
-            self._tried[index] = tried._replace(change=-tried.change)
-
-    @property
-    def last(self) -> Tried:
-        """The newest as it was added."""
-        return self._tried[-1]
-
-    def left(self, turn: complex) -> complex:
-        """Return the mean of the force less `turn` times the change; zero before the first."""
-        return complex(np.mean(self._left(turn))) if self._tried else 0j
-
-    @property
-    def newest(self) -> Tried:
-        """The newest, less the means."""
-        force, change, _ = np.mean(np.array(self._tried), axis=0)
-        last = self._tried[-1]
-        return last._replace(force=last.force - force, change=last.change - change)
-
-    @property
-    def share_along(self) -> float:
-        """Share of the changes that lies along the vehicle: starts and stops."""
-        _, changes, along = np.sum(np.abs(np.array(self._tried)) ** 2, axis=0)
-        return float(along / changes) if changes > 0.0 else 0.0
-
-    def scatter(self, turn: complex) -> float:
-        """Return the variance of the force less `turn` times the change, (m/s²)²."""
-        return float(np.var(self._left(turn)))
-
-    def _left(self, turn: complex) -> ComplexArray:
-        force, change, _ = np.array(self._tried).T
-        return np.asarray(force - turn * change)
-
-
-class _Matched(NamedTuple):
-    """A tick with the velocity at its end, m/s in the frame, as if the IMU looked ahead."""
-
-    tick: Tick
-    velocity: complex
+    def square_left(self, turn: complex) -> float:
+        """Return the variance of the force less `turn` times the change."""
+        both = 2.0 * (turn.conjugate() * self.product).real
+        return self.force_square - both + abs(turn) ** 2 * self.change_square
 
 
 class _Trip(NamedTuple):
@@ -95,29 +45,6 @@ class _Trip(NamedTuple):
     end: float = -math.inf
     sign: float = 1.0
     is_clear: bool = False
-
-
-@dataclass
-class _Evidence:
-    """What the force shows of the direction of travel since a stamp; positive is forwards.
-
-    `slope` is what the force was then beside the vehicle's own acceleration.
-    """
-
-    since: float
-    slope: complex = 0j
-    product: float = 0.0
-    energy: float = 0.0
-    count: int = 0
-
-    def add(self, force: complex, expected: complex) -> None:
-        self.product += (force * expected.conjugate()).real
-        self.energy += abs(expected) ** 2
-        self.count += 1
-
-    def score(self, noise: float, correlated: float) -> float:
-        """Return it in sigmas."""
-        return self.product / (math.sqrt(correlated * max(self.energy, 1e-9)) * noise)
 
 
 class OwnAcceleration:
@@ -132,39 +59,44 @@ class OwnAcceleration:
     force departs from it. `is_used` is whether the speed explains the force of the last seconds.
     `is_yaw_usable` and `is_yaw_known` are whether the yaw is known roughly, and well: before the
     latter, a vehicle is taken to drive forwards. `sign` is minus one while a speed without sign is
-    that of a vehicle that backs up, and `sign_score` are the sigmas by which the force supports it
-    since the vehicle stood.
+    that of a vehicle that backs up, and `is_clear` is whether the force has decided on it since the
+    vehicle stood.
     """
 
     def __init__(self) -> None:
         self.yaw, self.is_yaw_usable, self.is_yaw_known = 0.0, False, False
         self.scale, self.noise = 1.0, 0.3
         self._waiting: deque[Tick] = deque(maxlen=64)
-        self._matched: deque[_Matched] = deque(maxlen=max(OWN.spans.values()) + 1)
-        self._trial = SpeedTrial()
-        self._trip = SpeedTrial()
-        self._before, self._is_under_way, self._speed = _Trip(), True, 0.0
-        self._gravity: tuple[float, Triple] | None = None
+        self._matched: deque[tuple[Tick, complex]] = deque(maxlen=max(OWN.spans.values()) + 1)
         self._is_rough, self._slow = False, OWN.slow[SpeedSource.ODOMETRY]
         self._is_signed, self._span = True, OWN.spans[SpeedSource.ODOMETRY]
-        self._gives, self._pauses_until = False, -math.inf
         self._track_key: tuple[SpeedSource, float] | None = None
-        self.is_used = False
-        self._stand(-math.inf)
+        self.restart()
 
-    @property
-    def is_clear(self) -> bool:
-        """Whether the force has decided on the direction of travel since the vehicle stood."""
-        return self.sign_score > TRIP.clear
+    def restart(self) -> None:
+        """Forget ticks: the gyro's frame is another one."""
+        self._waiting.clear()
+        self._gives, self._pauses_until = False, -math.inf
+        self._before, self._is_under_way, self._speed = _Trip(), True, 0.0
+        self.sign, self.is_clear = 1.0, False
+        self._slope, self._product, self._energy = 0j, 0.0, 0.0
+        self._try_anew()
+
+    def _try_anew(self) -> None:
+        self._matched.clear()
+        self._gravity: tuple[float, Triple] | None = None
+        self.is_used, self._tried = False, 0
+        self._as_taken, self._reversed = _Moments(), _Moments()
+        self._along = self._changes = 0.0
 
     def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
         """Return the sign of a trip under way at a stamp, or that ended after it.
 
         And whether the force has decided on it, and whether it may still do so.
         """
-        is_open = stamp > self._before.end
-        sign, is_clear = (self.sign, self.is_clear) if is_open else self._before[1:]
-        return sign, is_clear, is_open
+        if stamp > self._before.end:
+            return self.sign, self.is_clear, True
+        return self._before.sign, self._before.is_clear, False
 
     def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
         """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
@@ -173,9 +105,12 @@ class OwnAcceleration:
         if key != self._track_key:
             # Another source, or another latency: a change of velocity would be none.
             self._track_key = key
-            self._matched.clear()
-            self._trial.clear()
-            self.is_used = False
+            self._try_anew()
+        if track is not None:
+            self._is_signed = track.is_signed
+            self._slow = OWN.slow[track.source]
+            self._is_rough = track.source is SpeedSource.FIXES
+            self._span = OWN.spans[SpeedSource.VELOCITY if track.is_slow else track.source]
         met: list[tuple[Tick, float]] = []
         while self._waiting:
             first = self._waiting[0]
@@ -184,12 +119,6 @@ class OwnAcceleration:
                 break
             self._waiting.popleft()
             speed = None if track is None else track.at(first.stamp)
-            if track is not None:
-                self._is_signed = track.is_signed
-                like = SpeedSource.VELOCITY if track.is_slow else track.source
-                self._slow = OWN.slow[track.source]
-                self._is_rough = track.source is SpeedSource.FIXES
-                self._span = OWN.spans[like]
             self._meet(first, speed)
             met.append((first, math.nan if speed is None else speed * self.sign))
         return met
@@ -199,8 +128,9 @@ class OwnAcceleration:
 
         It does not come and go: a force that is corrected for moments only would mislead.
         """
-        gravity = self._gravity_at(stamp)
-        if gravity is None or frame.axes is None or stamp < self._pauses_until:
+        since, gravity = self._gravity or (math.inf, force)
+        is_known = self.is_used and 0.0 <= stamp - since <= OWN.oldest
+        if not is_known or frame.axes is None or stamp < self._pauses_until:
             if self._gives:
                 self._pauses_until = stamp + OWN.oldest
             self._gives = False
@@ -208,111 +138,85 @@ class OwnAcceleration:
         self._gives = True
         return minus(force, frame.to_body(gravity))
 
-    def _gravity_at(self, stamp: float) -> Triple | None:
-        """Return gravity in the gyro's frame, m/s², while it may be used."""
-        if self._gravity is None or not self.is_used:
-            return None
-        since, gravity = self._gravity
-        return gravity if 0.0 <= stamp - since <= OWN.oldest else None
+    @property
+    def _turn(self) -> complex:
+        """From the change of velocity, as if the IMU looked ahead, to the force."""
+        return self.scale * cmath.exp(-1j * self.yaw)
 
-    def restart(self) -> None:
-        """Forget ticks: the gyro's frame is another one."""
-        self._waiting.clear()
-        self._matched.clear()
-        self._trial.clear()
-        self._gravity, self.is_used = None, False
-        self._gives, self._pauses_until = False, -math.inf
-        self._before = _Trip()
-        self._stand(-math.inf)
-
-    def _stand(self, stamp: float) -> None:
-        self.sign, self.sign_score = 1.0, 0.0
-        self._whole, self._newer = _Evidence(stamp), _Evidence(stamp)
-        self._trip.clear()
+    def _begin_trip(self, stamp: float, sign: float, is_clear: bool) -> None:
+        self._before = _Trip(stamp, self.sign, self.is_clear)
+        self.sign, self.is_clear = sign, is_clear
+        taken = self._as_taken
+        self._slope = taken.force - self._turn * taken.change
+        self._product = self._energy = 0.0
+        self._reversed = replace(taken)
 
     def _meet(self, tick: Tick, speed: float | None) -> None:
         if speed is None:
             self._matched.clear()
             self._gravity = None
             return
-        is_slow = abs(speed) < TRIP.standing
+        is_slow = abs(speed) < OWN.standing
         if is_slow and self._is_under_way:
-            self._before = _Trip(tick.stamp, self.sign, self.is_clear)
-            self._stand(tick.stamp)
-        self._is_under_way = not is_slow
-        if abs(speed) < min(TRIP.crawling, self._speed):
-            # A speed that comes once a second may leave out that the vehicle stood.
-            self._newer = _Evidence(tick.stamp, self._trial.left(self._turn))
-        self._speed = abs(speed)
-        velocity = speed * cmath.exp(1j * tick.yaw)
-        self._matched.append(_Matched(tick, velocity))
+            self._begin_trip(tick.stamp, 1.0, False)
+        elif not is_slow and self._span > 2 and abs(speed) < min(OWN.crawling, self._speed):
+            # A speed that comes once a second may leave out that the vehicle stood, and mere fixes
+            # smear a stop over seconds.
+            self._begin_trip(tick.stamp, self.sign, self.is_clear and not self._is_rough)
+        self._is_under_way, self._speed = not is_slow, abs(speed)
+        self._matched.append((tick, speed * cmath.exp(1j * tick.yaw)))
         if len(self._matched) > self._span:
             self._weigh()
 
-    @property
-    def _turn(self) -> complex:
-        """From the change of velocity, as if the IMU looked ahead, to the force."""
-        return self.scale * cmath.exp(-1j * self.yaw)
-
     def _weigh(self) -> None:
         """Take the change of velocity over the span off the mean force over it."""
-        first, *others = list(self._matched)[-self._span - 1 :]
-        last = others[-1]
-        seconds = sum(each.tick.seconds for each in others)
-        if not 0.5 * seconds < last.tick.stamp - first.tick.stamp < 1.5 * seconds:
+        (begin, old), *others = list(self._matched)[-self._span - 1 :]
+        end, new = others[-1]
+        seconds = sum(tick.seconds for tick, _ in others)
+        if not 0.5 * seconds < end.stamp - begin.stamp < 1.5 * seconds:
             return
         x, y, z = (
-            sum(each.tick.force[axis] * each.tick.seconds for each in others) / seconds
+            sum(tick.force[axis] * tick.seconds for tick, _ in others) / seconds
             for axis in range(3)
         )
         # The speed of a receiver that stands wanders.
-        stands = max(abs(last.velocity), abs(first.velocity)) < self._slow
-        change = 0j if stands else (last.velocity - first.velocity) / seconds
-        along = (abs(last.velocity) - abs(first.velocity)) / seconds
-        self._trial.add(Tried(complex(x, y), self.sign * change, along))
-        # Standing is where the force of the trip that follows is counted from, whichever its sign.
-        self._trip.add(Tried(complex(x, y), change if self._is_under_way else 0j, along))
-        self._judge()
+        stands = max(abs(new), abs(old)) < self._slow
+        change = 0j if stands else (new - old) / seconds
+        self._judge(complex(x, y), change, (abs(new) - abs(old)) / seconds)
         own = self.sign * change * self._turn
-        self._gravity = (last.tick.stamp, (x - own.real, y - own.imag, z))
+        self._gravity = (end.stamp, (x - own.real, y - own.imag, z))
 
-    def _judge(self) -> None:
+    def _judge(self, force: complex, change: complex, along: float) -> None:
         """Look whether the speed explains the force of the last seconds, and with which sign."""
-        trial = self._trial
-        self.is_used = False
-        if len(trial) < OWN.fewest:
-            return
-        if not self._is_signed:
-            self._decide()
-        without, with_it = trial.scatter(0j), trial.scatter(self._turn)
-        quiet, gain = OWN.quiet**2, OWN.rough_gain if self._is_rough else OWN.gain
-        self.is_used = with_it <= (gain * without if without > quiet else quiet)
+        self._tried += 1
+        gain = max(1.0 / self._tried, 1.0 / OWN.watched)
+        self._as_taken.add(force, self.sign * change, gain)
+        self._reversed.add(force, -self.sign * change, gain)
+        self._along += gain * (along**2 - self._along)
+        self._changes += gain * (abs(change) ** 2 - self._changes)
+        if not self._is_signed and self._is_under_way:
+            self._decide(force, change * self._turn)
+        without, quiet = self._as_taken.force_square, OWN.quiet**2
+        limit = OWN.gain * without if without > quiet else quiet
+        self.is_used = self._tried >= OWN.fewest and self._as_taken.square_left(self._turn) <= limit
         # On an even circle the gyro suffices: the speed of mere fixes would only add noise.
-        if self._is_rough and (trial.share_along < OWN.along or not self.is_yaw_usable):
+        if self._is_rough and not (
+            self.is_yaw_usable and self._along >= OWN.along * self._changes > 0.0
+        ):
             self.is_used = False
 
-    def _decide(self) -> None:
+    def _decide(self, force: complex, forwards: complex) -> None:
         """Sum up, since the vehicle stood, what the force shows of the direction of travel.
 
-        Earlier trips have no part in the means that are taken off: they may have another sign.
+        What the force is beside the vehicle's own acceleration is that before the trip: later it
+        is known only by the sign that is sought.
         """
-        if not self._is_under_way:
+        self._product += ((force - self._slope) * forwards.conjugate()).real
+        self._energy += abs(forwards) ** 2
+        if not self.is_yaw_known or self._energy <= 0.0:
             return
-        newest, last = self._trip.newest, self._trip.last
-        self._whole.add(newest.force, newest.change * self._turn)
-        # Where the sign may have changed meanwhile, a mean over both parts would be of neither.
-        self._newer.add(last.force - self._newer.slope, last.change * self._turn)
-        if not self.is_yaw_known:
-            return
-        whole, newer = (
-            each.score(self.noise, TRIP.correlated) for each in (self._whole, self._newer)
-        )
-        if newer * self.sign < -TRIP.clear < whole * self.sign:
-            self._before = _Trip(self._newer.since, self.sign, self.is_clear)
-            self._whole, whole = self._newer, newer
-        if whole * self.sign < -TRIP.clear:
+        sigmas = self._product / (math.sqrt(OWN.correlated * self._energy) * self.noise)
+        if sigmas * self.sign < -OWN.clear:
             self.sign = -self.sign
-            self._trial.turn_back(self._whole.count)
-        # Mere fixes smear a stop over seconds: what was known before it is known no longer.
-        least = min(whole * self.sign, newer * self.sign)
-        self.sign_score = least if self._is_rough else whole * self.sign
+            self._as_taken, self._reversed = self._reversed, self._as_taken
+        self.is_clear = self.is_clear or sigmas * self.sign > OWN.clear

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import deque
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -12,10 +12,10 @@ import numpy as np
 from magcal_ros.core.driving.driving_tuning import SPEED, SpeedSource
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import (
-    Drop,
     PositionSample,
     SpeedSample,
     StampGuard,
+    TravelSample,
     VelocitySample,
     enclosing,
 )
@@ -26,6 +26,11 @@ Span = TypeVar("Span", float, FloatArray)
 def largest_change(seconds: Span) -> Span:
     """Return by how much a speed may change meanwhile, m/s; beyond it is a jump."""
     return SPEED.largest_acceleration * seconds + SPEED.step
+
+
+def is_jump(before: tuple[float, float], after: tuple[float, float]) -> bool:
+    """Whether a speed changes from one stamp to another as no vehicle's can."""
+    return abs(after[1] - before[1]) > largest_change(after[0] - before[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +62,8 @@ class SpeedRecord:
 class SpeedTrack:
     """What one source has measured lately.
 
-    `delay` are the seconds by which its stamps are late, `is_signed` is whether backwards is
-    negative, and `drops` counts what was not used.
+    `delay` are the seconds by which its stamps are late, and `is_signed` is whether backwards is
+    negative.
     """
 
     def __init__(self, source: SpeedSource) -> None:
@@ -66,7 +71,6 @@ class SpeedTrack:
         self.source = source
         self.delay = 0.0 if own else SPEED.receiver_delay
         self.is_signed = own
-        self.drops: Counter[Drop] = Counter()
         self._stamps = StampGuard()
         self._doubted: tuple[float, float] | None = None
         self._wild: deque[bool] = deque(maxlen=SPEED.newest)
@@ -91,14 +95,7 @@ class SpeedTrack:
         """Take a speed; returns whether it was usable."""
         if not self.wants(stamp):
             return True
-        if not math.isfinite(speed):
-            reason: Drop | None = Drop.NOT_FINITE
-        elif abs(speed) > SPEED.largest:
-            reason = Drop.TOO_LARGE
-        else:
-            reason = self._stamps.check(stamp)
-        if reason is not None:
-            self.drops[reason] += 1
+        if not abs(speed) <= SPEED.largest or self._stamps.check(stamp) is not None:
             return False
         if stamp < self.newest:
             self._recent.clear()
@@ -109,17 +106,14 @@ class SpeedTrack:
     def _weigh(self, sample: tuple[float, float]) -> None:
         """Accept a sample; one to which the speed jumps only if the next one stays there."""
         doubted, self._doubted = self._doubted, None
-        is_wild = bool(self._recent) and self._is_jump(self._recent[-1], sample)
+        is_wild = bool(self._recent) and is_jump(self._recent[-1], sample)
         self._wild.append(is_wild)
-        if is_wild and (doubted is None or self._is_jump(doubted, sample)):
+        if is_wild and (doubted is None or is_jump(doubted, sample)):
             self._doubted = sample
             return
         self._recent.append(sample)
         if not self._kept or sample[0] - self._kept[-1][0] >= 2.0 * SPEED.shortest:
             self._kept.append(sample)
-
-    def _is_jump(self, before: tuple[float, float], after: tuple[float, float]) -> bool:
-        return abs(after[1] - before[1]) > largest_change(after[0] - before[0])
 
     @property
     def is_slow(self) -> bool:
@@ -132,7 +126,7 @@ class SpeedTrack:
     def gap(self) -> float:
         """Seconds between two samples that are interpolated between."""
         is_quick = self.source is SpeedSource.ODOMETRY and not self.is_slow
-        return SPEED.odometry_gap if is_quick else SPEED.receiver_gap
+        return 2.0 * SPEED.seldom if is_quick else SPEED.receiver_gap
 
     def at(self, stamp: float) -> float | None:
         """Return the speed at a stamp of the IMU's clock; None unless two near samples enclose it.
@@ -147,7 +141,7 @@ class SpeedTrack:
         if later is None:
             return sample[1] if sample[0] == stamp else None
         span = later[0] - sample[0]
-        if span > self.gap or self._is_jump(sample, later):
+        if span > self.gap or is_jump(sample, later):
             return None
         return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
 
@@ -171,23 +165,21 @@ class Speedometer:
         self.distrusted: set[SpeedSource] = set()
         self._fix: PositionSample | None = None
 
-    def add_speed(self, sample: SpeedSample) -> bool:
-        """Take a speed of the wheels; returns whether it was usable."""
-        track = self.tracks[SpeedSource.ODOMETRY]
-        track.is_signed = sample.is_signed
-        return track.add(sample.stamp, sample.speed)
+    def add(self, sample: TravelSample) -> bool:
+        """Take what wheels or a receiver say, m/s and metres; returns whether it was usable.
 
-    def add_velocity(self, sample: VelocitySample) -> bool:
-        """Take a receiver's velocity; returns whether it was usable."""
-        speed = math.hypot(sample.east, sample.north)
-        return self.tracks[SpeedSource.VELOCITY].add(sample.stamp, speed)
-
-    def add_position(self, sample: PositionSample) -> bool:
-        """Take a fix: the speed is that since the fix before; returns whether it was usable."""
-        before = self._fix
+        The speed of a fix is that since the fix before.
+        """
+        if isinstance(sample, SpeedSample):
+            wheels = self.tracks[SpeedSource.ODOMETRY]
+            wheels.is_signed = sample.is_signed
+            return wheels.add(sample.stamp, sample.speed)
+        if isinstance(sample, VelocitySample):
+            speed = math.hypot(sample.east, sample.north)
+            return self.tracks[SpeedSource.VELOCITY].add(sample.stamp, speed)
         if not math.isfinite(sample.stamp + sample.east + sample.north):
             return False
-        self._fix = sample
+        before, self._fix = self._fix, sample
         if before is None or not 0.05 < sample.stamp - before.stamp <= SPEED.receiver_gap:
             return False
         span = sample.stamp - before.stamp

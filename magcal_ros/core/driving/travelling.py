@@ -12,9 +12,8 @@ import numpy as np
 
 from magcal_ros.core.driving.chords import Chord, Chords, GyroFrame, Tick
 from magcal_ros.core.driving.course_offset import CourseCells, CourseOffset, fit_course_offset
-from magcal_ros.core.driving.driving_tuning import COURSE, DRIFT, MOUNTING, SPEED, TRIP, SpeedSource
-from magcal_ros.core.driving.mounting_watch import Judged, MountingWatch
-from magcal_ros.core.driving.mounting_yaw import MountingYaw
+from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING, OWN, SpeedSource
+from magcal_ros.core.driving.mounting_yaw import Judged, MountingWatch, MountingYaw
 from magcal_ros.core.driving.own_acceleration import OwnAcceleration
 from magcal_ros.core.driving.speedometer import Speedometer
 from magcal_ros.core.geometry.vec3 import Triple
@@ -22,7 +21,6 @@ from magcal_ros.core.samples.streams import (
     FieldSample,
     ImuSample,
     PositionSample,
-    SpeedSample,
     Streams,
     TravelSample,
     VelocitySample,
@@ -32,24 +30,19 @@ from magcal_ros.core.up.stillness import ZERO
 
 
 class DriftWatch:
-    """Compares course and gyro over a minute of straight driving.
-
-    `scatter` is that of course less the gyro's yaw, about a steady drift of the gyro, radians; zero
-    until known.
-    """
+    """Compares course and gyro over a minute of straight driving."""
 
     def __init__(self) -> None:
         self._seen: deque[Chord] = deque(maxlen=120)
-        self.scatter = 0.0
         self.judged = self.drifted = 0
 
     def add(self, chord: Chord) -> bool:
         """Take a chord; returns whether the vehicle goes where it looks, as far as is known."""
         seen = self._seen
         seen.append(chord)
-        while chord.stamp - seen[0].stamp > DRIFT.span:
+        while chord.stamp - seen[0].stamp > COURSE.span:
             seen.popleft()
-        if len(seen) >= DRIFT.chords:
+        if len(seen) >= COURSE.chords:
             self.judged += 1
             self.drifted += self._drifts()
         return not self.is_drifting
@@ -62,22 +55,19 @@ class DriftWatch:
         gaps, since = np.unwrap(gaps), time - time.mean()
         slope, lead = (float(since @ each / (since @ since)) for each in (gaps, leads))
         # The gyro leads the compass by its bias, and not by what a hull turns.
-        margin = DRIFT.bias
-        bias = since * min(max(slope, min(lead, 0.0) - margin), max(lead, 0.0) + margin)
-        left = gaps - bias
+        least, most = min(lead, 0.0) - COURSE.bias, max(lead, 0.0) + COURSE.bias
+        bias = since * min(max(slope, least), most)
+        left, turned = gaps - bias, headings - bias
         left -= np.median(left)
+        turned -= turned.mean()
         # What the receiver's own noise scatters is no drift.
         square = (1.4826 * float(np.median(np.abs(left)))) ** 2 - float(np.median(sigmas)) ** 2
-        self.scatter = math.sqrt(max(0.0, square))
-        if self.scatter > DRIFT.scatter:
+        if square > COURSE.scatter**2:
             return True
-        turned = headings - bias
-        turned -= turned.mean()
-        square = float(turned @ turned)
-        if math.sqrt(square / len(turned)) < DRIFT.turned:
-            return False
         # A receiver's noise knows nothing of the hull's turns; a course that stays leaves them out.
-        return float(turned @ left) / square > DRIFT.share
+        by_turns = float(turned @ turned)
+        has_turned = by_turns >= len(turned) * COURSE.turned**2
+        return has_turned and float(turned @ left) > COURSE.share * by_turns
 
     @property
     def is_drifting(self) -> bool:
@@ -131,18 +121,24 @@ class Travelling:
         self.is_heard = False
         self._given: tuple[float, float] | None = None
         self._restarts = 0
-        self._fitted_chords = 0
 
     @property
     def known_mounting(self) -> MountingYaw | None:
         """The yaw of the IMU in the vehicle, where enough was seen to determine it."""
-        return self.mounting.known
+        found = self.mounting.found
+        return found if found is not None and found.is_known else None
 
     @property
     def source(self) -> SpeedSource | None:
         """Whose speed is used."""
         track = self.speedometer.track
         return None if track is None else track.source
+
+    @property
+    def speed(self) -> float:
+        """The newest speed, m/s; NaN without a source."""
+        track = self.speedometer.track
+        return math.nan if track is None else track.last
 
     def believe(self, yaw: float, sigma: float) -> None:
         """Take a yaw of the IMU in the vehicle from elsewhere, radians, until more is seen."""
@@ -159,7 +155,8 @@ class Travelling:
         tick = self._frame.add(sample, gyro_bias)
         if self._frame.restarts != self._restarts:
             self._restarts = self._frame.restarts
-            self._restart()
+            for each in (self.own, self._chords, self.mounting, self.drift):
+                each.restart()
         if tick is not None:
             self._on_tick(tick)
         return self.own.linear(sample.stamp, sample.force, self._frame)
@@ -168,29 +165,12 @@ class Travelling:
         """Whether what wheels say at a stamp is of use; a message that is not need not be read."""
         return self.speedometer.tracks[SpeedSource.ODOMETRY].wants(stamp)
 
-    def add_speed(self, sample: SpeedSample) -> None:
-        """Take what wheels say."""
-        self.is_heard = self.speedometer.add_speed(sample) or self.is_heard
-
-    def add_velocity(self, sample: VelocitySample) -> None:
-        """Take a receiver's velocity."""
-        if self.speedometer.add_velocity(sample):
-            self.is_heard = True
-            self._chords.add_fix(sample)
-
-    def add_position(self, sample: PositionSample) -> None:
-        """Take a fix."""
-        self.is_heard = self.speedometer.add_position(sample) or self.is_heard
-        self._chords.add_fix(sample)
-
     def add_travel(self, sample: TravelSample) -> None:
         """Take whatever wheels and receivers say."""
-        if isinstance(sample, SpeedSample):
-            self.add_speed(sample)
-        elif isinstance(sample, VelocitySample):
-            self.add_velocity(sample)
-        else:
-            self.add_position(sample)
+        is_usable = self.speedometer.add(sample)
+        self.is_heard = is_usable or self.is_heard
+        if isinstance(sample, PositionSample) or (is_usable and isinstance(sample, VelocitySample)):
+            self._chords.add_fix(sample)
 
     def add_yaw(self, yaw: float) -> None:
         """Take a yaw of the compass to magnetic north, of the IMU's x, radians."""
@@ -200,35 +180,24 @@ class Travelling:
     def forget_compass(self) -> None:
         """Another calibration is in force: forget the comparison of the last one with course."""
         self.cells = CourseCells()
-        self.course, self._fitted_chords = None, 0
+        self.course = None
         self._pending.clear()
 
     def fit_course(self) -> CourseOffset | None:
         """Fit the offset of the compass with all that was driven."""
-        self._fitted_chords = 0
         self.course = self._begin_course()()
         return self.course
 
     def _begin_course(self) -> Callable[[], CourseOffset | None]:
         """Return the work of fitting the course; up to a tenth of a second with many cells."""
-        last, chords = self.course, self.cells.chords
-        if self.drift.is_drifting or not len(self.cells):
+        if self.drift.is_drifting:
             return lambda: None
-        if chords < self._fitted_chords + COURSE.fewest:
-            return lambda: last
-        self._fitted_chords = chords
         table = self.cells.table()
         return lambda: fit_course_offset(table)
 
     def give_up_fit(self) -> None:
         """Forget a fit that has failed: the next one may be tried."""
         self._is_running = False
-
-    def _restart(self) -> None:
-        self.own.restart()
-        self._chords.restart()
-        self.mounting.restart()
-        self.drift.restart()
 
     def _on_tick(self, tick: Tick) -> None:
         track = self.speedometer.track
@@ -239,8 +208,9 @@ class Travelling:
                 self.metres += abs(speed) * met.seconds
         if is_due and not self._is_running:
             self._fit(tick.stamp)
-        if track is not None:
-            self._chords.delay = self._receiver_delay()
+        for receiver in (SpeedSource.FIXES, SpeedSource.VELOCITY):
+            if math.isfinite(self.speedometer.tracks[receiver].newest):
+                self._chords.delay = self.speedometer.tracks[receiver].delay
         self._pending.extend(self._chords.add_tick(tick))
         self._settle()
 
@@ -271,13 +241,6 @@ class Travelling:
         elif given is not None and given[1] < MOUNTING.believed:
             own.yaw, own.is_yaw_usable, own.is_yaw_known = given[0], True, True
 
-    def _receiver_delay(self) -> float:
-        tracks = self.speedometer.tracks
-        for source in (SpeedSource.VELOCITY, SpeedSource.FIXES):
-            if math.isfinite(tracks[source].newest):
-                return tracks[source].delay
-        return SPEED.receiver_delay
-
     def _settle(self) -> None:
         """Let chords count once it is known whether the vehicle went forwards."""
         track = self.speedometer.track
@@ -290,7 +253,7 @@ class Travelling:
                 sign = sign if speed is None else math.copysign(1.0, speed)
             elif self.own.is_yaw_known and not is_clear and is_open:
                 waits = self._pending[-1].stamp - chord.stamp
-                if waits < TRIP.longest:
+                if waits < OWN.longest:
                     return
             self._pending.popleft()
             chord = chord if sign > 0.0 else chord.backwards
@@ -339,9 +302,3 @@ class TravelReplay:
                 self.travelling.add_travel(reading)
                 continue
             yield reading
-
-    @property
-    def speed(self) -> float:
-        """The newest speed, m/s; NaN without a source."""
-        track = self.travelling.speedometer.track
-        return math.nan if track is None else track.last

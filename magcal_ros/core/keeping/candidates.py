@@ -12,12 +12,11 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
-    HEADINGS,
     calibration_sigma,
     headings_apart,
+    known_sigma,
     local_sigma,
 )
-from magcal_ros.core.geometry.arrays import FloatArray
 
 if TYPE_CHECKING:
     from magcal_ros.core.smoother.drives import DriveFit
@@ -34,20 +33,12 @@ class KeepingTuning:
     """Seconds of road to which all twelve numbers are fitted."""
     look_back: float = 240.0
     shortest_since: float = 25.0
-    longest_since: float = 300.0
-    """Seconds of road in which a change is looked for; least and most of the road since it to which
+    """Seconds of road in which a change is looked for, and the least of the road since it to which
     the hard iron is fitted."""
-    finer: float = 0.9
-    """Share of its sigma below which what came of driving is replaced by what more of the same
-    driving shows, where it is known more roughly than `largest_sigma`."""
-    more_road: float = 1.15
-    """Times the road it came of that this must be fitted to."""
-    notice_sigma: float = math.radians(5.0)
     notice_differs: float = 4.0
     notice_proof: float = 2.0
-    """Radians of heading to which a change of the hard iron must be known to be told, how many
-    sigmas it must differ from what is in force, and by how many units of log likelihood the road
-    before and since must be likelier with it."""
+    """How many sigmas a changed hard iron must differ from what is in force to be told, and by how
+    many units of log likelihood the road before and since must be likelier with it."""
     plainly: float = 0.2
     """Share of the difference from what is in force that a changed hard iron may be uncertain
     by."""
@@ -57,8 +48,7 @@ class KeepingTuning:
     fewest_for_iron: int = 4
     """Of twelve headings that all twelve numbers need, and the hard iron alone."""
     differs: float = 2.0
-    """Sigmas by which a candidate differs from what is in force, or else nothing is to be
-    mended."""
+    """Sigmas within which two calibrations agree: then nothing is to be mended."""
     much_better: float = 0.6
     """Share of the other's sigma below which it is taken up all the same. Where that is beyond
     `largest_sigma` and both agree, this is enough."""
@@ -66,16 +56,6 @@ class KeepingTuning:
     longest_trial: float = 300.0
     """Seconds of road after which a candidate that has not proved itself is dropped, and one in
     force is no longer compared with the one before."""
-    turn: float = math.radians(30.0)
-    turn_within: float = 60.0
-    """Radians turned within metres that make a turn of probation."""
-    fewest_turns: int = 2
-    turn_proof: float = 2.5
-    least_gain: float = math.log(1.1)
-    """Sigmas by which turns must be quieter, and the least mean log ratio."""
-    turn_spread: float = 0.35
-    pseudo_turns: float = 4.0
-    """Usual spread of the log ratios and how many turns it counts for."""
     likelihood_proof: float = 12.0
     iron_proof: float = 8.0
     """Fall of minus log likelihood, independent units, on the road of probation, with a rise in
@@ -85,23 +65,15 @@ class KeepingTuning:
     twelve numbers are new."""
     most_against: float = 1.5
     """Units that the headings which speak against a changed hard iron may have together."""
-    shortest_proof: float = 15.0
-    """Seconds of road before which no likelihood is believed."""
-    agree: float = 2.0
-    """Sigmas within which two windows agree at the first start."""
     usual_speed: float = 5.0
     """m/s of a robot whose speed is not measured."""
-    course_proof: float = 20.0
-    """Fall of chi-square by which a candidate must explain the swing of compass against course."""
     memory: float = 600.0
     """Seconds of road that are remembered."""
     map_every: float = 0.5
-    map_rows: int = 5
-    """Seconds between points of the map of a drive, and the same in rows of its log."""
+    """Seconds between points of the map of a drive."""
     kept: int = 3
-    """Calibrations before the one in force that are kept."""
     remembered: int = 20
-    """Decisions that are told."""
+    """Calibrations before the one in force, and decisions, that are kept."""
 
 
 KEEPING = KeepingTuning()
@@ -153,39 +125,6 @@ class DriveCandidate:
             f"a {what} from {self.seconds:.0f} s of driving, {self.sectors} of 12 headings,"
             f" ±{math.degrees(self.sigma):.1f}°"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class CourseSwing:
-    """How the compass in force swings against course.
-
-    Parameters
-    ----------
-    offset : float
-        Radians, compass less course.
-    harmonics : ndarray, shape (4,)
-        cos psi, sin psi, cos 2psi, sin 2psi of the course psi, radians.
-    covariance : ndarray, shape (4, 4)
-    """
-
-    offset: float
-    harmonics: FloatArray
-    covariance: FloatArray
-
-
-def course_gain(old: Calibration, new: DriveCandidate, course: CourseSwing) -> float:
-    """Return by how much of chi-square a candidate explains what course says of the old one."""
-    swung = swing(old, new.calibration)
-    # The old compass reads the true yaw and its swing; its course is the yaw less the offset.
-    way = np.arange(HEADINGS) * (math.tau / HEADINGS) - course.offset
-    rows = np.column_stack([np.cos(way), np.sin(way), np.cos(2.0 * way), np.sin(2.0 * way)])
-    explained = 2.0 / HEADINGS * (swung @ rows)
-    covariance = course.covariance + 0.5 * new.sigma**2 * np.eye(4)
-    before, after = (
-        float(left @ np.linalg.solve(covariance, left))
-        for left in (course.harmonics, course.harmonics - explained)
-    )
-    return before - after if after < 0.5 * before else 0.0
 
 
 def candidate_of(
@@ -245,57 +184,23 @@ def candidate_of(
     )
 
 
-def swing(old: Calibration, new: Calibration) -> FloatArray:
-    """Return yaw by the old less by the new one over headings of the new, (24,), radians.
+def is_another(candidate: DriveCandidate, in_force: Calibration) -> bool:
+    """Whether a candidate differs from what is in force by more than both are uncertain."""
+    apart = difference(in_force, candidate.calibration)
+    return apart > KEEPING.differs * math.hypot(candidate.sigma, calibration_sigma(in_force))
+
+
+def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
+    """Whether a candidate agrees with what is in force, and is known much better."""
+    is_better = candidate.sigma < KEEPING.much_better * known_sigma(in_force)
+    return is_better and not is_another(candidate, in_force)
+
+
+def difference(old: Calibration, new: Calibration) -> float:
+    """Return the RMS over headings by which two calibrations differ, radians.
 
     The constant is taken off: no drive shows it.
     """
     apart = headings_apart(new.correction, old.correction, new.strength, new.inclination)
     turn = np.exp(1j * apart)
-    return np.asarray(np.angle(turn / turn.mean()))
-
-
-def is_another(
-    candidate: DriveCandidate, in_force: Calibration, tuning: KeepingTuning = KEEPING
-) -> bool:
-    """Whether a candidate differs from what is in force by more than both are uncertain."""
-    apart = difference(in_force, candidate.calibration)
-    return apart > tuning.differs * math.hypot(candidate.sigma, calibration_sigma(in_force))
-
-
-def known_sigma(calibration: Calibration) -> float:
-    """Return the radians of heading to which a calibration says that it is known."""
-    said = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
-    if said is None:
-        return calibration_sigma(calibration)
-    return math.sqrt(max(said**2 - calibration.evidence.figure(Figure.LOCAL_SIGMA, 0.0) ** 2, 0.0))
-
-
-def is_finer(
-    candidate: DriveCandidate, in_force: Calibration, tuning: KeepingTuning = KEEPING
-) -> bool:
-    """Whether more of the same driving says the same, and knows it better.
-
-    Two that are both good differ by chance, and then more road has to tell much more.
-    """
-    known = known_sigma(in_force)
-    share = tuning.finer if known > tuning.largest_sigma else tuning.much_better
-    return candidate.sigma < share * known and not is_another(candidate, in_force, tuning)
-
-
-def narrows(
-    candidate: DriveCandidate, in_force: Calibration, tuning: KeepingTuning = KEEPING
-) -> bool:
-    """Whether a candidate says what a rough calibration says, and knows it much better.
-
-    On the road since, both are about as likely: their sigmas are the proof.
-    """
-    known = known_sigma(in_force)
-    if known <= tuning.largest_sigma or candidate.sigma > tuning.much_better * known:
-        return False
-    return not is_another(candidate, in_force, tuning)
-
-
-def difference(old: Calibration, new: Calibration) -> float:
-    """Return the RMS over headings by which two calibrations differ, radians."""
-    return math.sqrt(float(np.mean(swing(old, new) ** 2)))
+    return math.sqrt(float(np.mean(np.angle(turn / turn.mean()) ** 2)))

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.keeping.candidates import KEEPING, DriveCandidate, KeepingTuning, Kind
+from magcal_ros.core.keeping.candidates import KEEPING, DriveCandidate, Kind
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.drive_log import DriveLog
 
@@ -53,8 +52,7 @@ class Mode(str, Enum):
     OFF = "off"
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
+class Trial(NamedTuple):
     """The calibration before the one in force, still compared with it."""
 
     calibration: Calibration
@@ -96,11 +94,6 @@ class Proof:
 
     seconds: float = 0.0
     """Of road."""
-    turns: int = 0
-    """Turns that were compared."""
-    turn_score: float = 0.0
-    turn_gain: float = 0.0
-    """Sigmas by which turns are quieter under the new one, and the mean log ratio."""
     likelihood: float = 0.0
     """Fall of minus log likelihood on all of the road, independent units."""
     halves: tuple[float, float] = (0.0, 0.0)
@@ -112,27 +105,18 @@ class Proof:
     """What the headings that speak against the new one say together: iron that came is seen at
     nearly all, steel on one side of the way at a few."""
 
-    def stands(self, tuning: KeepingTuning = KEEPING, kind: Kind | None = None) -> str:
+    def stands(self, kind: Kind | None = None) -> str:
         """Return in words by what the new one is proved better; empty if it is not."""
-        enough = tuning.iron_proof if kind is Kind.IRON else tuning.likelihood_proof
-        if kind is Kind.IRON and self.against > tuning.most_against:
+        enough = KEEPING.iron_proof if kind is Kind.IRON else KEEPING.likelihood_proof
+        is_elsewhere = kind is not Kind.ALL or self.elsewhere >= KEEPING.elsewhere_proof
+        is_unopposed = kind is not Kind.IRON or self.against <= KEEPING.most_against
+        is_clear = self.likelihood > enough and min(self.halves) > 0.0
+        if not (is_clear and is_elsewhere and is_unopposed):
             return ""
-        if (
-            self.turns >= tuning.fewest_turns
-            and self.turn_score > tuning.turn_proof
-            and self.turn_gain > tuning.least_gain
-            and self.likelihood >= 0.0
-        ):
-            gain = 100.0 * (1.0 - math.exp(-self.turn_gain))
-            return f"{self.turns} turns driven since are {gain:.0f}% quieter"
-        if kind is Kind.ALL and self.elsewhere < tuning.elsewhere_proof:
-            return ""
-        if self.likelihood > enough and min(self.halves) > 0.0:
-            return (
-                f"it explains {self.seconds:.0f} s of road driven since better, by"
-                f" {self.likelihood:.0f} units of log likelihood and in both halves"
-            )
-        return ""
+        return (
+            f"it explains {self.seconds:.0f} s of road driven since better, by"
+            f" {self.likelihood:.0f} units of log likelihood and in both halves"
+        )
 
 
 class Step(NamedTuple):

@@ -18,7 +18,7 @@ from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInpu
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.motors_now import PLACE_FIELD, PlaceFieldTuning
+from magcal_ros.core.heading.motors_now import PLACE_FIELD
 
 MICROTESLA = 1e6
 PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -32,43 +32,22 @@ CURRENT = INPUTS.index(MotorInput.CURRENT)
 
 @dataclass(frozen=True)
 class LearningTuning:
-    """What is taken for granted of robots and places.
+    """What is taken for granted of robots and places."""
 
-    Parameters
-    ----------
-    place : PlaceFieldTuning
-        How the field of a place changes in the axes of a robot.
-    block : float
-        Seconds whose samples are averaged.
-    body, body_length : float
-        µT per axis of the body's coloured noise at rest, and seconds over which it is alike.
-    freedom : float
-        Degrees of freedom of the Student distribution of samples.
-    pace : float
-        Share by which the size of the coloured noise follows one block.
-    iron_walk : float
-        µT per root second by which the hard iron drifts.
-    usual, spread : float
-        Median of the field that an input makes at its usual size, µT, and standard deviation of
-        its natural logarithm, as of `motors_moving` (`smoother.unknowns`).
-    most : float
-        Largest such field, µT.
-    late, late_sigma : float
-        Seconds by which a current is told late.
-    """
-
-    place: PlaceFieldTuning = PLACE_FIELD
-    block: float = 0.2
+    block: float = 0.2  # seconds whose samples are averaged
     body: float = 0.05
     body_length: float = 4.0
-    freedom: float = 5.0
+    """µT per axis of the body's coloured noise at rest, and seconds over which it is alike."""
+    freedom: float = 5.0  # degrees of freedom of the Student distribution of samples
     pace: float = 0.01
-    iron_walk: float = 0.003
+    """Share by which the sizes of the coloured noise and of the inputs follow one block."""
+    iron_walk: float = 0.003  # µT per root second by which the hard iron drifts
     usual: float = 0.05
     spread: float = 2.0
-    most: float = 30.0
-    late: float = 0.1
-    late_sigma: float = 0.1
+    """Median of the field that an input makes at its usual size, µT, and standard deviation of its
+    natural logarithm, as of `motors_moving` (`smoother.unknowns`)."""
+    most: float = 30.0  # µT, largest such field
+    late: float = 0.1  # seconds by which a current is told late, and their sigma
 
 
 TUNING = LearningTuning()
@@ -99,7 +78,6 @@ class MotorLearning:
     ----------
     calibration : Calibration
         What is in force; its motors are where the learning begins.
-    tuning : LearningTuning, optional
 
     Attributes
     ----------
@@ -107,22 +85,21 @@ class MotorLearning:
         The inputs that have been told.
     """
 
-    def __init__(self, calibration: Calibration, tuning: LearningTuning = TUNING) -> None:
-        self.tuning = tuning
+    def __init__(self, calibration: Calibration) -> None:
         self.heard: frozenset[MotorInput] = frozenset()
         self._calibration = calibration
         self._white = (calibration.noise_field * MICROTESLA) ** 2
         size = LATE + 1
         self._mean = np.zeros(size)
-        self._prior_mean, self._prior, self._known = _beginning(calibration, tuning)
+        self._prior_mean, self._prior, self._known = _beginning(calibration)
         self._covariance = np.zeros((size, size))
         rows = np.r_[IRON, GAINS]
         self._covariance[np.ix_(rows, rows)] = self._prior
         self._mean[GAINS] = self._prior_mean[3:]
-        self._mean[LATE], self._covariance[LATE, LATE] = tuning.late, tuning.late_sigma**2
+        self._mean[LATE], self._covariance[LATE, LATE] = TUNING.late, TUNING.late**2
         motors = calibration.motors
-        ripple = tuning.body if motors is None else motors.ripple * MICROTESLA
-        self._ripple = max(ripple, tuning.body)
+        ripple = TUNING.body if motors is None else motors.ripple * MICROTESLA
+        self._ripple = max(ripple, TUNING.body)
         self._squares = np.square([USUAL_SIZES[each] for each in INPUTS])
         if motors is not None:
             for each, usual in zip(motors.inputs, motors.usual, strict=True):
@@ -149,7 +126,7 @@ class MotorLearning:
             What the motors do.
         """
         seconds, self._stamp = stamp - self._stamp, stamp
-        if not 0.0 < seconds < self.tuning.place.longest:
+        if not 0.0 < seconds < PLACE_FIELD.longest:
             self._forget_place()
             self._block = self._before = None
             return False
@@ -159,14 +136,14 @@ class MotorLearning:
         if moves:
             # A robot at rest has a gyro's noise, and no turn.
             block.turned = block.turned + seconds * np.array(rate)
-        block.way += seconds * moves * self.tuning.place.way(running.speed, rate)
+        block.way += seconds * moves * PLACE_FIELD.way(running.speed, rate)
         block.seconds += seconds
         block.count += 1
         block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
         block.field = block.field + np.array(raw)
         block.inputs = block.inputs + np.array(running)
         block.clear = block.clear and running.moving in (0.0, 1.0)
-        if stamp - block.begin < self.tuning.block:
+        if stamp - block.begin < TUNING.block:
             return False
         # Sensors and motors are late by some tenths: beside a start or stop no block is clear.
         before, self._before, self._block = self._before, block, None
@@ -203,15 +180,14 @@ class MotorLearning:
         The root of the expected square under the posterior of the size (`Unknown`), one input
         after the other.
         """
-        tuning = self.tuning
-        grid = tuning.usual * np.exp(tuning.spread * np.linspace(-2.0, 3.2, 14))
-        grid = grid[grid < tuning.most]
-        belief = -0.5 * (np.log(grid / tuning.usual) / tuning.spread) ** 2
+        grid = TUNING.usual * np.exp(TUNING.spread * np.linspace(-2.0, 3.2, 14))
+        grid = grid[grid < TUNING.most]
+        belief = -0.5 * (np.log(grid / TUNING.usual) / TUNING.spread) ** 2
         scales = np.ones(len(seen.pull))
         per_unit = {k: 1.0 / math.sqrt(self._squares[k]) for k in which}
         free = [(j, k) for j, k in enumerate(which) if k not in self._known]
         for j, k in free:
-            scales[3 + 3 * j : 6 + 3 * j] = tuning.usual * per_unit[k]
+            scales[3 + 3 * j : 6 + 3 * j] = TUNING.usual * per_unit[k]
         for _ in range(2 if free else 0):
             for j, k in free:
                 odds = np.empty(len(grid))
@@ -251,12 +227,12 @@ class MotorLearning:
         for at in (PLACE, BODY):
             self._mean[at] = 0.0
             self._covariance[at, :] = self._covariance[:, at] = 0.0
-        self._covariance[PLACE, PLACE] = self.tuning.place.field**2 * np.eye(3)
-        self._covariance[BODY, BODY] = self.tuning.body**2 * np.eye(3)
+        self._covariance[PLACE, PLACE] = PLACE_FIELD.field**2 * np.eye(3)
+        self._covariance[BODY, BODY] = TUNING.body**2 * np.eye(3)
 
     def _take(self, block: _Interval, after: _Interval, is_even: bool) -> None:
         """Go on by a block and take its means; not where the robot stops or starts beside it."""
-        tuning, count = self.tuning, block.count
+        count = block.count
         u = np.asarray(block.inputs) / count
         told = ~np.isnan(u)
         self.heard |= {each for each, is_told in zip(INPUTS, told, strict=True) if is_told}
@@ -280,40 +256,38 @@ class MotorLearning:
         # The last column is how the current's delay changes the sum.
         off = y - h[:, :LATE] @ self._mean[:LATE]
         square = float(off @ np.linalg.solve(spread, off))
-        weight = (tuning.freedom + 3.0) / (tuning.freedom + square)
+        weight = (TUNING.freedom + 3.0) / (TUNING.freedom + square)
         # A single odd block counts less; a large step that the gains may explain is none.
         gain = np.linalg.solve(spread + (1.0 / min(weight, 1.0) - 1.0) * spread, p_h.T).T
         self._mean += gain @ off
         self._covariance -= gain @ p_h.T
         self._covariance = 0.5 * (self._covariance + self._covariance.T)
         if moves:
-            self._squares += 0.01 * (np.where(told, u**2, self._squares) - self._squares)
-            step = tuning.pace * (min(square / 3.0, 4.0) - 1.0)
-            self._ripple = min(max(self._ripple * math.exp(step), tuning.body), tuning.most)
+            self._squares += TUNING.pace * (np.where(told, u**2, self._squares) - self._squares)
+            step = TUNING.pace * (min(square / 3.0, 4.0) - 1.0)
+            self._ripple = min(max(self._ripple * math.exp(step), TUNING.body), TUNING.most)
 
     def _predict(self, block: _Interval, moves: bool) -> None:
-        tuning, way, seconds = self.tuning, block.way, block.seconds
+        way, seconds = block.way, block.seconds
         # From the middle of the block before to the middle of this one.
         turned = self._left + block.mean_turned
         rate = block.turned / seconds
         faster, self._rate = rate - self._rate, rate
         self._left = block.turned - block.mean_turned
         step = np.eye(len(self._mean))
-        keeps = math.exp(-seconds / tuning.body_length)
+        keeps = math.exp(-seconds / TUNING.body_length)
         step[PLACE, PLACE] = exp_rotation(-turned)
         step[BODY, BODY] = keeps * np.eye(3)
         self._mean = step @ self._mean
         self._covariance = step @ self._covariance @ step.T
         place = self._mean[PLACE]
-        self._covariance[PLACE, PLACE] += tuning.place.change(place, turned, faster, way, seconds)
-        level = self._ripple if moves else tuning.body
+        self._covariance[PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, way, seconds)
+        level = self._ripple if moves else TUNING.body
         self._covariance[BODY, BODY] += level**2 * (1.0 - keeps**2) * np.eye(3)
-        self._covariance[IRON, IRON] += tuning.iron_walk**2 * seconds * np.eye(3)
+        self._covariance[IRON, IRON] += TUNING.iron_walk**2 * seconds * np.eye(3)
 
 
-def _beginning(
-    calibration: Calibration, tuning: LearningTuning
-) -> tuple[FloatArray, FloatArray, frozenset[int]]:
+def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozenset[int]]:
     """Return mean and covariance of hard iron and all gains before learning, and which are known.
 
     Body axes, µT; what is not known is as large as it can be.
@@ -323,7 +297,7 @@ def _beginning(
     mean, covariance = np.zeros(size), np.zeros((size, size))
     for k, each in enumerate(INPUTS):
         at = slice(3 + 3 * k, 6 + 3 * k)
-        covariance[at, at] = (tuning.most / USUAL_SIZES[each]) ** 2 * np.eye(3)
+        covariance[at, at] = (TUNING.most / USUAL_SIZES[each]) ** 2 * np.eye(3)
     covariance[:3, :3] = matrix @ calibration.covariance[9:, 9:] @ matrix.T * MICROTESLA**2
     motors, known = calibration.motors, frozenset[int]()
     if motors is not None:

@@ -11,22 +11,16 @@ from collections import deque
 from dataclasses import replace
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma, known_sigma
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.candidates import (
     KEEPING,
     METHOD,
-    CourseSwing,
     DriveCandidate,
-    KeepingTuning,
     Kind,
-    course_gain,
     difference,
     is_another,
     is_finer,
-    known_sigma,
-    narrows,
 )
 from magcal_ros.core.keeping.jobs import (
     Contest,
@@ -60,25 +54,22 @@ class SelfCalibration:
         Jobs that were never finished since the last one that was.
     """
 
-    def __init__(self, mode: Mode = Mode.PROPOSE, tuning: KeepingTuning = KEEPING) -> None:
+    def __init__(self, mode: Mode = Mode.PROPOSE) -> None:
         self.mode = mode
-        self.tuning = tuning
         self.proposal: Calibration | None = None
-        self._recorder = DriveRecorder(tuning.memory)
+        self._recorder = DriveRecorder(KEEPING.memory)
         self._in_force: Calibration | None = None
-        self.before: deque[Calibration] = deque(maxlen=tuning.kept)
+        self.before: deque[Calibration] = deque(maxlen=KEEPING.kept)
         self._on_probation: dict[Kind, Probation] = {}
         self._first: DriveCandidate | None = None
         self._trial: Trial | None = None
-        self._decisions: deque[Decision] = deque(maxlen=tuning.remembered)
+        self._decisions: deque[Decision] = deque(maxlen=KEEPING.remembered)
         self._not_before = self._changed = -math.inf
-        self._promised = self._road = 0.0
         self._looked = -math.inf
         self._round = 0
         self._pending = 0
         self.lost = 0
         self._generation = 0
-        self._course: CourseSwing | None = None
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
@@ -109,10 +100,6 @@ class SelfCalibration:
             return "waiting for movement"
         return f"watching, {self.seconds / 60.0:.0f} min of driving remembered"
 
-    def note_course(self, course: CourseSwing | None) -> None:
-        """Take how the compass in force swings against course, where fixes tell: a third proof."""
-        self._course = course
-
     def forget(self) -> None:
         """Forget the drive and its results: the sensors have changed, or the mode has."""
         self._recorder.begin_anew()
@@ -138,7 +125,6 @@ class SelfCalibration:
         self._generation += 1
         if old is not None:
             self.before.append(old)
-        self._promised = 0.0 if calibration is None else calibration_sigma(calibration)
         rolled = last is not None and last.verb is Verb.ROLLED_BACK
         if last is not None and last.verb is Verb.REFINED and decided:
             self.before.pop()
@@ -157,10 +143,9 @@ class SelfCalibration:
         """Take a sample as `DriveRecorder.add` does; returns whether a look is due."""
         if self.mode is Mode.OFF or not self._recorder.add(stamp, field, force, rate, speed):
             return False
-        if self._pending or self._recorder.seconds < self.tuning.look_every:
+        if self._pending or self._recorder.seconds < KEEPING.look_every:
             return False
-        tuning = self.tuning
-        wait = tuning.look_again if Kind.IRON in self._on_probation else tuning.look_every
+        wait = KEEPING.look_again if Kind.IRON in self._on_probation else KEEPING.look_every
         # What ends one job may well end the next: each time it is given twice as long to pass.
         return self._recorder.clock - self._looked >= wait * 2.0**self.lost
 
@@ -168,13 +153,11 @@ class SelfCalibration:
         """Return what is to be computed for the look that is due; its findings come to `note`."""
         self._pending, self._looked = self._generation + 1, self._recorder.clock
         self._round += 1
-        tuning, in_force = self.tuning, self._in_force
-        windows = tuning.windows
+        in_force, windows = self._in_force, KEEPING.windows
+        contests = []
         if in_force is not None:
             # One window a look is enough where something is in force already.
             windows = windows[self._round % len(windows) :][:1]
-        contests = []
-        if in_force is not None:
             for kind, probation in self._on_probation.items():
                 contests.append(Contest(kind.value, in_force.correction, probation.steps))
             if self._trial is not None:
@@ -227,7 +210,7 @@ class SelfCalibration:
 
     def _begin(self, findings: Findings) -> list[Decision]:
         """With nothing in force two windows that agree are enough."""
-        tuning, clock = self.tuning, findings.clock
+        clock = findings.clock
         good = [each for each in findings.candidates if self._is_believable(each)]
         for candidate in sorted(good, key=lambda each: each.sigma):
             first = self._first
@@ -235,10 +218,10 @@ class SelfCalibration:
                 self._first = candidate
                 words = f"{candidate.in_words}; a second one that agrees puts it in force"
                 return [Decision(clock, Verb.PROBATION, words)]
-            if candidate.end - first.end < 0.5 * tuning.look_every:
+            if candidate.end - first.end < 0.5 * KEEPING.look_every:
                 continue
             apart = difference(first.calibration, candidate.calibration)
-            allowed = tuning.agree * math.hypot(first.sigma, candidate.sigma)
+            allowed = KEEPING.differs * math.hypot(first.sigma, candidate.sigma)
             self._first = candidate
             if apart <= allowed:
                 words = (
@@ -253,13 +236,13 @@ class SelfCalibration:
         trial, proof = self._trial, findings.proofs.get(TRIAL)
         if trial is None or proof is None:
             return []
-        why = proof.stands(self.tuning)
+        why = proof.stands()
         if why:
             self._trial, self._not_before = None, trial.since
             words = f"the calibration before was better after all: {why} under it"
             verb = Verb.PROPOSED if self.mode is Mode.PROPOSE else Verb.ROLLED_BACK
             return [self._change(findings.clock, trial.calibration, words, verb)]
-        if proof.seconds > self.tuning.longest_trial:
+        if proof.seconds > KEEPING.longest_trial:
             self._trial = None
             words = f"{proof.seconds:.0f} s of road speak for nothing that was in force before"
             return [Decision(findings.clock, Verb.CONFIRMED, words)]
@@ -272,26 +255,17 @@ class SelfCalibration:
             if kind is Kind.IRON:
                 probation = self._followed(probation, findings)
             candidate = probation.candidate
-            why = proof.stands(self.tuning, kind) or self._by_course(candidate)
+            why = proof.stands(kind)
             if why and self._is_believable(candidate):
                 if kind is Kind.IRON:
                     self._changed = self._not_before = candidate.start
                 words = f"{candidate.in_words}: {why}"
                 return [*made, self._change(findings.clock, candidate.calibration, words)]
-            if findings.clock - probation.since > self.tuning.longest_probation:
+            if findings.clock - probation.since > KEEPING.longest_probation:
                 del self._on_probation[kind]
                 words = f"{candidate.in_words}: not proved better on the road since"
                 made.append(Decision(findings.clock, Verb.DROPPED, words))
         return made
-
-    def _by_course(self, candidate: DriveCandidate) -> str:
-        """Return in words that course accuses what is in force and the candidate explains it."""
-        if self._course is None or self._in_force is None:
-            return ""
-        gain = course_gain(self._in_force, candidate, self._course)
-        if gain < self.tuning.course_proof:
-            return ""
-        return f"it explains how the compass swings against course (chi-square falls by {gain:.0f})"
 
     def _followed(self, probation: Probation, findings: Findings) -> Probation:
         """Take up the hard iron of all road since the change, as it is known by now."""
@@ -304,15 +278,9 @@ class SelfCalibration:
         """Replace what came of driving by what more of the same driving shows."""
         if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
             return []
-        if math.isfinite(self._changed):
-            found = [findings.finer]
-        else:
-            found = [each for each in findings.candidates if each.kind is Kind.ALL]
+        found = [findings.finer] if math.isfinite(self._changed) else findings.candidates
         for each in found:
-            if each is None or not self._is_believable(each):
-                continue
-            if is_finer(each, in_force, self.tuning) and each.seconds > self._road:
-                self._road = self.tuning.more_road * each.seconds
+            if each is not None and self._is_believable(each) and is_finer(each, in_force):
                 known = math.degrees(known_sigma(in_force))
                 words = f"{each.in_words}, where ±{known:.1f}° were known"
                 self._on_probation.clear()
@@ -324,15 +292,15 @@ class SelfCalibration:
         good = [
             each
             for each in findings.candidates
-            if each.kind is Kind.ALL
-            and self._is_believable(each)
-            and self._is_worth_it(each, in_force)
+            if self._is_believable(each)
+            and (is_another(each, in_force) or is_finer(each, in_force))
             and not self._is_offered(each)
         ]
         if not good:
             return []
         best = min(good, key=lambda each: each.sigma)
-        if narrows(best, in_force, self.tuning):
+        if known_sigma(in_force) > KEEPING.largest_sigma and is_finer(best, in_force):
+            # On the road since, both are about as likely: their sigmas are the proof.
             known = math.degrees(known_sigma(in_force))
             words = f"{best.in_words}, agrees with what was known to ±{known:.1f}°"
             return [self._change(findings.clock, best.calibration, words)]
@@ -350,7 +318,7 @@ class SelfCalibration:
             return []
         sigma = math.hypot(since.sigma, calibration_sigma(in_force))
         apart = difference(in_force, since.calibration)
-        if since.sigma > self.tuning.notice_sigma or apart < self.tuning.notice_differs * sigma:
+        if apart < KEEPING.notice_differs * sigma:
             return []
         self._on_probation[Kind.IRON] = Probation.of(since)
         if self.before:
@@ -363,33 +331,25 @@ class SelfCalibration:
         return [Decision(findings.clock, Verb.NOTICED, words)]
 
     def _is_believable(self, candidate: DriveCandidate) -> bool:
-        tuning, largest, few = self.tuning, self.tuning.largest_sigma, self.tuning.fewest_sectors
+        largest, few = KEEPING.largest_sigma, KEEPING.fewest_sectors
         if candidate.kind is Kind.IRON and self._in_force is not None:
-            few = tuning.fewest_for_iron
+            few = KEEPING.fewest_for_iron
             # What is plainly broken gives way to what is known roughly.
             apart = difference(self._in_force, candidate.calibration)
-            largest = max(largest, tuning.plainly * apart)
+            largest = max(largest, KEEPING.plainly * apart)
         return candidate.sigma <= largest and candidate.sectors >= few
 
     def _is_offered(self, candidate: DriveCandidate) -> bool:
         """Whether the present proposal is as good, so that no second one is needed."""
         waits = self.proposal
-        if waits is None or is_another(candidate, waits, self.tuning):
+        if waits is None or is_another(candidate, waits):
             return False
-        return candidate.sigma > self.tuning.much_better * known_sigma(waits)
-
-    def _is_worth_it(self, candidate: DriveCandidate, in_force: Calibration) -> bool:
-        if is_another(candidate, in_force, self.tuning):
-            return True
-        better = candidate.sigma < self.tuning.much_better * self._promised
-        return better and candidate.kind is Kind.ALL
+        return candidate.sigma > KEEPING.much_better * known_sigma(waits)
 
     def _change(
         self, clock: float, calibration: Calibration, words: str, verb: Verb = Verb.APPLIED
     ) -> Decision:
         self._on_probation.clear()
-        seconds = calibration.evidence.figures.get(Figure.DRIVING_TIME.value, 0.0)
-        self._road = self.tuning.more_road * seconds
         if self.mode is Mode.PROPOSE:
             self.proposal, verb = calibration, Verb.PROPOSED
         evidence = replace(calibration.evidence, reasons=(words,))

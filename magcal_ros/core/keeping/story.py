@@ -15,7 +15,6 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
-from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.candidates import KEEPING
 from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
@@ -68,14 +67,6 @@ class DriveStory:
     """How the compass goes against course at the end, in words; empty where nothing tells it."""
 
 
-@dataclass(frozen=True)
-class _Point:
-    stamp: float
-    field: Triple
-    up: Triple
-    speed: float
-
-
 class DriveReplay:
     """Runs self-calibration on a recording, and keeps what it decided."""
 
@@ -89,7 +80,8 @@ class DriveReplay:
         self._streams = Streams(STREAMS.max_gap)
         self._machine = machine or SelfCalibration(Mode.APPLY)
         self._machine.put_in_force(calibration)
-        self._points: list[_Point] = []
+        self._points: list[tuple[float, ...]] = []
+        """Stamp, speed, raw field and up."""
         self._fixes: list[PositionSample] = []
         self._decisions: list[tuple[float, Decision]] = []
         self._first = self._last = math.nan
@@ -125,11 +117,10 @@ class DriveReplay:
         if math.isnan(self._first):
             self._first = sample.stamp
         self._last = sample.stamp
-        speed = replay.speed
-        up = replay.up.newest
-        due = self._points[-1].stamp + KEEPING.map_every if self._points else -math.inf
+        speed, up = replay.travelling.speed, replay.up.newest
+        due = self._points[-1][0] + KEEPING.map_every if self._points else -math.inf
         if up is not None and not sample.stamp < due:
-            self._points.append(_Point(sample.stamp, sample.field, up, speed))
+            self._points.append((sample.stamp, speed, *sample.field, *up))
         if self._machine.add(sample.stamp, sample.field, imu.force, imu.rate, speed):
             for decision in self._machine.note(answer(self._machine.job(self._knowledge))):
                 self._decisions.append((sample.stamp - self._first, decision))
@@ -141,12 +132,10 @@ class DriveReplay:
         calibration = self._now
         if calibration is None or len(self._points) < 2:
             return None
-        time = np.array([point.stamp for point in self._points])
-        up = np.array([point.up for point in self._points])
-        field = np.array([point.field for point in self._points])
-        speed = np.array([point.speed for point in self._points])
+        points = np.array(self._points)
         fixes = np.array(self._fixes)[:, :3] if len(self._fixes) > 2 else None
-        return path_along(calibration, time, field, up, speed, fixes)
+        field, up = points[:, 2:5], points[:, 5:]
+        return path_along(calibration, points[:, 0], field, up, points[:, 1], fixes)
 
 
 def path_along(
@@ -193,9 +182,9 @@ def path_along(
 
 def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:
     """Return the path of what is remembered of a drive; None of less than a few seconds."""
-    every = KEEPING.map_rows
-    if len(log) < 2 * every:
+    if len(log) < 10:
         return None
+    every = max(1, round(KEEPING.map_every / float(np.median(np.diff(log.time)))))
     up = up_of(log.window)[::every]
     time, field, speed = (values[::every] for values in (log.time, log.field, log.speed))
     return path_along(calibration, time, field, up, speed)

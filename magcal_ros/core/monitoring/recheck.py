@@ -1,8 +1,4 @@
-"""Whether a calibration still holds: the corrected field of a new turn or drive is checked.
-
-A field that is corrected well has the same strength, the same dip and the same level part at
-every heading, and its yaw turns as the gyro does.
-"""
+"""Whether a calibration still holds: the corrected field of a new turn or drive is checked."""
 
 from __future__ import annotations
 
@@ -16,7 +12,8 @@ from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroSwing
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.calibration.heading_sigma import known_sigma
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
 from magcal_ros.core.knowledge import (
     INCLINATION_SIGMA_DEG,
@@ -25,15 +22,15 @@ from magcal_ros.core.knowledge import (
     Knowledge,
     ReferenceField,
 )
-from magcal_ros.core.monitoring.recheck_chance import (
-    RecheckTuning,
-    chances,
+from magcal_ros.core.monitoring.change import (
+    CHANGE,
+    Waves,
     check_beside_chance,
-    gyro_compass,
-    own_swings,
-    sectors,
+    compass_less_gyro,
+    fit_waves,
+    harmonics,
 )
-from magcal_ros.core.samples.coverage import Coverage
+from magcal_ros.core.samples.coverage import BINS, Coverage
 from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
@@ -60,6 +57,66 @@ LOST_GYRO = (
     f"{STREAMS.longest_gyro_step:g} s at most between field samples, and these are further apart"
 )
 NO_YAW = "an error of the yaw that is the same at every heading"
+MOVED = "the hard iron has changed, or the field is distorted here"
+ELSEWHERE = "another place, or the hard iron along the turn's axis has changed"
+
+RECHECK_BOUNDS: tuple[Bound, ...] = (
+    Bound(Figure.HEADING_SWING, 4.0, 7.0, "heading swing that the level field shows", MOVED),
+    Bound(
+        Figure.GYRO_COMPASS_DIFFERENCE,
+        4.0,
+        7.0,
+        "gyro against compass",
+        "the compass does not turn as the robot does",
+    ),
+    Bound(
+        Figure.STRENGTH_SPREAD, 3.0, 6.0, "field strength varies with heading by", MOVED, unit="%"
+    ),
+    Bound(Figure.DIP_SPREAD, 2.0, 4.0, "angle between field and up varies with heading by", MOVED),
+    Bound(
+        Figure.STRENGTH_OFFSET,
+        5.0,
+        15.0,
+        "field strength is off the calibrated one by",
+        ELSEWHERE,
+        unit="%",
+    ),
+    Bound(Figure.DIP_OFFSET, 3.0, 8.0, "inclination is off the calibrated one by", ELSEWHERE),
+    Bound(
+        Figure.ARC,
+        270.0,
+        0.0,
+        "the turn covers",
+        "the headings that were not seen are not checked",
+        aspect=Aspect.CONFIDENCE,
+        at_least=True,
+    ),
+)
+"""Nothing is better than good: that a calibration holds is all that a recheck can say."""
+IRON_BOUND = Bound(
+    Figure.HARD_IRON_CHANGE,
+    6.0,
+    12.0,
+    "hard iron that was added since, against the level field, as the drive shows it",
+    "the robot's own field has changed",
+    unit="%",
+)
+
+
+@dataclass(frozen=True)
+class RecheckTuning:
+    """How a recheck looks."""
+
+    chance: float = 2.0
+    """Sigmas that chance may be."""
+    own_share: float = 0.25
+    """Of the bound of what is stale: so much of a swing the calibration's own sigma explains. A
+    rough calibration that swings is to be made again whether or not anything has changed."""
+    largest_sigma: float = 0.06
+    """Of added iron, against the level field, beyond which a drive shows nothing of it."""
+
+
+RECHECK = RecheckTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +142,6 @@ class Recheck:
 def check(
     window: Window,
     calibration: Calibration,
-    tuning: RecheckTuning = RecheckTuning(),
     drive: DriveLog | None = None,
 ) -> Recheck:
     """Look at a fresh turn through a calibration.
@@ -96,7 +152,6 @@ def check(
         Samples of at least a good part of a turn.
     calibration : Calibration
         What is to be tried.
-    tuning : RecheckTuning
     drive : DriveLog, optional
         All that was driven, where the samples are a drive's: it tells iron from streets.
 
@@ -105,64 +160,118 @@ def check(
     Recheck
     """
     up = up_of(window)
-    field = calibration.correction.apply(window.field)
-    heading = yaw_from_up_and_field(up, field)
-    before = figures(window, up, heading, Correction.identity(), calibration, tuning)[0]
-    after, compared = figures(window, up, heading, calibration.correction, calibration, tuning)
-    arc = Coverage.of(heading).arc
-    found = after | {Figure.ARC: arc}
-    chance = _chances(window, up, heading, calibration, compared, tuning)
-    swing = None if compared is None else compared[0]
-    added = iron_added(drive, calibration) if drive is not None and len(drive) else None
-    checks = tuple(
-        check_beside_chance(
-            bound,
-            found[bound.figure],
-            chance.get(bound.figure, 0.0),
-            before.get(bound.figure),
-            decided=added is not None,
-        )
-        for bound in tuning.bounds
-        if bound.figure in found
+    heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
+    raw, corrected = (
+        _records(window, up, heading, each)
+        for each in (Correction.identity(), calibration.correction)
     )
-    checks += () if added is None else (added,)
+    before, _ = _figures(raw, corrected[:, 1], calibration)
+    found, swing = _figures(corrected, corrected[:, 1], calibration)
+    arc = Coverage.of(heading).arc
+    found[Figure.ARC] = arc, 0.0
+    added = None
+    if drive is not None and len(drive):
+        added = iron_added(drive, calibration)
+    checks = []
+    for bound in RECHECK_BOUNDS:
+        if bound.figure in found:
+            figure, places = found[bound.figure]
+            raw_figure = before[bound.figure][0] if bound.figure in before else None
+            most = RECHECK.own_share * bound.warn / bound.scale
+            own = min(_own(bound.figure, calibration), most)
+            chance = math.hypot(own, places)
+            decided = added is not None
+            checks.append(check_beside_chance(bound, figure, chance, raw_figure, decided))
+    checks += [] if added is None else [added]
     gaps = np.diff(window.time)
     is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_gyro_step
     no_swing = LOST_GYRO if is_lost else NO_GYRO
     not_shown = (NO_YAW, no_swing) if swing is None else (NO_YAW,)
-    verdict = Verdict(checks, not_shown, "")
+    verdict = Verdict(tuple(checks), not_shown, "")
     estimate = _on_fresh_samples(calibration, window, up, arc, swing)
     return Recheck(replace(verdict, summary=_summary(verdict)), estimate)
 
 
-def _chances(
-    window: Window,
-    up: FloatArray,
-    heading: FloatArray,
-    calibration: Calibration,
-    compared: tuple[GyroSwing, IntArray] | None,
-    tuning: RecheckTuning,
-) -> dict[Figure, float]:
-    """Return what of each figure the calibration's uncertainty and the places may explain."""
-    size, level, dip = _parts(calibration.correction.apply(window.field), up)
-    seen = {
-        Figure.HEADING_SWING: level / max(float(level.mean()), 1e-12),
-        Figure.STRENGTH_SPREAD: size / calibration.strength,
-        Figure.DIP_SPREAD: dip,
+def _own(figure: Figure, calibration: Calibration) -> float:
+    """Return by how much hard iron of the calibration's own sigma lets a figure swing."""
+    level, upright = math.cos(calibration.inclination), math.sin(calibration.inclination)
+    shares = {
+        Figure.HEADING_SWING: 1.0,
+        Figure.GYRO_COMPASS_DIFFERENCE: 1.0,
+        Figure.STRENGTH_SPREAD: level**2,
+        Figure.DIP_SPREAD: abs(level * upright),
     }
-    visit = ((window.time - window.time[0]) / tuning.visit).astype(np.int64)
-    around = sectors(heading, tuning.bins)
-    own = own_swings(calibration, unit(up.mean(axis=0)))
-    most = {b.figure: tuning.own_share * b.warn / b.scale for b in tuning.bounds}
-    return chances(seen, visit, around, compared, own, most, tuning.bins)
+    return shares.get(figure, 0.0) * known_sigma(calibration)
 
 
-def _parts(field: FloatArray, up: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return strength, level part and dip (radians) of corrected fields, each shape (n,)."""
-    size = np.linalg.norm(field, axis=1)
+def _records(
+    window: Window, up: FloatArray, heading: FloatArray, correction: Correction
+) -> FloatArray:
+    """Return one record (n, 7) of each visit to a sector of heading, columns as of `Record`."""
+    field = correction.apply(window.field)
+    across = 1.0 - up[:, 0] ** 2
+    is_good = across > 1.0 - CHANGE.steepest_nose
+    turned = rate = np.full(len(window), math.nan)
+    if window.angular_rate is not None:
+        rate = np.sum(window.angular_rate[:, 1:] * up[:, 1:], axis=1)
+        rate = rate / np.maximum(across, 1.0 - CHANGE.steepest_nose)
+        steps = 0.5 * np.diff(window.time) * (rate[1:] + rate[:-1])
+        turned = np.where(is_good, np.append(0.0, np.cumsum(steps)), math.nan)
+    is_parted = (np.diff(window.time) > STREAMS.longest_gyro_step) | (np.diff(is_good) != 0)
+    path = np.append(0, np.cumsum(is_parted))
+    visit = np.floor((window.time - window.time[0]) / CHANGE.longest_visit)
+    sector = np.floor(np.mod(heading, math.tau) * (BINS / math.tau))
+    rows = np.column_stack([path, visit, sector])
+    first = np.append(0, np.flatnonzero(np.diff(rows, axis=0).any(axis=1)) + 1)
+    count = np.diff(np.append(first, len(rows)))
+    turn = np.exp(1j * yaw_from_up_and_field(up, field))
     rise = np.sum(field * up, axis=1)
+    strength = np.linalg.norm(field, axis=1)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.add.reduceat(values, first) / count
+
+    records = np.column_stack(
+        [
+            mean(window.time),
+            np.angle(mean(turn)),
+            *(mean(each) for each in (strength, rise, turned, path, rate)),
+        ]
+    )
+    # Beside iron the compass may go once round by itself, within moments.
+    return np.asarray(records[count >= min(3.0, float(np.median(count)))])
+
+
+def _figures(
+    records: FloatArray, heading: FloatArray, calibration: Calibration
+) -> tuple[dict[Figure, tuple[float, float]], GyroSwing | None]:
+    """Return the figures of records, radians and ratios, with what chance may reach of each.
+
+    And compass less gyro, where there is a gyro.
+    """
+    stamp, size, rise = records[:, 0], records[:, 2], records[:, 3]
     level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
-    return size, level, np.arctan2(-rise, level)
+    dip = np.arctan2(-rise, level)
+
+    def waves(values: FloatArray) -> Waves:
+        return fit_waves(harmonics(heading), values, stamp, RECHECK.chance)
+
+    found = {
+        Figure.HEADING_SWING: waves(level / max(float(level.mean()), 1e-12)).spread,
+        Figure.STRENGTH_SPREAD: waves(size / calibration.strength).spread,
+        Figure.DIP_SPREAD: waves(dip).spread,
+        Figure.STRENGTH_OFFSET: (abs(float(size.mean()) / calibration.strength - 1.0), 0.0),
+        Figure.DIP_OFFSET: (abs(float(dip.mean()) - calibration.inclination), 0.0),
+    }
+    gyro = compass_less_gyro(records, heading, RECHECK.chance)
+    if gyro is None:
+        return found, None
+    rms = gyro.rms
+    # What does not come back with the heading is not the calibration's.
+    swing, chance = (rms, 0.0) if gyro.waves is None else gyro.waves.spread
+    elsewhere = math.sqrt(max(rms**2 - swing**2, 0.0))
+    found[Figure.GYRO_COMPASS_DIFFERENCE] = rms, math.hypot(chance, elsewhere)
+    return found, GyroSwing(heading[gyro.rows], gyro.deviation, rms)
 
 
 def _summary(verdict: Verdict) -> str:
@@ -206,58 +315,6 @@ def expected_field(
     return np.asarray(strength * (math.cos(inclination) * level - math.sin(inclination) * up))
 
 
-def figures(
-    window: Window,
-    up: FloatArray,
-    heading: FloatArray,
-    correction: Correction,
-    calibration: Calibration,
-    tuning: RecheckTuning,
-) -> tuple[dict[Figure, float], tuple[GyroSwing, IntArray] | None]:
-    """Measure the field of a window after a correction.
-
-    Parameters
-    ----------
-    window : Window
-        The samples.
-    up : ndarray, shape (n, 3)
-        Unit, body axes.
-    heading : ndarray, shape (n,)
-        Where the robot looked as far as is known, radians.
-    correction : Correction
-        What is tried.
-    calibration : Calibration
-        Tells strength and inclination.
-    tuning : RecheckTuning
-
-    Returns
-    -------
-    dict of Figure to float
-        As in the bounds; radians and ratios.
-    tuple of GyroSwing and ndarray of int, or None
-        Compass against gyro and the rows that are compared, where there is a gyro.
-    """
-    field = correction.apply(window.field)
-    size, level, dip = _parts(field, up)
-    around = sectors(heading, tuning.bins)
-
-    def spread(values: FloatArray) -> float:
-        return _spread(values, around, tuning.bins)
-
-    found = {
-        Figure.HEADING_SWING: spread(level) / max(float(level.mean()), 1e-12),
-        Figure.STRENGTH_SPREAD: spread(size) / calibration.strength,
-        Figure.DIP_SPREAD: spread(dip),
-        Figure.STRENGTH_OFFSET: abs(float(size.mean()) / calibration.strength - 1.0),
-        Figure.DIP_OFFSET: abs(float(dip.mean()) - calibration.inclination),
-    }
-    yaw = yaw_from_up_and_field(up, field)
-    compared = gyro_compass(window, up, yaw, heading, tuning)
-    if compared is None:
-        return found, None
-    return found | {Figure.GYRO_COMPASS_DIFFERENCE: compared[0].rms}, compared
-
-
 def up_of(window: Window) -> FloatArray:
     """Return up at each sample, propagated by the gyro where samples follow each other closely."""
     if window.angular_rate is None:
@@ -265,40 +322,6 @@ def up_of(window: Window) -> FloatArray:
     gaps = np.flatnonzero(np.diff(window.time) > STREAMS.longest_gyro_step)
     pieces = np.split(np.arange(len(window)), gaps + 1)
     return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
-
-
-def _spread(values: FloatArray, around: IntArray, bins: int) -> float:
-    """Return how the values' mean varies with the heading, root mean square.
-
-    The mean over each heading takes the noise out of it, which the spread is not about.
-    """
-    counts = np.bincount(around, minlength=bins)
-    filled = counts >= min(3, int(counts.max()))
-    means = np.bincount(around, values, bins)[filled] / counts[filled]
-    return float(means.std())
-
-
-CHANGE = Bound(
-    Figure.HARD_IRON_CHANGE,
-    6.0,
-    12.0,
-    "hard iron that was added since, against the level field, as the drive shows it",
-    "the robot's own field has changed",
-    unit="%",
-)
-
-
-@dataclass(frozen=True)
-class IronAddedTuning:
-    """When a drive shows iron that was added."""
-
-    largest_sigma: float = 0.06
-    """Of the iron, against the level field, beyond which a drive shows nothing of it."""
-    chance: float = 2.0
-    """Its sigmas that chance may be."""
-
-
-TUNING = IronAddedTuning()
 
 
 def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
@@ -326,7 +349,7 @@ def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
     level = calibration.strength * math.cos(calibration.inclination)
     share = math.hypot(*added) / level
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
-    if sigma > TUNING.largest_sigma:
+    if sigma > RECHECK.largest_sigma:
         return None
-    excess = math.sqrt(max(share**2 - (TUNING.chance * sigma) ** 2, 0.0))
-    return CHANGE.check(share, excess=excess)
+    excess = math.sqrt(max(share**2 - (RECHECK.chance * sigma) ** 2, 0.0))
+    return IRON_BOUND.check(share, excess=excess)

@@ -13,13 +13,108 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Check, Grade
+from magcal_ros.core.assessment.grading import Bound, Check, Grade
 from magcal_ros.core.calibration import Calibration, Figure
+from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.geometry import FloatArray, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import Moment
-from magcal_ros.core.monitoring.watch_fit import Measured, Record, WatchTuning, measure, onset
+from magcal_ros.core.monitoring.change import (
+    CHANGE,
+    ONCE,
+    TWICE,
+    Record,
+    check_beside_chance,
+    compass_less_gyro,
+    fit_waves,
+    harmonics,
+)
+from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
+
+AGAIN = "calibrate again"
+ELSEWHERE = (
+    "the robot has moved to another place, or iron above or below the sensor has changed; give the "
+    "reference field of this place and calibrate here"
+)
+WATCH_BOUNDS: tuple[Bound, ...] = (
+    Bound(
+        Figure.HARD_IRON_CHANGE,
+        3.5,
+        10.0,
+        "the level hard iron has changed, in the field's strength, by",
+        f"something magnetic was added to the robot, taken off or moved; {AGAIN}",
+        unit="%",
+    ),
+    Bound(
+        Figure.SOFT_IRON_CHANGE,
+        4.0,
+        10.0,
+        "the field's strength swings twice a turn, as soft iron makes it, by",
+        f"iron near the sensor or a gain of the sensor has changed; {AGAIN}",
+        unit="%",
+    ),
+    Bound(
+        Figure.MOUNTING_CHANGE,
+        3.0,
+        8.0,
+        "the field has tilted against gravity by",
+        f"the magnetometer or the IMU was moved on the robot; {AGAIN}",
+    ),
+    Bound(
+        Figure.STRENGTH_SHIFT,
+        8.0,
+        15.0,
+        "at all headings the field's strength is off the calibrated one by",
+        ELSEWHERE,
+        unit="%",
+    ),
+    Bound(
+        Figure.DIP_SHIFT,
+        4.0,
+        8.0,
+        "at all headings the inclination is off the calibrated one by",
+        ELSEWHERE,
+    ),
+    Bound(
+        Figure.GYRO_COMPASS_HARMONIC,
+        4.0,
+        7.0,
+        "gyro against compass",
+        "the compass does not turn as the robot does",
+    ),
+)
+"""As those of a recheck; the records of a drive show what has changed."""
+
+
+@dataclass(frozen=True)
+class WatchTuning:
+    """How a drive is watched."""
+
+    memory: float = 600.0
+    """Seconds of driving that are looked at."""
+    most_records: int = 400
+    """Visits that are kept at most."""
+    aside: float = math.radians(12.0)
+    """Radians; a robot that has turned so far from where a visit began looks to another heading."""
+    most_in_a_row: int = 3
+    """Records of one heading; the next one takes the place of the last."""
+    look_every: float = 15.0
+    """Seconds between two looks at the records."""
+    confirm: float = 60.0
+    """Seconds for which every look must agree before the state changes."""
+    shortest_span: float = 150.0
+    """Seconds that the records must span: a disturbance that passes is shorter."""
+    clearly: float = 4.0
+    """Sigmas that chance may reach in one of many looks."""
+    promise: float = 3.0
+    """Predicted standard deviations of the heading that are no change."""
+    lost: float = math.radians(20.0)
+    """Radians of compass against gyro, from which a compass that shows few headings is not to be
+    believed."""
+
+
+WATCH = WatchTuning()
 
 
 @dataclass(frozen=True)
@@ -38,13 +133,11 @@ class Watched:
     """Whether it could be judged at all since it is in force."""
     lacking: str = "the robot has not driven yet"
     """What has not been seen in the last minutes; empty if they were judged."""
-    memory: float = WatchTuning.memory
-    """Seconds of driving that are looked at."""
 
     @property
     def summary(self) -> str:
         """One or two sentences for a person."""
-        window = f"{self.lacking}, in the last {self.memory / 60.0:.0f} minutes"
+        window = f"{self.lacking}, in the last {WATCH.memory / 60.0:.0f} minutes"
         if self.is_stale:
             causes = "; ".join(words for words in map(self._words, self.findings) if words)
             since = f"for about {max(self.minutes, 1.0):.0f} min"
@@ -64,23 +157,133 @@ class Watched:
         return finding.words
 
 
+def measure(
+    records: FloatArray, calibration: Calibration
+) -> tuple[tuple[Check, ...], tuple[float, float]]:
+    """Compare the records (n, 7) of a drive with what the calibration predicts.
+
+    Returns the findings, and the hard iron's change, tesla in body x and y. What does not stand out
+    of chance is no finding.
+    """
+    figures, iron = _gyro_figure(records), (0.0, 0.0)
+    if not what_lacks(records):
+        swings, iron = _swings(records, calibration)
+        figures |= swings
+    sigma, level = WATCH.promise * known_sigma(calibration), math.cos(calibration.inclination)
+    own = {
+        Figure.HARD_IRON_CHANGE: sigma * level,
+        Figure.SOFT_IRON_CHANGE: sigma,
+        Figure.GYRO_COMPASS_HARMONIC: sigma,
+    }
+    findings = []
+    for bound in WATCH_BOUNDS:
+        figure, chance = figures.get(bound.figure, (0.0, 0.0))
+        if figure > chance:
+            chance = math.hypot(chance, own.get(bound.figure, 0.0))
+            findings.append(check_beside_chance(bound, figure, chance, decided=True))
+    return tuple(findings), iron
+
+
+def what_lacks(records: FloatArray) -> str:
+    """Say what the records do not show yet; empty if they are enough to judge swings."""
+    if len(records) < 2:
+        return "the robot has not driven yet"
+    gap = Coverage.of(records[:, 1]).gap
+    if gap > CHANGE.widest_hole:
+        return f"not enough headings: {math.degrees(gap):.0f}° of heading were not driven"
+    return "" if np.ptp(records[:, 0]) >= WATCH.shortest_span else "not enough driving yet"
+
+
+def _swings(
+    records: FloatArray, calibration: Calibration
+) -> tuple[dict[Figure, tuple[float, float]], tuple[float, float]]:
+    """Return the figures over headings with what chance may reach, and the hard iron's change."""
+    stamp, yaw, rate = records[:, 0], records[:, 1], records[:, 6]
+    strength, rise = (records[:, 2:4] / calibration.strength).T
+    level = math.cos(calibration.inclination)
+    columns = harmonics(yaw)
+    by_strength = fit_waves(columns, strength, stamp, WATCH.clearly)
+    # In curves the accelerometer leans outwards, by the yaw rate and across north.
+    in_curves = np.column_stack([columns[:, :3], rate * columns[:, 2]])
+    lean = 3, level * CHANGE.fastest_curve
+    by_rise = fit_waves(in_curves, rise, stamp, WATCH.clearly, lean)
+    mean, up = float(by_strength.values[0]), float(by_rise.values[0])
+    dip = math.atan2(-up, math.sqrt(max(mean**2 - up**2, 0.0)))
+    hard, soft, moved = (
+        np.array(fit.amplitude(part)) / scale
+        for fit, part, scale in (
+            (by_strength, ONCE, level),
+            (by_strength, TWICE, level**2),
+            (by_rise, ONCE, level),
+        )
+    )
+    figures = {
+        Figure.HARD_IRON_CHANGE: (hard[0], hard[1]),
+        Figure.SOFT_IRON_CHANGE: (soft[0], soft[1]),
+        Figure.MOUNTING_CHANGE: (moved[0], moved[1]),
+        Figure.STRENGTH_SHIFT: (abs(mean - 1.0), 0.0),
+        Figure.DIP_SHIFT: (abs(dip - calibration.inclination), 0.0),
+    }
+    x, y = by_strength.values[ONCE] * (calibration.strength / level)
+    return figures, (float(x), float(y))
+
+
+def _gyro_figure(records: FloatArray) -> dict[Figure, tuple[float, float]]:
+    """Return by how much compass less gyro swings once around, root mean square.
+
+    If the compass has hardly turned, no swing can be seen: then its median deviation counts.
+    """
+    name = Figure.GYRO_COMPASS_HARMONIC
+    if np.ptp(records[:, 0]) < WATCH.shortest_span or np.ptp(records[:, 4]) < math.tau:
+        return {}
+    gyro = compass_less_gyro(records, records[:, 1], WATCH.clearly)
+    if gyro is None:
+        return {}
+    if what_lacks(records) or gyro.waves is None:
+        usual = float(np.median(np.abs(gyro.deviation)))
+        return {name: (usual, 0.0)} if usual > WATCH.lost else {}
+    size, chance = gyro.waves.amplitude(ONCE)
+    return {name: (size / math.sqrt(2.0), chance / math.sqrt(2.0))}
+
+
+def onset(records: FloatArray, calibration: Calibration) -> float:
+    """Return the stamp from which the records contradict the calibration.
+
+    It is the change point that best separates records that fit the prediction from records that fit
+    what the newer half of them shows, by the sum of their squared misfits, each limited so that no
+    single one decides.
+    """
+    columns = harmonics(records[:, 1])
+    late = records[:, 0] >= np.median(records[:, 0])
+    gain = np.zeros(len(records))
+    for values, wanted in (
+        (records[:, 2] / calibration.strength, 1.0),
+        (records[:, 3] / calibration.strength, -math.sin(calibration.inclination)),
+    ):
+        found = fit_waves(columns[late], values[late], records[late, 0], 1.0).values
+        misfits = np.abs([values - wanted, values - columns @ found])
+        scatter = max(1.5 * float(np.median(misfits[1])), CHANGE.smallest_scatter)
+        gain += np.subtract(*np.minimum((misfits / scatter) ** 2, 9.0))
+    believed = np.cumsum(np.append(0.0, gain))
+    return float(records[min(int(np.argmin(believed)), len(records) - 1), 0])
+
+
 class Watch:
     """Watches one calibration."""
 
-    def __init__(self, calibration: Calibration, tuning: WatchTuning = WatchTuning()) -> None:
+    def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
-        self._tuning = tuning
-        self._records: deque[Record] = deque(maxlen=tuning.most_records)
+        self._records: deque[Record] = deque(maxlen=WATCH.most_records)
         self._visit: list[Record] = []
-        self._newest = self._sampled = -math.inf
+        self._newest = -math.inf
         self._rate = math.nan
         self._turned = 0.0
         self._path = 0
         self._looked = -math.inf
-        self._doubts_since: float | None = None
-        self._clear_since: float | None = None
+        self._contradicted: bool | None = None
+        self._since = -math.inf
         self._stale_since = 0.0
-        self.watched = Watched(memory=tuning.memory)
+        self.watched = Watched()
 
     def take(self, moment: Moment) -> None:
         """Take a field message that has an up, a heading and a rate."""
@@ -97,18 +300,15 @@ class Watch:
         if size <= 0.0:
             return
         self._propagate(stamp, dot(rate, force) / size)
-        if stamp - self._sampled < self._tuning.sampling:
-            return
-        self._sampled = stamp
-        if force[0] ** 2 > self._tuning.steepest_nose * size * size:
+        if force[0] ** 2 > CHANGE.steepest_nose * size * size:
             self._close()
             return
         rise = dot(field, force) / size
         if self._visit:
             first = self._visit[0]
             aside = wrapped(yaw - first.yaw)
-            has_turned = max(abs(aside), abs(self._turned - first.turned)) > self._tuning.aside
-            if has_turned or stamp - first.stamp > self._tuning.longest_visit:
+            has_turned = max(abs(aside), abs(self._turned - first.turned)) > WATCH.aside
+            if has_turned or stamp - first.stamp > CHANGE.longest_visit:
                 self._close()
             else:
                 yaw = first.yaw + aside
@@ -119,10 +319,10 @@ class Watch:
     def _propagate(self, stamp: float, rate: float) -> None:
         """Integrate the gyro; a gap begins another path, and a jump of time clears the records."""
         step = stamp - self._newest
-        if not 0.0 <= step <= self._tuning.memory:
+        if not 0.0 <= step <= WATCH.memory:
             self._records.clear()
-            self._sampled = self._looked = -math.inf
-            self._doubts_since = self._clear_since = None
+            self._looked = -math.inf
+            self._contradicted = None
             if math.isfinite(step):
                 self._stale_since += step
         if not 0.0 <= step <= STREAMS.longest_gyro_step:
@@ -141,62 +341,57 @@ class Watch:
         stamp, yaw, strength, rise, turned, path, rate = np.median(rows, axis=0).tolist()
         record = Record(stamp, yaw, strength, rise, turned, int(path), rate)
         self._keep(record)
-        if record.stamp - self._looked >= self._tuning.look_every:
+        if record.stamp - self._looked >= WATCH.look_every:
             self._looked = record.stamp
             self._look(record.stamp)
 
     def _keep(self, record: Record) -> None:
-        records, tuning = self._records, self._tuning
-        tail = [records[-k] for k in range(1, min(tuning.most_in_a_row, len(records)) + 1)]
+        records = self._records
         stays = [
-            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned)) < tuning.aside
-            for one in tail
+            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned)) < WATCH.aside
+            for one in list(records)[-WATCH.most_in_a_row :]
         ]
-        if len(stays) == tuning.most_in_a_row and all(stays):
+        if len(stays) == WATCH.most_in_a_row and all(stays):
             records.pop()
         records.append(record)
-        while records[0].stamp < record.stamp - tuning.memory:
+        while records[0].stamp < record.stamp - WATCH.memory:
             records.popleft()
 
     def _look(self, now: float) -> None:
         records: FloatArray = np.array(self._records)
         # The newest half shows a change sooner, all of them one that needs many records.
-        late = records[records[:, 0] > now - 0.5 * self._tuning.memory]
-        measured = measure(late, self._calibration, self._tuning)
-        if not measured.contradicts:
-            measured = measure(records, self._calibration, self._tuning)
-        before = self.watched
-        if not measured.findings:
-            self._doubts_since = self._clear_since = None
+        late = records[records[:, 0] > now - 0.5 * WATCH.memory]
+        findings: tuple[Check, ...] = ()
+        for rows in (late, records):
+            if not _contradicts(findings):
+                findings, iron = measure(rows, self._calibration)
+                lacking = what_lacks(rows)
+        before, contradicts = self.watched, _contradicts(findings)
+        if not findings:
+            self._contradicted = None
             minutes = self._minutes(now, before.is_stale)
-            self.watched = replace(before, minutes=minutes, lacking=measured.lacking)
+            self.watched = replace(before, minutes=minutes, lacking=lacking)
             return
-        self._weigh(now, records, measured)
-
-    def _weigh(self, now: float, records: FloatArray, measured: Measured) -> None:
-        """Adopt what every look of the last minute shows; until then keep the previous finding."""
-        before = self.watched
-        contradicts = measured.contradicts
-        if contradicts:
-            self._doubts_since, self._clear_since = self._doubts_since or now, None
-        else:
-            self._doubts_since, self._clear_since = None, self._clear_since or now
-        since = self._doubts_since if contradicts else self._clear_since
-        assert since is not None
+        if contradicts is not self._contradicted:
+            self._contradicted, self._since = contradicts, now
         is_stale = before.is_stale
-        if contradicts != is_stale and now - since >= self._tuning.confirm:
+        if contradicts != is_stale and now - self._since >= WATCH.confirm:
             is_stale = contradicts
-            self._stale_since = onset(records, self._calibration, self._tuning)
+            self._stale_since = onset(records, self._calibration)
         keeps_words = is_stale and not contradicts
         self.watched = Watched(
             is_stale,
-            before.findings if keeps_words else measured.findings,
+            before.findings if keeps_words else findings,
             self._minutes(now, is_stale),
-            before.hard_iron if keeps_words else measured.hard_iron,
-            before.was_judged or not measured.lacking,
-            measured.lacking,
-            self._tuning.memory,
+            before.hard_iron if keeps_words else iron,
+            before.was_judged or not lacking,
+            lacking,
         )
 
     def _minutes(self, now: float, is_stale: bool) -> float:
         return (now - self._stale_since) / 60.0 if is_stale else 0.0
+
+
+def _contradicts(findings: tuple[Check, ...]) -> bool:
+    """Whether anything differs from what the calibration predicts."""
+    return any(finding.grade.rank >= Grade.WARN.rank for finding in findings)

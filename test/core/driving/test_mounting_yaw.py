@@ -21,7 +21,7 @@ from simulated import (
 )
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource
-from magcal_ros.core.driving.mounting_watch import SpeedFault, fault_words
+from magcal_ros.core.driving.mounting_yaw import SpeedFault, fault_words
 
 DEGREE = math.pi / 180.0
 ODOMETRY, VELOCITY, FIXES = SpeedSource

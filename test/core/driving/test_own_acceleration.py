@@ -95,14 +95,14 @@ def test_nonsense_is_left_out(wild):
             own = travelling.add_imu(sample, (0.0,) * 3)
             assert own is None or math.isfinite(sum(own))
         if count % 50 == 0:
-            travelling.add_speed(SpeedSample(sample.stamp, wild))
-            travelling.add_velocity(VelocitySample(sample.stamp, wild, 0.0, 0.1))
-            travelling.add_position(PositionSample(sample.stamp, 0.0, wild))
-            travelling.add_speed(SpeedSample(wild, 3.0))
+            travelling.add_travel(SpeedSample(sample.stamp, wild))
+            travelling.add_travel(VelocitySample(sample.stamp, wild, 0.0, 0.1))
+            travelling.add_travel(PositionSample(sample.stamp, 0.0, wild))
+            travelling.add_travel(SpeedSample(wild, 3.0))
         if isinstance(sample, SpeedSample):
-            travelling.add_speed(sample)
+            travelling.add_travel(sample)
             # A stamp that goes back says nothing new.
-            travelling.add_speed(sample._replace(stamp=sample.stamp - 1.0, speed=50.0))
+            travelling.add_travel(sample._replace(stamp=sample.stamp - 1.0, speed=50.0))
     assert travelling.speedometer.track is not None
 
 
@@ -115,5 +115,5 @@ def test_time_that_is_set_back_starts_anew():
                 own = travelling.add_imu(sample, (0.0,) * 3)
                 assert own is None or max(map(abs, own)) < 20.0
             elif isinstance(sample, SpeedSample):
-                travelling.add_speed(sample)
+                travelling.add_travel(sample)
     assert travelling.own.is_used

@@ -54,17 +54,17 @@ def test_jumps_no_vehicle_makes_are_counted(rate):
 def test_wheels_come_before_the_receiver_until_they_are_silent_or_distrusted():
     meter = Speedometer()
     assert meter.track is None
-    meter.add_position(PositionSample(1.0, 0.0, 0.0))
-    meter.add_position(PositionSample(2.0, 3.0, 4.0))
+    meter.add(PositionSample(1.0, 0.0, 0.0))
+    meter.add(PositionSample(2.0, 3.0, 4.0))
     assert (meter.track.source, meter.track.last) == (SpeedSource.FIXES, 5.0)
-    meter.add_velocity(VelocitySample(2.0, 3.0, -4.0, 0.1))
+    meter.add(VelocitySample(2.0, 3.0, -4.0, 0.1))
     assert (meter.track.source, meter.track.last) == (SpeedSource.VELOCITY, 5.0)
-    meter.add_speed(SpeedSample(2.0, -5.0))
+    meter.add(SpeedSample(2.0, -5.0))
     assert (meter.track.source, meter.track.last) == (SpeedSource.ODOMETRY, -5.0)
     meter.distrusted.add(SpeedSource.ODOMETRY)
     assert meter.track.source is SpeedSource.VELOCITY
     meter.distrusted.clear()
-    meter.add_velocity(VelocitySample(6.0, 3.0, -4.0, 0.1))
+    meter.add(VelocitySample(6.0, 3.0, -4.0, 0.1))
     assert meter.track.source is SpeedSource.VELOCITY
 
 

@@ -200,7 +200,7 @@ def test_in_streets_it_is_better_than_the_compass_and_says_how_good():
         fusing = Fusing()
         for sample in drive.samples():
             if isinstance(sample, SpeedSample):
-                fusing.travelling.add_speed(sample)
+                fusing.travelling.add_travel(sample)
             else:
                 fusing(sample)
         stamps, yaws, _ = np.array(fusing.found).T

@@ -7,8 +7,13 @@ from drives import ROBOT
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.monitoring.recheck import NO_GYRO, STATES, check, expected_field
-from magcal_ros.core.monitoring.recheck_chance import RECHECK_BOUNDS
+from magcal_ros.core.monitoring.recheck import (
+    NO_GYRO,
+    RECHECK_BOUNDS,
+    STATES,
+    check,
+    expected_field,
+)
 from magcal_ros.core.simulation import Robot, measure, smooth_wobble, turn
 
 

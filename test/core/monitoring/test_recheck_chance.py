@@ -5,15 +5,15 @@ import pytest
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration import Figure, GyroSwing
-from magcal_ros.core.monitoring.recheck import check
-from magcal_ros.core.monitoring.recheck_chance import (
-    RECHECK_BOUNDS,
-    chances,
+from magcal_ros.core.calibration import Figure
+from magcal_ros.core.monitoring.change import (
+    Record,
     check_beside_chance,
-    scatter_of_means,
-    sectors,
+    compass_less_gyro,
+    fit_waves,
+    harmonics,
 )
+from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, check
 from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import Robot, measure, turn
 
@@ -40,20 +40,27 @@ def test_where_chance_reaches_the_bound_nothing_is_shown():
     assert "9" not in found.words
 
 
-@pytest.mark.parametrize("visits", [4, 40])
-def test_chance_is_as_large_as_few_visits_may_make_it(visits):
-    """One bend of the field a visit, and no swing: chance explains it 19 times of 20."""
+@pytest.mark.parametrize("turns", [4, 40])
+def test_chance_is_as_large_as_few_stretches_may_make_it(turns):
+    """One bend of the field a turn of 30 s, and no swing: chance explains it 19 times of 20."""
     rng = np.random.default_rng(2)
-    around, visit = np.tile(np.arange(36), visits), np.repeat(np.arange(visits), 36)
+    heading = np.tile(np.arange(36) * (math.tau / 36), turns)
+    stamp = np.arange(len(heading)) * (30.0 / 36.0)
+    waves = harmonics(heading[:36])[:, 1:].T
     misses = 0
     for _ in range(200):
-        phase = np.arange(36) * (math.tau / 36)
-        waves = np.array([np.cos(phase), np.sin(phase), np.cos(2.0 * phase), np.sin(2.0 * phase)])
-        values = (rng.normal(0.0, 1.0, (visits, 4)) @ waves).ravel()
-        seen = values.reshape(visits, 36).mean(axis=0).std()
-        misses += bool(seen > scatter_of_means(values, around, visit))
+        values = 0.05 * (rng.normal(0.0, 1.0, (turns, 4)) @ waves).ravel()
+        size, chance = fit_waves(harmonics(heading), values, stamp, 2.0).spread
+        misses += bool(size > chance)
     assert misses <= 0.12 * 200
-    assert scatter_of_means(values[:36], around[:36], visit[:36]) == 0.0
+
+
+def test_a_turn_in_one_place_is_uncertain_by_its_noise_alone():
+    heading, rng = np.linspace(0.0, math.tau, 36), np.random.default_rng(3)
+    values = 0.1 * np.cos(heading) + 0.002 * rng.standard_normal(36)
+    size, chance = fit_waves(harmonics(heading), values, np.linspace(0.0, 14.0, 36), 2.0).spread
+    assert size == pytest.approx(0.1 / math.sqrt(2.0), rel=0.05)
+    assert chance < 0.003
 
 
 def test_what_a_drive_shows_of_iron_replaces_what_its_streets_hide():
@@ -80,14 +87,15 @@ def test_a_good_calibration_is_not_stale_in_streets_and_a_changed_one_is_noticed
     assert changed.state in ("doubtful", "stale")
 
 
-@pytest.mark.parametrize(("strays", "explained"), [((2,), True), ((1, 3), False)])
-def test_what_one_place_alone_adds_is_not_the_calibrations(strays, explained):
-    """Beside iron the compass goes round once; two visits to other places do as a change would."""
-    visit = np.repeat(np.arange(6), 60)
-    heading = np.radians(30.0 * visit + np.tile(np.linspace(0.1, 29.9, 60), 6))
-    deviation = np.where(np.isin(visit, strays), 1.2, 0.05) * np.cos(7.0 * heading)
-    figure = Figure.GYRO_COMPASS_DIFFERENCE
-    swing = GyroSwing(heading, deviation, math.sqrt(np.mean(deviation**2)))
-    around, nothing = sectors(heading, 36), {figure: 0.0}
-    found = chances({}, visit, around, (swing, np.arange(360)), nothing, nothing, 36)[figure]
-    assert (math.sqrt(max(swing.rms**2 - found**2, 0.0)) < 0.05) is explained
+@pytest.mark.parametrize(("places", "explained"), [(1, True), (12, False)])
+def test_what_one_place_alone_adds_is_not_the_calibrations(places, explained):
+    """A compass that is drawn aside beside iron is right again elsewhere; a changed one is not."""
+    heading = np.tile(np.arange(0.0, math.tau, math.tau / 12.0), 20)
+    is_aside = np.arange(240) // 20 < places
+    yaw = heading + 0.3 * np.where(is_aside, np.cos(heading), 0.0)
+    turned = np.unwrap(heading)
+    rows = [Record(3.0 * k, yaw[k], 1.0, 0.0, turned[k], 0, 0.0) for k in range(240)]
+    gyro = compass_less_gyro(np.array(rows), heading, 2.0)
+    swing, chance = gyro.waves.spread
+    assert gyro.rms > 0.05
+    assert (math.sqrt(max(swing**2 - chance**2, 0.0)) < 0.03) is explained

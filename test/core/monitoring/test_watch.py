@@ -11,8 +11,7 @@ from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.monitoring.watch import Watch
-from magcal_ros.core.monitoring.watch_fit import WatchTuning
+from magcal_ros.core.monitoring.watch import Watch, WatchTuning
 from magcal_ros.core.samples import FieldSample, ImuSample, Window
 from magcal_ros.core.up import UpFollower
 

@@ -1,0 +1,237 @@
+"""Whether the field that a calibration corrects changes with the heading: the test of change.
+
+A field that is corrected well has the same strength, rise and dip at every heading, and its yaw
+turns as the gyro does. What differs is fitted by harmonics of the heading, robustly, with a sigma
+that allows for places: errors within half a minute are alike, because steel is passed slowly. With
+n the level direction of magnetic north in body axes, B, H and V the strength and its level and
+downward parts:
+
+- hard iron b swings the strength by (H/B) b.n, once a turn, and not the field's rise above level;
+- a mounting that moved by a small rotation d swings the rise by H (d_x n_y - d_y n_x), once a
+  turn, and not the strength;
+- soft iron e swings the strength by e H²/B, twice a turn;
+- another place, or another reference, shifts both alike at all headings, and so does hard iron
+  along the vertical.
+
+The first three move the yaw. Strength needs no up vector, so acceleration cannot mimic hard iron.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.samples.coverage import COVERAGE, Coverage
+
+
+@dataclass(frozen=True)
+class ChangeTuning:
+    """What is assumed of places, sensors and driving."""
+
+    correlation_time: float = 30.0
+    """Seconds over which the records' errors are taken to be alike, less and less."""
+    few: float = 10.0
+    """Independent stretches that know their own scatter half as well as many do."""
+    huber: float = 1.5
+    """Scatters from which a record weighs less."""
+    smallest_scatter: float = 0.002
+    """Of the field; the least scatter that is assumed for records."""
+    fastest_curve: float = 0.15
+    """s/m, standard deviation of driving speed over gravity: how far curves may lean up, per
+    rad/s."""
+    longest_piece: float = 60.0
+    """Seconds over which the gyro's drift is taken as steady."""
+    steepest_nose: float = 0.75
+    """Squared share of up along body x (60°) beyond which yaw is not compared."""
+    widest_hole: float = math.radians(100.0)
+    """Radians of heading that may be missing in one stretch where swings are fitted."""
+    longest_visit: float = 4.0
+    """Seconds after which a visit to a heading is recorded, though the robot has not turned."""
+
+
+CHANGE = ChangeTuning()
+ROUNDS = 8
+"""Of reweighting."""
+ONCE, TWICE = slice(1, 3), slice(3, 5)
+"""Columns of the first and the second harmonic."""
+
+
+class Record(NamedTuple):
+    """One visit to a heading.
+
+    `stamp` in seconds; `yaw` (rad) by the compass; `strength` and `rise` (tesla) of the corrected
+    field, the rise upwards; `turned` (rad) by the gyro since its path began, NaN without one;
+    `path` its number; `rate` (rad/s) of yaw.
+    """
+
+    stamp: float
+    yaw: float
+    strength: float
+    rise: float
+    turned: float
+    path: int
+    rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """Harmonics of the heading that were fitted to some values of records."""
+
+    columns: FloatArray
+    """Mean, sine and cosine of the heading, and of twice the heading. Shape (n, 3 or more)."""
+    values: FloatArray
+    covariance: FloatArray
+    """Of the columns' coefficients."""
+    chance: float
+    """Sigmas that chance may reach; more where few stretches of driving were seen, which know
+    little of their own scatter."""
+
+    def amplitude(self, part: slice) -> tuple[float, float]:
+        """Return the size of one harmonic and what chance may reach."""
+        variance = float(np.trace(self.covariance[part, part])) / 2.0
+        return float(np.hypot(*self.values[part])), self.chance * math.sqrt(variance)
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """The RMS over the headings that were seen, and what chance may reach."""
+        waves = self.columns[:, 1:5] - self.columns[:, 1:5].mean(axis=0)
+        variance = np.einsum("ni,ij,nj->n", waves, self.covariance[1:5, 1:5], waves)
+        size = math.sqrt(float(np.mean((waves @ self.values[1:5]) ** 2)))
+        return size, self.chance * math.sqrt(max(float(variance.mean()), 0.0))
+
+
+def harmonics(heading: FloatArray) -> FloatArray:
+    """Return the columns of `Waves` for headings (n,), radians; shape (n, 5)."""
+    one, twice = np.ones(len(heading)), 2.0 * heading
+    return np.column_stack([one, np.sin(heading), np.cos(heading), np.cos(twice), np.sin(twice)])
+
+
+def fit_waves(
+    columns: FloatArray,
+    values: FloatArray,
+    stamp: FloatArray,
+    sigmas: float,
+    prior: tuple[int, float] | None = None,
+) -> Waves:
+    """Fit coefficients by Huber's weights.
+
+    Errors of neighbours are correlated: the covariance is that of Newey and West (1987), and never
+    smaller than for independent records. Less than two stretches of driving were in one place, and
+    cannot show how places differ.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, k)
+    values, stamp : ndarray, shape (n,)
+    sigmas : float
+        That chance may reach.
+    prior : tuple of int and float, optional
+        A column, and the standard deviation of its coefficient about zero.
+    """
+    weight = np.ones(len(values))
+    for _ in range(ROUNDS):
+        normal = columns.T @ (weight[:, None] * columns)
+        if prior is not None:
+            normal[prior[0], prior[0]] += (CHANGE.smallest_scatter / prior[1]) ** 2
+        inverse = np.linalg.pinv(normal)
+        found = inverse @ (columns.T @ (weight * values))
+        misfit = values - columns @ found
+        scatter = max(1.4826 * float(np.median(np.abs(misfit))), CHANGE.smallest_scatter)
+        weight = np.minimum(1.0, CHANGE.huber * scatter / np.maximum(np.abs(misfit), 1e-12))
+    alone = scatter**2 * inverse
+    stretches = float(np.ptp(stamp)) / CHANGE.correlation_time
+    if stretches < 2.0:
+        return Waves(columns, found, np.asarray(alone, dtype=np.float64), sigmas)
+    # By sixths of that time, so that an hour takes no more memory than minutes do.
+    sixth = ((stamp - stamp.min()) * (6.0 / CHANGE.correlation_time)).astype(np.int64)
+    scores = np.zeros((int(sixth.max()) + 1, columns.shape[1]))
+    np.add.at(scores, sixth, (weight * misfit)[:, None] * columns)
+    count = np.arange(len(scores))
+    alike = np.maximum(1.0 - np.abs(count[:, None] - count) / 6.0, 0.0)
+    together = inverse @ (scores.T @ alike @ scores) @ inverse
+    covariance = np.asarray(max(together, alone, key=np.trace), dtype=np.float64)
+    return Waves(columns, found, covariance, sigmas * (1.0 + CHANGE.few / stretches))
+
+
+class GyroWaves(NamedTuple):
+    """Compass less gyro: the rows that are compared, the deviation there, and its harmonics.
+
+    There are no harmonics of a part of a turn, which cannot tell them from a bias of the gyro.
+    """
+
+    rows: IntArray
+    deviation: FloatArray
+    waves: Waves | None
+
+    @property
+    def rms(self) -> float:
+        """Of the deviation, radians."""
+        return math.sqrt(float(np.mean(self.deviation**2)))
+
+
+def compass_less_gyro(records: FloatArray, heading: FloatArray, sigmas: float) -> GyroWaves | None:
+    """Return by how much the compass turns otherwise than the gyro; None without a comparison.
+
+    One offset a piece and one steady bias are removed. Each record is compared as an angle: beside
+    iron that cancels the level field the compass may go once round, and is right again afterwards.
+    Over a single turn a periodic error resembles a bias in part: both are fitted together.
+
+    Parameters
+    ----------
+    records : ndarray, shape (n, 7)
+        Columns of `Record`; the yaw is by the compass that is tried.
+    heading : ndarray, shape (n,)
+        Where the robot looked as far as is known, radians.
+    sigmas : float
+        That chance may reach.
+    """
+    stamp, yaw, turned, path = (records[:, k] for k in (0, 1, 4, 5))
+    spell = np.floor((stamp - stamp[:1]) / CHANGE.longest_piece)
+    parted = (np.diff(path) != 0) | (np.diff(spell) > 0)
+    pieces = np.split(np.arange(len(records)), np.flatnonzero(parted) + 1)
+    pieces = [rows for rows in pieces if len(rows) > 4 and np.isfinite(turned[rows]).all()]
+    if not pieces:
+        return None
+    is_round = Coverage.of(heading).gap <= CHANGE.widest_hole
+    basis = harmonics(heading)[:, : 5 if is_round else 1]
+    basis[:, 0] = stamp
+    columns, gaps = [], []
+    for rows in pieces:
+        gap = yaw[rows] - turned[rows]
+        gap = wrap_angle(gap - np.angle(np.mean(np.exp(1j * gap))))
+        gaps.append(gap - gap.mean())
+        columns.append(basis[rows] - basis[rows].mean(axis=0))
+    every, gap = np.concatenate(pieces), np.concatenate(gaps)
+    drift = 0, COVERAGE.largest_gyro_bias
+    waves = fit_waves(np.concatenate(columns), gap, stamp[every], sigmas, drift)
+    deviation = wrap_angle(gap - waves.columns[:, 0] * waves.values[0])
+    return GyroWaves(every, deviation, waves if is_round else None)
+
+
+def check_beside_chance(
+    bound: Bound, figure: float, chance: float, before: float | None = None, decided: bool = False
+) -> Check:
+    """Grade the part of a figure that chance does not explain.
+
+    Where chance alone reaches the bound of stale, the turn is inconclusive: doubtful, unless the
+    figure is small, or the drive itself has shown whether iron was added (`decided`).
+    """
+    excess = math.sqrt(max(figure**2 - chance**2, 0.0))
+    seen = chance * bound.scale
+    note = f", of which chance may be {shown(seen)}{bound.unit}" if seen > 0.5 * bound.good else ""
+    if note and chance >= figure:
+        note = ", no more than chance explains"
+    check = bound.check(figure, excess=excess, note=note, before=before)
+    is_small = figure * bound.scale <= bound.good
+    if decided or is_small or seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
+        return check
+    words = f"{check.words}: too uncertain to judge; turn once, in one place away from iron"
+    return Check(
+        check.figure, check.aspect, Grade.WARN, words, check.value, check.before, check.bound
+    )
