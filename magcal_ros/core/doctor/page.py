@@ -21,6 +21,7 @@ from magcal_ros.core.doctor.health import (
     Finding,
     alive_finding,
     field_findings,
+    is_noiseless,
     looked_at,
     noise_findings,
     not_shown,
@@ -106,7 +107,9 @@ def examine(
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
     """Look at what the samples of a turn show, which are paired and cleaned already."""
     nothing = np.full((len(window), 3), np.nan)
-    rate = nothing if window.angular_rate is None else window.angular_rate
+    # Drivers without a gyro fill its numbers with zeros.
+    rate = window.angular_rate
+    rate = nothing if rate is None or not rate.any() else rate
     log = SensorLog(window.time, window.specific_force, rate, window.time, window.field)
     page = examine(log, knowledge)
     kept = [f for f in page.findings if f.key not in PAIRED]
@@ -295,12 +298,8 @@ def _turned(time: FloatArray, rate: FloatArray, first: float, last: float) -> Fl
     return np.asarray(mean * (last - first))
 
 
-AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit")
+AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")
 """Lines of the page that say why field, gyro and gravity disagree."""
-
-
-SMOOTH = 1e-4
-"""Share of its largest value by which a rate without noise may bend from sample to sample."""
 
 
 def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
@@ -328,7 +327,7 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
     if rate is None or len(window) < 3:
         return None
     dead = unchanging(rate)
-    if 0 < len(dead) < 3 and _has_noise(np.delete(rate, dead, axis=1)):
+    if 0 < len(dead) < 3 and not is_noiseless(rate):
         words = alive_finding("gyro", rate).remedy
         up = int(np.argmax(np.abs(window.specific_force.mean(axis=0))))
         if up in dead and len(dead) == 2:
@@ -336,7 +335,7 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             words += f", and gives the turn about {'xyz'[up]} as {'xyz'[living]}"
         return Refusal(
             Reason.AXES_DISAGREE,
-            f"the gyro's {words}; correct the driver, or let it mark the rates as absent "
+            f"{words}; correct the driver, or let it mark the rates as absent "
             "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
             "calibrated without a gyro",
         )
@@ -345,12 +344,6 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
         unit = _by_the_page(window, knowledge, ("rate_unit",))
         return Refusal(Reason.AXES_DISAGREE, unit) if unit else None
     return None
-
-
-def _has_noise(rate: FloatArray) -> bool:
-    """Return whether rates (n, k) have noise; those of a simulator without any may stay zero."""
-    bend = np.abs(np.diff(rate, 2, axis=0))
-    return bool(np.median(bend) > SMOOTH * np.abs(rate).max())
 
 
 def saturated_field(window: Window) -> Refusal | None:
