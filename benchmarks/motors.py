@@ -64,7 +64,7 @@ def legs(rng: np.random.Generator, seconds: float) -> list[Leg]:
             Leg(rng.uniform(3.0, 8.0), speed),
             Leg(rng.uniform(1.0, 3.0), speed, rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.6)),
             Leg(0.8),
-            Leg(rng.choice([1.0, 5.0])),
+            Leg(float(rng.choice([1.0, 5.0]))),
             Leg(angle / abs(rate), turn_rate=rate),
             Leg(rng.uniform(2.0, 6.0)),
         ]

@@ -34,7 +34,8 @@ RULES = (
     "after it was found can prove it better than the one in force. Where nothing is in force, a "
     "second one that agrees is enough; where that is known to no better than 3°, one that agrees "
     "and is known much better. What is put in force stays on trial against the one before. "
-    "Headings are counted in twelve sectors of 30°; ± is one standard deviation of the heading."
+    "Headings are counted in twelve sectors of 30°; ± is one standard deviation of the heading, "
+    "by the calibration alone in the reasons, with streets and cars in the table above."
 )
 VERBS = {
     Verb.NOTICED: "noticed",
@@ -113,7 +114,8 @@ def _before_and_after(story: DriveStory) -> str:
         apart += f'<p id="course">After: {escape(story.course)}.</p>'
     return (
         '<h2>What was in force before and after</h2><div class="scroll"><table class="checks"><tr>'
-        "<th></th><th>made by</th><th>heading (1σ)</th><th>hard iron, µT</th><th>why</th></tr>"
+        "<th></th><th>made by</th><th>heading on the way (1σ)</th><th>hard iron, µT</th>"
+        "<th>why</th></tr>"
         f"{rows}</table></div>{apart}"
     )
 

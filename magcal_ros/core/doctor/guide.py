@@ -7,6 +7,7 @@ any is taken for right.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from enum import Enum
@@ -54,6 +55,7 @@ class GuideTuning:
     angle: float = math.radians(75.0)  # radians of turn that the gyro must read
     swing: float = 0.4
     """Share of its size by which the field must move where the gyro reads no turn."""
+    stopped: float = 0.25  # share of its fastest that a turn may still have when it has ended
     lift: float = math.radians(8.0)  # radians by which gravity must lean
     patience: float = 45.0  # seconds after which a stage is given up
 
@@ -83,6 +85,7 @@ class Guide:
         self._imu: list[tuple[float, ...]] = []
         self._field: list[tuple[float, ...]] = []
         self._blocks: list[_Block] = []
+        self._begun = 0  # the first block of what is asked for now
         self._resting: _Block | None = None
         self._angle = 0.0
         self._done_moving = False
@@ -158,7 +161,23 @@ class Guide:
             self._done_moving |= abs(self._angle) > TUNING.angle or swing > TUNING.swing
         else:
             self._done_moving |= _apart(newest.force, self._resting.force) > TUNING.lift
-        return self._done_moving and self._stands(TUNING.rest)
+        if not (self._done_moving and self._stands(TUNING.rest)):
+            return False
+        return stage is not GuideStep.TURN or self._has_stopped()
+
+    def _has_stopped(self) -> bool:
+        """Return whether the turn has ended by the sensor that showed it, whatever its unit.
+
+        In the second of a rest a slow turn moves the field less than `still` allows.
+        """
+        assert self._resting is not None
+        step = self._blocks[self._begun :]
+        if abs(self._angle) > TUNING.angle:
+            pace = [float(np.linalg.norm(each.rate - self._resting.rate)) for each in step]
+        else:
+            pace = [float(np.linalg.norm(b.field - a.field)) for a, b in itertools.pairwise(step)]
+        count = round(TUNING.rest / TUNING.block)
+        return max(pace[-count:]) < TUNING.stopped * max(pace)
 
     def _stands(self, seconds: float) -> bool:
         """Return whether gravity and field have not moved for so long."""
@@ -191,6 +210,7 @@ class Guide:
             )
         )
         self._since, self._angle, self._done_moving = now, 0.0, False
+        self._begun = len(self._blocks)
 
 
 def _apart(one: FloatArray, other: FloatArray) -> float:

@@ -60,6 +60,7 @@ class HealthTuning:
     saturated: tuple[int, float] = (5, 1.5)
     """Places along the other two axes, in twentieths of the field's size, at which one axis must
     stand at its extreme; and how many times those just below the extreme."""
+    smooth: float = 1e-4  # share of its largest value by which a rate without noise may bend
     gravity: float = 0.15  # misfit of the usual acceleration
     fewest: int = 50  # samples below which nothing is said of a stream
     field_noise: float = 3e-6
@@ -175,13 +176,22 @@ def alive_finding(name: str, values: FloatArray) -> Finding:
     if not still:
         return looked_at("frozen", f"{name}: axes alive", evidence)
     verb, them = ("never changes", "it") if len(still) == 1 else ("never change", "them")
-    words = f"{_axes(still)} {verb}: the driver does not read {them}"
+    words = f"the {name}'s {_axes(still)} {verb}: the driver does not read {them}"
     return wrong("frozen", f"{name}: axes alive", evidence, words)
 
 
 def unchanging(values: FloatArray) -> list[int]:
     """Return the axes of values (n, 3) that never change."""
     return [axis for axis in range(3) if np.ptp(values[:, axis]) == 0.0]
+
+
+def is_noiseless(rate: FloatArray) -> bool:
+    """Return whether rates (n, 3) change without noise: a simulator's may stay at one value."""
+    changed = (np.diff(rate, axis=0) != 0.0).any(axis=1)[1:]
+    bend = np.abs(np.diff(rate, 2, axis=0)).max(axis=1)[changed]
+    if len(bend) < TUNING.fewest:
+        return len(bend) > 0
+    return bool(np.median(bend) < TUNING.smooth * np.abs(rate).max())
 
 
 def saturated(field: FloatArray, axis: int) -> BoolArray:

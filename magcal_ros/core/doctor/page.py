@@ -20,6 +20,7 @@ from magcal_ros.core.doctor.health import (
     Finding,
     alive_finding,
     field_findings,
+    is_noiseless,
     looked_at,
     noise_findings,
     not_shown,
@@ -30,7 +31,6 @@ from magcal_ros.core.doctor.motion import MOVE_THE_SENSOR, TURN_BETWEEN_RESTS, M
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.alignment import FIELD, IRON, LAG, UP
@@ -223,12 +223,8 @@ def motors_finding(
     return looked_at("motors", MOTORS, evidence, remedy * is_seen)
 
 
-AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit")
+AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")
 """Lines of the page that say why field, gyro and gravity disagree."""
-
-
-SMOOTH = 1e-4
-"""Share of its largest value by which a rate without noise may bend from sample to sample."""
 
 
 def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
@@ -256,7 +252,7 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
     if rate is None or len(window) < 3:
         return None
     dead = unchanging(rate)
-    if 0 < len(dead) < 3 and _has_noise(np.delete(rate, dead, axis=1)):
+    if 0 < len(dead) < 3 and not is_noiseless(rate):
         words = alive_finding("gyro", rate).remedy
         up = int(np.argmax(np.abs(window.specific_force.mean(axis=0))))
         if up in dead and len(dead) == 2:
@@ -264,7 +260,7 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             words += f", and gives the turn about {'xyz'[up]} as {'xyz'[living]}"
         return Refusal(
             Reason.AXES_DISAGREE,
-            f"the gyro's {words}; correct the driver, or let it mark the rates as absent "
+            f"{words}; correct the driver, or let it mark the rates as absent "
             "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
             "calibrated without a gyro",
         )
@@ -273,12 +269,6 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
         unit = _by_the_page(window, knowledge, ("rate_unit",))
         return Refusal(Reason.AXES_DISAGREE, unit) if unit else None
     return None
-
-
-def _has_noise(rate: FloatArray) -> bool:
-    """Return whether rates (n, k) have noise; those of a simulator without any may stay zero."""
-    bend = np.abs(np.diff(rate, 2, axis=0))
-    return bool(np.median(bend) > SMOOTH * np.abs(rate).max())
 
 
 def saturated_field(window: Window) -> Refusal | None:

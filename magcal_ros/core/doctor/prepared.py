@@ -14,6 +14,7 @@ from magcal_ros.core.doctor.health import (
     field_findings,
     gravity_size_finding,
     in_long_runs,
+    is_noiseless,
     repeats,
     repeats_finding,
     saturated,
@@ -84,7 +85,7 @@ def prepare(log: SensorLog) -> CleanLog:
         both = np.column_stack([log.force, np.nan_to_num(log.rate)])
         findings += [gravity_size_finding(log.force), repeats_finding("IMU", both)]
         findings.append(alive_finding("accelerometer", log.force))
-        if log.has_gyro:
+        if log.has_gyro and not is_noiseless(log.rate):
             findings.append(alive_finding("gyro", log.rate))
     log = _fresh(log)
     if min(len(log.force), len(log.field)) > HEALTH.fewest:
@@ -135,7 +136,7 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
     """Find sensors that say the same while another one moves; keep what is longest without."""
     found = []
     streams = [("accelerometer", log.imu_time, log.force), ("field", log.field_time, log.field)]
-    if log.has_gyro:
+    if log.has_gyro and not is_noiseless(log.rate):
         streams.append(("gyro", log.imu_time, log.rate))
     stuck: list[tuple[float, float]] = []
     for name, time, values in streams:

@@ -149,9 +149,9 @@ class SensorLog:
 
     @classmethod
     def of_window(cls, window: Window) -> SensorLog:
-        """Return the samples of a window as two streams."""
+        """Return the samples of a window as two streams; drivers without a gyro send zeros."""
         rate = window.angular_rate
-        rate = np.full((len(window), 3), np.nan) if rate is None else rate
+        rate = np.full((len(window), 3), np.nan) if rate is None or not rate.any() else rate
         return cls(window.time, window.specific_force, rate, window.time, window.field)
 
     @property

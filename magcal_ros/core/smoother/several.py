@@ -247,7 +247,7 @@ def _widened(model: Model, point: Point, found: _Step, which: int) -> Point:
 
 def _with_one_prior(models: Sequence[Model], yaw_sigma: float) -> list[Model]:
     """Return models that believe the same of what they share: the widest of their priors."""
-    scale = np.max([model.priors.scale for model in models], axis=0)
+    scale = np.stack([model.priors.scale for model in models]).max(axis=0)
     scale[TURNED] = yaw_sigma
     first, out = models[0].priors, []
     for model in models:

@@ -81,6 +81,16 @@ def test_the_stages_are_asked_for_one_after_the_other():
     assert person.guide.current is GuideStep.LIFT
 
 
+@pytest.mark.parametrize("spoil", [lambda sample: sample, scaled(0.0)], ids=["good", "no gyro"])
+def test_a_slow_turn_is_over_when_the_robot_stops(spoil):
+    person = Person(spoil)
+    person.does(6.0)
+    person.does(25.0, rate=0.2)
+    assert person.guide.current is GuideStep.TURN
+    person.does(2.0)
+    assert person.guide.current is GuideStep.LIFT
+
+
 def test_what_is_not_done_is_given_up_and_told():
     person = Person()
     person.does(60.0)

@@ -73,6 +73,19 @@ def test_without_the_gyro_that_has_dead_axes_the_turn_is_calibrated(window):
     assert calibrate(replace(window, angular_rate=None), Knowledge()).verdict.accepted
 
 
+@pytest.mark.parametrize("since", [0, 100], ids=["always", "after a third"])
+def test_a_gyro_that_is_stuck_is_said(window, since):
+    rate = window.angular_rate.copy()
+    rate[since:] = [0.1, 0.02, -0.05]
+    outcome = calibrate(replace(window, angular_rate=rate), Knowledge())
+    assert not outcome.verdict.accepted
+    assert "the gyro is frozen" in outcome.verdict.summary
+    unseen = Refusal(Reason.ARC_TOO_SHORT, "nothing was seen of a turn")
+    assert "the gyro is frozen" in str(
+        blamed_on_sensors(unseen, replace(window, angular_rate=rate), Knowledge())
+    )
+
+
 def test_rates_in_another_unit_are_said_as_such(window):
     outcome = calibrate(replace(window, angular_rate=562.0 * window.angular_rate), Knowledge())
     assert outcome.reason is Reason.AXES_DISAGREE
