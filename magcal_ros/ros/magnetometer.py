@@ -71,7 +71,7 @@ class Magnetometer:
         name, log = (node.get_namespace(), node.get_name()), node.get_logger()
         self.keeper = Keeper(name, files, log, self._apply, chosen, number)
         self.control = Control(inputs.streams, self, owner, robot, fits, files)
-        self._reporter = Reporter(log.error)
+        self._reporter = Reporter(BackgroundThread(node, "magcal-report"), log.error)
         self.compass: Compass | None = None
         self.watch: Watch | None = None
         """Watches the calibration of the first magnetometer."""
@@ -146,9 +146,9 @@ class Magnetometer:
 
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
         """Begin the report on a turn; returns where it will lie, in words."""
-        sensors, yaw = (self.inputs.field, self.inputs.imu), self._pipeline.travel.yaw
+        yaw = self._pipeline.travel.yaw
         words = "" if yaw is None else yaw.words
-        return self._reporter.report(window, settings, outcome, *sensors, words)
+        return self._reporter.report(window, settings, outcome, self.inputs, words)
 
     def describe_silence(self) -> str:
         """Say which sensor is missing, and what to look at."""
