@@ -6,7 +6,9 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from magcal_ros.core.calibration import Calibration, MotorField
 from magcal_ros.core.errors import in_words
@@ -20,9 +22,8 @@ from magcal_ros.files.calibration_file import (
 )
 from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
 from magcal_ros.files.disk import FileTrouble, plain, promptly
-from magcal_ros.ros.announcer import Log
+from magcal_ros.ros.threads import BackgroundThread
 
-T = TypeVar("T")
 Tell = Callable[[Conclusion], None]
 
 TO_WRITE = 15.0
@@ -30,21 +31,6 @@ TO_WRITE = 15.0
 
 MOST_KNOWN = 100
 """Names of sensors that are remembered; beyond that the oldest one is dropped."""
-
-
-class Runner(Protocol):
-    """Does work elsewhere; `magcal_ros.ros.worker_process.BackgroundThread` is one."""
-
-    def run(
-        self,
-        work: Callable[[], T],
-        then: Callable[[T], object],
-        otherwise: Callable[[Exception], object],
-    ) -> None:
-        """Do some work, then go on in the executor's thread."""
-
-    def finish_within(self, patience: float) -> bool:
-        """Wait so many seconds for the work that was asked for."""
 
 
 class Loaded(NamedTuple):
@@ -67,8 +53,8 @@ class Keeper:
     def __init__(
         self,
         name: tuple[str, str],
-        files: Runner,
-        log: Log,
+        files: BackgroundThread,
+        log: RcutilsLogger,
         apply: Callable[[Calibration | None, str], object],
         chosen: Callable[[], str] = lambda: "",
         number: int = 1,
