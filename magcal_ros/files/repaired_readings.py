@@ -20,7 +20,7 @@ from magcal_ros.core.samples.stamps import (
 )
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading, without_motors
-from magcal_ros.files.bags import Source
+from magcal_ros.files.sources import Source
 
 LOOKED_AT = 20_000
 """Messages from which bursts of stamps and the rate of the IMU are recognised."""

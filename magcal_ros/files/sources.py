@@ -7,17 +7,18 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import TravelSample
+from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import ardupilot, phone, px4
-from magcal_ros.files.bags import Source, open_bag
-from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.bags import Bag, open_bag
+from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
@@ -25,8 +26,10 @@ FIRST_STAMP = 1.0
 """Seconds. A drive whose time begins at zero or before is moved here: a zero stamp is none."""
 
 
-class HeldDrive(Source):
-    """A recording in memory as a source; `start` and `stop` are seconds from its first sample."""
+class HeldDrive:
+    """A recording in memory, read like a `Bag`; `start`, `stop` are seconds from its beginning."""
+
+    imu_frame = ""
 
     def __init__(self, recording: Recording, start: float, stop: float) -> None:
         self._recording = _cut(recording, start, stop)
@@ -60,8 +63,20 @@ class HeldDrive(Source):
         return list(self._recording.travel)
 
     def yaw(self) -> FloatArray:
-        """Return the yaws of an autopilot."""
+        """Return stamps and the yaws of an autopilot (rad, ENU, true north), (n, 2)."""
         return self._recording.yaw
+
+    def currents(self) -> list[tuple[float, float]]:
+        """Return the currents of the battery: only bags have them."""
+        return []
+
+    def headings(self, topic: str) -> list[HeadingSample]:
+        """Raise a Misuse: only bags have topics."""
+        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
+
+
+Source: TypeAlias = Bag | HeldDrive
+"""A recording of any kind, opened."""
 
 
 def open_recording(
