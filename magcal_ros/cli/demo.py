@@ -90,10 +90,6 @@ def run_demo(options: argparse.Namespace) -> int:
         process.wait(timeout=10)
 
 
-def _seconds(speed: float) -> str:
-    return f"about {TAKES / speed:.0f} s, {speed:g} x real time" if speed > 0.0 else "some time"
-
-
 def _start_node(output: Path) -> subprocess.Popen[bytes]:
     parameters = {
         "calibration_file": output.resolve(),

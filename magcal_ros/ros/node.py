@@ -116,8 +116,8 @@ class Calibrator(Node):
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
         self.stop_robot()
         self._magnetometers.shut_down()
-        self._keeping.end()
-        self._known.end()
+        self._keeping.worker.end()
+        self._known.worker.end()
 
     def stop_robot(self) -> None:
         """Stop a robot that turns itself, from any thread; it will not move again."""

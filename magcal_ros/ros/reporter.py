@@ -101,7 +101,7 @@ class Reporter:
         watchdog.daemon = True
         watchdog.start()
         try:
-            self._worker.run(write_to_the_end, folder, subject)
+            self._worker.run_once(write_to_the_end, folder, subject)
         except Stopped:
             raise MagcalError(
                 f"its process was not done after {LONGEST:g} s, and the node has ended it; "
@@ -109,7 +109,6 @@ class Reporter:
             ) from None
         finally:
             watchdog.cancel()
-            self._worker.stop()
 
 
 def reports_of(parent: str) -> Path:

@@ -23,7 +23,7 @@ class Draws:
     def __init__(self):
         self.started, self.may_end = [], threading.Semaphore(0)
 
-    def run(self, _, folder, __):
+    def run_once(self, _, folder, __):
         self.started.append(folder)
         assert self.may_end.acquire(timeout=30.0)
         (folder / "report.html").write_text("drawn")
