@@ -32,7 +32,7 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.disk import plain, plain_lines, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
-from magcal_ros.files.repaired_readings import RepairedReadings
+from magcal_ros.files.sources import RepairedReadings
 from magcal_ros.report import Subject, write_report
 from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 

@@ -28,8 +28,7 @@ from magcal_ros.core.session.recorded import (
     fit_heading_topic,
     standing_pairs,
 )
-from magcal_ros.files.repaired_readings import RepairedReadings
-from magcal_ros.files.sources import Source, open_recording
+from magcal_ros.files.sources import RepairedReadings, Source, open_recording
 
 LOOK_EVERY = 2000
 """Messages between two looks at the clock."""
