@@ -84,7 +84,7 @@ class Keeper:
     ) -> None:
         """Apply a calibration and store it; only what is stored as well is a success."""
         self.put_in_force(calibration, origin)
-        self._run_storing(self.store(with_backup), tell, "In force, but not saved")
+        self.save(tell, with_backup)
 
     def keep_vehicle_yaw(self, yaw: VehicleYaw) -> None:
         """Store a yaw with the calibration in force, if there is one."""
@@ -106,15 +106,12 @@ class Keeper:
         self.calibration = self.origin = None
         self._apply(None, "")
 
-    def store(self, with_backup: bool = True) -> Callable[[], str]:
-        """Return the work of saving what is in force now, to be done in any thread.
-
-        With a backup, another calibration that the file holds is kept beside it. A FileTrouble if
-        nothing is in force.
-        """
+    def save(self, tell: Tell = lambda _: None, with_backup: bool = True) -> None:
+        """Save the calibration in force; another one that the file holds is kept as a backup."""
         calibration, origin = self.calibration, self.origin
         if calibration is None or origin is None:
-            raise FileTrouble("there is no calibration in force to save")
+            tell(Conclusion(False, "there is no calibration in force to save"))
+            return
         frame = self._frame
 
         def work() -> str:
@@ -138,16 +135,11 @@ class Keeper:
             self.trouble = ""
             return f"In force and saved to {path}.{lost}"
 
-        return work
-
-    def save(self, tell: Tell = lambda _: None) -> None:
-        """Save the calibration in force."""
-        try:
-            work = self.store()
-        except FileTrouble as error:
-            tell(Conclusion(False, str(error)))
-            return
-        self._run_storing(work, tell, "not saved")
+        self._files.run(
+            work,
+            lambda words: tell(Conclusion(not self.trouble, words)),
+            lambda error: tell(Conclusion(False, f"In force, but not saved: {in_words(error)}")),
+        )
 
     def load(self, tell: Tell) -> None:
         """Put the calibration of the file in force."""
@@ -238,13 +230,6 @@ class Keeper:
             return self._path(frame, chosen)
         file = SensorFile(frame, *self._name)
         return promptly(file.find, file.path)
-
-    def _run_storing(self, work: Callable[[], str], tell: Tell, fault: str) -> None:
-        self._files.run(
-            work,
-            lambda words: tell(Conclusion(not self.trouble, words)),
-            lambda error: tell(Conclusion(False, f"{fault}: {in_words(error)}")),
-        )
 
     def _read_next(self) -> None:
         if self.calibration is not None:

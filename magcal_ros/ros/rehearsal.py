@@ -49,27 +49,19 @@ class SensorSource:
 
     def publish(self, sample: ImuSample | FieldSample) -> None:
         """Publish one sample under its own stamp."""
-        if isinstance(sample, ImuSample):
-            self._publish_imu(sample)
-        else:
-            self._publish_field(sample)
-
-    def _publish_imu(self, sample: ImuSample) -> None:
-        message = self._imu
+        message = self._imu if isinstance(sample, ImuSample) else self._field
         set_time(message.header.stamp, sample.stamp)
+        if isinstance(sample, FieldSample):
+            field = message.magnetic_field
+            field.x, field.y, field.z = sample.field
+            self._field_out.publish(message)
+            return
         force, rate = message.linear_acceleration, message.angular_velocity
         force.x, force.y, force.z = sample.force
         has_rate = all(math.isfinite(value) for value in sample.rate)
         rate.x, rate.y, rate.z = sample.rate if has_rate else (0.0, 0.0, 0.0)
         message.angular_velocity_covariance[0] = 0.0 if has_rate else ABSENT
         self._imu_out.publish(message)
-
-    def _publish_field(self, sample: FieldSample) -> None:
-        message = self._field
-        set_time(message.header.stamp, sample.stamp)
-        field = message.magnetic_field
-        field.x, field.y, field.z = sample.field
-        self._field_out.publish(message)
 
 
 def set_time(time: Any, stamp: float) -> None:
