@@ -264,19 +264,17 @@ class FusedOutput:
         if self.yaw is None or not self._out.get_subscription_count():
             return f"nothing subscribes to {TOPIC}"
         if not self._follower.gyro_is_believed:
-            return (
-                f"nothing on {TOPIC}: the gyro turns against the accelerometer; "
-                "its axes or its sign are wrong in the driver"
+            why = (
+                ": the gyro turns against the accelerometer; its axes or its sign are wrong in the "
+                "driver"
             )
-        if not self._follower.gyro_is_whole:
-            return (
-                f"nothing on {TOPIC}: axes of the gyro never change; the driver does not read them"
-            )
-        if not self._follower.is_propagated:
-            return f"nothing on {TOPIC}: the IMU has no gyro"
-        if self.yaw.heading() is None:
-            return f"nothing on {TOPIC} yet: no field has come"
-        return ""
+        elif not self._follower.gyro_is_whole:
+            why = ": axes of the gyro never change; the driver does not read them"
+        elif not self._follower.is_propagated:
+            why = ": the IMU has no gyro"
+        else:
+            why = " yet: no field has come" if self.yaw.heading() is None else ""
+        return f"nothing on {TOPIC}{why}" if why else ""
 
 
 METRES_PER_TESLA = 1.0 / 50e-6
