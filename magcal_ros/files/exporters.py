@@ -11,7 +11,6 @@ import math
 import operator
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -42,17 +41,6 @@ class NotExportable(MagcalError):
     """The consumer cannot hold this calibration; the text says what to do."""
 
 
-@dataclass(frozen=True, eq=False)
-class Symmetric:
-    """A correction without its rotation, in forward-right-down axes."""
-
-    matrix: FloatArray
-    """Symmetric. Shape (3, 3)."""
-    hard_iron: FloatArray
-    """Tesla. Shape (3,)."""
-    comments: tuple[str, ...]
-
-
 def in_forward_right_down(correction: Correction) -> Correction:
     """Return a correction of forward-left-up fields for fields given forward-right-down."""
     return Correction(
@@ -60,8 +48,8 @@ def in_forward_right_down(correction: Correction) -> Correction:
     )
 
 
-def without_rotation(correction: Correction, consumer: str) -> Symmetric:
-    """Split the rotation R off A = R S and keep the symmetric S.
+def without_rotation(correction: Correction, consumer: str) -> tuple[Correction, list[str]]:
+    """Split the rotation R off A = R S; return S, symmetric and forward-right-down, and comments.
 
     `consumer` is named in the comments. NotExportable if the rotation is more than 5°: the
     consumer's heading would be wrong.
@@ -80,15 +68,14 @@ def without_rotation(correction: Correction, consumer: str) -> Symmetric:
             f"{consumer}, or set this rotation there as the sensor's orientation (as a custom one, "
             "if the list has none like it); then record and fit again."
         )
-    comments: tuple[str, ...] = ()
+    comments = list[str]()
     if angle > MENTIONED_ROTATION:
-        comments = (
+        comments += [
             f"LOST: a rotation of {math.degrees(angle):.2f} degrees, {turned}.",
             f"{consumer} holds a symmetric matrix only; the heading errs by up to that rotation,",
             "times the tangent of the field's inclination where it is about a level axis.",
-        )
-    framed = in_forward_right_down(Correction(symmetric, correction.hard_iron))
-    return Symmetric(framed.matrix, framed.hard_iron, comments)
+        ]
+    return in_forward_right_down(Correction(symmetric, correction.hard_iron)), comments
 
 
 def _above(value: float, limit: float) -> str:
@@ -273,7 +260,7 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
     magnetometer's: from a log it tells which compass this is. NotExportable if the field is turned
     by more than 5°.
     """
-    held = without_rotation(calibration.correction, "ArduPilot")
+    held, comments = without_rotation(calibration.correction, "ArduPilot")
     of_log = re.fullmatch(rf"{ARDUPILOT_FRAME}([23]?)", frame)
     slot = of_log[1] if of_log else ""
     origin = (
@@ -291,7 +278,7 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
         "corrected = D * (mag + OFS), milligauss, forward-right-down. Offsets beyond 1800 need",
         "a larger COMPASS_OFFS_MAX.",
         *(origin if of_log else driver),
-        *held.comments,
+        *comments,
     )
     offsets, matrix = -MILLIGAUSS * held.hard_iron, held.matrix
     values = {f"COMPASS_OFS{slot}_{axis}": offsets[k] for k, axis in enumerate("XYZ")}
@@ -325,7 +312,7 @@ def px4(calibration: Calibration, frame: str = "") -> str:
     magnetometer's: from a log it tells which slot this is, and its rotation. NotExportable if the
     field is turned by more than 5°, or scaled beyond PX4's range.
     """
-    held = without_rotation(calibration.correction, "PX4")
+    held, comments = without_rotation(calibration.correction, "PX4")
     of_log = re.fullmatch(PX4_FRAME.format(slot=r"(\d)", rotation=r"(\d+)"), frame)
     slot, rotation = (int(number) for number in of_log.groups()) if of_log else (0, 0)
     turn = rotation_of(rotation)  # the parameters are in the sensor's own axes
@@ -351,7 +338,7 @@ def px4(calibration: Calibration, frame: str = "") -> str:
         provenance(calibration),
         "corrected = ROT * S * (mag - OFF), gauss, forward-right-down.",
         *(origin if of_log else driver),
-        *held.comments,
+        *comments,
     )
     name = f"CAL_MAG{slot}"
     values = {f"{name}_{axis}OFF": GAUSS * offset[k] for k, axis in enumerate("XYZ")}

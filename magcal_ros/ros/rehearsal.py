@@ -19,7 +19,6 @@ from std_srvs.srv import Trigger
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry import rotation_from_quaternion, rpy_from_rotation, wrap_angle
-from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.messages import ABSENT, seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation.ride import Ride
@@ -256,30 +255,8 @@ class Rehearsal:
             raise MagcalError("no yaw is published")
         return float(np.angle(np.mean(np.exp(1j * np.array(self._settled_yaws)))))
 
-    def uncalibrated_errors(self, tilts: Sequence[tuple[float, float]]) -> list[float]:
-        """Compare the yaw that the raw field and the true tilt give, radians."""
-        compass = Compass.without_calibration()
-        errors = []
-        for _ in self._poses(tilts, 24):
-            imu, field = _first_of_both(self.ride)
-            heading = compass.heading(field.field, imu.force)
-            assert heading is not None
-            errors.append(float(wrap_angle(heading.yaw - self.ride.magnetic_yaw)))
-        return errors
-
     def _poses(self, tilts: Sequence[tuple[float, float]], headings: int) -> Iterator[None]:
         for roll, pitch in tilts:
             for k in range(headings):
                 self.ride.stand(math.radians(roll), math.radians(pitch), k * math.tau / headings)
                 yield
-
-
-def _first_of_both(ride: Ride) -> tuple[ImuSample, FieldSample]:
-    imu, field = None, None
-    while imu is None or field is None:
-        for sample in ride.step():
-            if isinstance(sample, ImuSample):
-                imu = sample
-            else:
-                field = sample
-    return imu, field
