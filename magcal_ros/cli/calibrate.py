@@ -158,7 +158,7 @@ class _Turn:
         }
         self._request = Trigger.Request()
 
-    def run(self, view: live_view.View) -> Any:
+    def run(self, view: live_view.Lines) -> Any:
         self._warn_if_it_moves()
         if not self._clients["calibrate"].wait_for_service(timeout_sec=5.0):
             raise MagcalError(

@@ -26,13 +26,13 @@ from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
+from magcal_ros.core.monitoring.recheck import SENTENCES, STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.disk import plain, plain_lines, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
-from magcal_ros.files.repaired_readings import RepairedReadings
+from magcal_ros.files.sources import RepairedReadings
 from magcal_ros.report import Subject, write_report
 from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 
@@ -66,7 +66,11 @@ def run_check(options: argparse.Namespace) -> int:
         own = against_own_yaw(calibration, readings, source.yaw(), north)
     folder = new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, gathered.reference.field)
-    notes = [*_other_sensor(origin, gathered), *gathered.complaints()]
+    made_for, heard = origin.magnetometer_frame, gathered.source.field_frame
+    notes = gathered.complaints()
+    if made_for and heard and made_for != heard:
+        about = f"made for the magnetometer {plain(made_for)}, but this is {plain(heard)}"
+        notes.insert(0, f"the calibration was {about}")
     slow = gathered.gathering.slow_field
     notes += [words for words in (slow, elsewhere) if words]
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
@@ -106,23 +110,20 @@ def _subject(
     )
 
 
-def _other_sensor(origin: Origin, gathered: Gathered) -> list[str]:
-    made_for, heard = origin.magnetometer_frame, gathered.source.field_frame
-    if made_for and heard and made_for != heard:
-        return [
-            f"the calibration was made for the magnetometer {plain(made_for)}, "
-            f"but this is {plain(heard)}"
-        ]
-    return []
-
-
 def _words(result: Recheck, notes: list[str]) -> str:
     rows = [("", "raw", "corrected", "unit", "")]
     rows += [
         (f.name, _number(f.before), _number(f.value), f.unit, STATES[f.grade])
         for f in result.findings
     ]
-    text = f"{result.verdict.summary}\n\n{table(rows)}\n"
+    # The table has the values.
+    against = [
+        f"{f.name} (want{f.words.partition(' (want')[2]}"
+        for f in result.findings
+        if STATES[f.grade] != "holds"
+    ]
+    text = f"{SENTENCES[result.state]}.\n\n{table(rows)}\n"
+    text += bullets("What speaks against it:", against)
     text += bullets("Not shown by this recording:", result.verdict.not_shown)
     text += bullets("About the recording:", notes)
     return text.rstrip("\n")

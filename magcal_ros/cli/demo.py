@@ -90,10 +90,6 @@ def run_demo(options: argparse.Namespace) -> int:
         process.wait(timeout=10)
 
 
-def _seconds(speed: float) -> str:
-    return f"about {TAKES / speed:.0f} s, {speed:g} x real time" if speed > 0.0 else "some time"
-
-
 def _start_node(output: Path) -> subprocess.Popen[bytes]:
     parameters = {
         "calibration_file": output.resolve(),
@@ -109,7 +105,6 @@ def _start_node(output: Path) -> subprocess.Popen[bytes]:
 def _rehearse(rehearsal: Any, output: Path) -> int:
     rehearsal.wait_for_node()
     rehearsal.reset()
-    before = _both(rehearsal.uncalibrated_errors)
     print("$ ros2 service call /calibrator/calibrate std_srvs/srv/Trigger", flush=True)
     with best_view() as view:
         answer = rehearsal.calibrate(view.show)
@@ -121,23 +116,18 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
         return Exit.REFUSED
     print("The robot now stands at 24 headings, on the level and on four slopes.\n", flush=True)
     calibration, _ = read_calibration(output)
-    after = _both(rehearsal.published_errors)
+    slopes = [(8.0, 0.0), (0.0, 8.0), (-8.0, 0.0), (0.0, -8.0)]
+    after = tuple(_rms(rehearsal.published_errors(each)) for each in ([(0.0, 0.0)], slopes))
     print(_comparison(calibration))
     print("heading error, RMS over 24 headings      level   8° slopes")
     for name, (level, slope) in (
-        ("before: raw field, true tilt", before),
+        ("before: raw field, true tilt", _without_noise(Correction.identity())),
         ("after: published yaw, 20 messages", after),
         ("after, without the sensors' noise", _without_noise(calibration.correction)),
     ):
         print(f"  {name:36s}{level:7.2f}°  {slope:7.2f}°")
     print(plain_lines(f"\nThe calibration is in {output}; a node loads it when it starts."))
     return Exit.GOOD if max(after) <= LARGEST_ERROR_DEG else Exit.FAILED
-
-
-def _both(errors: Any) -> tuple[float, float]:
-    slopes = [(8.0, 0.0), (0.0, 8.0), (-8.0, 0.0), (0.0, -8.0)]
-    level = _rms(errors([(0.0, 0.0)]))
-    return level, _rms(errors(slopes))
 
 
 def _without_noise(correction: Correction) -> tuple[float, float]:

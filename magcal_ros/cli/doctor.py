@@ -280,7 +280,12 @@ def listen(options: argparse.Namespace) -> Heard:
                 if guide.pass_time(now):
                     asking.tick(guide)
                 if now - begin > SILENT_AFTER and not all(listener.heard):
-                    raise MagcalError(_silence(listener))
+                    heard = zip(listener.topics, listener.heard, strict=True)
+                    silent = " and ".join(topic for topic, count in heard if not count)
+                    raise MagcalError(
+                        f"nothing arrives on {silent}: is the driver running, is the clock paused? "
+                        "Choose other topics with --imu and --mag"
+                    )
         if interrupted.is_set():
             raise KeyboardInterrupt
         return gathered(options, listener, samples, guide)
@@ -340,23 +345,12 @@ class Asking:
 
     def tick(self, guide: Guide) -> None:
         """Tell what was seen of what was asked for."""
-        done = [
-            s
-            for s, state in guide.states.items()
-            if state in (GuideStepState.SEEN, GuideStepState.MISSED)
-        ]
-        seen = guide.states[done[-1]] is GuideStepState.SEEN
+        ended = (GuideStepState.SEEN, GuideStepState.MISSED)
+        last = [step for step, state in guide.states.items() if state in ended][-1]
+        seen = guide.states[last] is GuideStepState.SEEN
         over = "\r\033[K" if self._rewrites else ""
-        say(f"{over}  [{'x' if seen else '-'}] {ASKED[done[-1]]}{'' if seen else ': not seen'}")
+        say(f"{over}  [{'x' if seen else '-'}] {ASKED[last]}{'' if seen else ': not seen'}")
         self._shown = ""
-
-
-def _silence(listener: Listener) -> str:
-    silent = [t for t, count in zip(listener.topics, listener.heard, strict=True) if not count]
-    return (
-        f"nothing arrives on {' and '.join(silent)}: is the driver running, is the clock paused? "
-        "Choose other topics with --imu and --mag"
-    )
 
 
 def gathered(

@@ -88,16 +88,14 @@ def run(options: argparse.Namespace) -> int:
     _check_use(options)
     mounting = recorded.mounting_from(options)
     everything = tuple(_gathered(options, mounting, path) for path in options.recordings)
-    heard = tuple(recorded.heard_at_headings(options, path) for path in options.recordings)
     count = sum(sum(each.gathering.heard) for each in everything)
     shares = [0.0]
     with recorded.at_work(
         lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f} %", sys.stderr
     ):
-        fitted = _fit(everything, options, heard, shares.append)
-    knowledge = fitted.knowledge
+        fitted = _fit(everything, options, shares.append)
     if options.compare:
-        print(plain_lines(compare_methods(fitted.outcome.window, knowledge)))
+        print(plain_lines(compare_methods(fitted.outcome.window, fitted.knowledge)))
         return fitted.status
     files = _write_files(folder, fitted, options)
     words = document(_facts(fitted, files)) if options.json else plain_lines(_words(fitted, files))
@@ -123,7 +121,6 @@ def _check_use(options: argparse.Namespace) -> None:
 def _fit(
     everything: tuple[Gathered, ...],
     options: argparse.Namespace,
-    heard: tuple[recorded.HeardAtHeadings | None, ...],
     report_share: Callable[[float], object],
 ) -> Fitted:
     frames = sorted({each.source.field_frame for each in everything if each.source.field_frame})
@@ -135,7 +132,7 @@ def _fit(
     # All turns are made in one place: the first recording with a known field gives the reference.
     known = next((g for g in everything if g.reference.field.is_complete), everything[0])
     knowledge = Knowledge(known.reference.field, known.gathering.mounting)
-    at_headings = recorded.fit_known(heard, knowledge, options)
+    at_headings = recorded.fit_known(options, knowledge)
     if at_headings is not None:
         progress = everything[-1].gathering.progress()
         return Fitted(everything[-1], knowledge, at_headings, progress, everything)
@@ -285,10 +282,7 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-HEADER = (
-    f"{'method':20s}{'verdict':>10s}{'hard iron x, y, z (µT)':>28s}{'heading ±':>11s}"
-    f"{'residual':>10s}"
-)
+HEADER = ("method", "verdict", "hard iron x, y, z (µT)", "heading ±", "residual")
 
 
 def compare_methods(window: Window | None, knowledge: Knowledge) -> str:
@@ -296,18 +290,17 @@ def compare_methods(window: Window | None, knowledge: Knowledge) -> str:
     if window is None:
         return "no method has anything to work on: the recording holds no usable turn"
     outcomes = {method: calibrate(window, knowledge, method) for method in METHODS}
-    rows = [HEADER, *(_row(method, outcome) for method, outcome in outcomes.items()), ""]
-    rows += [f"{method}: {outcome.verdict.summary}" for method, outcome in outcomes.items()]
-    return "\n".join(rows)
+    rows = [HEADER, *(_row(method, outcome) for method, outcome in outcomes.items())]
+    why = (f"{method}: {outcome.verdict.summary}" for method, outcome in outcomes.items())
+    return "\n".join([table(rows), "", *why])
 
 
-def _row(method: str, outcome: Outcome) -> str:
+def _row(method: str, outcome: Outcome) -> tuple[str, ...]:
     accepted = "accepted" if outcome.verdict.accepted else "refused"
     estimate = outcome.estimate
     if estimate is None:
-        return f"{method:20s}{accepted:>10s}{'-':>28s}{'-':>11s}{'-':>10s}"
+        return method, accepted, "-", "-", "-"
     iron = ", ".join(f"{value * 1e6:.2f}" for value in estimate.correction.hard_iron)
     figures = common_figures(estimate) | dict(estimate.figures)
     sigma = f"{math.degrees(figures[Figure.HEADING_SIGMA]):.2f}°"
-    residual = f"{100.0 * figures[Figure.RESIDUAL_RATIO]:.1f}%"
-    return f"{method:20s}{accepted:>10s}{iron:>28s}{sigma:>11s}{residual:>10s}"
+    return method, accepted, iron, sigma, f"{100.0 * figures[Figure.RESIDUAL_RATIO]:.1f}%"

@@ -87,19 +87,6 @@ RING_HEIGHT = 11
 RING_WIDTH = 25
 
 
-class View:
-    """Shows the progress of a turn."""
-
-    def show(self, progress: dict[str, Any]) -> None:
-        """Draw what `~/status` says of the turn; a view of nothing draws nothing."""
-
-    def __enter__(self) -> View:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-
 def progress_of(status: str) -> dict[str, Any] | None:
     """Return how far a turn is from the text of `~/status`; None if none is under way.
 
@@ -129,7 +116,7 @@ def turns_itself(status: str) -> bool:
         return False
 
 
-def best_view() -> View:
+def best_view() -> Lines:
     """Return a panel on a terminal where rich is installed, else plain lines."""
     if sys.stdout.isatty():
         try:
@@ -172,8 +159,8 @@ def ring(filled: str) -> list[str]:
     return ["".join(row) for row in canvas]
 
 
-class Lines(View):
-    """A line a second: for pipes and logs."""
+class Lines:
+    """Shows the progress of a turn, a line a second: for pipes and logs."""
 
     def __init__(self) -> None:
         self._second = -1
@@ -187,8 +174,14 @@ class Lines(View):
             print(line(progress)[:width], flush=True)
         self._second = second
 
+    def __enter__(self) -> Lines:
+        return self
 
-class Panel(View):
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class Panel(Lines):
     """A panel that rich draws again and again; ImportError where rich is not installed."""
 
     def __init__(self) -> None:

@@ -20,7 +20,6 @@ from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
-from magcal_ros.core.samples.streams import HeadingSample, Pair
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.recorded import (
     Gathering,
@@ -29,9 +28,7 @@ from magcal_ros.core.session.recorded import (
     fit_heading_topic,
     standing_pairs,
 )
-from magcal_ros.files.bags import Source
-from magcal_ros.files.repaired_readings import RepairedReadings
-from magcal_ros.files.sources import open_recording
+from magcal_ros.files.sources import RepairedReadings, Source, open_recording
 
 LOOK_EVERY = 2000
 """Messages between two looks at the clock."""
@@ -224,15 +221,6 @@ def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
         line.clear()
 
 
-@dataclass(frozen=True, eq=False)
-class HeardAtHeadings:
-    """What a recording holds on known headings: of a robot at rest, or along a drive."""
-
-    pairs: tuple[Pair, ...]
-    readings: tuple[Reading, ...] = ()
-    headings: tuple[HeadingSample, ...] = ()
-
-
 def add_heading_options(parser: Any) -> None:
     """Add what is known of headings."""
     known = parser.add_argument_group("known headings, in place of a turn")
@@ -286,27 +274,20 @@ def check_heading_options(options: argparse.Namespace) -> None:
         raise Misuse("--compare is about turns: known headings have one method")
 
 
-def heard_at_headings(options: argparse.Namespace, path: Path) -> HeardAtHeadings | None:
-    """Return what a recording holds on known headings; None where none are given."""
-    if not (options.heading_deg or options.heading_topic):
-        return None
-    with opened(options, path) as source:
-        readings = RepairedReadings(source)
-        if options.heading_deg:
-            return HeardAtHeadings(standing_pairs(readings))
-        return HeardAtHeadings((), tuple(readings), tuple(source.headings(options.heading_topic)))
-
-
-def fit_known(
-    heard: tuple[HeardAtHeadings | None, ...], knowledge: Knowledge, options: argparse.Namespace
-) -> Outcome | None:
+def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | None:
     """Calibrate at known headings; None where none are given."""
-    known, is_true = [each for each in heard if each is not None], options.north == "true"
-    if not known:
+    is_true, topic = options.north == "true", options.heading_topic
+    if topic:
+        with opened(options, options.recordings[0]) as source:
+            readings, headings = tuple(RepairedReadings(source)), tuple(source.headings(topic))
+        return fit_heading_topic(readings, headings, is_true, knowledge)
+    if not options.heading_deg:
         return None
-    if options.heading_topic:
-        return fit_heading_topic(known[0].readings, known[0].headings, is_true, knowledge)
+    pairs = []
+    for path in options.recordings:
+        with opened(options, path) as source:
+            pairs.append(standing_pairs(RepairedReadings(source)))
     sigma = math.radians(options.sigma_deg)
     given = [ExternalHeading(math.radians(yaw), sigma, is_true) for yaw in options.heading_deg]
-    outcome, words = fit_at_headings([each.pairs for each in known], given, knowledge)
+    outcome, words = fit_at_headings(pairs, given, knowledge)
     return replace(outcome, verdict=replace(outcome.verdict, summary=words))

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -33,6 +33,8 @@ from magcal_ros.files.wire import RosReader, fix_in, speed_in, sure_velocity_in,
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
+
+T = TypeVar("T")
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"
@@ -64,56 +66,16 @@ REMEDIES = {
 }
 
 
-class Source:
-    """A recording of any kind, opened, to be read once.
+class Bag:
+    """The two sensor topics of an open bag, to be read once; a damaged one is a FileTrouble.
 
-    The topics are names for the two streams; the frames are the newest `frame_id` of each, empty
+    Empty topics stand for the only one of the right type. `start` and `stop` are seconds from the
+    bag's beginning, by its own clock. The frames are the newest `frame_id` of each topic, empty
     while unknown.
     """
 
-    imu_topic = field_topic = imu_frame = field_frame = ""
+    imu_frame = field_frame = ""
     notes: tuple[str, ...] = ()
-
-    @property
-    def share(self) -> float:
-        """How much of it has been read, 0 to 1."""
-        raise NotImplementedError
-
-    def readings(self) -> Iterator[Reading]:
-        """Yield the samples of the sensors in the order in which they were recorded."""
-        raise NotImplementedError
-
-    def place(self) -> Place | None:
-        """Return where it was recorded, by its first good fix; None if it holds none."""
-        raise NotImplementedError
-
-    def begun(self) -> float:
-        """Return when it was recorded, seconds: its beginning."""
-        raise NotImplementedError
-
-    def travel(self) -> list[TravelSample]:
-        """Return the samples of receiver and wheels, by stamp; empty if there are none."""
-        raise NotImplementedError
-
-    def yaw(self) -> FloatArray:
-        """Return stamps and the yaws of an autopilot (rad, ENU, true north), (n, 2)."""
-        return np.empty((0, 2))
-
-    def currents(self) -> list[tuple[float, float]]:
-        """Return stamps, seconds, and currents of the battery, A; empty if it has none."""
-        return []
-
-    def headings(self, topic: str) -> list[HeadingSample]:
-        """Return the headings that another device measured, by stamp; only of a bag."""
-        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
-
-
-class Bag(Source):
-    """The two sensor topics of an open bag; reading a damaged one is a FileTrouble.
-
-    Empty topics stand for the only one of the right type. `start` and `stop` are seconds from the
-    bag's beginning, by its own clock.
-    """
 
     def __init__(
         self, path: Path, reader: Any, imu: str, field: str, start: float, stop: float
@@ -138,36 +100,29 @@ class Bag(Source):
         layout = wire.CDR if self._reader.is2 else wire.ROS1
         of_imu, of_field = wire.imu_parser(layout), wire.field_parser(layout)
         fields = {connection.id for connection in self._field}
-        messages = self._reader.messages([*self._imu, *self._field], self._first, self._end)
         imu_frame = field_frame = b""
-        with _damage_in_words(self._path):
-            for connection, self._reached, data in messages:
-                is_field = connection.id in fields
-                if self._reader.is2 and not wire.is_plain_cdr(data):
-                    yield self._slowly(connection, data, is_field)
-                elif is_field:
-                    frame, sample, _ = of_field(data)
-                    if frame != field_frame:
-                        field_frame, self.field_frame = frame, wire.frame_of(frame)
-                    yield sample
-                else:
-                    frame, reading = of_imu(data)
-                    if frame != imu_frame:
-                        imu_frame, self.imu_frame = frame, wire.frame_of(frame)
-                    yield reading
+
+        def take(connection: Connection, received: int, data: bytes) -> Reading:
+            nonlocal imu_frame, field_frame
+            self._reached, is_field = received, connection.id in fields
+            if self._reader.is2 and not wire.is_plain_cdr(data):
+                return self._slowly(connection, data, is_field)
+            if is_field:
+                frame, sample, _ = of_field(data)
+                if frame != field_frame:
+                    field_frame, self.field_frame = frame, wire.frame_of(frame)
+                return sample
+            frame, reading = of_imu(data)
+            if frame != imu_frame:
+                imu_frame, self.imu_frame = frame, wire.frame_of(frame)
+            return reading
+
+        return self._read([*self._imu, *self._field], take)
 
     def place(self) -> Place | None:
         """Return the place of the first good fix of the span; None if there is none."""
-        receivers = [c for c in self._reader.connections if c.msgtype == FIX_TYPE and c.msgcount]
-        if not receivers:
-            return None
-        with _damage_in_words(self._path):
-            messages = self._reader.messages(receivers, self._first, self._end)
-            for connection, _, data in islice(messages, MOST_FIXES):
-                found = place_of(self._travelled(connection, data))
-                if isinstance(found, Place):
-                    return found
-        return None
+        fixes = islice(self._read(self._of(FIX_TYPE), self._travelled), MOST_FIXES)
+        return next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
 
     def begun(self) -> float:
         """Return when the span begins by the bag's own clock, seconds."""
@@ -175,71 +130,75 @@ class Bag(Source):
 
     def travel(self) -> list[TravelSample]:
         """Return what receiver and wheels said, by stamp; empty if nothing."""
-        heard = self._travel_connections()
         plane, found = LocalPlane(), list[TravelSample]()
-        if not heard:
-            return found
-        with _damage_in_words(self._path):
-            for connection, _, data in self._reader.messages(heard, self._first, self._end):
-                sample = self._travelled(connection, data)
-                if isinstance(sample, Fix):
-                    sample = plane.position(sample)
-                if sample is not None and not isinstance(sample, str):
-                    found.append(sample)
+        heard = self._of(FIX_TYPE, ODOM_TYPE)
+        if self._of(FIX_TYPE):
+            twists = self._of(TWIST_TYPE, SURE_TWIST_TYPE)
+            heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVERS_SAY]
+        for sample in self._read(heard, self._travelled):
+            if isinstance(sample, Fix):
+                sample = plane.position(sample)
+            if sample is not None and not isinstance(sample, str):
+                found.append(sample)
         return sorted(found, key=lambda sample: sample.stamp)
+
+    def yaw(self) -> FloatArray:
+        """Return the yaws of an autopilot, (0, 2): only logs have them."""
+        return np.empty((0, 2))
 
     def currents(self) -> list[tuple[float, float]]:
         """Return stamps, seconds, and currents of the battery, A; empty if there is none."""
-        all_of_them = self._reader.connections
-        heard = [c for c in all_of_them if c.msgtype == BATTERY_TYPE and c.msgcount]
-        found = list[tuple[float, float]]()
+        heard = self._of(BATTERY_TYPE)
         # Several batteries are no one current.
         if len({c.topic for c in heard}) != 1:
-            return found
-        with _damage_in_words(self._path):
-            for connection, received, data in self._reader.messages(heard, self._first, self._end):
-                message: Any = self._reader.deserialize(data, connection.msgtype)
-                # Zero stamps are usual in drivers of batteries.
-                stamp = seconds(message.header.stamp) or received * 1e-9
-                found.append((stamp, float(message.current)))
-        return sorted(found)
+            return []
+
+        def take(connection: Connection, received: int, data: bytes) -> tuple[float, float]:
+            message: Any = self._reader.deserialize(data, connection.msgtype)
+            # Zero stamps are usual in drivers of batteries.
+            return seconds(message.header.stamp) or received * 1e-9, float(message.current)
+
+        return sorted(self._read(heard, take))
 
     def headings(self, topic: str) -> list[HeadingSample]:
         """Return the yaws of a topic's orientations, by stamp.
 
         Misuse if there is no such topic, FileTrouble if it gives no heading.
         """
-        heard, found, why = _named(self._path, self._reader, IMU_TYPE, topic), [], ""
-        with _damage_in_words(self._path):
-            for connection, _, data in self._reader.messages(heard, self._first, self._end):
-                sample = heading_of(self._reader.deserialize(data, connection.msgtype))
-                if isinstance(sample, str):
-                    why = sample
-                else:
-                    found.append(sample)
+        read = list(
+            self._read(
+                _named(self._path, self._reader, IMU_TYPE, topic),
+                lambda c, _, data: heading_of(self._reader.deserialize(data, c.msgtype)),
+            )
+        )
+        found = [each for each in read if not isinstance(each, str)]
         if not found:
-            raise FileTrouble(f"{plain(topic)} gives no heading: {why or 'it is empty'}")
+            why = read[-1] if read else "it is empty"
+            raise FileTrouble(f"{plain(topic)} gives no heading: {why}")
         return sorted(found, key=lambda sample: sample.stamp)
 
-    def _travelled(self, connection: Connection, data: bytes) -> Any:
+    def _travelled(self, connection: Connection, _: int, data: bytes) -> Any:
         """Return the fix, speed or velocity of a message, or words on why it has none."""
         from_bytes, from_message = TRAVEL[connection.msgtype]
         if self._reader.is2 and wire.is_plain_cdr(data):
             return from_bytes(data)
         return from_message(self._reader.deserialize(data, connection.msgtype))
 
-    def _travel_connections(self) -> list[Connection]:
-        """Return those of receiver and wheels."""
-        full = [c for c in self._reader.connections if c.msgcount]
-        heard = [c for c in full if c.msgtype in (FIX_TYPE, ODOM_TYPE)]
-        if any(c.msgtype == FIX_TYPE for c in heard):
-            heard += [
-                c
-                for c in full
-                if c.msgtype in (TWIST_TYPE, SURE_TWIST_TYPE)
-                and c.topic.rpartition("/")[2] in RECEIVERS_SAY
-            ]
-        return heard
+    def _of(self, *kinds: str) -> list[Connection]:
+        """Return the connections of some types that hold messages."""
+        return [c for c in self._reader.connections if c.msgtype in kinds and c.msgcount]
+
+    def _read(
+        self, heard: list[Connection], take: Callable[[Connection, int, bytes], T]
+    ) -> Iterator[T]:
+        """Yield what `take` makes of connection, time of recording (ns) and bytes of the span."""
+        # The library rosbags takes no connections for all of them.
+        if heard:
+            with _damage_in_words(self._path):
+                for connection, received, data in self._reader.messages(
+                    heard, self._first, self._end
+                ):
+                    yield take(connection, received, data)
 
     def _slowly(self, connection: Connection, data: bytes, is_field: bool) -> Reading:
         """Let the library take apart what is not in the usual byte order."""

@@ -1,7 +1,7 @@
 """A calibration in the formats of other programs, one function for each.
 
 Each returns the text that its consumer reads. What the consumer cannot store is said in a comment;
-what would make its heading wrong is refused. Those for autopilots are in `autopilots.py`.
+what would make its heading wrong is refused.
 """
 
 from __future__ import annotations
@@ -9,14 +9,111 @@ from __future__ import annotations
 import functools
 import math
 import operator
+import re
 from collections.abc import Callable
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.geometry.rotations import rotation_angle
-from magcal_ros.files import autopilots
-from magcal_ros.files.autopilots import NotExportable, ardupilot, px4
+from magcal_ros.core.calibration import Calibration, Correction
+from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.geometry import FRD_FROM_FLU, FloatArray, rotation_angle, rpy_from_rotation
+from magcal_ros.files.disk import plain
+from magcal_ros.files.px4 import rotation_of
+
+GAUSS = 1e4
+"""Gauss in a tesla."""
+
+MILLIGAUSS = 1e7
+"""Milligauss in a tesla."""
+
+DECIMALS = 9
+"""Of a matrix or of gauss. What is cut off changes no field by more than 0.001 nT."""
+
+OF_TESLA = 13
+
+LARGEST_LOST_ROTATION = math.radians(5.0)
+"""A rotation beyond this belongs into the consumer's mounting, not into a comment."""
+
+MENTIONED_ROTATION = math.radians(0.5)
+
+
+class NotExportable(MagcalError):
+    """The consumer cannot hold this calibration; the text says what to do."""
+
+
+def in_forward_right_down(correction: Correction) -> Correction:
+    """Return a correction of forward-left-up fields for fields given forward-right-down."""
+    return Correction(
+        FRD_FROM_FLU @ correction.matrix @ FRD_FROM_FLU, FRD_FROM_FLU @ correction.hard_iron
+    )
+
+
+def without_rotation(correction: Correction, consumer: str) -> tuple[Correction, list[str]]:
+    """Split the rotation R off A = R S; return S, symmetric and forward-right-down, and comments.
+
+    `consumer` is named in the comments. NotExportable if the rotation is more than 5°: the
+    consumer's heading would be wrong.
+    """
+    left, sizes, right = np.linalg.svd(correction.matrix)
+    rotation, symmetric = left @ right, (right.T * sizes) @ right
+    angle = rotation_angle(rotation)
+    roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_rotation(rotation))
+    turned = f"roll {roll:.2f}, pitch {pitch:.2f}, yaw {yaw:.2f} degrees (forward-left-up)"
+    largest = math.degrees(LARGEST_LOST_ROTATION)
+    if angle > LARGEST_LOST_ROTATION:
+        shown = _above(math.degrees(angle), largest)
+        raise NotExportable(
+            f"{consumer} holds a symmetric matrix only, and this calibration turns the field by "
+            f"{shown}°, more than {largest:g}° ({turned}). Mount the sensor along the axes of "
+            f"{consumer}, or set this rotation there as the sensor's orientation (as a custom one, "
+            "if the list has none like it); then record and fit again."
+        )
+    comments = list[str]()
+    if angle > MENTIONED_ROTATION:
+        comments += [
+            f"LOST: a rotation of {math.degrees(angle):.2f} degrees, {turned}.",
+            f"{consumer} holds a symmetric matrix only; the heading errs by up to that rotation,",
+            "times the tangent of the field's inclination where it is about a level axis.",
+        ]
+    return in_forward_right_down(Correction(symmetric, correction.hard_iron)), comments
+
+
+def _above(value: float, limit: float) -> str:
+    """Write a value with as many digits as show that it is above the limit."""
+    digits = next(n for n in range(1, 16) if float(f"{value:.{n}f}") > limit or n == 15)
+    return f"{value:.{digits}f}"
+
+
+def number(value: float, decimals: int = DECIMALS) -> str:
+    """Write a number without the digits that are rounding errors, as a float everywhere."""
+    text = repr(round(float(value), decimals) + 0.0)
+    # YAML 1.1 takes 1e-05 for text: it wants a point in the mantissa.
+    mantissa, mark, exponent = text.partition("e")
+    return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
+
+
+def numbers(values: FloatArray, decimals: int = DECIMALS) -> str:
+    """Write numbers separated by a comma and a blank."""
+    return ", ".join(number(value, decimals) for value in np.ravel(values))
+
+
+def commented(mark: str, *lines: str) -> str:
+    """Return lines as comments."""
+    return "".join(f"{mark} {line}\n" for line in lines)
+
+
+def provenance(calibration: Calibration) -> str:
+    """Return where the numbers come from, in one line."""
+    evidence = calibration.evidence
+    method, quality, confidence = (
+        # A file edited by hand must not end the comment that this becomes.
+        plain(text.replace("*/", "* /"))
+        for text in (evidence.method, evidence.quality, evidence.confidence)
+    )
+    return (
+        f"Magnetometer calibration by magcal_ros, method {method}, "
+        f"quality {quality}, confidence {confidence}"
+    )
 
 
 def ctu_vras(calibration: Calibration) -> str:
@@ -30,17 +127,17 @@ def ctu_vras(calibration: Calibration) -> str:
     as a parameter stays in force.
     """
     correction = calibration.correction
-    matrix = f"[{autopilots.numbers(correction.matrix)}]"
+    matrix = f"[{numbers(correction.matrix)}]"
     lines = ["/**:", "  ros__parameters:"]
     lines += [
-        f"    {prefix}_{axis}: {autopilots.number(value, autopilots.OF_TESLA)}"
+        f"    {prefix}_{axis}: {number(value, OF_TESLA)}"
         for prefix in ("initial_mag_bias", "magnetometer_bias")
         for axis, value in zip("xyz", correction.hard_iron, strict=True)
     ]
     lines += [f"    initial_mag_scaling_matrix: {matrix}", f"    initial_scaling_matrix: {matrix}"]
-    header = autopilots.commented(
+    header = commented(
         "#",
-        autopilots.provenance(calibration),
+        provenance(calibration),
         "unbiased = scaling_matrix * (mag - bias): tesla; the result is in the IMU's axes.",
     )
     return header + "\n".join(lines) + "\n"
@@ -52,10 +149,10 @@ def fusioncore(calibration: Calibration) -> str:
     `corrected = soft_iron (mag - hard_iron)`, tesla, soft iron as a "3x3 scale+rotation matrix in
     row-major order" (docs/configuration.md of github.com/manankharwar/fusioncore).
     """
-    correction, tesla = calibration.correction, autopilots.OF_TESLA
-    header = autopilots.commented(
+    correction, tesla = calibration.correction, OF_TESLA
+    header = commented(
         "#",
-        autopilots.provenance(calibration),
+        provenance(calibration),
         "corrected = soft_iron * (mag - hard_iron): tesla, for the readings as the driver",
         "publishes them. soft_iron turns them into the IMU's axes: they must not be turned twice.",
     )
@@ -63,9 +160,9 @@ def fusioncore(calibration: Calibration) -> str:
         "/**:\n"
         "  ros__parameters:\n"
         "    magnetometer.enabled: true\n"
-        f"    magnetometer.hard_iron: [{autopilots.numbers(correction.hard_iron, tesla)}]\n"
-        f"    magnetometer.soft_iron: [{autopilots.numbers(correction.matrix)}]\n"
-        f"    magnetometer.field_strength: {autopilots.number(calibration.strength, tesla)}\n"
+        f"    magnetometer.hard_iron: [{numbers(correction.hard_iron, tesla)}]\n"
+        f"    magnetometer.soft_iron: [{numbers(correction.matrix)}]\n"
+        f"    magnetometer.field_strength: {number(calibration.strength, tesla)}\n"
     )
 
 
@@ -77,7 +174,7 @@ def imu_filter_madgwick(calibration: Calibration) -> str:
 
     `compensated = mag - mag_bias`, tesla (wiki.ros.org/imu_filter_madgwick).
     """
-    comments = [autopilots.provenance(calibration), "compensated = mag - mag_bias, tesla."]
+    comments = [provenance(calibration), "compensated = mag - mag_bias, tesla."]
     matrix = calibration.correction.matrix
     if np.abs(matrix - np.eye(3)).max() > UNCHANGED:
         left, sizes, right = np.linalg.svd(matrix)
@@ -90,8 +187,8 @@ def imu_filter_madgwick(calibration: Calibration) -> str:
         ]
     lines = ["/**:", "  ros__parameters:"]
     for axis, value in zip("xyz", calibration.correction.hard_iron, strict=True):
-        lines.append(f"    mag_bias_{axis}: {autopilots.number(value, autopilots.OF_TESLA)}")
-    return autopilots.commented("#", *comments) + "\n".join(lines) + "\n"
+        lines.append(f"    mag_bias_{axis}: {number(value, OF_TESLA)}")
+    return commented("#", *comments) + "\n".join(lines) + "\n"
 
 
 LARGEST_NUMBER = 1e3
@@ -110,15 +207,15 @@ def vectornav(calibration: Calibration) -> str:
     no comments: `VECTORNAV_NOTES` says what the command assumes. NotExportable if a number does not
     fit the fixed notation.
     """
-    held = autopilots.in_forward_right_down(calibration.correction)
-    twelve = np.concatenate([held.matrix.ravel(), autopilots.GAUSS * held.hard_iron])
+    held = in_forward_right_down(calibration.correction)
+    twelve = np.concatenate([held.matrix.ravel(), GAUSS * held.hard_iron])
     if np.abs(twelve).max() >= LARGEST_NUMBER:
         raise NotExportable(
             "The calibration has numbers that no VectorNav sensor could need. Check the field's "
             "unit (tesla) in the driver, and calibrate again."
         )
     body = "VNWRG,23," + ",".join(
-        f"{round(value, autopilots.DECIMALS) + 0.0:.{autopilots.DECIMALS}f}" for value in twelve
+        f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}" for value in twelve
     )
     return f"${body}*{checksum(body):02X}\n"
 
@@ -131,10 +228,10 @@ def checksum(body: str) -> int:
 def c_header(calibration: Calibration) -> str:
     """Return a header with an include guard that any C or C++ compiler accepts."""
     correction = calibration.correction
-    iron = autopilots.numbers(correction.hard_iron, autopilots.OF_TESLA)
-    rows = ",\n".join(f"    {{{autopilots.numbers(row)}}}" for row in correction.matrix)
+    iron = numbers(correction.hard_iron, OF_TESLA)
+    rows = ",\n".join(f"    {{{numbers(row)}}}" for row in correction.matrix)
     return (
-        f"/* {autopilots.provenance(calibration)}.\n"
+        f"/* {provenance(calibration)}.\n"
         " * body = MAGCAL_MATRIX * (raw - MAGCAL_HARD_IRON): tesla, in the IMU's axes\n"
         " * (x forward, y left, z up). */\n"
         "#ifndef MAGCAL_CALIBRATION_H\n"
@@ -143,6 +240,115 @@ def c_header(calibration: Calibration) -> str:
         f"static const double MAGCAL_MATRIX[3][3] = {{\n{rows}}};\n\n"
         "#endif\n"
     )
+
+
+ARDUPILOT_FRAME = "ardupilot_compass"
+"""What a calibration from a log of ArduPilot remembers, with the number of the parameters."""
+
+
+def ardupilot(calibration: Calibration, frame: str = "") -> str:
+    """Return a parameter file for a ground station, `NAME,value` lines.
+
+    ArduPilot: offsets that are added, and a symmetric matrix.
+
+    `corrected = D (mag + OFS)` with D = [[DIA_X, ODI_X, ODI_Y], [ODI_X, DIA_Y, ODI_Z],
+    [ODI_Y, ODI_Z, DIA_Z]], milligauss, forward-right-down body axes after COMPASS_ORIENT. The full
+    parameter list says of COMPASS_OFS_X "Offset to be added to the compass x-axis values": the sign
+    is the opposite of the hard iron's. COMPASS_SCALE multiplies besides and must be 1 for these.
+
+    The calibration is of fields in the vehicle's forward-left-up axes. `frame` is the
+    magnetometer's: from a log it tells which compass this is. NotExportable if the field is turned
+    by more than 5°.
+    """
+    held, comments = without_rotation(calibration.correction, "ArduPilot")
+    of_log = re.fullmatch(rf"{ARDUPILOT_FRAME}([23]?)", frame)
+    slot = of_log[1] if of_log else ""
+    origin = (
+        f"From a log, whose own OFS, DIA, ODI and SCALE were taken off: compass {slot or 1}.",
+        "These numbers replace those in force; the compensation of the motors stays.",
+    )
+    driver = (
+        "RESTS ON readings without COMPASS_OFS in them. MAVLink's RAW_IMU, and so imu/mag of",
+        "MAVROS, has them in: calibrate with OFS and ODI at 0, DIA and SCALE at 1, or add these",
+        "OFS to those in force.",
+    )
+    header = commented(
+        "#",
+        provenance(calibration),
+        "corrected = D * (mag + OFS), milligauss, forward-right-down. Offsets beyond 1800 need",
+        "a larger COMPASS_OFFS_MAX.",
+        *(origin if of_log else driver),
+        *comments,
+    )
+    offsets, matrix = -MILLIGAUSS * held.hard_iron, held.matrix
+    values = {f"COMPASS_OFS{slot}_{axis}": offsets[k] for k, axis in enumerate("XYZ")}
+    values |= {f"COMPASS_DIA{slot}_{axis}": matrix[k, k] for k, axis in enumerate("XYZ")}
+    values |= {
+        f"COMPASS_ODI{slot}_X": matrix[0, 1],
+        f"COMPASS_ODI{slot}_Y": matrix[0, 2],
+        f"COMPASS_ODI{slot}_Z": matrix[1, 2],
+        f"COMPASS_SCALE{slot}": 1.0,
+    }
+    return header + "".join(f"{name},{number(value)}\n" for name, value in values.items())
+
+
+PX4_FRAME = "px4_mag{slot}_rot{rotation}"
+"""What a calibration from a log of PX4 remembers: CAL_MAGn and its ROT."""
+
+SMALLEST_SCALE, LARGEST_SCALE = 0.1, 3.0
+
+
+def px4(calibration: Calibration, frame: str = "") -> str:
+    """Return commands for the PX4 console, `param set NAME value` lines.
+
+    PX4: offsets that are subtracted, and a symmetric matrix.
+
+    `corrected = R S (mag - OFF)` with S = [[XSCALE, XODIAG, YODIAG], [XODIAG, YSCALE, ZODIAG],
+    [YODIAG, ZODIAG, ZSCALE]], gauss, in the sensor's own forward-right-down axes; R is
+    CAL_MAG0_ROT, one of a few rotations, and is left alone (parameter reference, CAL_MAG0_XOFF in
+    gauss, CAL_MAG0_XSCALE, CAL_MAG0_XODIAG). Scales must lie between 0.1 and 3.
+
+    The calibration is of fields in the vehicle's forward-left-up axes. `frame` is the
+    magnetometer's: from a log it tells which slot this is, and its rotation. NotExportable if the
+    field is turned by more than 5°, or scaled beyond PX4's range.
+    """
+    held, comments = without_rotation(calibration.correction, "PX4")
+    of_log = re.fullmatch(PX4_FRAME.format(slot=r"(\d)", rotation=r"(\d+)"), frame)
+    slot, rotation = (int(number) for number in of_log.groups()) if of_log else (0, 0)
+    turn = rotation_of(rotation)  # the parameters are in the sensor's own axes
+    matrix, offset = turn.T @ held.matrix @ turn, turn.T @ held.hard_iron
+    scales = np.diag(matrix)
+    if scales.min() < SMALLEST_SCALE or scales.max() > LARGEST_SCALE:
+        raise NotExportable(
+            f"PX4 takes scales from {SMALLEST_SCALE} to {LARGEST_SCALE} only, and this calibration "
+            f"has {scales.min():.3g} to {scales.max():.3g}. Check the field's unit (tesla) in the "
+            "driver, and calibrate again."
+        )
+    origin = (
+        f"From a log, whose own calibration was taken off: CAL_MAG{slot}, CAL_MAG{slot}_ROT "
+        f"{rotation}.",
+    )
+    driver = (
+        "For the first magnetometer and CAL_MAG0_ROT = 0 or -1.",
+        "RESTS ON CAL_MAG0_ID being the device that was calibrated: PX4 finds a sensor's numbers",
+        "by it (param show CAL_MAG*_ID); where another slot has it, put that number for the 0.",
+    )
+    header = commented(
+        "#",
+        provenance(calibration),
+        "corrected = ROT * S * (mag - OFF), gauss, forward-right-down.",
+        *(origin if of_log else driver),
+        *comments,
+    )
+    name = f"CAL_MAG{slot}"
+    values = {f"{name}_{axis}OFF": GAUSS * offset[k] for k, axis in enumerate("XYZ")}
+    values |= {f"{name}_{axis}SCALE": scales[k] for k, axis in enumerate("XYZ")}
+    values |= {
+        f"{name}_XODIAG": matrix[0, 1],
+        f"{name}_YODIAG": matrix[0, 2],
+        f"{name}_ZODIAG": matrix[1, 2],
+    }
+    return header + "".join(f"param set {name} {number(value)}\n" for name, value in values.items())
 
 
 EXPORTERS: dict[str, Callable[..., str]] = {

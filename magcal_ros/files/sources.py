@@ -1,23 +1,43 @@
-"""A recording of any kind, opened: a bag, a CSV folder, or a log."""
+"""A recording of any kind, opened: a bag, a CSV folder, or a log; and its readings, repaired.
+
+Stamps that come in bursts are spread evenly, and a slow IMU is interpolated.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from itertools import chain, islice
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.wmm import Place
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import TravelSample
-from magcal_ros.core.session.recorded import Reading
+from magcal_ros.core.geometry.vec3 import between, length
+from magcal_ros.core.samples.stamps import (
+    bursts_in_words,
+    bursts_of_a_turn,
+    long_gaps,
+    spread_bursts,
+)
+from magcal_ros.core.samples.streams import (
+    STREAMS,
+    HeadingSample,
+    ImuSample,
+    TravelSample,
+    slow_field_words,
+    slow_words,
+)
+from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4
-from magcal_ros.files.bags import Source, open_bag
-from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.bags import Bag, open_bag
+from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
@@ -25,8 +45,10 @@ FIRST_STAMP = 1.0
 """Seconds. A drive whose time begins at zero or before is moved here: a zero stamp is none."""
 
 
-class HeldDrive(Source):
-    """A recording in memory as a source; `start` and `stop` are seconds from its first sample."""
+class HeldDrive:
+    """A recording in memory, read like a `Bag`; `start`, `stop` are seconds from its beginning."""
+
+    imu_frame = ""
 
     def __init__(self, recording: Recording, start: float, stop: float) -> None:
         self._recording = _cut(recording, start, stop)
@@ -60,8 +82,20 @@ class HeldDrive(Source):
         return list(self._recording.travel)
 
     def yaw(self) -> FloatArray:
-        """Return the yaws of an autopilot."""
+        """Return stamps and the yaws of an autopilot (rad, ENU, true north), (n, 2)."""
         return self._recording.yaw
+
+    def currents(self) -> list[tuple[float, float]]:
+        """Return the currents of the battery: only bags have them."""
+        return []
+
+    def headings(self, topic: str) -> list[HeadingSample]:
+        """Raise a Misuse: only bags have topics."""
+        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
+
+
+Source: TypeAlias = Bag | HeldDrive
+"""A recording of any kind, opened."""
 
 
 def open_recording(
@@ -135,3 +169,146 @@ def _cut(recording: Recording, start: float, stop: float) -> Recording:
         if start <= each.stamp - first < stop
     )
     return replace(recording, imu=imu, field=field, yaw=yaw, travel=heard)
+
+
+LOOKED_AT = 20_000
+"""Messages from which bursts of stamps and the rate of the IMU are recognised."""
+
+SLOWEST = 1.5
+"""Seconds between IMU samples beyond which nothing is known of what lies between."""
+
+TURN_WITHIN = math.radians(20.0)
+"""Radians within one sample of a slow IMU: its mean of the level field is 0.5% too small then."""
+
+
+class RepairedReadings:
+    """The readings of a recording, with even stamps in place of those in bursts.
+
+    A recording is read once, and twice more if its stamps come in bursts. An IMU of 1 to 5 Hz,
+    whose samples are too far apart to be joined, is interpolated where it turns slowly. `notes`
+    says what was repaired, and is complete when everything has been read.
+    """
+
+    def __init__(
+        self, source: Source, for_drive: bool = False, known: Calibration | None = None
+    ) -> None:
+        self._source, self._for_drive, self._known = source, for_drive, known
+        self._ahead = self._given = 0
+        self.notes: list[str] = []
+
+    @property
+    def share(self) -> float:
+        """How much of the recording has been given on, 0 to 1."""
+        return self._source.share * self._given / max(self._ahead, self._given, 1)
+
+    def __iter__(self) -> Iterator[Reading]:
+        """Yield what the sensors said in the order in which it was recorded."""
+        if self._known is None or self._known.motors is None:
+            return self._repaired()
+        inputs = self._source.travel(), self._source.currents()
+        return without_motors(self._repaired(), self._known, *inputs)
+
+    def _repaired(self) -> Iterator[Reading]:
+        readings = self._source.readings()
+        begun = list(islice(readings, LOOKED_AT))
+        self._ahead, self._given = len(begun), 0
+        stamps = _stamps(begun)
+        if self._for_drive and (slow := slow_field_words(_usual_gap(stamps[1]))):
+            raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.field_topic}: {slow}")
+        if slow := slow_words(_usual_gap(stamps[0])):
+            yield from self._filled_up(
+                self._counted(chain(begun, readings)), _usual_gap(stamps[0]), slow
+            )
+            return
+        if not any(map(bursts_of_a_turn, stamps)):
+            yield from self._counted(chain(begun, readings))
+            return
+        del readings, begun
+        self._ahead = 0
+        stamps = _stamps(self._source.readings())
+        even = [spread_bursts(each) for each in stamps]
+        self._note(stamps, even)
+        imu, field = (
+            iter((old if new is None else new).tolist())
+            for old, new in zip(stamps, even, strict=True)
+        )
+        yield from _restamped(self._counted(self._source.readings()), imu, field)
+
+    def _counted(self, readings: Iterable[Reading]) -> Iterator[Reading]:
+        for reading in readings:
+            self._given += 1
+            yield reading
+
+    def _filled_up(self, readings: Iterable[Reading], gap: float, slow: str) -> Iterator[Reading]:
+        """Yield a slow IMU with samples between its own, and no field of fast turns."""
+        if gap > SLOWEST:
+            raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.imu_topic}: {slow}")
+        last: ImuSample | None = None
+        is_fast, fields, left_out = False, 0, 0
+        for reading in readings:
+            if isinstance(reading, ImuSample):
+                is_fast = not gap * length(reading.rate) < TURN_WITHIN
+                if last is not None and not is_fast:
+                    yield from _between(last, reading, SLOWEST * gap)
+                last = reading
+            elif reading is not None:
+                fields += 1
+                left_out += is_fast
+                if is_fast:
+                    continue
+            yield reading
+        self.notes.append(
+            f"{self._source.imu_topic}: {slow}. Here it was interpolated, and "
+            f"{left_out} of {fields} field samples were left out, within which it turned by more "
+            f"than {math.degrees(TURN_WITHIN):.0f}° or the gyro is absent"
+        )
+
+    def _note(self, stamps: Sequence[FloatArray], even: Sequence[FloatArray | None]) -> None:
+        """Say which topics were repaired; those of one driver in one line."""
+        topics: dict[str, list[str]] = {}
+        names = self._source.imu_topic, self._source.field_topic
+        for name, old, new in zip(names, stamps, even, strict=True):
+            if new is not None:
+                topics.setdefault(bursts_in_words(long_gaps(old)), []).append(name)
+        self.notes += [
+            f"{' and '.join(them)}: {words}; here they were spread evenly, which a node cannot do"
+            for words, them in topics.items()
+        ]
+
+
+def _stamps(readings: Iterable[Reading]) -> tuple[FloatArray, FloatArray]:
+    imu: list[float] = []
+    field: list[float] = []
+    for reading in readings:
+        if reading is not None:
+            (imu if isinstance(reading, ImuSample) else field).append(reading.stamp)
+    return np.array(imu), np.array(field)
+
+
+def _usual_gap(stamps: FloatArray) -> float:
+    """Return the median gap, seconds; zero of less than two samples."""
+    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+
+
+def _between(last: ImuSample, sample: ImuSample, longest: float) -> Iterator[ImuSample]:
+    """Yield samples between two, so close that they are joined; none in a gap of the recording."""
+    gap = sample.stamp - last.stamp
+    if not STREAMS.max_gap < gap <= longest:
+        return
+    parts = math.ceil(gap / (0.5 * STREAMS.max_gap))
+    for part in range(1, parts):
+        share = part / parts
+        force = between(last.force, sample.force, share)
+        yield ImuSample(last.stamp + share * gap, force, between(last.rate, sample.rate, share))
+
+
+def _restamped(
+    readings: Iterable[Reading], imu: Iterator[float], field: Iterator[float]
+) -> Iterator[Reading]:
+    for reading in readings:
+        if reading is None:
+            yield None
+        elif isinstance(reading, ImuSample):
+            yield reading._replace(stamp=next(imu))
+        else:
+            yield reading._replace(stamp=next(field))

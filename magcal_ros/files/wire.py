@@ -110,12 +110,11 @@ def _reader(layout: Layout) -> Callable[[bytes], tuple[float, bytes, int]]:
 
 LENGTH = Struct("<I")
 PLACE = Struct("<3d")
-LINEAR, NUMBER = Struct("<2d"), Struct("<d")
-TWIST_SIZE = 8 * 6
-NORTH_VARIANCE = 8 * 7
-"""Where it stands in the covariance of a twist, after that of east."""
-POSE_SIZE = 8 * (7 + 36)
-"""Bytes of an Odometry's pose with its covariance."""
+VELOCITY = Struct("<2d")
+# After the other four numbers of a twist come the variances: of east first, of north as the eighth.
+SURE_VELOCITY = Struct("<2d32xd48xd")
+# An Odometry's pose with its covariance, then the twist with the first of its covariance.
+ODOMETRY_BODY = Struct("<344x2d32xd")
 
 
 def stamp_in(data: bytes) -> float:
@@ -136,18 +135,13 @@ def fix_in(data: bytes) -> Fix:
 def velocity_in(data: bytes) -> VelocitySample | str:
     """Return the velocity of a geometry_msgs/TwistStamped, or why it has none."""
     stamp, _, at = _header(data)
-    east, north = LINEAR.unpack_from(data, _aligned(at, 8))
-    return velocity_from(stamp, east, north)
+    return velocity_from(stamp, *VELOCITY.unpack_from(data, _aligned(at, 8)))
 
 
 def sure_velocity_in(data: bytes) -> VelocitySample | str:
     """Return the velocity of a geometry_msgs/TwistWithCovarianceStamped, or why it has none."""
     stamp, _, at = _header(data)
-    at = _aligned(at, 8)
-    east, north = LINEAR.unpack_from(data, at)
-    (of_east,) = NUMBER.unpack_from(data, at + TWIST_SIZE)
-    (of_north,) = NUMBER.unpack_from(data, at + TWIST_SIZE + NORTH_VARIANCE)
-    return velocity_from(stamp, east, north, of_east, of_north)
+    return velocity_from(stamp, *SURE_VELOCITY.unpack_from(data, _aligned(at, 8)))
 
 
 def speed_in(data: bytes) -> SpeedSample | str:
@@ -157,9 +151,7 @@ def speed_in(data: bytes) -> SpeedSample | str:
     (size,) = LENGTH.unpack_from(data, at)
     at += LENGTH.size
     child = data[at : at + size - 1]
-    at = _aligned(at + size, 8) + POSE_SIZE
-    x, y = LINEAR.unpack_from(data, at)
-    (mark,) = NUMBER.unpack_from(data, at + TWIST_SIZE)
+    x, y, mark = ODOMETRY_BODY.unpack_from(data, _aligned(at + size, 8))
     return speed_from(stamp, frame_of(world), frame_of(child), mark, x, y)
 
 

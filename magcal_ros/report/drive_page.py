@@ -17,7 +17,7 @@ from magcal_ros.core.keeping.jobs import Verb
 from magcal_ros.core.keeping.story import DrivePath, DriveStory
 from magcal_ros.files.disk import FileTrouble, write_atomically
 from magcal_ros.files.recording import REMEDY
-from magcal_ros.report.page import checks_table, page_head
+from magcal_ros.report.page import page_head, table
 from magcal_ros.report.write import PAGE
 
 STEPS_DEG = (2.0, 5.0, 10.0, 20.0)
@@ -61,22 +61,17 @@ def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
 
 def render_drive(story: DriveStory, source: str) -> str:
     """Return the whole page; it loads nothing."""
+    summary = f'<p id="summary">{escape(summary_of(story))}</p>'
     title = "A drive, and what it says of the compass"
     return "\n".join(
         [
             page_head(title, datetime.now(timezone.utc), source),
-            _summary(story),
+            f'<section class="verdict good">{summary}</section>',
             _before_and_after(story),
             _decisions(story),
             _map(story.path),
             "</body></html>\n",
         ]
-    )
-
-
-def _summary(story: DriveStory) -> str:
-    return (
-        f'<section class="verdict good"><p id="summary">{escape(summary_of(story))}</p></section>'
     )
 
 
@@ -101,10 +96,8 @@ def _duration(seconds: float) -> str:
 
 
 def _before_and_after(story: DriveStory) -> str:
-    rows = "".join(
-        f"<tr><td>{name}</td>{_cells(calibration)}</tr>"
-        for name, calibration in (("before", story.begun), ("after", story.ended))
-    )
+    rows = (("before", *_cells(story.begun)), ("after", *_cells(story.ended)))
+    heads = ("", "made by", "heading on the way (1σ)", "hard iron, µT", "why")
     begun, ended = story.begun, story.ended
     apart = ""
     if begun is not None and ended is not None and begun.correction is not ended.correction:
@@ -113,16 +106,14 @@ def _before_and_after(story: DriveStory) -> str:
     if story.course:
         apart += f'<p id="course">After: {escape(story.course)}.</p>'
     return (
-        '<h2>What was in force before and after</h2><div class="scroll"><table class="checks"><tr>'
-        "<th></th><th>made by</th><th>heading on the way (1σ)</th><th>hard iron, µT</th>"
-        "<th>why</th></tr>"
-        f"{rows}</table></div>{apart}"
+        '<h2>What was in force before and after</h2><div class="scroll">'
+        f"{table('checks', rows, heads)}</div>{apart}"
     )
 
 
-def _cells(calibration: Calibration | None) -> str:
+def _cells(calibration: Calibration | None) -> tuple[str, ...]:
     if calibration is None:
-        return '<td colspan="4">nothing</td>'
+        return "nothing", "", "", ""
     x, y, z = (1e6 * float(value) for value in calibration.correction.hard_iron)
     evidence = calibration.evidence
     why = evidence.reasons[0] if evidence.method == "smoother" and evidence.reasons else ""
@@ -132,7 +123,7 @@ def _cells(calibration: Calibration | None) -> str:
         f"{x:.1f}, {y:.1f}, {z:.1f}",
         why or evidence.summary,
     )
-    return "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+    return tuple(map(escape, cells))
 
 
 def _decisions(story: DriveStory) -> str:
@@ -142,8 +133,8 @@ def _decisions(story: DriveStory) -> str:
         (_duration(seconds), VERBS[made.verb], escape(made.words))
         for seconds, made in story.decisions
     ]
-    table = checks_table(("after", "decision", "why"), rows)
-    return f"<h2>What was decided</h2><p>{RULES}</p>{table}"
+    shown = table("checks", rows, ("after", "decision", "why"))
+    return f"<h2>What was decided</h2><p>{RULES}</p>{shown}"
 
 
 def _map(path: DrivePath | None) -> str:

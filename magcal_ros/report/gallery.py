@@ -200,26 +200,13 @@ class Picture:
     missing: str = ""
 
 
-@dataclass(frozen=True)
-class Plan:
-    """How one picture is made."""
-
-    name: str
-    title: str
-    draw: turn_views.Draw
-    caption: Callable[[Turn], str]
-
-
-VIEWS = Plan("views", "The turn in space", turn_views.draw, turn_views.caption)
-AROUND = Plan(
-    "around", "Around the turn", turn_views.draw_residuals, turn_views.caption_of_residuals
-)
-HEADING = Plan("heading", "Heading before and after", draw, caption)
-GYRO = Plan("gyro", "Gyro against compass", draw_gyro, caption_of_gyro)
+VIEWS = ("views", "The turn in space", turn_views.draw, turn_views.caption)
+AROUND = ("around", "Around the turn", turn_views.draw_residuals, turn_views.caption_of_residuals)
+HEADING = ("heading", "Heading before and after", draw, caption)
+GYRO = ("gyro", "Gyro against compass", draw_gyro, caption_of_gyro)
 
 NO_GYRO = Picture(
-    GYRO.name,
-    GYRO.title,
+    *GYRO[:2],
     "Only a gyro shows whether steel near by bends the field: the compass then swings around the "
     "turn although the circle looks clean.",
     missing="Not checked: there was no gyro in these samples.",
@@ -230,21 +217,22 @@ def pictures(turn: Turn) -> list[Picture]:
     """Draw everything that the turn can show."""
     if not len(turn.time):
         return []
+    found = [_picture(turn, *VIEWS), _picture(turn, *AROUND)]
     if turn.corrected is None:
-        return [_picture(turn, plan) for plan in (VIEWS, AROUND)]
-    found = [_picture(turn, plan) for plan in (VIEWS, AROUND, HEADING)]
-    return [*found, _picture(turn, GYRO) if turn.has_gyro else NO_GYRO]
+        return found
+    return [*found, _picture(turn, *HEADING), _picture(turn, *GYRO) if turn.has_gyro else NO_GYRO]
 
 
-def _picture(turn: Turn, plan: Plan) -> Picture:
-    words = plan.caption(turn)
+def _picture(
+    turn: Turn, name: str, title: str, draw: turn_views.Draw, words_on: Callable[[Turn], str]
+) -> Picture:
+    svg, missing, words = "", "", words_on(turn)
     try:
-        svg = turn_views.draw_svg(plan.draw, turn, plan.name, plan.title)
-        return Picture(plan.name, plan.title, words, svg)
+        svg = turn_views.draw_svg(draw, turn, name, title)
     except ImportError:
-        return Picture(plan.name, plan.title, words, missing=NO_MATPLOTLIB)
+        missing = NO_MATPLOTLIB
     except Exception as error:
         # Foreign drawing code meets foreign samples here; a report without one picture is worth
         # more than none, and the calibration behind it is already made.
-        why = f"No picture: it could not be drawn ({type(error).__name__}: {error})."
-        return Picture(plan.name, plan.title, words, missing=why)
+        missing = f"No picture: it could not be drawn ({type(error).__name__}: {error})."
+    return Picture(name, title, words, svg, missing)

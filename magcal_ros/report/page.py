@@ -187,9 +187,12 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     parts.append(_not_shown(outcome.verdict, estimate is not None))
     parts += [_checks(outcome.verdict.checks), _sensors(turn.sensors)]
     if estimate is not None:
-        parts.append(_twelve(matrix_rows(estimate)))
-        parts.append(f"<h2>All numbers</h2>{_table(all_numbers(estimate), 'numbers')}")
-    parts.append(f"<h2>Method, versions, input</h2>{_table(_input(subject, turn), 'input')}")
+        heads = ("", "A (±1σ), dimensionless", "", "", "h (±1σ), µT")
+        twelve = table("twelve", matrix_rows(estimate), heads)
+        title = "<h2>The correction: field in body axes = A (raw field − h)</h2>"
+        parts.append(f'{title}<div class="scroll">{twelve}</div>')
+        parts.append(f"<h2>All numbers</h2>{_columns(all_numbers(estimate), 'numbers')}")
+    parts.append(f"<h2>Method, versions, input</h2>{_columns(_input(subject, turn), 'input')}")
     return "\n".join([*parts, _repeat(subject), "</div></body></html>\n"])
 
 
@@ -212,11 +215,12 @@ def page_head(title: str, created: datetime, source: str) -> str:
 <p class="meta">{created.isoformat(sep=" ", timespec="seconds")} · {escape(source)}</p>"""
 
 
-def checks_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table of cells that are HTML already, under their heads."""
+def table(kind: str, rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
+    """Return a table of cells that are HTML already, under their heads if there are any."""
     head = "".join(f"<th>{words}</th>" for words in heads)
-    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f'<table class="checks"><tr>{head}</tr>{body}</table>'
+    lines = [f"<tr>{head}</tr>"] if heads else []
+    lines += ["<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows]
+    return f'<table class="{kind}">{"".join(lines)}</table>'
 
 
 def _chip(grade: Grade, words: str = "") -> str:
@@ -247,7 +251,7 @@ def _several(several: Several) -> str:
     ]
     return (
         '<section id="several"><h2>Turns put together</h2>'
-        f"{checks_table(('turn', 'fate', 'what it shows'), rows)}"
+        f"{table('checks', rows, ('turn', 'fate', 'what it shows'))}"
         f"<p>Now shown: {escape(several.shown.in_words)}.</p>"
         f"<p>{escape(several.advice_in_words)}</p></section>"
     )
@@ -279,7 +283,7 @@ def _not_shown(verdict: Verdict, found: bool) -> str:
 def _checks(checks: Sequence[Check]) -> str:
     ordered = sorted(checks, key=lambda check: (-check.grade.rank, check.aspect.value))
     rows = [(_chip(check.grade), check.aspect.value, escape(check.words)) for check in ordered]
-    return f"<h2>What was checked</h2>{checks_table(('grade', 'aspect', 'what'), rows)}"
+    return f"<h2>What was checked</h2>{table('checks', rows, ('grade', 'aspect', 'what'))}"
 
 
 def _sensors(page: Page) -> str:
@@ -300,7 +304,7 @@ def _lines(findings: Sequence[Finding]) -> str:
         ("not shown" if f.grade is Grade.GOOD else _chip(f.grade), escape(f.name), escape(_said(f)))
         for f in ordered
     ]
-    return checks_table(("grade", "what", "evidence, and what to change"), rows)
+    return table("checks", rows, ("grade", "what", "evidence, and what to change"))
 
 
 def _said(finding: Finding) -> str:
@@ -309,29 +313,11 @@ def _said(finding: Finding) -> str:
     return f"{evidence}. {remedy}" if remedy else evidence
 
 
-def _twelve(lines: Sequence[Sequence[str]]) -> str:
-    cells = ("".join(f"<td>{escape(cell)}</td>" for cell in line) for line in lines)
-    rows = "".join(f"<tr>{line}</tr>" for line in cells)
-    return (
-        "<h2>The correction: field in body axes = A (raw field − h)</h2>"
-        '<div class="scroll"><table class="twelve"><tr><th></th><th colspan="3">A (±1σ), '
-        f"dimensionless</th><th>h (±1σ), µT</th></tr>{rows}</table></div>"
-    )
-
-
-def _table(rows: Sequence[Row], kind: str) -> str:
+def _columns(rows: Sequence[Row], kind: str) -> str:
     """Return two tables side by side, where there is room."""
-    half = (len(rows) + 1) // 2
-    tables = (
-        f'<table class="{kind}">'
-        + "".join(
-            f'<tr><td>{escape(row.words)}</td><td class="value">{escape(row.value)}</td></tr>'
-            for row in part
-        )
-        + "</table>"
-        for part in (rows[:half], rows[half:])
-    )
-    return f'<div class="columns">{"".join(tables)}</div>'
+    cells = [(escape(row.words), escape(row.value)) for row in rows]
+    half = (len(cells) + 1) // 2
+    return f'<div class="columns">{table(kind, cells[:half])}{table(kind, cells[half:])}</div>'
 
 
 def _input(subject: Subject, turn: Turn) -> list[Row]:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import pickle
 import re
 import signal
-import sys
 from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from magcal_ros.core.errors import MagcalError
 from magcal_ros.files.disk import UNFINISHED, FileTrouble, write_atomically
 from magcal_ros.files.recording import REMEDY, write_samples
 from magcal_ros.report.gallery import pictures
@@ -41,18 +38,10 @@ def write_report(folder: Path, subject: Subject) -> Path:
     return page
 
 
-def main() -> int:
-    """Write a report whose folder and subject come pickled on stdin; returns the exit status."""
-    # Signals that end the node do not end a report: it is quick to finish.
-    for ending in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(ending, signal.SIG_IGN)
-    folder, subject = pickle.load(sys.stdin.buffer)
-    try:
-        write_report(folder, subject)
-    except MagcalError as error:
-        sys.stderr.write(f"{error}\n")
-        return 1
-    return 0
+def write_to_the_end(folder: Path, subject: Subject) -> Path:
+    """Write a report in a process of its own, which signals that end the node do not end."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    return write_report(folder, subject)
 
 
 IN_FORCE = "in_force.txt"

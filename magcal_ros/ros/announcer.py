@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 PAUSE = 10.0
 """Seconds between two lines on one subject."""
@@ -17,19 +18,6 @@ LASTING = 3.0
 """Seconds that something must be wrong before it is said: drivers start one after another."""
 
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
-
-
-class Log(Protocol):
-    """What is needed of a logger."""
-
-    def info(self, message: str) -> object:
-        """Log an event."""
-
-    def warning(self, message: str) -> object:
-        """Log what is wrong."""
-
-    def error(self, message: str) -> object:
-        """Log a failure."""
 
 
 @dataclass
@@ -54,7 +42,10 @@ class Announcer:
     """Writes to the log what changed, at most once in ten seconds on each subject."""
 
     def __init__(
-        self, log: Log, clock: Callable[[], float] = time.monotonic, lasting: float = LASTING
+        self,
+        log: RcutilsLogger,
+        clock: Callable[[], float] = time.monotonic,
+        lasting: float = LASTING,
     ) -> None:
         self._log, self._clock, self._lasting = log, clock, lasting
         self._lines: dict[str, _Line] = {}

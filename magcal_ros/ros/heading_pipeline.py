@@ -306,10 +306,7 @@ class HeadingPipeline:
 
     def settled(self, number: int = FIRST, frame: str = "") -> Settings:
         """Return the parameters as they hold for a turn of one magnetometer."""
-        settings = self._reference.settings
-        if number == FIRST:
-            return self.frames.settled(settings)
-        return self.frames.settled_for(settings, number, frame)
+        return self.frames.settled(self._reference.settings, number, frame)
 
     def origin_of(self, magnetometer_frame: str) -> Origin:
         """Return where a calibration that is made now comes from."""

@@ -6,7 +6,9 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple
+
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from magcal_ros.core.calibration import Calibration, MotorField
 from magcal_ros.core.errors import in_words
@@ -20,9 +22,8 @@ from magcal_ros.files.calibration_file import (
 )
 from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
 from magcal_ros.files.disk import FileTrouble, plain, promptly
-from magcal_ros.ros.announcer import Log
+from magcal_ros.ros.threads import BackgroundThread
 
-T = TypeVar("T")
 Tell = Callable[[Conclusion], None]
 
 TO_WRITE = 15.0
@@ -30,21 +31,6 @@ TO_WRITE = 15.0
 
 MOST_KNOWN = 100
 """Names of sensors that are remembered; beyond that the oldest one is dropped."""
-
-
-class Runner(Protocol):
-    """Does work elsewhere; `magcal_ros.ros.worker_process.BackgroundThread` is one."""
-
-    def run(
-        self,
-        work: Callable[[], T],
-        then: Callable[[T], object],
-        otherwise: Callable[[Exception], object],
-    ) -> None:
-        """Do some work, then go on in the executor's thread."""
-
-    def finish_within(self, patience: float) -> bool:
-        """Wait so many seconds for the work that was asked for."""
 
 
 class Loaded(NamedTuple):
@@ -67,8 +53,8 @@ class Keeper:
     def __init__(
         self,
         name: tuple[str, str],
-        files: Runner,
-        log: Log,
+        files: BackgroundThread,
+        log: RcutilsLogger,
         apply: Callable[[Calibration | None, str], object],
         chosen: Callable[[], str] = lambda: "",
         number: int = 1,
@@ -98,7 +84,7 @@ class Keeper:
     ) -> None:
         """Apply a calibration and store it; only what is stored as well is a success."""
         self.put_in_force(calibration, origin)
-        self._run_storing(self.store(with_backup), tell, "In force, but not saved")
+        self.save(tell, with_backup)
 
     def keep_vehicle_yaw(self, yaw: VehicleYaw) -> None:
         """Store a yaw with the calibration in force, if there is one."""
@@ -120,15 +106,12 @@ class Keeper:
         self.calibration = self.origin = None
         self._apply(None, "")
 
-    def store(self, with_backup: bool = True) -> Callable[[], str]:
-        """Return the work of saving what is in force now, to be done in any thread.
-
-        With a backup, another calibration that the file holds is kept beside it. A FileTrouble if
-        nothing is in force.
-        """
+    def save(self, tell: Tell = lambda _: None, with_backup: bool = True) -> None:
+        """Save the calibration in force; another one that the file holds is kept as a backup."""
         calibration, origin = self.calibration, self.origin
         if calibration is None or origin is None:
-            raise FileTrouble("there is no calibration in force to save")
+            tell(Conclusion(False, "there is no calibration in force to save"))
+            return
         frame = self._frame
 
         def work() -> str:
@@ -152,16 +135,11 @@ class Keeper:
             self.trouble = ""
             return f"In force and saved to {path}.{lost}"
 
-        return work
-
-    def save(self, tell: Tell = lambda _: None) -> None:
-        """Save the calibration in force."""
-        try:
-            work = self.store()
-        except FileTrouble as error:
-            tell(Conclusion(False, str(error)))
-            return
-        self._run_storing(work, tell, "not saved")
+        self._files.run(
+            work,
+            lambda words: tell(Conclusion(not self.trouble, words)),
+            lambda error: tell(Conclusion(False, f"In force, but not saved: {in_words(error)}")),
+        )
 
     def load(self, tell: Tell) -> None:
         """Put the calibration of the file in force."""
@@ -252,13 +230,6 @@ class Keeper:
             return self._path(frame, chosen)
         file = SensorFile(frame, *self._name)
         return promptly(file.find, file.path)
-
-    def _run_storing(self, work: Callable[[], str], tell: Tell, fault: str) -> None:
-        self._files.run(
-            work,
-            lambda words: tell(Conclusion(not self.trouble, words)),
-            lambda error: tell(Conclusion(False, f"{fault}: {in_words(error)}")),
-        )
 
     def _read_next(self) -> None:
         if self.calibration is not None:

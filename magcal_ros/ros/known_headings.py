@@ -57,11 +57,12 @@ class Antenna:
         magnetometer: Magnetometer,
         pipeline: HeadingPipeline,
         fits: BackgroundThread,
+        worker: WorkerProcess,
         group: CallbackGroup,
     ) -> None:
-        self._magnetometer, self._pipeline, self._fits = magnetometer, pipeline, fits
+        self._magnetometer, self._pipeline = magnetometer, pipeline
+        self._fits, self._worker = fits, worker
         self._say = node.get_logger().info
-        self._worker = WorkerProcess()
         self.topic = node.resolve_topic_name(TOPIC)
         self.is_heard = False
         self.collected: list[HeadingSample] | None = None
@@ -73,10 +74,6 @@ class Antenna:
         self.subscription = node.create_subscription(
             Imu, TOPIC, self._on_heading, SENSOR_DATA, raw=True, callback_group=group
         )
-
-    def end(self) -> None:
-        """End the process that fits for good."""
-        self._worker.end()
 
     def forget(self) -> None:
         """Begin anew."""
@@ -175,7 +172,7 @@ class Antenna:
         def work() -> tuple[Outcome, str]:
             from magcal_ros.core.session.at_known_heading import fit_log
 
-            return self._worker.run(fit_log, standings, settings.knowledge)
+            return self._worker.run_once(fit_log, standings, settings.knowledge)
 
         self._fits.run(work, lambda found: self._note(*found, log), self._lost)
 
@@ -185,7 +182,6 @@ class Antenna:
             self._answer = f"the fit failed: {error}"
 
     def _note(self, outcome: Outcome, north: str, log: HeadingLog) -> None:
-        self._worker.stop()
         self._is_fitting = False
         if self._collector is None or log is not self._collector.log:
             return
@@ -233,8 +229,9 @@ class KnownHeadings:
         group: CallbackGroup,
     ) -> None:
         self._magnetometer, self._pipeline, self._fits = magnetometer, pipeline, fits
-        self.antenna = Antenna(node, magnetometer, pipeline, fits, group)
-        self._worker = WorkerProcess()
+        self.worker = WorkerProcess()
+        """Its fits run in the thread of all fits, one at a time."""
+        self.antenna = Antenna(node, magnetometer, pipeline, fits, self.worker, group)
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
         self._sensors = self._answer = ""
@@ -253,11 +250,6 @@ class KnownHeadings:
     def follows(self) -> bool:
         """Whether it needs each IMU sample."""
         return self._since is not None or self.antenna.is_heard
-
-    def end(self) -> None:
-        """End the processes that fit for good."""
-        self._worker.end()
-        self.antenna.end()
 
     def forget(self) -> None:
         """Begin anew with the next heading."""
@@ -366,7 +358,7 @@ class KnownHeadings:
             )
 
             collected = CollectedSamples(pairs, *known)
-            return self._worker.run(calibrate_standing, before, collected, in_force)
+            return self.worker.run_once(calibrate_standing, before, collected, in_force)
 
         self._fits.run(work, lambda result: self._note(result, epoch), self._lost)
 
@@ -375,7 +367,6 @@ class KnownHeadings:
         self._conclude(Conclusion(False, f"nothing was found: {why}"))
 
     def _note(self, result: HeadingResult, epoch: int) -> None:
-        self._worker.stop()
         if epoch != self._epoch:
             self._conclude(Conclusion(False, "~/reset, or another sensor, meanwhile: call again"))
             return

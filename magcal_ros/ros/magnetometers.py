@@ -23,6 +23,7 @@ from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.wire import diagnostic
 
 Ask = Callable[[Tell], object]
+Action = Callable[[], "Conclusion | Awaitable[Conclusion]"]
 
 
 class Magnetometers:
@@ -232,18 +233,16 @@ class Services:
         # A waiting coroutine holds its group: with one of its own nothing else starves, and
         # being reentrant it lets a second call in, to be refused with the reason.
         waiting = ReentrantCallbackGroup()
-        waiting_for = {name: self._wait_for(action) for name, action in slow.items()}
-        long = {"calibrate": self._calibrate, "finish": self._finish, **waiting_for}
-        for name, answer in long.items():
+        actions: dict[str, Action] = {"calibrate": self._calibrate, "finish": self._finish, **short}
+        actions |= {name: self._wait_for(action) for name, action in slow.items()}
+        for name, action in actions.items():
             node.create_service(
                 Trigger,
                 f"~/{name}",
-                self._late_answer(answer),
+                self._answer(action),
                 qos_profile=CALLS,
                 callback_group=waiting,
             )
-        for name, action in short.items():
-            node.create_service(Trigger, f"~/{name}", self._answer(action), qos_profile=CALLS)
 
     async def _calibrate(self) -> Conclusion:
         opened = self._start()
@@ -264,29 +263,19 @@ class Services:
 
         return answer
 
-    def _late_answer(
-        self, action: Callable[[], Awaitable[Conclusion]]
-    ) -> Callable[[Any, Any], Any]:
+    def _answer(self, action: Action) -> Callable[[Any, Any], Any]:
         async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
-                return _fill(response, await action())
+                found = action()
+                conclusion = found if isinstance(found, Conclusion) else await found
             except Exception as error:  # whatever it is, the caller is answered
-                return _fill(response, self._failed(error))
+                self._note(error)
+                words = f"an error in the node: {error}; its log says where"
+                conclusion = Conclusion(False, words)
+            response.success, response.message = conclusion.success, conclusion.message
+            return response
 
         return answer
-
-    def _answer(self, action: Callable[[], Conclusion]) -> Callable[[Any, Any], Any]:
-        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            try:
-                return _fill(response, action())
-            except Exception as error:  # whatever it is, the caller is answered
-                return _fill(response, self._failed(error))
-
-        return answer
-
-    def _failed(self, error: Exception) -> Conclusion:
-        self._note(error)
-        return Conclusion(False, f"an error in the node: {error}; its log says where")
 
     def _future(self) -> Future:
         future: Future = Future(executor=self._node.executor)
@@ -299,8 +288,3 @@ class Services:
         future = self._future()
         self._turns.when_done(future.set_result)
         return future
-
-
-def _fill(response: Trigger.Response, conclusion: Conclusion) -> Trigger.Response:
-    response.success, response.message = conclusion.success, conclusion.message
-    return response

@@ -116,8 +116,8 @@ class Calibrator(Node):
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
         self.stop_robot()
         self._magnetometers.shut_down()
-        self._keeping.end()
-        self._known.end()
+        self._keeping.worker.end()
+        self._known.worker.end()
 
     def stop_robot(self) -> None:
         """Stop a robot that turns itself, from any thread; it will not move again."""
@@ -246,7 +246,7 @@ class Calibrator(Node):
 
     def _draw(self) -> None:
         to_body = self._frames.settled(self._table.settings).knowledge.mounting.to_body
-        self._markers.draw(self._control, to_body, self._pipeline.body_frame())
+        self._markers.draw(self._control.turn, to_body, self._pipeline.body_frame())
 
     def _on_heartbeat(self) -> None:
         self._fits.deliver()
@@ -268,7 +268,8 @@ class Calibrator(Node):
         self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()
         for each in self._magnetometers.heard:
-            each.repeat_bias(now)
+            if each.out is not None:
+                each.out.repeat_bias(now)
         name = self.get_fully_qualified_name().lstrip("/")
         statuses = [
             status.calibration_diagnostic(name, self._first),

@@ -30,10 +30,10 @@ from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.turn_events import TurnState
+from magcal_ros.core.session.turn_machine import TurnMachine
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.disk import plain
 from magcal_ros.ros import wire
-from magcal_ros.ros.control import Control
 from magcal_ros.ros.sensor_frames import LATCHED, SensorFrames
 
 RELIABLE = QoSProfile(depth=10)
@@ -264,19 +264,17 @@ class FusedOutput:
         if self.yaw is None or not self._out.get_subscription_count():
             return f"nothing subscribes to {TOPIC}"
         if not self._follower.gyro_is_believed:
-            return (
-                f"nothing on {TOPIC}: the gyro turns against the accelerometer; "
-                "its axes or its sign are wrong in the driver"
+            why = (
+                ": the gyro turns against the accelerometer; its axes or its sign are wrong in the "
+                "driver"
             )
-        if not self._follower.gyro_is_whole:
-            return (
-                f"nothing on {TOPIC}: axes of the gyro never change; the driver does not read them"
-            )
-        if not self._follower.is_propagated:
-            return f"nothing on {TOPIC}: the IMU has no gyro"
-        if self.yaw.heading() is None:
-            return f"nothing on {TOPIC} yet: no field has come"
-        return ""
+        elif not self._follower.gyro_is_whole:
+            why = ": axes of the gyro never change; the driver does not read them"
+        elif not self._follower.is_propagated:
+            why = ": the IMU has no gyro"
+        else:
+            why = " yet: no field has come" if self.yaw.heading() is None else ""
+        return f"nothing on {TOPIC}{why}" if why else ""
 
 
 METRES_PER_TESLA = 1.0 / 50e-6
@@ -299,15 +297,15 @@ class TurnMarkers:
         self._out = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._drawn: Window | None = None
 
-    def draw(self, control: Control, to_body: FloatArray, frame: str) -> None:
+    def draw(self, turn: TurnMachine, to_body: FloatArray, frame: str) -> None:
         """Draw the window of the moment; a turn under way has a new one with each preview."""
-        window = control.turn.last_window
+        window = turn.last_window
         if window is None or window is self._drawn:
             return
-        idle, outcome = control.state is TurnState.IDLE, control.turn.last_outcome
+        idle, outcome = turn.state is TurnState.IDLE, turn.last_outcome
         if not idle and not self._out.get_subscription_count():
             return
-        if idle or control.state is TurnState.COLLECTING:
+        if idle or turn.state is TurnState.COLLECTING:
             estimate = outcome.estimate if idle and outcome is not None else None
             self._out.publish(turn_markers(window, to_body, estimate, frame))
             self._drawn = window

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -49,8 +49,8 @@ class Settings:
     """The parameters' values in SI units and in the core's own types.
 
     `knowledge` is what was given by hand; `given` and the World Magnetic Model fill in what its
-    reference field lacks. `mount_is_given` tells whether the magnetometer's pose was given,
-    `second_mount` is that of the second one. An empty `base_frame` is the IMU's. `vehicle_yaw` is
+    reference field lacks. `mounts` has the poses of magnetometers that were given, by their
+    numbers. An empty `base_frame` is the IMU's. `vehicle_yaw` is
     that of the IMU in the vehicle by hand, radians; None without. `known_heading` is the heading
     typed in; None without, or while its north is not said. `heading_is_true` tells which north the
     topic `heading` is to.
@@ -68,8 +68,7 @@ class Settings:
     given: Given
     rotation: Rotation
     base_frame: str
-    mount_is_given: bool
-    second_mount: FloatArray | None
+    mounts: Mapping[int, FloatArray]
     magnetometers: int
     self_calibration: str
     vehicle_yaw: float | None
@@ -80,13 +79,13 @@ class Settings:
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
         """Build from checked values by parameter name."""
-        mount = values["mount_rpy_deg"]
-        mount_is_given = not any(math.isnan(angle) for angle in mount)
+        mounts = {
+            number: rotation_from_rpy(*map(math.radians, values[name]))
+            for number, name in ((1, "mount_rpy_deg"), (2, "mount_2_rpy_deg"))
+            if not math.isnan(values[name][0])
+        }
         given = Given.of({name.removeprefix("reference."): v for name, v in values.items()})
-        mounting = knowledge_of(
-            soft_iron_gains=values["soft_iron_gains"],
-            mount_rpy_deg=mount if mount_is_given else (0.0, 0.0, 0.0),
-        ).mounting
+        mounting = knowledge_of(soft_iron_gains=values["soft_iron_gains"]).mounting
         by_hand = values["vehicle_yaw_deg"]
         return cls(
             values["calibration_file"],
@@ -94,7 +93,7 @@ class Settings:
             values["reports_kept"],
             values["method"],
             values["accumulate"],
-            Knowledge(given.field, mounting),
+            Knowledge(given.field, replace(mounting, pose=mounts.get(1, mounting.pose))),
             Limits(
                 values["window.timeout_s"],
                 values["window.silence_s"],
@@ -110,8 +109,7 @@ class Settings:
                 values["rotate.frame_id"],
             ),
             values["base_frame"],
-            mount_is_given,
-            _pose(values["mount_2_rpy_deg"]),
+            mounts,
             values["magnetometers"],
             values["self_calibration"],
             None if math.isnan(by_hand) else math.radians(by_hand),
@@ -128,12 +126,6 @@ def _told(values: Mapping[str, Any]) -> ExternalHeading | None:
         return None
     sigma = math.radians(values["known_heading.sigma_deg"])
     return ExternalHeading(math.radians(yaw), sigma, north == TRUE_NORTH)
-
-
-def _pose(rpy_deg: tuple[float, float, float]) -> FloatArray | None:
-    """Return a pose given by hand; None without one."""
-    roll, pitch, yaw = (math.radians(angle) for angle in rpy_deg)
-    return None if math.isnan(roll) else rotation_from_rpy(roll, pitch, yaw)
 
 
 class Parameters:

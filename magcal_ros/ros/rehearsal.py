@@ -19,7 +19,6 @@ from std_srvs.srv import Trigger
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry import rotation_from_quaternion, rpy_from_rotation, wrap_angle
-from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.messages import ABSENT, seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation.ride import Ride
@@ -49,27 +48,19 @@ class SensorSource:
 
     def publish(self, sample: ImuSample | FieldSample) -> None:
         """Publish one sample under its own stamp."""
-        if isinstance(sample, ImuSample):
-            self._publish_imu(sample)
-        else:
-            self._publish_field(sample)
-
-    def _publish_imu(self, sample: ImuSample) -> None:
-        message = self._imu
+        message = self._imu if isinstance(sample, ImuSample) else self._field
         set_time(message.header.stamp, sample.stamp)
+        if isinstance(sample, FieldSample):
+            field = message.magnetic_field
+            field.x, field.y, field.z = sample.field
+            self._field_out.publish(message)
+            return
         force, rate = message.linear_acceleration, message.angular_velocity
         force.x, force.y, force.z = sample.force
         has_rate = all(math.isfinite(value) for value in sample.rate)
         rate.x, rate.y, rate.z = sample.rate if has_rate else (0.0, 0.0, 0.0)
         message.angular_velocity_covariance[0] = 0.0 if has_rate else ABSENT
         self._imu_out.publish(message)
-
-    def _publish_field(self, sample: FieldSample) -> None:
-        message = self._field
-        set_time(message.header.stamp, sample.stamp)
-        field = message.magnetic_field
-        field.x, field.y, field.z = sample.field
-        self._field_out.publish(message)
 
 
 def set_time(time: Any, stamp: float) -> None:
@@ -264,30 +255,8 @@ class Rehearsal:
             raise MagcalError("no yaw is published")
         return float(np.angle(np.mean(np.exp(1j * np.array(self._settled_yaws)))))
 
-    def uncalibrated_errors(self, tilts: Sequence[tuple[float, float]]) -> list[float]:
-        """Compare the yaw that the raw field and the true tilt give, radians."""
-        compass = Compass.without_calibration()
-        errors = []
-        for _ in self._poses(tilts, 24):
-            imu, field = _first_of_both(self.ride)
-            heading = compass.heading(field.field, imu.force)
-            assert heading is not None
-            errors.append(float(wrap_angle(heading.yaw - self.ride.magnetic_yaw)))
-        return errors
-
     def _poses(self, tilts: Sequence[tuple[float, float]], headings: int) -> Iterator[None]:
         for roll, pitch in tilts:
             for k in range(headings):
                 self.ride.stand(math.radians(roll), math.radians(pitch), k * math.tau / headings)
                 yield
-
-
-def _first_of_both(ride: Ride) -> tuple[ImuSample, FieldSample]:
-    imu, field = None, None
-    while imu is None or field is None:
-        for sample in ride.step():
-            if isinstance(sample, ImuSample):
-                imu = sample
-            else:
-                field = sample
-    return imu, field

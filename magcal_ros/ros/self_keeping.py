@@ -40,7 +40,7 @@ class SelfKeeping:
         self._magnetometer, self._say = magnetometer, node.get_logger().info
         self._machine = SelfCalibration()
         self._jobs = BackgroundThread(node, "magcal-keep")
-        self._worker = WorkerProcess()
+        self.worker = WorkerProcess()
         self._sensors = ""
         self._idle = 0
         self.lost = 0
@@ -75,7 +75,7 @@ class SelfKeeping:
             self._machine.mode = Mode(mode)
             self._machine.forget()
         if self._idle == IDLE_LOOKS:
-            self._worker.stop()
+            self.worker.stop()
 
     @property
     def proposal(self) -> Calibration | None:
@@ -107,17 +107,13 @@ class SelfKeeping:
             ],
         }
 
-    def end(self) -> None:
-        """End the process for good."""
-        self._worker.end()
-
     def _look(self) -> None:
         knowledge = self._magnetometer.drive_knowledge()
         if knowledge is None:
             return
         self._idle = 0
         job = self._machine.job(knowledge)
-        self._jobs.run(lambda: self._worker.run(run_kindly, job), self._note, self._lost)
+        self._jobs.run(lambda: self.worker.run(run_kindly, job), self._note, self._lost)
 
     def _lost(self, error: Exception) -> None:
         self._machine.fail()
@@ -129,16 +125,14 @@ class SelfKeeping:
     def _note(self, findings: Findings) -> None:
         self.trouble = ""
         for decision in self._machine.note(findings):
-            self._say(
-                f"self-calibration: {decision.verb.value.replace('_', ' ')}: {decision.words}"
-            )
+            self._tell(f"{decision.verb.value.replace('_', ' ')}: {decision.words}")
             if decision.calibration is not None:
                 self._leave_page(decision.calibration)
                 self._act(decision, decision.calibration)
 
     def _act(self, decision: Decision, calibration: Calibration) -> None:
         if decision.verb is Verb.PROPOSED:
-            self._say("self-calibration: call ~/accept to put it in force")
+            self._tell("call ~/accept to put it in force")
         else:
             # Refined, it is the same calibration still, and the one before it is the way back.
             is_another = decision.verb is not Verb.REFINED
@@ -161,7 +155,7 @@ class SelfKeeping:
         )
         log, reports = machine.log(), self._reports
         self._jobs.run(
-            lambda: self._worker.run(write_page, reports_of(reports), story, log),
+            lambda: self.worker.run(write_page, reports_of(reports), story, log),
             lambda page: self._tell(f"report: {page}"),
             lambda error: self._tell(f"no report: {in_words(error)}"),
         )

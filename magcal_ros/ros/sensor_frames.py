@@ -174,17 +174,14 @@ class SensorFrames:
         """Return the frame that attitudes are published in."""
         return self._settings().base_frame or imu_frame
 
-    def settled(self, settings: Settings) -> Settings:
-        """Return the parameters with the described pose of the magnetometer, if there is one."""
+    def settled(self, settings: Settings, number: int = 1, frame: str = "") -> Settings:
+        """Return the parameters with the described pose of a magnetometer, if there is one."""
         mounting = replace(settings.knowledge.mounting, pose=self.poses.magnetometer)
-        return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
-
-    def settled_for(self, settings: Settings, number: int, frame: str) -> Settings:
-        """Return the parameters for a further magnetometer, by its number and frame."""
-        frames = replace(self._frames, magnetometer=frame)
-        given = settings.second_mount if number == 2 else None
-        pose = sensor_poses(frames, self._description.tree, given).magnetometer
-        mounting = Mounting(pose=pose)
+        if number > 1:
+            frames, given = replace(self._frames, magnetometer=frame), settings.mounts.get(number)
+            # The known gains are those of the first.
+            poses = sensor_poses(frames, self._description.tree, given)
+            mounting = Mounting(pose=poses.magnetometer)
         return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
 
     def note_up(self, follower: UpFollower) -> None:
@@ -230,7 +227,7 @@ class SensorFrames:
         settings = self._used = self._settings()
         if settings.base_frame:
             self._description.listen()
-        given = settings.knowledge.mounting.pose if settings.mount_is_given else None
+        given = settings.mounts.get(1)
         self._poses = sensor_poses(self._frames, self._description.tree, given)
         self._contradiction = ""
         imu = self._poses.imu

@@ -68,8 +68,6 @@ class Travel:
         }
         self._travelling = Travelling(run=self._run)
         self.front = Front()
-        self.own_acceleration: Triple | None = None
-        """Of the vehicle at the newest IMU sample, m/s², body axes; None where it is unknown."""
         self.kept: VehicleYaw | None = None
         """The yaw that lies beside the calibration in force."""
         self.subscriptions = [
@@ -92,9 +90,8 @@ class Travel:
         return found
 
     def on_imu(self, sample: ImuSample, follower: UpFollower) -> Triple | None:
-        """Take an IMU sample; returns the vehicle's own acceleration where it is known."""
-        self.own_acceleration = self._travelling.add_imu(sample, follower.gyro_bias.rate)
-        return self.own_acceleration
+        """Take an IMU sample; returns the vehicle's own acceleration, m/s², where it is known."""
+        return self._travelling.add_imu(sample, follower.gyro_bias.rate)
 
     @property
     def speed(self) -> float:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import lru_cache
 from struct import Struct
 from typing import Any, NamedTuple, TypeVar
@@ -70,28 +69,30 @@ class FieldArrival(NamedTuple):
     """Nine little-endian doubles, row-major, T²."""
 
 
-def read_imu(data: bytes) -> ImuArrival:
-    """Return the content of a serialized sensor_msgs/Imu; Unreadable if it is none."""
-    if wire.is_plain_cdr(data):
+def _in_place(data: bytes, parse: Callable[[bytes], T]) -> T | None:
+    """Return what bytes hold; None where rclpy has to read them."""
+    if is_plain_cdr(data):
         try:
-            frame, sample = _parse_imu(data)
+            return parse(data)
         except struct.error:
             pass
-        else:
-            return ImuArrival(_frame_of(frame), sample, data[_STAMP_PLACE])
+    return None
+
+
+def read_imu(data: bytes) -> ImuArrival:
+    """Return the content of a serialized sensor_msgs/Imu; Unreadable if it is none."""
+    if (found := _in_place(data, _parse_imu)) is not None:
+        frame, sample = found
+        return ImuArrival(_frame_of(frame), sample, data[_STAMP_PLACE])
     message = by_rclpy(data, Imu)
     return ImuArrival(message.header.frame_id, imu_sample(message), _packed(message.header.stamp))
 
 
 def read_field(data: bytes) -> FieldArrival:
     """Return the content of a serialized sensor_msgs/MagneticField; Unreadable if it is none."""
-    if wire.is_plain_cdr(data):
-        try:
-            frame, sample, covariance = _parse_field(data)
-        except struct.error:
-            pass
-        else:
-            return FieldArrival(_frame_of(frame), sample, data[_STAMP_PLACE], covariance)
+    if (found := _in_place(data, _parse_field)) is not None:
+        frame, sample, covariance = found
+        return FieldArrival(_frame_of(frame), sample, data[_STAMP_PLACE], covariance)
     message = by_rclpy(data, MagneticField)
     return FieldArrival(
         message.header.frame_id,
@@ -107,22 +108,16 @@ def _travel_reader(
     """Return what reads a message, and raises `Unreadable` if it is none."""
 
     def read(data: bytes) -> T:
-        if wire.is_plain_cdr(data):
-            try:
-                return from_bytes(data)
-            except struct.error:
-                pass
-        return from_message(by_rclpy(data, kind))
+        found = _in_place(data, from_bytes)
+        return from_message(by_rclpy(data, kind)) if found is None else found
 
     return read
 
 
 def read_stamp(data: bytes) -> float:
     """Return the stamp of a message with a header, seconds; NaN if it is laid out otherwise."""
-    if wire.is_plain_cdr(data):
-        with suppress(struct.error):
-            return stamp_in(data)
-    return math.nan
+    found = _in_place(data, stamp_in)
+    return math.nan if found is None else found
 
 
 read_speed = _travel_reader(Odometry, speed_in, speed_of)
@@ -158,21 +153,20 @@ class Template:
         self._data: bytearray | None = None
         self._place = 0
 
-    def _filled(self, stamp: bytes, frame: str, numbers: tuple[float, ...]) -> bytes | None:
-        """Return the message as bytes; None where rclpy lays it out in another way."""
+    def _filled(
+        self, stamp: bytes, frame: str, numbers: tuple[float, ...], put: Callable[[Any], None]
+    ) -> Any:
+        """Return the message as bytes; itself, after `put`, where rclpy lays it out otherwise."""
         if frame != self._frame:
             self._lay_out(frame)
         if self._data is None:
-            return None
+            header = self._message.header
+            header.stamp.sec, header.stamp.nanosec = STAMP.unpack(stamp)
+            put(self._message)
+            return self._message
         self._data[CDR_START:_STAMP_END] = stamp
         self._body.pack_into(self._data, self._place, *numbers)
         return bytes(self._data)
-
-    def _addressed(self, stamp: bytes) -> Any:
-        """Return the message itself, its stamp filled in."""
-        header = self._message.header
-        header.stamp.sec, header.stamp.nanosec = STAMP.unpack(stamp)
-        return self._message
 
     def _lay_out(self, frame: str) -> None:
         self._frame = self._message.header.frame_id = frame
@@ -191,14 +185,13 @@ class FieldTemplate(Template):
 
     def fill(self, stamp: bytes, frame: str, field: Triple, covariance: tuple[float, ...]) -> Any:
         """Return what to publish for a field (tesla) and its covariance (T²)."""
-        data = self._filled(stamp, frame, field + covariance)
-        if data is not None:
-            return data
-        message = self._addressed(stamp)
-        vector = message.magnetic_field
-        vector.x, vector.y, vector.z = field
-        message.magnetic_field_covariance = covariance
-        return message
+
+        def put(message: MagneticField) -> None:
+            vector = message.magnetic_field
+            vector.x, vector.y, vector.z = field
+            message.magnetic_field_covariance = covariance
+
+        return self._filled(stamp, frame, field + covariance, put)
 
 
 class AttitudeTemplate(Template):
@@ -221,14 +214,13 @@ class AttitudeTemplate(Template):
         """Return what to publish for a heading; without a declination (rad) to magnetic north."""
         quaternion = heading.quaternion(declination)
         covariance = heading.covariance(declination_sigma**2)
-        data = self._filled(stamp, frame, quaternion + covariance)
-        if data is not None:
-            return data
-        message = self._addressed(stamp)
-        q = message.orientation
-        q.x, q.y, q.z, q.w = quaternion
-        message.orientation_covariance = covariance
-        return message
+
+        def put(message: Imu) -> None:
+            q = message.orientation
+            q.x, q.y, q.z, q.w = quaternion
+            message.orientation_covariance = covariance
+
+        return self._filled(stamp, frame, quaternion + covariance, put)
 
 
 class NumberTemplate:

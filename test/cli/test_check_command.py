@@ -43,7 +43,7 @@ def moved():
 def test_a_good_one_holds(check, tmp_path):
     status, out, err = check(write_bag(tmp_path / "bag", drive(400.0, seed=2)))
     assert (status, err) == (0, "")
-    assert out.startswith("The calibration holds: ")
+    assert out.startswith("The calibration holds.\n")
     lines = out.splitlines()
     assert lines[2].split() == ["raw", "corrected", "unit"]
     assert sum(line.endswith("holds") for line in lines) == 7
@@ -53,7 +53,11 @@ def test_a_good_one_holds(check, tmp_path):
 def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
     status, out, _ = check(write_csv(tmp_path / "csv", drive(400.0, moved(), seed=3)))
     assert status == 4
-    assert out.startswith("The calibration is stale, calibrate again: heading swing")
+    assert out.startswith("The calibration is stale, calibrate again.\n")
+    (row,) = (line for line in out.splitlines() if "heading swing" in line and " ° " in line)
+    assert row.endswith("stale")
+    assert "heading swing that the level field shows (want 7° or less): the hard iron" in out
+    assert out.count(row.split()[-3]) == 1, "each figure is printed once"
 
 
 @pytest.mark.nightly

@@ -5,8 +5,7 @@ import pytest
 from drives import drive, write_bag, write_csv
 
 from magcal_ros.core.samples import ImuSample
-from magcal_ros.files.repaired_readings import RepairedReadings
-from magcal_ros.files.sources import open_recording
+from magcal_ros.files.sources import RepairedReadings, open_recording
 
 PERIOD = 0.8
 

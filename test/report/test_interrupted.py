@@ -1,17 +1,18 @@
 """A report whose process is killed: the page is whole or not there, and so are the samples."""
 
-import pickle
+import contextlib
 import random
-import subprocess
-import sys
-import tempfile
+import threading
 import time
 
 import pytest
 from long_form import rounds
 from subjects import good
 
+from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.recording import read_samples
+from magcal_ros.report.write import write_to_the_end
+from magcal_ros.ros.worker_process import Lost, WorkerProcess
 
 pytestmark = pytest.mark.faults
 
@@ -19,13 +20,18 @@ pytestmark = pytest.mark.faults
 @pytest.mark.parametrize("attempt", range(rounds(1, 300)))
 def test_killed_at_any_moment(tmp_path, attempt):
     subject, chance = good(), random.Random(attempt)
-    with tempfile.TemporaryFile() as handover:
-        pickle.dump((tmp_path, subject), handover)
-        handover.seek(0)
-        process = subprocess.Popen([sys.executable, "-m", "magcal_ros.report"], stdin=handover)
+    worker = WorkerProcess()
+    process = worker.start()
+
+    def draw():
+        with contextlib.suppress(Lost):
+            worker.run(write_to_the_end, tmp_path, subject)
+
+    drawing = threading.Thread(target=draw)
+    drawing.start()
     time.sleep(chance.uniform(0.3, 2.0))
     process.kill()
-    process.wait()
+    drawing.join()
     samples, page = tmp_path / "samples.csv", tmp_path / "report.html"
     if samples.exists():
         assert len(read_samples(samples)) == len(subject.window)
@@ -34,12 +40,10 @@ def test_killed_at_any_moment(tmp_path, attempt):
         assert page.read_text().endswith("</html>\n")
 
 
-def test_a_page_that_cannot_be_written_is_said_by_the_exit_status(tmp_path):
+def test_a_page_that_cannot_be_written_is_said(tmp_path):
     (tmp_path / "report.html").write_text("mine")
-    handover = pickle.dumps((tmp_path, good()))
-    command = [sys.executable, "-c", "from magcal_ros.report.write import main; exit(main())"]
-    done = subprocess.run(command, input=handover, capture_output=True, check=False)
-    assert done.returncode == 1
-    assert "stays; choose another folder" in done.stderr.decode()
-    assert "Traceback" not in done.stderr.decode()
+    worker = WorkerProcess()
+    with pytest.raises(FileTrouble, match="stays; choose another folder"):
+        worker.run(write_to_the_end, tmp_path, good())
+    worker.end()
     assert (tmp_path / "report.html").read_text() == "mine"

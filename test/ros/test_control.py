@@ -15,7 +15,7 @@ from magcal_ros.core.session.session import Session
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.simulation import Ride
 from magcal_ros.ros import worker_process
-from magcal_ros.ros.control import Control
+from magcal_ros.ros.magnetometer import Control
 from magcal_ros.ros.parameter_table import PARAMETERS
 from magcal_ros.ros.parameters import Settings
 
@@ -52,7 +52,7 @@ class House:
     def describe_silence(self):
         return "/mag has been silent"
 
-    def turn_ended(self):
+    def turn_ended(self, _):
         pass
 
     def note_error(self, error):

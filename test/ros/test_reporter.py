@@ -1,8 +1,7 @@
 """One report at a time, the newest waiting, and only so many of them kept."""
 
-import signal
-import subprocess
 import threading
+import time
 from datetime import datetime, timedelta
 from types import SimpleNamespace
 
@@ -13,36 +12,24 @@ from magcal_ros.report import mark_in_force, new_folder, remove_old
 from magcal_ros.report.write import IN_FORCE
 from magcal_ros.ros import reporter as reporter_module
 from magcal_ros.ros.reporter import Reporter
+from magcal_ros.ros.threads import BackgroundThread
 
 NOW = datetime(2026, 5, 31, 14, 3, 7)
 
 
-class Drawing:
-    """Stands for the process that draws: it ends when the test says so."""
-
-    def __init__(self, folder):
-        self.folder, self.may_end, self.returncode = folder, threading.Event(), 0
-
-    def communicate(self, timeout):
-        assert self.may_end.wait(timeout)
-        (self.folder / "report.html").write_text("drawn")
-        return b"", b""
-
-
 class Draws:
+    """Stands for the process that draws: each report ends when the test says so."""
+
     def __init__(self):
-        self.started = []
+        self.started, self.may_end = [], threading.Semaphore(0)
 
-    def __call__(self, folder, subject):
-        self.started.append(Drawing(folder))
-        return self.started[-1]
+    def run_once(self, _, folder, __):
+        self.started.append(folder)
+        assert self.may_end.acquire(timeout=30.0)
+        (folder / "report.html").write_text("drawn")
 
-    def wait_for(self, count):
-        for _ in range(1000):
-            if len(self.started) == count:
-                return
-            threading.Event().wait(0.01)
-        raise AssertionError(f"{len(self.started)} reports were started, not {count}")
+    def stop(self):
+        pass
 
 
 def subject(second=0, accepted=False):
@@ -51,8 +38,8 @@ def subject(second=0, accepted=False):
 
 
 @pytest.fixture
-def draws():
-    return Draws()
+def thread():
+    return BackgroundThread(SimpleNamespace(executor=None), "reports")
 
 
 @pytest.fixture
@@ -60,58 +47,58 @@ def said():
     return []
 
 
-def test_forty_refusals_in_a_row_start_one_process_and_the_newest_waits(tmp_path, draws, said):
-    reporter = Reporter(said.append, draws)
+@pytest.fixture
+def reporter(thread, said):
+    reporter = Reporter(thread, said.append)
+    reporter._worker = Draws()
+    return reporter
+
+
+def test_of_forty_refusals_in_a_row_the_first_and_the_newest_are_drawn(
+    tmp_path, thread, said, reporter
+):
+    draws = reporter._worker
     for k in range(40):
         assert "Report: " in reporter.begin(str(tmp_path), subject(k), 50)
+        wait_until(lambda: draws.started)
     assert len(draws.started) == 1
-    draws.started[0].may_end.set()
-    draws.wait_for(2)
-    draws.started[1].may_end.set()
-    for _ in range(1000):
-        if not reporter._drawing:
-            break
-        threading.Event().wait(0.01)
+    for _ in range(2):
+        draws.may_end.release()
+    assert thread.finish_within(30.0)
+    thread.deliver()
     assert sorted(f.name for f in tmp_path.iterdir()) == [
         "2026-05-31_14-03-07",
         "2026-05-31_14-03-46",
     ]
     assert all((f / "report.html").exists() for f in tmp_path.iterdir())
     assert len(said) == 38
+    assert "newer turns came before it was drawn" in said[0]
+    draws.may_end.release()
     reporter.begin(str(tmp_path), subject(50), 50)
-    draws.wait_for(3)
-    draws.started[2].may_end.set()
+    assert thread.finish_within(30.0)
+    assert len(draws.started) == 3
 
 
-def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, said, monkeypatch):
+def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, said, monkeypatch):
     monkeypatch.setattr(reporter_module, "LONGEST", 1.0)
-    processes = []
-
-    def draw(*_):
-        command = ["true"] if processes else ["sleep", "600"]
-        processes.append(subprocess.Popen(command, stderr=subprocess.PIPE))
-        return processes[-1]
-
-    reporter = Reporter(said.append, draw)
-    for k in range(2):
-        reporter.begin(str(tmp_path), subject(k), 50)
-    wait_until(lambda: len(processes) == 2 and not reporter._drawing)
-    assert [process.returncode for process in processes] == [-signal.SIGKILL, 0]
+    reporter = Reporter(thread, said.append)
+    run = reporter._worker.run
+    for work in ((time.sleep, 600.0), (time.sleep, 0.0)):
+        monkeypatch.setattr(reporter._worker, "run", lambda *_, work=work: run(*work))
+        reporter.begin(str(tmp_path), subject(), 50)
+        assert thread.finish_within(30.0)
+    thread.deliver()
     (words,) = said
     assert "was not done after 1 s, and the node has ended it" in words
 
 
-def test_the_newest_are_kept_and_those_put_in_force(tmp_path, draws, said):
-    reporter = Reporter(said.append, draws)
+def test_the_newest_are_kept_and_those_put_in_force(tmp_path, thread, reporter):
     for k in range(8):
+        reporter._worker.may_end.release()
         reporter.begin(str(tmp_path), subject(k, accepted=k in (0, 2)), 3)
         if k == 1:
             reporter.put_in_force()
-        draws.started[-1].may_end.set()
-        for _ in range(1000):
-            if not reporter._drawing:
-                break
-            threading.Event().wait(0.01)
+        assert thread.finish_within(30.0)
     kept = sorted(int(f.name[-2:]) - 7 for f in tmp_path.iterdir())
     assert kept == [0, 1, 2, 5, 6, 7]
     marked = sorted(int(f.name[-2:]) - 7 for f in tmp_path.iterdir() if (f / IN_FORCE).exists())

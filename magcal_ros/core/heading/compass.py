@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import (
     INPUTS,
     PARAMETERS,
-    Correction,
     MotorField,
     Running,
 )
@@ -126,16 +125,6 @@ class Compass:
                 matrix = self.calibration.correction.matrix
                 self._now = MotorsNow(motors, matrix, own, self._noise)
             self._now.use(motors)
-
-    @classmethod
-    def without_calibration(cls) -> Compass:
-        """Return the compass that takes the raw field as it comes, for comparison."""
-        size = PARAMETERS
-        evidence = Evidence("none", "", "", "uncalibrated")
-        nothing = Calibration(
-            Correction.identity(), np.zeros((size, size)), 0.0, 0.0, 0.0, 0.0, evidence
-        )
-        return cls(nothing)
 
     def without_motors(self, raw: Triple, running: Running) -> Triple:
         """Return a raw field, tesla, as it would be if the robot stood there."""

@@ -275,8 +275,10 @@ def _figures(
 
 
 def _summary(verdict: Verdict) -> str:
-    """Return the state and what it is for."""
+    """Return the state, and what speaks against the calibration."""
     state = STATES[verdict.quality]
+    if state == "holds":
+        return f"{SENTENCES[state]}."
     causes = (c for c in verdict.checks if c.aspect is Aspect.QUALITY)
     words = "; ".join(c.words for c in causes if STATES[c.grade] == state)
     return f"{SENTENCES[state]}: {words}."

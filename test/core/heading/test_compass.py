@@ -100,13 +100,6 @@ class TestAgainstTheArrayFormulas:
         true = Rotation.from_quat(heading.quaternion(math.radians(10.0))).as_euler("xyz")[2]
         assert math.degrees(true) == pytest.approx(80.0)
 
-    def test_the_compass_without_calibration_changes_nothing(self):
-        compass = Compass.without_calibration()
-        assert compass.correct((1e-6, -2e-6, 3e-6)) == (1e-6, -2e-6, 3e-6)
-        heading = heading_at(compass, *seen(0.1, 0.2, 0.3, 1.0))
-        assert heading.yaw == pytest.approx(0.3)
-        assert heading.yaw_variance == 0.0
-
 
 class TestNoDirection:
     @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def live(samples, knowledge):
     pytest.importorskip("rclpy")
     from magcal_ros.core.samples import Streams
     from magcal_ros.core.session.self_turn import SelfTurn
-    from magcal_ros.ros.control import Control
+    from magcal_ros.ros.magnetometer import Control
     from magcal_ros.ros.parameter_table import PARAMETERS
     from magcal_ros.ros.parameters import Settings
 

@@ -19,8 +19,7 @@ from sample_results import calibration
 
 from magcal_ros.core.calibration import Correction
 from magcal_ros.core.geometry import rotation_from_rpy
-from magcal_ros.files.autopilots import OF_TESLA, number
-from magcal_ros.files.exporters import EXPORTERS, NOTES, NotExportable, checksum
+from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_TESLA, NotExportable, checksum, number
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = 60e-6 * np.random.default_rng(0).standard_normal((50, 3))
