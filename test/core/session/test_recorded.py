@@ -39,7 +39,7 @@ class House:
     def begin_report(self, *_):
         return ""
 
-    def turn_ended(self):
+    def turn_ended(self, *_):
         pass
 
     def run(self, work, then, _):
