@@ -8,8 +8,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import TracebackType
-
-from rclpy.impl.rcutils_logger import RcutilsLogger
+from typing import Protocol
 
 PAUSE = 10.0
 """Seconds between two lines on one subject."""
@@ -18,6 +17,19 @@ LASTING = 3.0
 """Seconds that something must be wrong before it is said: drivers start one after another."""
 
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
+
+class Log(Protocol):
+    """What is needed of a logger; rclpy's own class is none of its public names."""
+
+    def info(self, message: str) -> object:
+        """Log an event."""
+
+    def warning(self, message: str) -> object:
+        """Log what is wrong."""
+
+    def error(self, message: str) -> object:
+        """Log a failure."""
 
 
 @dataclass
@@ -43,7 +55,7 @@ class Announcer:
 
     def __init__(
         self,
-        log: RcutilsLogger,
+        log: Log,
         clock: Callable[[], float] = time.monotonic,
         lasting: float = LASTING,
     ) -> None:

@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from rclpy.impl.rcutils_logger import RcutilsLogger
-
 from magcal_ros.core.calibration import Calibration, MotorField
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.base_view import VehicleYaw
@@ -22,6 +20,7 @@ from magcal_ros.files.calibration_file import (
 )
 from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
 from magcal_ros.files.disk import FileTrouble, plain, promptly
+from magcal_ros.ros.announcer import Log
 from magcal_ros.ros.threads import BackgroundThread
 
 Tell = Callable[[Conclusion], None]
@@ -54,7 +53,7 @@ class Keeper:
         self,
         name: tuple[str, str],
         files: BackgroundThread,
-        log: RcutilsLogger,
+        log: Log,
         apply: Callable[[Calibration | None, str], object],
         chosen: Callable[[], str] = lambda: "",
         number: int = 1,

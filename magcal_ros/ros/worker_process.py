@@ -14,7 +14,7 @@ import signal
 import sys
 from collections.abc import Callable
 from threading import Lock
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.processes import start, unbound_memory
@@ -63,6 +63,11 @@ class WorkerProcess:
         """
         import subprocess
 
+        return self._begin(subprocess.PIPE)
+
+    def _begin(self, stdin: int | IO[bytes]) -> subprocess.Popen[bytes]:
+        import subprocess
+
         with self._lock:
             if self._is_over:
                 raise Stopped
@@ -70,7 +75,7 @@ class WorkerProcess:
                 try:
                     self._process = start(
                         __name__,
-                        stdin=subprocess.PIPE,
+                        stdin=stdin,
                         stdout=subprocess.PIPE,
                         # Ctrl-C in the node's terminal is not meant for it.
                         start_new_session=True,
@@ -87,8 +92,23 @@ class WorkerProcess:
 
         Lost if the process could not be started, or ended or was stopped meanwhile.
         """
-        process = self.start()
-        call = pickle.dumps((function, arguments))
+        return self._answer(self.start(), _message((function, arguments)))
+
+    def run_once(self, function: Callable[..., T], *arguments: Any) -> T:
+        """Do the same as `run` in a process that ends then, although the node may end before."""
+        import tempfile
+
+        # A pipe would be cut off where the node ends before the other side has read it.
+        with tempfile.TemporaryFile() as call:
+            call.write(_message((function, arguments)))
+            call.seek(0)
+            process = self._begin(call)
+        try:
+            return self._answer(process, b"")
+        finally:
+            self.stop()
+
+    def _answer(self, process: subprocess.Popen[bytes], call: bytes) -> Any:
         try:
             reply = _exchange(process, call)
         except (EOFError, OSError) as error:
@@ -98,15 +118,7 @@ class WorkerProcess:
         is_result, answer = pickle.loads(reply)
         if not is_result:
             raise answer
-        result: T = answer
-        return result
-
-    def run_once(self, function: Callable[..., T], *arguments: Any) -> T:
-        """Do the same as `run`, and end the process, so that its memory is free again."""
-        try:
-            return self.run(function, *arguments)
-        finally:
-            self.stop()
+        return answer
 
     def stop(self) -> None:
         """End the process at once, whatever it does."""
@@ -121,16 +133,23 @@ class WorkerProcess:
         self.stop()
 
 
+def _message(content: object) -> bytes:
+    """Return what a process reads, or answers: its length, and the content."""
+    words = pickle.dumps(content)
+    return len(words).to_bytes(SIZE, "big") + words
+
+
 def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
-    """Send a call and return the answer."""
-    assert process.stdin is not None
+    """Send a call, if it is not empty, and return the answer."""
     assert process.stdout is not None
-    to, back = process.stdin.fileno(), process.stdout.fileno()
-    os.set_blocking(to, False)
-    unsent, heard = memoryview(len(call).to_bytes(SIZE, "big") + call), bytearray()
+    back, to = process.stdout.fileno(), -1
+    unsent, heard = memoryview(call), bytearray()
     # Another selector would open a file, for which there may be no room.
     with selectors.PollSelector() as line:
-        line.register(to, selectors.EVENT_WRITE)
+        if process.stdin is not None:
+            to = process.stdin.fileno()
+            os.set_blocking(to, False)
+            line.register(to, selectors.EVENT_WRITE)
         line.register(back, selectors.EVENT_READ)
         while len(heard) < SIZE or len(heard) < SIZE + int.from_bytes(heard[:SIZE], "big"):
             ready = line.select(LOOK)
@@ -189,7 +208,6 @@ def main() -> int:
                 answer = (True, function(*arguments))
             except Exception as error:  # any error is passed on to the caller
                 answer = (False, error)
-            reply = pickle.dumps(answer)
-            line.write(len(reply).to_bytes(SIZE, "big") + reply)
+            line.write(_message(answer))
             line.flush()
     return 0

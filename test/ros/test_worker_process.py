@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import PATIENCE
+from support import PATIENCE, wait_until
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry import centred
@@ -170,3 +170,20 @@ def test_ctrl_c_in_the_terminal_does_not_reach_it(worker):
     pid = worker.run(os.getpid)
     os.kill(pid, signal.SIGINT)
     assert worker.run(os.getpid) == pid
+
+
+def test_a_call_that_is_made_once_is_done_although_the_node_ends(tmp_path):
+    """The process has the whole call before it starts to read: four megabytes fill any pipe."""
+    place = tmp_path / "done"
+    script = (
+        "import threading, time\n"
+        "from pathlib import Path\n"
+        "from magcal_ros.ros.worker_process import WorkerProcess\n"
+        f"work = (Path.write_bytes, Path({str(place)!r}), bytes(4_000_000))\n"
+        "threading.Thread(target=WorkerProcess().run_once, args=work, daemon=True).start()\n"
+        "time.sleep(0.5)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], stderr=subprocess.PIPE, timeout=60.0)
+    assert ended.returncode == 0
+    wait_until(lambda: place.exists() and place.stat().st_size == 4_000_000)
+    assert b"Error" not in ended.stderr
