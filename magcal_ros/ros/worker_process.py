@@ -95,7 +95,10 @@ class WorkerProcess:
         return self._answer(self.start(), _message((function, arguments)))
 
     def run_once(self, function: Callable[..., T], *arguments: Any) -> T:
-        """Do the same as `run` in a process that ends then, although the node may end before."""
+        """Do the same as `run` in a process of its own, which finishes even if the node ends.
+
+        No other call may be under way.
+        """
         import tempfile
 
         # A pipe would be cut off where the node ends before the other side has read it.

@@ -32,6 +32,8 @@ from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, UNKNO
 
 STEPS = {EARTH.stop - 1: 0.1, AT["height"].start: 0.01}
 """Of the downward field, µT, and the height, m, by which derivatives are taken."""
+SETTLED = 0.2
+"""Step of the answer, in its own sigmas, of a fit whose last rounds still change something else."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,6 @@ class Tolerances:
     """Steps at most and at least."""
     step: float = 0.05
     """Of the answer, in its own sigmas."""
-    settled: float = 0.2
-    """The same of a fit whose last rounds still change something else."""
     evidence: float = 0.5
     """Change of minus twice the logarithm of the evidence."""
     largest_turn: float = 0.4
@@ -89,7 +89,7 @@ class Fit:
     def message(self) -> str:
         """Why it stopped."""
         # Velocities may alternate between two sets of outliers, on which no answer depends.
-        settled = self.converged or self.moved < Tolerances.settled
+        settled = self.converged or self.moved < SETTLED
         return "converged" if settled else f"no convergence in {self.rounds} rounds"
 
 
@@ -141,7 +141,8 @@ def fit(
         if rounds >= tolerances.gaussian:
             point = replace(point, is_robust=True)
             if model.lean_has_no_scale:
-                point = replace(point, marginal=marginal_gradient(model, point, weighted))
+                marginal = marginal_gradient(model, point, weighted, solution)
+                point = replace(point, marginal=marginal)
         sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
         point = stepped(model, point, solution, share)
         if rounds >= tolerances.held:
@@ -150,19 +151,29 @@ def fit(
     return Fit(kind, model, point, covariance, found, weighted, rounds, converged, moved)
 
 
-def marginal_gradient(model: Model, point: Point, weighted: dict[str, Weighted]) -> FloatArray:
+def marginal_gradient(
+    model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
+) -> FloatArray:
     """Return the gradient of the logarithm of the determinant of the nodes' information matrix.
 
-    By the downward field and the height of the accelerometer, which multiply the lean: their most
-    likely values with the most likely leans are too large (Neyman and Scott, Econometrica 16,
-    1948).
+    It is taken by the downward field and the height of the accelerometer. Both multiply the lean,
+    and the joint optimum makes the leans too small and both too large (Neyman and Scott,
+    Econometrica 16, 1948).
+
+    Parameters
+    ----------
+    model : Model
+    point : Point
+    weighted : dict of str to Weighted
+        The residuals at the point.
+    solution : Solution
+        The step from there.
 
     Returns
     -------
     ndarray, shape (SHARED,)
     """
     prior, out = prior_at(model, point), np.zeros(SHARED)
-    usual = chain_of(list(weighted.values()), prior).log_determinant
     for which, step in STEPS.items():
         shared = point.state.shared.copy()
         shared[which] += step
@@ -171,7 +182,8 @@ def marginal_gradient(model: Model, point: Point, weighted: dict[str, Weighted])
             replace(part, linear=replace(moved[name].linear, residual=part.linear.residual))
             for name, part in weighted.items()
         ]
-        out[which] = (chain_of(parts, prior).log_determinant - usual) / step
+        out[which] = chain_of(parts, prior).log_determinant - solution.chain.log_determinant
+        out[which] /= step
     return out
 
 
