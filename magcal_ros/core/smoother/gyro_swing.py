@@ -32,9 +32,6 @@ class SwingTuning:
     """Of Cauchy weights; they settle sooner."""
     spike: float = 6.0
     """Times the median deviation beyond which a sector does not count."""
-    most_radial: float = math.radians(2.0)
-    """Radians up to which a deviation along the radius stands for one across it. A turn with more
-    does not fit: its halves and residuals show it, and a wide sigma would hide it."""
 
 
 SWING = SwingTuning()
