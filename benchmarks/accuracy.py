@@ -15,23 +15,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from limit import Scene, covariance_limit, heading_rms
+from simulated.turns import Trouble, measure, smooth_wobble, turn
 
 from magcal_ros.core.calibration.calibration import Estimate, yaw_jacobian
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
+from magcal_ros.core.simulation import (
     DEGREE,
     LEVEL_TILT,
     UP_ENU,
     Robot,
-    Trouble,
     heading_errors,
-    measure,
-    smooth_wobble,
     trial_attitudes,
-    turn,
 )
 
 UPRIGHT = (0.0, 0.0, 1.0)

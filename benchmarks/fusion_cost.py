@@ -12,8 +12,7 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.core.up import UpFollower
 
 REPEATS = 5

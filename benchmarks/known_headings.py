@@ -24,6 +24,7 @@ import shared_cases  # noqa: F401
 from simulated.drive import Drive, Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
+from simulated.turns import slope_rpy
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
@@ -44,7 +45,7 @@ from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.at_known_heading import HeadingLog, fit_log
 from magcal_ros.core.session.external_heading import ExternalHeading
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, slope_rpy
+from magcal_ros.core.simulation import DEGREE, Robot
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.up import UpFollower
 

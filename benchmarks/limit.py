@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from simulated.turns import Motion
 
 from magcal_ros.core.calibration.calibration import yaw_jacobian
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import exp_rotations, minimal_rotation, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.simulation.simulator import LEVEL_TILT, UP_ENU, Motion, Robot, trial_attitudes
+from magcal_ros.core.simulation import LEVEL_TILT, UP_ENU, Robot, trial_attitudes
 
 GYRO_SCALE_SIGMA = 0.02
 SOFT_IRON_ROWS = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])

@@ -39,7 +39,7 @@ from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up import UpFollower
 
 SHAPES = ("step", "speed", "turn rate", "current", "current, no battery", "side")

@@ -17,11 +17,12 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from simulated.turns import measure, turn
 
 from magcal_ros.cli.main import main as magcal
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.recorded import Gathering
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.simulation import Robot
 from magcal_ros.files.sources import open_recording
 
 ROBOT = Robot()

@@ -50,7 +50,7 @@ from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.simulation.simulator import DEGREE
+from magcal_ros.core.simulation import DEGREE
 
 
 @dataclass

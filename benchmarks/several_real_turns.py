@@ -41,12 +41,13 @@ from realistic_robots import (
     with_field,
 )
 from several_turns import SETS, TILT
+from simulated.turns import measure, slope_rpy, smooth_wobble
 
 from magcal_ros.core.calibrate import calibrate_turns
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian
 from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.knowledge import MOUNTING_YAW_SIGMA, Belief, Knowledge, ReferenceField
-from magcal_ros.core.simulation import DEGREE, Robot, measure, slope_rpy, smooth_wobble
+from magcal_ros.core.simulation import DEGREE, Robot
 
 OF_THE_ROBOT: Spoil = together(
     scattered(axes, 0.005),

@@ -13,18 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from limit import Scene, covariance_limit, heading_rms
+from simulated.turns import measure, slope_rpy, turn
 
 from magcal_ros.core.calibrate import calibrate_turns
 from magcal_ros.core.knowledge import MOUNTING_YAW_SIGMA
-from magcal_ros.core.simulation.simulator import (
-    LEVEL_TILT,
-    UP_ENU,
-    Robot,
-    heading_errors,
-    measure,
-    slope_rpy,
-    turn,
-)
+from magcal_ros.core.simulation import LEVEL_TILT, UP_ENU, Robot, heading_errors
 
 TILT = math.radians(10.0)
 EAST, NORTH, WEST, SOUTH = (k * math.pi / 2 for k in range(4))

@@ -38,19 +38,12 @@ from realistic_robots import (
     with_force,
     with_motors,
 )
+from simulated.turns import measure, slope_rpy, smooth_wobble, turn
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    heading_errors,
-    measure,
-    slope_rpy,
-    smooth_wobble,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 TILTED = "no gyro, no reference, swaying: at 10°, "
 """How rows are called whose heading is judged on slopes of 10°."""

@@ -23,7 +23,7 @@ from sensor_msgs.msg import MagneticField
 
 from magcal_ros.cli.live_view import keep_traffic_here
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Robot
 from magcal_ros.ros.rehearsal import Rehearsal
 
 keep_traffic_here()

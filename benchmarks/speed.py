@@ -10,10 +10,11 @@ import argparse
 import time
 
 import numpy as np
+from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, smooth_wobble, turn
+from magcal_ros.core.simulation import DEGREE, Robot
 
 SIZES = (50, 500, 3000, 20_000, 100_000, 1_000_000)
 

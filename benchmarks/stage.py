@@ -18,12 +18,12 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
+from simulated.turns import measure, turn
 
 from magcal_ros.cli.live_view import keep_traffic_here
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.files.calibration_file import Origin, write_calibration
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from simulated.turns import Motion, Trouble, measure, smooth_wobble, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import Outcome, calibrate
@@ -16,17 +17,7 @@ from magcal_ros.core.geometry import FloatArray, rotation_about
 from magcal_ros.core.geometry import yaw_from_up_and_field as yaw_of
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples import Window
-from magcal_ros.core.simulation import (
-    DEGREE,
-    LEVEL_TILT,
-    Motion,
-    Robot,
-    Trouble,
-    measure,
-    smooth_wobble,
-    trial_attitudes,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, trial_attitudes
 
 MIRRORS = {
     "swap x and y": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]),

@@ -10,11 +10,12 @@ from functools import partial
 import numpy as np
 from axes_cases import cheap_robot
 from scipy.spatial.transform import Rotation
+from simulated.turns import smooth_wobble
 
 from magcal_ros.core.geometry import FloatArray, exp_rotations
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import SensorLog
-from magcal_ros.core.simulation import DEGREE, UP_ENU, smooth_wobble
+from magcal_ros.core.simulation import DEGREE, UP_ENU
 
 FINE = 200.0
 """Hertz at which the truth lives."""

@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from simulated.turns import Motion
 
 from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray, rotation_about
 from magcal_ros.core.samples import Window
-from magcal_ros.core.simulation import UP_ENU, Motion, Robot
+from magcal_ros.core.simulation import UP_ENU, Robot
 
 ALONG_X: FloatArray = np.array([1.0, 0.0, 0.0])
 ALONG_Y: FloatArray = np.array([0.0, 1.0, 0.0])

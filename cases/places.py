@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from simulated.turns import Motion
 
 from magcal_ros.core.geometry import FloatArray
-from magcal_ros.core.simulation import Motion
 
 PERMEABILITY = 1e-7
 """T·m/A, over four pi."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from places import PLACES, added_field
+from simulated.turns import Motion, measure, slope_rpy, smooth_wobble, turn
 from turn_kinds import KINDS, drawn_motion, drawn_robot
 
 from magcal_ros.core.calibration import Correction
@@ -29,18 +30,7 @@ from magcal_ros.core.geometry import (
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples import FieldSample, ImuSample, Pair, Window
 from magcal_ros.core.session.session import Limits, Session
-from magcal_ros.core.simulation import (
-    DEGREE,
-    LEVEL_TILT,
-    UP_ENU,
-    Motion,
-    Robot,
-    measure,
-    slope_rpy,
-    smooth_wobble,
-    trial_attitudes,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, UP_ENU, Robot, trial_attitudes
 
 SAMPLES, SECONDS = 600, 20.0
 FULL_TURN = (1.0, 1.15)

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated.turns import measure, turn
 
-from magcal_ros.core.simulation import Robot, measure, turn
+from magcal_ros.core.simulation import Robot
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PAGES = [CHECKOUT / "README.md", *sorted((CHECKOUT / "doc").rglob("*.md"))]

@@ -22,7 +22,7 @@ from magcal_ros.core.samples.streams import (
     SpeedSample,
     VelocitySample,
 )
-from magcal_ros.core.simulation.simulator import UP_ENU, Robot
+from magcal_ros.core.simulation import UP_ENU, Robot
 from simulated.reckoning import Receiver, Wheels
 from simulated.travel import Travel
 

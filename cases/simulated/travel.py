@@ -9,8 +9,9 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about
-from magcal_ros.core.simulation.simulator import UP_ENU, Motion
+from magcal_ros.core.simulation import UP_ENU
 from simulated.legs import Leg
+from simulated.turns import Motion
 
 LEFT: FloatArray = np.array([0.0, 1.0, 0.0])
 

@@ -21,8 +21,7 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry import rotation_from_quaternion, rpy_from_rotation, wrap_angle
 from magcal_ros.core.messages import ABSENT, seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.files.recording import Recording
 from magcal_ros.files.sources import FIRST_STAMP
 from magcal_ros.ros.sensor_frames import LATCHED

@@ -4,12 +4,13 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from simulated.turns import Motion, measure
 
 from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.geometry import rotation_about
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples import Window
-from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Motion, Robot, heading_errors, measure
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -4,8 +4,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from simulated.turns import measure, slope_rpy, turn
 
-from magcal_ros.core.simulation import Robot, measure, slope_rpy, turn
+from magcal_ros.core.simulation import Robot
 
 TILT = math.radians(10.0)
 EAST, NORTH, WEST, SOUTH = (k * math.pi / 2 for k in range(4))

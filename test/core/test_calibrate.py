@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 from long_form import first_of
+from simulated.turns import measure, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import METHODS, calibrate, find_method
@@ -12,7 +13,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.units import explained
-from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors, measure, turn
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot()
 TURN_METHODS = ("maximum_likelihood", "design_tip")

@@ -7,18 +7,13 @@ import numpy as np
 import pytest
 from long_form import first_of
 from realistic_robots import SENSORS, collected, drawn, driven, evenly, heading_error, late
+from simulated.turns import measure
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry import interpolated
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    Robot,
-    heading_errors,
-    measure,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.turns import measure, turn
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.simulation import Robot, measure, turn
+from magcal_ros.core.simulation import Robot
 from magcal_ros.files.calibration_file import (
     Origin,
     backup_files,

@@ -5,9 +5,10 @@ from datetime import datetime, timezone
 from functools import cache
 
 import numpy as np
+from simulated.turns import Trouble, measure, turn
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.simulation import Robot, Trouble, measure, turn
+from magcal_ros.core.simulation import Robot
 from magcal_ros.report import Subject
 
 CREATED = datetime(2024, 5, 31, 14, 3, 7, tzinfo=timezone.utc)

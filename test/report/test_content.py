@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.turns import measure, slope_rpy, turn
 from subjects import ROBOT, good, refused, subject_of, troubled
 
 from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.verdict import NO_YAW, judge
 from magcal_ros.core.calibrate import Outcome, calibrate_turns
 from magcal_ros.core.samples import Window
-from magcal_ros.core.simulation import Robot, measure, slope_rpy, turn
+from magcal_ros.core.simulation import Robot
 from magcal_ros.report import write_report
 
 LARGEST_PAGE = 1_000_000

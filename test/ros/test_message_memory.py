@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
+from simulated.turns import measure, turn
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.samples import STREAMS, Pairer, Streams
-from magcal_ros.core.simulation import Robot, measure, turn
+from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.wire import (
     AttitudeTemplate,

@@ -10,12 +10,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from simulated.drive import Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
+from simulated.turns import measure, turn
 from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 from test_travel import Car
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.keeping.jobs import Decision, Findings, Verb
-from magcal_ros.core.simulation import Robot, measure, turn
+from magcal_ros.core.simulation import Robot
 from magcal_ros.files.calibration_file import backup_files, read_calibration
 from magcal_ros.ros.status import watch_diagnostic
 from magcal_ros.ros.worker_process import Stopped

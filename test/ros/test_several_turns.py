@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import pytest
 from rclpy.parameter import Parameter
+from simulated.turns import slope_rpy
 from support import REFERENCE, ROBOT, rms_deg
-
-from magcal_ros.core.simulation import slope_rpy
 
 ACCUMULATE = {**REFERENCE, "accumulate": True, "report_folder": "none"}
 TURNED = replace(ROBOT, yaw=0.1)

@@ -31,15 +31,6 @@ class ProofTuning:
     """Samples kept to tell the compass's sense of rotation."""
     asked_every: float = 0.25
     """Seconds between two looks at the field."""
-    recently: float = 2.0
-    """Seconds in which a field that turns must have moved."""
-    smallest_move: float = 1.5e-6
-    """Tesla between the means of the two halves of the last `recently` seconds, if the field
-    turns."""
-    smallest_arc: float = math.radians(10.0)
-    """Radians of the field's circle below which its sense of rotation is unknown."""
-    clearly_better: float = 0.5
-    """Share of the other sense's misfit below which one sense is accepted."""
     spans: tuple[float, float, float] = (
         math.radians(75.0),
         math.radians(150.0),
@@ -51,7 +42,7 @@ class ProofTuning:
     factors: tuple[float, float, float] = (0.85, 1.0, 1.2)
     """How far an angle may be off in scale and still be taken for the true one."""
     clearly_worse: float = 1.4
-    """Times the squared misfit of the other angle, from which an angle is rejected."""
+    """Times the squared misfit of another angle, from which an angle is rejected."""
     smallest_radius: float = 1.5e-6
     """Tesla. A field on a smaller circle has not turned."""
     most_rows: int = 200
@@ -80,18 +71,25 @@ def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArr
 def _objection(by_gyro: FloatArray, by_command: FloatArray, level: FloatArray, span: float) -> str:
     gyro_span, commanded_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
     shown, asked = math.degrees(gyro_span), math.degrees(commanded_span)
-    misfit, radius = _best_fit(by_gyro, level)
-    if gyro_span >= span and radius < TUNING.smallest_radius:
+    if gyro_span >= span and _best_fit(by_gyro, level)[1] < TUNING.smallest_radius:
         return f"the gyro shows {shown:.0f}° of turn, but the field did not change"
     if np.ptp(by_gyro - by_command) < TUNING.disagree * max(gyro_span, commanded_span):
         return ""
-    other, radius = _best_fit(by_command, level)
-    if radius > TUNING.smallest_radius and misfit > TUNING.clearly_worse * other:
+    if _turns_rather_by(by_command, by_gyro, level):
         return (
             f"the gyro shows {shown:.0f}°, but the field turned with the {asked:.0f}° that were "
             "commanded"
         )
     return ""
+
+
+def _turns_rather_by(one: FloatArray, other: FloatArray, level: FloatArray) -> bool:
+    """Return whether the field turns by one angle and not by the other."""
+    if not len(level):
+        return False
+    misfit, radius = _best_fit(one, level)
+    is_clear = _best_fit(other, level)[0] > TUNING.clearly_worse * misfit
+    return is_clear and radius > TUNING.smallest_radius
 
 
 def fit_circle_by_angle(turned: FloatArray, level: FloatArray) -> tuple[float, float]:
@@ -171,9 +169,7 @@ class RotationProof:
         if not self._has_gyro or now - self._asked < TUNING.asked_every or len(self._rows) < 10:
             return ""
         self._asked = now
-        turned, level = self._level_field()
-        commanded = np.array([row[8] for row in self._rows])
-        found = objection_to_gyro(turned, commanded, level)
+        found = objection_to_gyro(*self._angles_and_field())
         return f"{found}: it hangs, or it turns faster than the gyro can follow" if found else ""
 
     def explain(self, fault: Fault, seen: Seen, command: float) -> str:
@@ -184,7 +180,8 @@ class RotationProof:
         if fault is Fault.TOO_FAST:
             return f"the robot turns far too fast: {rates}"
         if fault is Fault.NOT_TURNING:
-            if seen.by_gyro and self._field_moves_now():
+            turned, asked, level = self._angles_and_field()
+            if seen.by_gyro and _turns_rather_by(asked, turned, level):
                 return f"{rates}, but the field turns: the gyro does not measure this turn"
             remedy = "is an emergency stop pressed, does the base obey cmd_vel?"
             return f"the robot does not turn: {rates}; {remedy}"
@@ -204,17 +201,11 @@ class RotationProof:
     def compass_sense(self) -> int:
         """Return +1 if the field turns as the gyro does, -1 if the other way, 0 if unknown.
 
-        Both senses are fitted by least squares; the arc may be short.
+        The arc may be short.
         """
-        if len(self._rows) < 10:
-            return 0
-        turned, level = self._level_field()
-        if np.ptp(turned) < TUNING.smallest_arc:
-            return 0
-        misfits = [fit_circle_by_angle(sense * turned, level)[0] for sense in (1.0, -1.0)]
-        if min(misfits) > TUNING.clearly_better * max(misfits):
-            return 0
-        return 1 if misfits[0] < misfits[1] else -1
+        turned, _, level = self._angles_and_field()
+        with_gyro = _turns_rather_by(turned, -turned, level)
+        return with_gyro - _turns_rather_by(-turned, turned, level)
 
     def _rate(self) -> float:
         """Return the mean rate over the last moments, rad/s."""
@@ -226,20 +217,12 @@ class RotationProof:
         seconds = last[7] - first[7]
         return (last[0] - first[0]) / seconds if seconds > 0.0 else 0.0
 
-    def _field_moves_now(self) -> bool:
+    def _angles_and_field(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the angles of gyro and commands (n,), and the field in two level axes (n, 2)."""
         if len(self._rows) < 10:
-            return False
-        stamps = np.array([row[7] for row in self._rows])
-        level = self._level_field()[1][stamps > stamps[-1] - TUNING.recently]
-        before, after = np.array_split(level, 2)
-        if not len(before):
-            return False
-        return bool(np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)) > TUNING.smallest_move)
-
-    def _level_field(self) -> tuple[FloatArray, FloatArray]:
-        """Return the gyro's angle (n,) and the field in two level axes (n, 2), right-handed."""
+            return np.zeros(0), np.zeros(0), np.zeros((0, 2))
         rows = np.array(self._rows)
         up = unit(rows[:, 4:7].mean(axis=0))
         first = unit(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]))
         axes = np.array([first, np.cross(up, first)])
-        return rows[:, 0], rows[:, 1:4] @ self._to_body.T @ axes.T
+        return rows[:, 0], rows[:, 8], rows[:, 1:4] @ self._to_body.T @ axes.T

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sample_results import SKEWED, estimate, small_covariance
+from simulated.turns import measure, turn
 
 from magcal_ros.core.calibration import (
     Correction,
@@ -16,7 +17,7 @@ from magcal_ros.core.calibration import (
     sideways_acceleration,
 )
 from magcal_ros.core.samples import Window
-from magcal_ros.core.simulation import LEVEL_TILT, Robot, heading_errors, measure, turn
+from magcal_ros.core.simulation import LEVEL_TILT, Robot, heading_errors
 
 TRUTH = Robot()
 

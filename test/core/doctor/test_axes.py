@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from axes_cases import good_case, wrong_case
 from long_form import first_of
+from simulated.turns import measure, turn
 
 from magcal_ros.core.calibrate import calibrate, calibrate_turns
 from magcal_ros.core.doctor.axes import mount_of, parameter_line
@@ -12,7 +13,7 @@ from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry import rotation_from_rpy, signed_permutations
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples import Window
-from magcal_ros.core.simulation import DEGREE, Robot, measure, turn
+from magcal_ros.core.simulation import DEGREE, Robot
 
 EVERY = signed_permutations()
 NED = np.diag([1.0, -1.0, -1.0])

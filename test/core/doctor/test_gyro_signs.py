@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
+from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.doctor.page import wrong_axes
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples import Window
-from magcal_ros.core.simulation import Robot, measure, smooth_wobble, turn
+from magcal_ros.core.simulation import Robot
 
 
 def is_refused(window):

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from simulated.turns import measure, turn
 
 from magcal_ros.core.doctor.health import (
     alive_finding,
@@ -11,7 +12,7 @@ from magcal_ros.core.doctor.health import (
     stamps_finding,
 )
 from magcal_ros.core.doctor.page import examine_window
-from magcal_ros.core.simulation import Robot, measure, turn
+from magcal_ros.core.simulation import Robot
 
 COUNT = 600
 

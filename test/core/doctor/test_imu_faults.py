@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from imu_faults_cases import FAULTS, HABITS, Habit, good_case
 from long_form import first_of
+from simulated.turns import measure, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.explanations import explain, gravity_misfit
@@ -17,7 +18,7 @@ from magcal_ros.core.doctor.prepared import prepare
 from magcal_ros.core.geometry import chained, exp_rotations, signed_permutations
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import SensorLog, stretch_of_log
-from magcal_ros.core.simulation import DEGREE, Robot, measure, turn
+from magcal_ros.core.simulation import DEGREE, Robot
 
 MOST_SEEN = "half minute"
 

@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.doctor.page import blamed_on_sensors, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.simulation import Robot, measure, smooth_wobble, turn
+from magcal_ros.core.simulation import Robot
 
 
 @pytest.fixture(scope="module")

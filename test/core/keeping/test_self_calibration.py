@@ -22,7 +22,7 @@ from magcal_ros.core.keeping.jobs import Findings, Mode, Proof, Verb
 from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Robot
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 ROBOT = Robot(

@@ -15,7 +15,7 @@ from magcal_ros.core.keeping.worker import prove
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Robot
 from magcal_ros.core.smoother.drives import drive_nodes
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)

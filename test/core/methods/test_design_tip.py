@@ -11,6 +11,7 @@ import pytest
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated.turns import measure, turn
 from tip_bridge import ours, window_of, worst_difference
 from tip_turns import QUIET, distance, level_turn, ramp_turn, refusal, rms_deg
 
@@ -20,14 +21,7 @@ from magcal_ros.core.geometry.planes import PlaneFit
 from magcal_ros.core.geometry.rotations import roll_pitch_between, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.methods.design_tip import Options, fit
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    Robot,
-    heading_errors,
-    measure,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 NORTH = math.pi / 2.0
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import printed_tip
 import pytest
+from simulated.turns import measure, turn
 from tip_bridge import knowledge_of, ours, window_of, worst_difference
 from tip_turns import QUIET, distance, ramp_turn, refusal, rms_deg, rms_of
 
@@ -15,13 +16,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.conics import ConicFit
 from magcal_ros.core.geometry.planes import PlaneFit
 from magcal_ros.core.methods.design_tip import Options, fit
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    Robot,
-    heading_errors,
-    measure,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, Robot, heading_errors
 
 VERTICAL = {"axis": (0, 0, 1), "gains": (1, 1, 1), "hard_iron": (0.6, -0.4, 0.5)}
 DIP_60 = (0.5, 0.0, math.sqrt(0.75))

@@ -9,6 +9,7 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from long_form import first_of
+from simulated.turns import Trouble, measure, smooth_wobble, turn
 
 from magcal_ros.core.calibration.calibration import yaw_jacobian
 from magcal_ros.core.calibration.figure import Figure
@@ -17,17 +18,13 @@ from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting, SoftIron
 from magcal_ros.core.methods.maximum_likelihood import METHOD, fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
+from magcal_ros.core.simulation import (
     DEGREE,
     LEVEL_TILT,
     UP_ENU,
     Robot,
-    Trouble,
     heading_errors,
-    measure,
-    smooth_wobble,
     trial_attitudes,
-    turn,
 )
 
 STILL = {"noise_field": 0.0, "noise_force": 0.0, "noise_rate": 0.0}

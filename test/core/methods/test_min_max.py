@@ -10,6 +10,7 @@ import pytest
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated.turns import measure, smooth_wobble, turn
 from tip_turns import rms_deg
 from tumbles import QUIET, SQUARE, hand_tumbling, pole_window, tumble, tumbling, with_fields
 
@@ -20,13 +21,7 @@ from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.methods.min_max import Options, believed_on_sphere, fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    heading_errors,
-    measure,
-    smooth_wobble,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, heading_errors
 
 seeds = st.integers(0, 2**32 - 1)
 ROBUST = Options(robust=True)

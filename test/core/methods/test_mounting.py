@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from simulated.turns import turn
 from tumbles import SQUARE, hand_tumbling, tumbling
 
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.methods.mounting import look_at_mounting
-from magcal_ros.core.simulation.simulator import DEGREE, UP_ENU, turn
+from magcal_ros.core.simulation import DEGREE, UP_ENU
 
 SIGMA = 3.0 * DEGREE
 TURNED = np.array([0.02, -0.03, 0.04])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.turns import measure, turn
 
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Reason, Refusal
@@ -14,15 +15,13 @@ from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.design_tip import fit
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
+from magcal_ros.core.simulation import (
     DEGREE,
     LEVEL_TILT,
     UP_ENU,
     Robot,
     heading_errors,
-    measure,
     trial_attitudes,
-    turn,
 )
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from long_form import first_of
+from simulated.turns import Motion, measure, turn
 
 from magcal_ros.core.assessment.verdict import Grade
 from magcal_ros.core.calibrate import calibrate
@@ -14,15 +15,7 @@ from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    Motion,
-    Robot,
-    heading_errors,
-    measure,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 
 def known(robot):

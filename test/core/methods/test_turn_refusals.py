@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from simulated.turns import Motion, measure, turn
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.errors import Reason, Refusal
@@ -7,16 +8,7 @@ from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    UP_ENU,
-    Motion,
-    Robot,
-    heading_errors,
-    measure,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, UP_ENU, Robot, heading_errors
 
 
 def window_of(robot=None, seed=1, **motion):

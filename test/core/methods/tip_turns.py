@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from simulated.turns import measure, turn
 
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.methods.design_tip import Options, fit
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
+from magcal_ros.core.simulation import DEGREE, Robot
 
 QUIET = Robot(noise_field=0.0, noise_force=0.0)
 

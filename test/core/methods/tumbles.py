@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from simulated.turns import Motion, measure
 
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import Motion, Robot, measure
+from magcal_ros.core.simulation import Robot
 
 SQUARE = Robot(roll=0.0, pitch=0.0)
 QUIET = Robot(roll=0.0, pitch=0.0, noise_field=0.0, noise_force=0.0)

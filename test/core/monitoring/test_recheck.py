@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 from drives import ROBOT
+from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
@@ -14,7 +15,7 @@ from magcal_ros.core.monitoring.recheck import (
     check,
     expected_field,
 )
-from magcal_ros.core.simulation import Robot, measure, smooth_wobble, turn
+from magcal_ros.core.simulation import Robot
 
 
 def window(robot=ROBOT, seed=1, gyro=True, samples=700, duration=14.0, **motion):

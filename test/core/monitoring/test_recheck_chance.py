@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from simulated.turns import measure, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
@@ -15,7 +16,7 @@ from magcal_ros.core.monitoring.change import (
 )
 from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, check
 from magcal_ros.core.samples import Window
-from magcal_ros.core.simulation import Robot, measure, turn
+from magcal_ros.core.simulation import Robot
 
 BOUND = next(b for b in RECHECK_BOUNDS if b.figure is Figure.HEADING_SWING)
 ROBOT = Robot(noise_field=0.3e-6)

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simulated import city, random_vehicle, simulated_drive, travel
+from simulated.turns import measure, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.monitoring.recheck import check, iron_added
 from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.drive_log import log_of
-from magcal_ros.core.simulation import measure, turn
 
 
 @pytest.fixture(scope="module")

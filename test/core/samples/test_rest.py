@@ -2,10 +2,11 @@ import math
 
 import numpy as np
 import pytest
+from simulated.turns import Motion, measure
 
 from magcal_ros.core.geometry import rotation_about
 from magcal_ros.core.samples.rest import rests_around
-from magcal_ros.core.simulation import Motion, Robot, measure
+from magcal_ros.core.simulation import Robot
 
 DEGREE = math.pi / 180.0
 UP = np.array([0.0, 0.0, 1.0])

@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import count
 
 import numpy as np
+from simulated.turns import measure, turn
 
 from magcal_ros.core.calibrate import Outcome, calibrate
 from magcal_ros.core.errors import Reason, Refusal
@@ -23,7 +24,7 @@ from magcal_ros.core.session.turn_events import (
     Report,
 )
 from magcal_ros.core.session.turn_machine import TurnMachine
-from magcal_ros.core.simulation import Ride, Robot, measure, turn
+from magcal_ros.core.simulation import Ride, Robot
 
 STEP = 0.02
 ROBOT = Robot()

@@ -6,6 +6,7 @@ import pytest
 from drives import ROBOT, drive, write_csv
 from long_form import first_of
 from simulated import Vehicle, city, simulated_drive, travel
+from simulated.turns import measure, turn
 
 from magcal_ros.core.calibration import Figure
 from magcal_ros.core.errors import Reason, Refusal
@@ -14,7 +15,7 @@ from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
 from magcal_ros.core.session.session import TUNING, Limits
 from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.core.simulation import Ride, Robot, heading_errors, measure, turn
+from magcal_ros.core.simulation import Ride, Robot, heading_errors
 from magcal_ros.files.sources import open_recording
 
 KNOWLEDGE = ROBOT.knowledge(1.5e-6, math.radians(1.0))

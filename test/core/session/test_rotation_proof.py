@@ -25,7 +25,7 @@ def watch(yaw_rate=TOLD, seconds=2.0, mirror_gyro=1.0, seed=1, gyro=True, gap=No
         if gap and gap[0] < ride.stamp - 1.0 < gap[1]:
             continue
         rate = tuple(mirror_gyro * value for value in imu.rate)
-        proof.add(Pair(FieldSample(imu.stamp, field.field), imu._replace(rate=rate)))
+        proof.add(Pair(FieldSample(imu.stamp, field.field), imu._replace(rate=rate)), TOLD)
     return proof
 
 

@@ -4,13 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from long_form import first_of
+from simulated.turns import measure, turn
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples import FieldSample, ImuSample, Pair, Window
 from magcal_ros.core.session.session import TUNING, Limits, Session, Stage
-from magcal_ros.core.simulation import DEGREE, Robot, measure, turn
+from magcal_ros.core.simulation import DEGREE, Robot
 
 ROBOT = Robot()
 CERTAIN, UNCERTAIN = math.radians(0.2), math.radians(0.9)

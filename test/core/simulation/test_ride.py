@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from simulated.turns import measure, turn
 
 from magcal_ros.core.geometry import (
     STANDARD_GRAVITY,
@@ -12,7 +13,7 @@ from magcal_ros.core.geometry import (
     yaw_from_up_and_field,
 )
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.simulation import Ride, Robot, measure, turn
+from magcal_ros.core.simulation import Ride, Robot
 
 SILENT = {"noise_field": 0.0, "noise_force": 0.0, "noise_rate": 0.0}
 PERFECT = Robot(declination=0.2, gyro_bias=np.array([0.01, -0.02, 0.03]), **SILENT)

@@ -15,7 +15,7 @@ from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.session.at_known_heading import add_standing
-from magcal_ros.core.simulation.simulator import DEGREE, Robot
+from magcal_ros.core.simulation import DEGREE, Robot
 from magcal_ros.core.smoother.headings import fit_headings
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import SIZES

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.turns import measure, turn
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate
@@ -16,14 +17,7 @@ from magcal_ros.core.errors import Reason
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    Robot,
-    heading_errors,
-    measure,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 from magcal_ros.core.smoother.kinds_of_motion import MOST_FITS, smooth
 from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.turns import measure
 from slope_turns import EAST, KNOWN, LEVEL, NORTH, ROBOT, motion_on, window_on
 
-from magcal_ros.core.simulation.simulator import measure
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.kinds_of_motion import smooth
 from magcal_ros.core.smoother.several import Together, fit_together, imagined_information

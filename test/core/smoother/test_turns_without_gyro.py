@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.turns import Motion, measure, smooth_wobble, turn
 
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
@@ -14,16 +15,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    Motion,
-    Robot,
-    heading_errors,
-    measure,
-    smooth_wobble,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 from magcal_ros.core.smoother.without_gyro import living_axes
 
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05)
