@@ -22,8 +22,6 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import between, length
 from magcal_ros.core.samples.stamps import (
     bursts_in_words,
-    bursts_of_a_turn,
-    long_gaps,
     spread_bursts,
 )
 from magcal_ros.core.samples.streams import (
@@ -220,7 +218,7 @@ class RepairedReadings:
                 self._counted(chain(begun, readings)), _usual_gap(stamps[0]), slow
             )
             return
-        if not any(map(bursts_of_a_turn, stamps)):
+        if not any(map(bursts_in_words, stamps)):
             yield from self._counted(chain(begun, readings))
             return
         del readings, begun
@@ -269,7 +267,7 @@ class RepairedReadings:
         names = self._source.imu_topic, self._source.field_topic
         for name, old, new in zip(names, stamps, even, strict=True):
             if new is not None:
-                topics.setdefault(bursts_in_words(long_gaps(old)), []).append(name)
+                topics.setdefault(bursts_in_words(old), []).append(name)
         self.notes += [
             f"{' and '.join(them)}: {words}; here they were spread evenly, which a node cannot do"
             for words, them in topics.items()

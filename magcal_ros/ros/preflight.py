@@ -19,7 +19,7 @@ from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray
 from magcal_ros.core.geometry.frame_tree import FrameTrouble
 from magcal_ros.core.messages import field_sample, imu_sample, seconds
-from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
+from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 from magcal_ros.files.default_paths import known_as
@@ -149,8 +149,8 @@ def _judge(heard: Heard, duration: float) -> list[str]:
     if not any(heard.stamps):
         found.append("  stamps are zero: the driver must stamp its messages")
     elif len(heard.stamps) > FEWEST_STAMPS:
-        long = long_gaps(np.array(heard.stamps))
-        found += [f"  {bursts_in_words(long)}"] if len(long) else []
+        words = bursts_in_words(np.array(heard.stamps))
+        found += [f"  {words}"] if words else []
     if heard.publishers > 1:
         found.append(f"  {heard.publishers} publishers on one topic: only one can be the sensor")
     if heard.kind == IMU_TYPE:

@@ -1,23 +1,32 @@
-"""Which sensor errs (two of three agree), and whether the sensor stands upright."""
+"""Which sensor errs (two of three agree), which axes it has, and whether it stands upright."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.doctor.axes import LIFT, AxesFound, dip_is_known, named
-from magcal_ros.core.doctor.axes import TUNING as AXES
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations
-from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.health import SIGMAS, Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
-from magcal_ros.core.geometry.rotations import DIRECTIONS, is_mirrored, rank_of, spoken, swapped
+from magcal_ros.core.geometry.rotations import (
+    DIRECTIONS,
+    is_mirrored,
+    likely_slip,
+    rank_of,
+    rpy_from_rotation,
+    spoken,
+    swapped,
+)
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.units import LEAST_UPRIGHT
 from magcal_ros.core.samples.window import SensorLog
 
+LIFT = "lift the nose by 20° while it turns"
+DRIVE = "; on a straight drive a receiver's course shows its yaw, too"
 SIGN = (
     "gravity has the wrong sign: REP-145 wants +9.81 on z at rest, so negate linear_acceleration "
     "in the driver"
@@ -99,6 +108,98 @@ TURNED_RIGHT = (
 
 
 @dataclass(frozen=True, eq=False)
+class AxesFound:
+    """What a movement shows of the magnetometer's axes."""
+
+    candidates: FloatArray
+    """What explains the samples, the likeliest first; rows are the magnetometer's axes, after the
+    mounting that is known, in the body's. Shape (k, 3, 3)."""
+    right: bool  # whether the axes as given are among them, or not excluded beyond doubt
+    pose: FloatArray
+    """The mounting that is known. Shape (3, 3)."""
+    dip_known: bool  # whether a reference inclination separates a field from its opposite
+
+    @property
+    def meant(self) -> FloatArray:
+        """The likeliest axes, those as given where they are not excluded."""
+        return np.eye(3) if self.right else np.asarray(self.candidates[0])
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the likeliest axes are such as no mounting makes."""
+        return is_mirrored(self.meant)
+
+    @property
+    def mount_rpy_deg(self) -> tuple[int, int, int] | None:
+        """What the parameter `mount_rpy_deg` should be; None if no mounting corrects the axes."""
+        return None if self.mirrored else mount_of(self.meant, self.pose)
+
+    @property
+    def words(self) -> str:
+        """What is wrong and the line to change, if gyro and accelerometer are right; else empty."""
+        if self.right:
+            return ""
+        ways = named(self.candidates, self._say)
+        words = f"the magnetometer's axes do not belong to the IMU's: {ways}"
+        return f"{words}. To tell which, {self.movement}" if self.movement else words
+
+    @property
+    def movement(self) -> str:
+        """The movement that separates the remaining candidates; empty if one is left."""
+        if len(self.candidates) < 2:
+            return ""
+        first = self.candidates[0]
+        is_opposite = len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
+        if is_opposite and not self.dip_known:
+            return (
+                "give the place or the field's inclination: only this separates axes from their "
+                "opposites"
+            )
+        dip = "" if self.dip_known else ", and give the place or the field's inclination"
+        level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)
+        return f"{LIFT}{dip}{DRIVE if level else ''}"
+
+    def _say(self, axes: FloatArray) -> str:
+        whole = np.rint(self.pose.T @ axes)
+        if not np.array_equal(np.abs(whole).sum(axis=0), np.ones(3)):
+            whole = axes
+        if is_mirrored(axes):
+            return f"{spoken(whole)} (mirrored: no mounting explains this; {likely_slip(whole)})"
+        named = " (NED)" if np.array_equal(whole, np.diag([1.0, -1.0, -1.0])) else ""
+        return f"{spoken(whole)}{named}: set `{parameter_line(mount_of(axes, self.pose))}`"
+
+
+def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
+    """Say the likeliest of the candidates (k, 3, 3), and how many more there are."""
+    left = len(candidates) - WEIGHED.most_named
+    words = [say(axes) for axes in candidates[: WEIGHED.most_named]]
+    return "; or ".join([*words, f"{left} more"] if left > 0 else words)
+
+
+def mount_of(axes: FloatArray, pose: FloatArray) -> tuple[int, int, int]:
+    """Return the mounting's roll, pitch and yaw in degrees of axes found on top of a known pose."""
+    roll, pitch, yaw = (
+        round(math.degrees(angle)) % 360 for angle in rpy_from_rotation(axes.T @ pose)
+    )
+    return _signed(roll), _signed(pitch), _signed(yaw)
+
+
+def parameter_line(rpy_deg: tuple[int, int, int]) -> str:
+    """Return the line for a parameter file."""
+    return f"mount_rpy_deg: [{', '.join(f'{angle}.0' for angle in rpy_deg)}]"
+
+
+def _signed(degrees: int) -> int:
+    return degrees - 360 if degrees > 180 else degrees
+
+
+def dip_is_known(knowledge: Knowledge) -> bool:
+    """Return whether the reference field separates axes from their opposites."""
+    dip = knowledge.reference.inclination
+    return not dip.is_unknown and abs(dip.value) > SIGMAS * WEIGHED.dip_sigma
+
+
+@dataclass(frozen=True, eq=False)
 class Blame:
     """Which sensors err."""
 
@@ -113,15 +214,15 @@ class Blame:
 def blame(explanations: Explanations, knowledge: Knowledge, turned_left: bool | None) -> Blame:
     """Name the sensors whose axes err, or may err."""
     best = explanations.best
-    if explanations.rms[best] > AXES.worst_fit:
+    if explanations.rms[best] > WEIGHED.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return Blame((finding,), best, None, False)
     misfit = explanations.misfit
-    remains = misfit < AXES.remains
+    remains = misfit < WEIGHED.remains
     given = explanations.plain
     # What was asked for and what all sensors saw may differ because a person erred.
     contrary = _contrary(explanations, turned_left)
-    if misfit[given] < AXES.wrong:
+    if misfit[given] < WEIGHED.wrong:
         return _all_agree(explanations, given, remains, knowledge, contrary)
     kept = remains & ~contrary
     remains = kept if kept.any() else remains
@@ -162,7 +263,7 @@ def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:
 
 def _order(explanations: Explanations, k: int) -> tuple[bool, int, int]:
     gyro, field = (rank_of(axes[k]) for axes in (explanations.gyro, explanations.field))
-    return bool(explanations.misfit[k] > AXES.likely), gyro, field
+    return bool(explanations.misfit[k] > WEIGHED.likely), gyro, field
 
 
 def _all_agree(
@@ -172,8 +273,11 @@ def _all_agree(
     knowledge: Knowledge,
     contrary: BoolArray,
 ) -> Blame:
-    candidates = _field_candidates(explanations, remains, given)
-    axes = AxesFound(candidates, True, knowledge.mounting.pose, dip_is_known(knowledge))
+    # The magnetometer's axes that remain while the gyro is right.
+    alike = (explanations.gyro == explanations.gyro[given]).all(axis=(1, 2))
+    axes = AxesFound(
+        explanations.field[remains & alike], True, knowledge.mounting.pose, dip_is_known(knowledge)
+    )
     known = np.array_equal(knowledge.mounting.pose, STANDARD)
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
@@ -188,16 +292,6 @@ def _all_agree(
         said = TURNED_RIGHT + "".join(f", or the {sensor} alone errs" for sensor in alone)
         found.append(looked_at("imu_axes", "axes: up", "a turn to the right", said))
     return Blame(tuple(found), given, axes, True)
-
-
-def _field_candidates(explanations: Explanations, remains: BoolArray, given: int) -> FloatArray:
-    """Return the magnetometer's axes that remain while the gyro is right."""
-    kept = [
-        k
-        for k in np.flatnonzero(remains)
-        if np.array_equal(explanations.gyro[k], explanations.gyro[given])
-    ]
-    return explanations.field[kept] if kept else np.zeros((0, 3, 3))
 
 
 def _accused(
@@ -227,7 +321,7 @@ def _accused(
             words, slip = SAID[sensor]
             candidates = _distinct(explanations.gyro[ways])
             said[sensor] = words.format(named(candidates, slip))
-            if len(candidates) > AXES.most_named:
+            if len(candidates) > WEIGHED.most_named:
                 said[sensor] += f". To tell which, {LIFT}"
     names = " or ".join(said)
     if len(said) > 1:

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
-from magcal_ros.core.doctor.axes import mount_of, parameter_line
+from magcal_ros.core.doctor.blame import mount_of, parameter_line
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import FloatArray

@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from magcal_ros.core.doctor.axes import TUNING as AXES
-from magcal_ros.core.doctor.axes import inclination_misfit, most_turned
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray, accumulated
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, accumulated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
@@ -28,6 +27,7 @@ from magcal_ros.core.samples.alignment import (
     IRON,
     LAG,
     SCALE,
+    UP,
     WIDE,
     Alignment,
     align,
@@ -39,6 +39,18 @@ from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
 class ExplanationTuning:
     """What is believed of sensors that may be faulty, and when an explanation is dropped."""
 
+    remains: float = 20.0  # chi-square, in independent samples, up to which an explanation remains
+    likely: float = 9.0  # chi-square up to which candidates are ordered by what people do
+    wrong: float = 40.0  # chi-square from which the axes as given are called wrong
+    times: float = 2.0  # times the best's residual from which another fits plainly worse
+    lift: float = math.radians(3.0)
+    """Radians RMS of movement beside the turn from which less than that suffices."""
+    worst_fit: float = 0.3
+    """Residual over the changing field beyond which even the best explains nothing."""
+    dip_sigma: float = math.radians(3.0)
+    """Radians that a reference inclination is trusted to at best."""
+    attitude_error: float = math.radians(0.5)  # radians that propagated attitudes are off at best
+    most_named: int = 3  # explanations that are written out for one sensor
     pruned: float = 80.0  # chi-square beyond which a way is not fitted
     most: int = 32  # ways that are fitted
     doubtful: float = 12.0
@@ -49,6 +61,20 @@ class ExplanationTuning:
     settled: float = 0.02  # seconds of latency that need no further look
     looks: int = 4  # at the latency
     least_turn: float = math.radians(40.0)  # radians between the first and some later attitude
+    span: float = 0.6
+    """Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias."""
+    lever: float = 1.0
+    """Metres, standard deviation of how far the sensor is from the point about which it turns: a
+    hand swings it around an elbow, a vehicle turns about its rear axle."""
+    rounds: int = 3  # of robust weights
+    plain: float = 5.0  # times too large or too small from which no scale error can be meant
+    # Seconds over which field and gyro are compared: the shortest in which the field moves.
+    spans: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
+    moved: float = 0.15  # share of its size by which the field must move in that time to take part
+    below: float = 8.0
+    above: float = 2.2
+    """Times by which a known factor may be below and above the rough one: short arcs and noise make
+    that too large."""
 
 
 TUNING = ExplanationTuning()
@@ -61,12 +87,8 @@ class Explanations:
     gyro: FloatArray
     field: FloatArray
     """Axes of the two sensors in the accelerometer's. Shape (k, 3, 3)."""
-    cost: FloatArray
-    """Chi-square in independent samples, above that of the best without an inclination. Shape
-    (k,)."""
     base: FloatArray
-    """The same without the inclination, which alone separates the field from its opposite. Shape (k
-    / 2,)."""
+    """Chi-square in independent samples, above the best's, without the inclination. Shape (k,)."""
     rms: FloatArray
     """Typical residual of the field over the size of its changing part. Shape (k,)."""
     parameters: FloatArray
@@ -75,6 +97,18 @@ class Explanations:
     Shape (k, 23)."""
     part: Stretch  # what was fitted
     found: Alignment  # the fit, which does not separate the field from its opposite
+    inclination: Belief  # which alone does
+
+    @cached_property
+    def cost(self) -> FloatArray:
+        """Chi-square with the inclination, shape (k,)."""
+        count = len(self.base) // 2
+        by_inclination = [
+            _inclination_misfit(self.found, k, sign, self.inclination)
+            for sign in (1, -1)
+            for k in range(count)
+        ]
+        return np.asarray(self.base + by_inclination)
 
     @property
     def misfit(self) -> FloatArray:
@@ -84,28 +118,22 @@ class Explanations:
     @property
     def field_right(self) -> float:
         """The least cost with which the magnetometer's axes are right."""
-        right = (self.field == np.eye(3)).all(axis=(1, 2))
-        return float(self.cost[right].min())
-
-    def with_inclination(self, inclination: Belief) -> Explanations:
-        """Return the same for another inclination."""
-        half = len(self.cost) // 2
-        lag = float(self.parameters[0, LAG] - self.found.parameters[0, LAG])
-        return _signed(
-            self.gyro[:half], self.field[:half], self.base, self.found, inclination, lag, self.part
-        )
+        return float(self.cost[_are_right(self.field)].min())
 
     @property
     def plain(self) -> int:
         """The way in which all axes are right."""
-        return int(
-            np.argmax(((self.gyro == np.eye(3)) & (self.field == np.eye(3))).all(axis=(1, 2)))
-        )
+        return int(np.argmax(_are_right(self.gyro) & _are_right(self.field)))
 
     @property
     def best(self) -> int:
         """Which way fits best."""
-        return int(np.argmin(self.misfit))
+        return int(np.argmin(self.cost))
+
+    @property
+    def fits_well(self) -> bool:
+        """Whether the best way leaves so little that small differences of the fit are believed."""
+        return bool(self.rms[self.best] < TUNING.good_fit)
 
     def turned(self, k: int) -> float:
         """Return the angle turned about the accelerometer's up, by one way, radians."""
@@ -114,6 +142,11 @@ class Explanations:
         rate = (1.0 + self.parameters[k, SCALE]) * stretch.turn @ self.gyro[k]
         rate = rate - self.parameters[k, BIAS] * stretch.seconds[:, None]
         return float(np.sum(rate * up))
+
+
+def _are_right(axes: FloatArray) -> BoolArray:
+    """Return which axes (k, 3, 3) are those of the body."""
+    return np.asarray((axes == np.eye(3)).all(axis=(1, 2)))
 
 
 def explain(log: SensorLog, inclination: Belief) -> Explanations | None:
@@ -133,7 +166,27 @@ def explain(log: SensorLog, inclination: Belief) -> Explanations | None:
         senses = _against_the_field(part, proper)
     gyro, field, base = _remaining(part, senses, every, proper)
     found = align(part, field, gyro)
-    return _signed(gyro, field, base - base.min(), found, inclination, lag, part)
+    # Each field against its opposite, which turns alike.
+    twice = np.tile(np.arange(len(field)), 2)
+    parameters = found.parameters[twice]
+    parameters[:, LAG] += lag
+    parameters[len(field) :, FIELD.start : IRON.stop] *= -1.0
+    return Explanations(
+        gyro[twice],
+        np.concatenate([field, -field]),
+        base[twice] - base.min(),
+        found.rms[twice],
+        parameters,
+        np.sqrt(np.einsum("kii->ki", found.covariance[twice])),
+        part,
+        found,
+        inclination,
+    )
+
+
+def most_turned(stretch: Stretch) -> float:
+    """Return how far apart the most distant attitudes are, roughly, radians."""
+    return float(np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max())
 
 
 def _against_the_field(stretch: Stretch, proper: FloatArray) -> Alignment:
@@ -153,7 +206,7 @@ def _remaining(
     misfit, rms = gravity_misfit(stretch, every)
     gravity = _decisive(misfit, rms, senses.tilt_seen > 0.0)
     is_good = bool(senses.rms[senses.best] < TUNING.good_fit)
-    lifted = senses.tilt_seen > AXES.lift and is_good
+    lifted = senses.tilt_seen > TUNING.lift and is_good
     against_field = _decisive(senses.misfit, senses.rms, lifted).reshape(2, -1)
     sense = np.rint(np.linalg.det(every))
     cost = (against_field[(sense < 0.0).astype(int)] + gravity[:, None]).ravel()
@@ -162,7 +215,7 @@ def _remaining(
     gyro = order // len(proper)
     # A turn on the level leaves most axes of a gyro open: those as given are always among them.
     likely = (np.arange(len(order)) < TUNING.most) | (gyro == 0)
-    right = (gyro == 0) & (field[order] == np.eye(3)).all(axis=(1, 2))
+    right = (gyro == 0) & _are_right(field[order])
     kept = (likely & (cost[order] - cost.min() < TUNING.pruned)) | right
     return every[gyro[kept]], field[order[kept]], cost[order[kept]]
 
@@ -174,58 +227,33 @@ def _decisive(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
     so does linear acceleration where gravity does not show the lift that the gyro reads: then only
     those are excluded that fit plainly worse.
     """
-    plainly = rms > AXES.times * rms[np.argmin(misfit)]
+    plainly = rms > TUNING.times * rms[np.argmin(misfit)]
     capped = np.minimum(misfit, TUNING.doubtful)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 
-def _signed(
-    gyro: FloatArray,
-    field: FloatArray,
-    base: FloatArray,
-    found: Alignment,
-    inclination: Belief,
-    lag: float,
-    part: Stretch,
-) -> Explanations:
-    """Let the inclination weigh each field against its opposite, which turns alike."""
-    count = len(field)
-    by_inclination = [
-        inclination_misfit(found, k, sign, inclination)
-        for sign in (1.0, -1.0)
-        for k in range(count)
-    ]
-    twice = np.concatenate([np.arange(count), np.arange(count)])
-    parameters = found.parameters[twice]
-    parameters[:, LAG] += lag
-    parameters[count:, FIELD.start : IRON.stop] *= -1.0
-    return Explanations(
-        gyro[twice],
-        np.concatenate([field, -field]),
-        base[twice] + np.array(by_inclination),
-        base,
-        found.rms[twice],
-        parameters,
-        np.sqrt(np.einsum("kii->ki", found.covariance[twice])),
-        part,
-        found,
-    )
+def _inclination_misfit(found: Alignment, k: int, sign: int, dip: Belief) -> float:
+    """Return the chi-square of a candidate's inclination against the reference.
 
-
-@dataclass(frozen=True)
-class GravityTurnsTuning:
-    """How changes of gravity are compared with the gyro's turns."""
-
-    span: float = 0.6
-    """Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias."""
-    lever: float = 1.0
-    """Metres, standard deviation of how far the sensor is from the point about which it turns: a
-    hand swings it around an elbow, a vehicle turns about its rear axle."""
-    floor: float = math.radians(0.5)  # radians of noise that is believed at least
-    rounds: int = 3  # of robust weights
-
-
-GRAVITY = GravityTurnsTuning()
+    `sign` is -1 where the opposite of all axes of candidate `k` is meant. A reference inclination
+    that is not known weighs nothing.
+    """
+    given_up = not np.isfinite(found.covariance[k]).all()
+    if dip.is_unknown or given_up:
+        return 0.0
+    state = found.parameters[k]
+    up = state[UP] / np.linalg.norm(state[UP])
+    field = sign * state[FIELD]
+    size = float(np.linalg.norm(field))
+    along = float(up @ field) / size
+    level = math.sqrt(max(1.0 - along**2, 1e-6))
+    slope = (up - along * field / size) / size / level
+    variance = float(slope @ found.covariance[k][FIELD, FIELD] @ slope)
+    # Drift of the gyro looks like a small tilt, which shows nothing of the field.
+    variance += (TUNING.attitude_error / max(found.tilt_seen, 1e-6)) ** 2
+    seen = -math.asin(max(-1.0, min(1.0, along)))
+    allowed = TUNING.dip_sigma**2 + dip.sigma**2
+    return (seen - dip.value) ** 2 / (allowed + variance)
 
 
 def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -240,7 +268,7 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
     seconds = accumulated(stretch.seconds)
-    first, last, turn = _turns_in(stretch, GRAVITY.span)
+    first, last, turn = _turns_in(stretch, TUNING.span)
     if len(first) < 4:
         return np.zeros(len(ways)), np.zeros(len(ways))
     size = np.linalg.norm(stretch.up, axis=1, keepdims=True)
@@ -258,11 +286,11 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
     target = seen - moved
-    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [GRAVITY.lever] * 3)
+    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [TUNING.lever] * 3)
     prior = np.diag(sizes**-2.0)
     repeated = max(float(np.mean(last - first)), 1.0)
     sigma, left = math.radians(5.0), np.zeros((count, n))
-    for _ in range(GRAVITY.rounds):
+    for _ in range(TUNING.rounds):
         weight = 7.0 / (4.0 + left / sigma**2) / sigma**2 / repeated
         rows = design * weight[..., None, None]
         normal = np.einsum("knia,knib->kab", rows, design) + prior
@@ -270,10 +298,10 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
         left = np.sum((target - np.einsum("knia,ka->kni", design, found)) ** 2, axis=2)
         typical = np.sqrt(np.median(left, axis=1) / 2.37)
         cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
-        sigma = max(float(typical[np.argmin(cost)]), uneven, GRAVITY.floor)
+        sigma = max(float(typical[np.argmin(cost)]), uneven, TUNING.attitude_error)
     cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
     cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
-    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, GRAVITY.floor))
+    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, TUNING.attitude_error))
 
 
 def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatArray]:
@@ -293,32 +321,13 @@ def _accelerated(rate: FloatArray, seconds: FloatArray) -> FloatArray:
     return np.asarray((gains + turns @ turns) / STANDARD_GRAVITY)
 
 
-DEGREE = math.pi / 180.0
-
 KNOWN: tuple[tuple[float, str], ...] = (
-    (DEGREE, "degrees/s published as rad/s"),
-    (1.0 / DEGREE, "rad/s converted from degrees twice"),
-    (DEGREE / STANDARD_GRAVITY, "rates converted to degrees and multiplied by gravity"),
+    (math.radians(1.0), "degrees/s published as rad/s"),
+    (math.degrees(1.0), "rad/s converted from degrees twice"),
+    (math.radians(1.0) / STANDARD_GRAVITY, "rates converted to degrees and multiplied by gravity"),
     (1.0 / STANDARD_GRAVITY, "rates multiplied by gravity, as accelerations are"),
 )
 """What makes rad/s of rates that people have published, and how it comes to be."""
-
-
-@dataclass(frozen=True)
-class RateUnitTuning:
-    """When the gyro is taken to count in another unit."""
-
-    plain: float = 5.0  # times too large or too small from which no scale error can be meant
-    # Seconds over which field and gyro are compared: the shortest in which the field moves.
-    spans: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
-    moved: float = 0.15  # share of its size by which the field must move in that time to take part
-    below: float = 8.0
-    above: float = 2.2
-    """Times by which a known factor may be below and above the rough one: short arcs and noise make
-    that too large."""
-
-
-UNIT_TUNING = RateUnitTuning()
 
 
 def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
@@ -329,29 +338,26 @@ def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
     that changes from place to place goes farther than the gyro turns, and is no slip. A field that
     does not move shows nothing of the unit, which is then 1.
     """
-    for span in UNIT_TUNING.spans:
+    for span in TUNING.spans:
         first, last, turn = _turns_in(stretch, span)
         way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
-        moved = way > max(UNIT_TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
+        moved = way > max(TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
         if moved.sum() >= 3:
             break
     else:
         return (1.0,)
     turned = np.linalg.norm(turn[moved], axis=1)
     rough = float(np.median(way[moved])) / max(float(np.median(turned)), 1e-12)
-    if 1.0 / UNIT_TUNING.plain < rough < UNIT_TUNING.plain:
+    if 1.0 / TUNING.plain < rough < TUNING.plain:
         return None
     known = (1.0, *(factor for factor, _ in KNOWN))
-    return tuple(f for f in known if rough / UNIT_TUNING.below < f < rough * UNIT_TUNING.above)
+    return tuple(f for f in known if rough / TUNING.below < f < rough * TUNING.above)
 
 
 def factor_in_words(factor: float) -> str:
     """Say what a factor of `rate_factors` means, and what to do."""
-    size = (
-        f"{1.0 / factor:.3g} times too large" if factor < 1.0 else f"{factor:.3g} times too small"
-    )
-    known = dict(KNOWN)[factor]
+    times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
     return (
-        f"the gyro's rates are {size}, which looks like {known}; multiply them by {factor:.6g} in "
-        "the driver"
+        f"the gyro's rates are {times:.3g} times too {size}, which looks like "
+        f"{dict(KNOWN)[factor]}; multiply them by {factor:.6g} in the driver"
     )

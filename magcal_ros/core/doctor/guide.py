@@ -7,7 +7,6 @@ any is taken for right.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from enum import Enum
@@ -63,15 +62,6 @@ class GuideTuning:
 TUNING = GuideTuning()
 
 
-@dataclass(frozen=True, eq=False)
-class _Block:
-    """Means over a short time; NaN without samples."""
-
-    force: FloatArray
-    rate: FloatArray
-    field: FloatArray
-
-
 class Guide:
     """Asks for one stage after the other and sees them done.
 
@@ -84,9 +74,10 @@ class Guide:
         self._since = self._block_began = now
         self._imu: list[tuple[float, ...]] = []
         self._field: list[tuple[float, ...]] = []
-        self._blocks: list[_Block] = []
+        self._blocks: list[FloatArray] = []
+        """Means of force, rate and field over a short time, NaN without samples. Shape (3, 3)."""
         self._begun = 0  # the first block of what is asked for now
-        self._resting: _Block | None = None
+        self._resting: FloatArray | None = None
         self._angle = 0.0
         self._done_moving = False
 
@@ -138,15 +129,17 @@ class Guide:
         return False
 
     def _close_block(self, now: float) -> None:
-        imu = np.mean(self._imu, axis=0) if self._imu else np.full(6, np.nan)
-        field = np.mean(self._field, axis=0) if self._field else np.full(3, np.nan)
-        block = _Block(np.asarray(imu[:3]), np.asarray(imu[3:]), np.asarray(field))
+        block = np.full((3, 3), np.nan)
+        if self._imu:
+            block[:2] = np.mean(self._imu, axis=0).reshape(2, 3)
+        if self._field:
+            block[2] = np.mean(self._field, axis=0)
         self._blocks.append(block)
-        if self._resting is not None and np.isfinite(block.rate).all():
+        if self._resting is not None and np.isfinite(block[1]).all():
             # About the axis that points up at rest, whichever it is.
-            up = self._resting.force / max(float(np.linalg.norm(self._resting.force)), 1e-12)
-            bias = np.nan_to_num(self._resting.rate)
-            self._angle += float(up @ (block.rate - bias)) * (now - self._block_began)
+            force, bias, _ = self._resting
+            about_up = float(force @ (block[1] - bias)) / max(float(np.linalg.norm(force)), 1e-12)
+            self._angle += about_up * (now - self._block_began)
         self._imu, self._field = [], []
         self._block_began = now
 
@@ -154,13 +147,12 @@ class Guide:
         if stage is GuideStep.STAND:
             return self._stands(TUNING.stand)
         assert self._resting is not None
-        newest = self._blocks[-1]
+        (force, _, field), (resting, _, first) = self._blocks[-1], self._resting
         if stage is GuideStep.TURN:
-            way = float(np.linalg.norm(newest.field - self._resting.field))
-            swing = way / max(float(np.linalg.norm(self._resting.field)), 1e-12)
+            swing = float(np.linalg.norm(field - first)) / max(float(np.linalg.norm(first)), 1e-12)
             self._done_moving |= abs(self._angle) > TUNING.angle or swing > TUNING.swing
         else:
-            self._done_moving |= _apart(newest.force, self._resting.force) > TUNING.lift
+            self._done_moving |= _apart(force, resting) > TUNING.lift
         if not (self._done_moving and self._stands(TUNING.rest)):
             return False
         return stage is not GuideStep.TURN or self._has_stopped()
@@ -171,44 +163,33 @@ class Guide:
         In the second of a rest a slow turn moves the field less than `still` allows.
         """
         assert self._resting is not None
-        step = self._blocks[self._begun :]
-        if abs(self._angle) > TUNING.angle:
-            pace = [float(np.linalg.norm(each.rate - self._resting.rate)) for each in step]
-        else:
-            pace = [float(np.linalg.norm(b.field - a.field)) for a, b in itertools.pairwise(step)]
+        _, rate, field = np.swapaxes(self._blocks[self._begun :], 0, 1)
+        by_gyro = abs(self._angle) > TUNING.angle
+        moved = rate - self._resting[1] if by_gyro else np.diff(field, axis=0)
+        pace = np.linalg.norm(moved, axis=1)
         count = round(TUNING.rest / TUNING.block)
-        return max(pace[-count:]) < TUNING.stopped * max(pace)
+        return bool(np.nanmax(pace[-count:]) < TUNING.stopped * np.nanmax(pace))
 
     def _stands(self, seconds: float) -> bool:
         """Return whether gravity and field have not moved for so long."""
         count = max(2, round(seconds / TUNING.block))
         if len(self._blocks) < count:
             return False
-        last = self._blocks[-count:]
-        force = np.mean([block.force for block in last], axis=0)
-        field = np.mean([block.field for block in last], axis=0)
-        if not (np.isfinite(force).all() and np.isfinite(field).all()):
+        last = np.array(self._blocks[-count:])
+        force, _, field = last.mean(axis=0)
+        if not np.isfinite([force, field]).all():
             return False
         lean, swing = TUNING.still
-        size = float(np.linalg.norm(field))
-        return all(
-            _apart(block.force, force) < lean
-            and float(np.linalg.norm(block.field - field)) < swing * size
-            for block in last
-        )
+        away = np.linalg.norm(last[:, 2] - field, axis=1)
+        is_calm = bool((away < swing * np.linalg.norm(field)).all())
+        return is_calm and all(_apart(each, force) < lean for each in last[:, 0])
 
     def _next(self, stage: GuideStep, state: GuideStepState, now: float) -> None:
         self._states[stage] = state
         left = [s for s in GuideStep if self._states[s] is GuideStepState.LATER]
         if left:
             self._states[left[0]] = GuideStepState.NOW
-        last = self._blocks[-4:]
-        self._resting = _Block(
-            *(
-                np.nan_to_num(np.mean([getattr(block, name) for block in last], axis=0))
-                for name in ("force", "rate", "field")
-            )
-        )
+        self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
         self._since, self._angle, self._done_moving = now, 0.0, False
         self._begun = len(self._blocks)
 

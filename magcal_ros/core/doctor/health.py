@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
+from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.streams import SWAY, slow_words
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 from magcal_ros.core.samples.window import SensorLog, white_noise
@@ -91,9 +91,8 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
             "publish or record the field at 10 Hz or more, or let the driver average its readings"
         )
         return looked_at("slow", f"{name}: stamps", evidence, slow)
-    long = long_gaps(time)
-    if len(long):
-        return wrong("bursts", f"{name}: stamps", evidence, bursts_in_words(long))
+    if words := bursts_in_words(time):
+        return wrong("bursts", f"{name}: stamps", evidence, words)
     remedy = (
         "the stamps jitter: stamp each sample in the driver when it is measured, at best by the "
         "sensor's own clock"
@@ -116,11 +115,11 @@ def repeats_finding(name: str, values: FloatArray) -> Finding:
     return looked_at("repeats", f"{name}: repeats", f"{share:.0%} repeated", words * too_many)
 
 
-def in_long_runs(same: BoolArray, long: int = 10) -> BoolArray:
-    """Return which flags (n,) stand in a run of so many."""
+def in_long_runs(same: BoolArray) -> BoolArray:
+    """Return which flags (n,) stand in a run of ten or more."""
     out = np.zeros(len(same), dtype=np.bool_)
     for first, end in runs(same):
-        out[first:end] = end - first >= long
+        out[first:end] = end - first >= 10
     return out
 
 
@@ -145,11 +144,8 @@ def field_findings(field: FloatArray) -> list[Finding]:
     full = [axis for axis in range(3) if saturated(field, axis).any()]
     largest = float(np.abs(field).max()) * 1e6
     words = f"{_axes(full)} stops at one value: choose a wider range, or move it away from magnets"
-    evidence = f"at most {largest:.3g} µT on an axis"
-    if full:
-        found.append(wrong("saturation", "field: range", evidence, words))
-    else:
-        found.append(looked_at("saturation", "field: range", evidence))
+    line, evidence = wrong if full else looked_at, f"at most {largest:.3g} µT on an axis"
+    found.append(line("saturation", "field: range", evidence, words * bool(full)))
     found.append(alive_finding("field", field))
     return found
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import GRAVITY, Explanations
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
+from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import skews
@@ -53,8 +53,7 @@ class LatencyTuning:
     most: int = 1500  # samples; more are averaged
     lever: float = 0.3
     """Metres, standard deviation of how far the accelerometer sits off the turn's axis."""
-    walk_step: float = 1.0  # seconds between the steps of the gyro's random walk at least
-    walk_steps: int = 40  # of them at most
+    walk_steps: int = 40  # of the gyro's random walk
     walk: float = math.radians(0.01)  # radians in a second that a gyro without noise walks
     shaken: float = 1.5  # seconds over which the noise is taken together
     least: float = 1e-3  # seconds, standard deviation of the stamps' own habits
@@ -62,7 +61,6 @@ class LatencyTuning:
     motors: float = 20e-6  # tesla, standard deviation of what motors add while the robot turns
     turns: float = math.radians(5.0)  # rad/s about up above which motors turn the robot
     starts: float = 0.2  # seconds over which that rate is averaged
-    both: float = 0.03  # share of the time that it must turn, and that it must not
     in_time: float = 5e-3  # seconds, standard deviation of a latency that is taken for known
 
 
@@ -97,8 +95,8 @@ def motors_field(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return what the motors add to the field while the robot turns about up, tesla in body axes.
 
-    Shape (3,), and the covariance (3, 3). None where it did not both rest and turn. The field is
-    late by `lag`, seconds; the rest is as in `field_latency`.
+    Shape (3,), and the covariance (3, 3), which is that of the prior where it did not both rest and
+    turn. The field is late by `lag`, seconds; the rest is as in `field_latency`.
     """
     begun = _of_the_field(log, explanations, k, lag)
     if begun is None:
@@ -111,8 +109,6 @@ def motors_field(
         running_mean(each, width) > TUNING.turns
         for each in (about_up, np.linalg.norm(rate, axis=1))
     )
-    if min(turning.mean(), 1.0 - moving.mean()) < TUNING.both:
-        return None
     fit.prior[LAG, LAG] = TUNING.in_time**-2
     # A nose may be lifted by hand or by motors: what is added then is another unknown.
     when = np.repeat(np.column_stack([moving & ~turning, turning]), 3, axis=1)
@@ -185,7 +181,7 @@ def _fitted(
     prior[: len(fit.prior), : len(fit.prior)] = fit.prior
     slope = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
     left, nu = residual, fit.tuning.freedom
-    for _ in range(GRAVITY.rounds):
+    for _ in range(WEIGHED.rounds):
         variance = _noise_around(left, part.time)
         weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
         weight /= inefficiency(left / np.sqrt(variance)[:, None])
@@ -213,10 +209,8 @@ def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:
 
 def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:
     """Return what each step of the gyro's random walk turns, of unit prior, (1, n, 3, m)."""
-    span = float(time[-1] - time[0])
-    count = int(np.clip(span / TUNING.walk_step, 1, TUNING.walk_steps))
-    seconds = span / count
-    done = np.clip((time[:, None] - time[0]) / seconds - np.arange(count), 0.0, 1.0)
+    seconds = float(time[-1] - time[0]) / TUNING.walk_steps
+    done = np.clip((time[:, None] - time[0]) / seconds - np.arange(TUNING.walk_steps), 0.0, 1.0)
     period = float(np.median(np.diff(log.imu_time)))
     noise = float(white_noise(log.rate).max()) * math.sqrt(period)
     size = math.hypot(noise, TUNING.walk) * math.sqrt(seconds)

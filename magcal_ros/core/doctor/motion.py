@@ -7,10 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.axes import AxesFound, most_turned
-from magcal_ros.core.doctor.blame import blame, upright
+from magcal_ros.core.doctor.blame import AxesFound, blame, upright
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Explanations, explain, factor_in_words, rate_factors
+from magcal_ros.core.doctor.explanations import (
+    Explanations,
+    explain,
+    factor_in_words,
+    most_turned,
+    rate_factors,
+)
 from magcal_ros.core.doctor.health import SIGMAS, Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
@@ -54,7 +59,6 @@ class MotionTuning:
     scale: float = 0.03  # relative error of the gyro's scale
     at_rest: float = math.radians(0.1)  # rad/s, standard deviation of a bias that was read at rest
     borne_out: float = 0.4  # share of the bias by which the rate at rest may be another
-    alike: float = 1.2  # times the least residual with which rad/s are preferred to a known slip
     lag: float = 0.015  # seconds between the sensors' stamps
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
     """Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
@@ -101,7 +105,8 @@ def compare(
         return _nothing_shown(log, rest if stands_still else None, turned_left)
     body = replace(body, rate=factor * body.rate)
     # Where gravity points down, its sign may be wrong: then the field seems to point up.
-    other = given.with_inclination(_opposite(knowledge.reference.inclination))
+    dip = knowledge.reference.inclination
+    other = replace(given, inclination=Belief(-dip.value, dip.sigma))
     stands, up_is_down = upright(log, given, other, turned_left)
     explanations = other if up_is_down else given
     if up_is_down and turned_left is not None:
@@ -133,17 +138,12 @@ def _explained(
     inclination = knowledge.reference.inclination
     given = explain(log, inclination)
     # A gyro that may be right and turned too little shows nothing.
-    if not factors or (given is None and 1.0 in factors):
+    if not factors or (1.0 in factors if given is None else given.fits_well):
         return given, 1.0
     slips = [f for f in factors if f != 1.0]
     ways = [(explain(replace(log, rate=f * log.rate), inclination), f) for f in slips]
-    found = [(float(way.rms[way.best]), f, way) for way, f in ways if way is not None]
-    if not found:
-        return given, 1.0
-    rms, factor, way = min(found, key=lambda one: one[0])
-    as_good = given is not None and float(given.rms[given.best]) < TUNING.alike * rms
-    if as_good or rms > WEIGHED.good_fit:
-        return given, 1.0
+    found = [(float(way.rms.min()), f, way) for way, f in ways if way is not None and way.fits_well]
+    _, factor, way = min(found, key=lambda one: one[0], default=(0.0, 1.0, given))
     return way, factor
 
 
@@ -157,10 +157,6 @@ def _field_moves(stretch: Stretch) -> bool:
     """Return whether the field changes by more than its noise."""
     usual = float(np.median(np.linalg.norm(np.diff(stretch.field, axis=0), axis=1)))
     return usual < TUNING.largest_noise
-
-
-def _opposite(belief: Belief) -> Belief:
-    return Belief(-belief.value, belief.sigma)
 
 
 def _turns_beside(stretch: Stretch, rest: LongestRest) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.doctor.axes import AxesFound, parameter_line
+from magcal_ros.core.doctor.blame import AxesFound, parameter_line
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Explanations, rate_factors
 from magcal_ros.core.doctor.health import (
@@ -34,7 +34,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.alignment import FIELD, IRON, LAG, UP
-from magcal_ros.core.samples.stamps import bursts_of_a_turn
+from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
 
@@ -229,21 +229,26 @@ AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")
 
 def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
     """Return the refusal of a turn whose axes are certainly wrong; None where they may be right."""
-    refusal = wrong_gyro(window, knowledge)
+    refusal = _wrong_gyro(window, knowledge)
     if refusal is not None or window.angular_rate is None:
         return refusal
-    words = _by_the_page(window, knowledge, least=Grade.REFUSED)
-    if not words:
-        return None
-    return wrong_stamps(window) or Refusal(Reason.AXES_DISAGREE, words)
+    certain = _by_the_page(window, knowledge, least=Grade.REFUSED)
+    return None if certain is None else wrong_stamps(window) or certain
 
 
 def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of readings that no fit can use, seen before the work; None of others."""
-    return saturated_field(window) or wrong_gyro(window, knowledge)
+    """Return the refusal of readings that no fit can use, seen before the work; None of others.
+
+    What is cut off at the end of a range looks like a smaller hard iron.
+    """
+    for found in field_findings(window.field) if len(window) >= 3 else ():
+        if found.is_wrong and found.key == "saturation":
+            words = f"the magnetometer saturates ({found.evidence}): {found.remedy}"
+            return Refusal(Reason.NO_SOLUTION, words)
+    return _wrong_gyro(window, knowledge)
 
 
-def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
+def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
     """Return the refusal of a turn whose gyro has dead axes or another unit; None of others.
 
     A dead axis hides what the robot leans by, and the gyro's turn cannot be followed in space.
@@ -266,28 +271,13 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
         )
     stretch = stretch_of_log(SensorLog.of_window(window))
     if stretch is not None and set(rate_factors(stretch) or ()) - {1.0}:
-        unit = _by_the_page(window, knowledge, ("rate_unit",))
-        return Refusal(Reason.AXES_DISAGREE, unit) if unit else None
-    return None
-
-
-def saturated_field(window: Window) -> Refusal | None:
-    """Return the refusal of a turn whose field stops at the end of a range; None of others.
-
-    What is cut off there looks like a smaller hard iron.
-    """
-    if len(window) < 3:
-        return None
-    for found in field_findings(window.field):
-        if found.is_wrong and found.key == "saturation":
-            words = f"the magnetometer saturates ({found.evidence}): {found.remedy}"
-            return Refusal(Reason.NO_SOLUTION, words)
+        return _by_the_page(window, knowledge, ("rate_unit",))
     return None
 
 
 def wrong_stamps(window: Window) -> Refusal | None:
     """Return the refusal of a turn with a gyro whose stamps come in bursts; None of others."""
-    bursts = "" if window.angular_rate is None else bursts_of_a_turn(window.time)
+    bursts = "" if window.angular_rate is None else bursts_in_words(window.time)
     if not bursts:
         return None
     return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not tell one turn: {bursts}")
@@ -301,15 +291,12 @@ def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Re
 
 def blamed_on_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
     """Return the refusal of a turn that was not seen, or what the page finds of the sensors."""
-    gyro = wrong_gyro(window, knowledge)
-    if gyro is not None:
-        return gyro
-    words = _by_the_page(window, knowledge)
-    return Refusal(Reason.AXES_DISAGREE, words) if words else refusal
+    return _wrong_gyro(window, knowledge) or _by_the_page(window, knowledge) or refusal
 
 
 def _by_the_page(
     window: Window, knowledge: Knowledge, lines: tuple[str, ...] = AXES, least: Grade = Grade.WARN
-) -> str:
+) -> Refusal | None:
     findings = examine_window(window, knowledge).findings
-    return "; ".join(f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines)
+    said = [f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines]
+    return Refusal(Reason.AXES_DISAGREE, "; ".join(said)) if any(said) else None

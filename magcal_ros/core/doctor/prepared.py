@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from magcal_ros.core.doctor.health import (
     wrong,
 )
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
-from magcal_ros.core.samples.stamps import evenly, long_gaps
+from magcal_ros.core.samples.stamps import bursts_in_words, evenly
 from magcal_ros.core.samples.window import SensorLog
 
 
@@ -36,15 +37,23 @@ def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> Floa
 
 
 @dataclass(frozen=True)
-class FrozenTuning:
-    """When a sensor is called frozen that repeats one value for a while."""
+class SensorLogTuning:
+    """When a sensor is called frozen, and stamps are taken for those of two clocks."""
 
-    lasts: float = 1.0  # seconds
+    lasts: float = 1.0  # seconds for which a frozen sensor repeats one value
     rate: float = 0.09  # rad/s beyond its median that the gyro must read meanwhile
     field: float = 0.2  # share of its whole swing by which the field must move meanwhile
+    shared: float = 0.5  # share of the shorter stream that the other one must cover
+    step: float = 0.1  # seconds at which the streams' own speeds are compared
+    least: float = 0.6  # seconds below which it is a latency, which is measured better elsewhere
+    alike: float = 0.55
+    better: float = 0.2
+    """Correlation of the speeds beyond the latter lag that is believed, and by how much it must
+    exceed the best within it."""
+    longest: float = 7200.0  # seconds beyond which speeds are not compared
 
 
-FROZEN = FrozenTuning()
+TUNING = SensorLogTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +85,7 @@ def prepare(log: SensorLog) -> CleanLog:
             continue
         increasing = np.unique(time)
         findings.append(stamps_finding("IMU" if name == "imu" else "field", increasing))
-        if len(long_gaps(increasing)):
+        if bursts_in_words(increasing):
             burst = True
             log = replace(log, **{f"{name}_time": evenly(time)})
     if len(log.field) > HEALTH.fewest:
@@ -142,7 +151,7 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
     for name, time, values in streams:
         for first, end in runs(repeats(values)):
             span = float(time[first - 1]), float(time[end - 1])
-            if span[1] - span[0] > FROZEN.lasts and _moves(log, name, span):
+            if span[1] - span[0] > TUNING.lasts and _moves(log, name, span):
                 words = f"one value for {span[1] - span[0]:.1f} s while the robot moved"
                 remedy = f"the {name} is frozen: look at its wiring, and at its driver's errors"
                 found.append(wrong("frozen", f"{name}: alive", words, remedy))
@@ -168,14 +177,14 @@ def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
     if name != "gyro" and log.has_gyro:
         size = np.linalg.norm(log.rate - np.median(log.rate[:50], axis=0), axis=1)
         inside = (log.imu_time > span[0]) & (log.imu_time < span[1])
-        if inside.any() and float((size[inside] > FROZEN.rate).mean()) > 0.2:
+        if inside.any() and float((size[inside] > TUNING.rate).mean()) > 0.2:
             return True
     if name == "field" or not len(log.field):
         return False
     inside = (log.field_time > span[0]) & (log.field_time < span[1])
     whole = float(np.ptp(log.field, axis=0).max())
     return bool(inside.any()) and float(np.ptp(log.field[inside], axis=0).max()) > (
-        FROZEN.field * whole
+        TUNING.field * whole
     )
 
 
@@ -185,29 +194,12 @@ ONE_CLOCK = (
 )
 
 
-@dataclass(frozen=True)
-class ClockTuning:
-    """When stamps are taken for those of two clocks."""
-
-    shared: float = 0.5  # share of the shorter stream that the other one must cover
-    step: float = 0.1  # seconds at which the streams' own speeds are compared
-    least: float = 0.6  # seconds below which it is a latency, which is measured better elsewhere
-    alike: float = 0.55
-    better: float = 0.2
-    """Correlation of the speeds beyond the latter lag that is believed, and by how much it must
-    exceed the best within it."""
-    longest: float = 7200.0  # seconds beyond which speeds are not compared
-
-
-CLOCKS = ClockTuning()
-
-
 def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
     """Return the log with the field's stamps on the IMU's clock, and a line where they were not."""
     starts = log.imu_time[0], log.field_time[0]
     ends = log.imu_time[-1], log.field_time[-1]
     shorter = min(end - start for start, end in zip(starts, ends, strict=True))
-    overlap = min(ends) - max(starts) > CLOCKS.shared * shorter
+    overlap = min(ends) - max(starts) > TUNING.shared * shorter
     # What was recorded together began together, roughly.
     off = 0.0 if overlap else float(starts[1] - starts[0])
     off += _apart(replace(log, field_time=log.field_time - off))
@@ -223,39 +215,23 @@ def _apart(log: SensorLog) -> float:
     """Return by how many seconds the field turns later than the gyro; zero for a mere latency."""
     first = min(log.imu_time[0], log.field_time[0])
     last = max(log.imu_time[-1], log.field_time[-1])
-    if not log.has_gyro or last - first > CLOCKS.longest:
+    if not log.has_gyro or last - first > TUNING.longest:
         return 0.0
-    edges = np.arange(first, last + CLOCKS.step, CLOCKS.step)
+    edges = np.arange(first, last + TUNING.step, TUNING.step)
     gyro = np.linalg.norm(block_means(log.imu_time, log.rate, edges), axis=1)
     field = block_means(log.field_time, log.field, edges)
     moved = np.zeros(len(gyro))
     moved[1:-1] = np.linalg.norm(field[2:] - field[:-2], axis=1)
+    # One jolt of each sensor is alike at some shift by chance.
+    gyro, moved = (np.minimum(each, math.sqrt(np.nanmean(each**2))) for each in (gyro, moved))
     one, two = (np.nan_to_num(values - np.nanmean(values)) for values in (gyro, moved))
     power = float(np.linalg.norm(one) * np.linalg.norm(two))
     if not power > 0.0:
         return 0.0
     size = 2 * len(one)
     alike = np.fft.irfft(np.conj(np.fft.rfft(one, size)) * np.fft.rfft(two, size), size) / power
-    lag = np.fft.fftfreq(size, 1.0 / size) * CLOCKS.step
-    near = float(alike[np.abs(lag) <= CLOCKS.least].max())
+    lag = np.fft.fftfreq(size, 1.0 / size) * TUNING.step
+    near = float(alike[np.abs(lag) <= TUNING.least].max())
     best = int(np.argmax(alike))
-    plain = alike[best] > max(CLOCKS.alike, near + CLOCKS.better)
-    shift = round(float(lag[best]) / CLOCKS.step)
-    return float(lag[best]) if plain and _in_both_halves(one, two, shift) else 0.0
-
-
-def _in_both_halves(one: FloatArray, two: FloatArray, shift: int) -> bool:
-    """Return whether speeds (n,) are alike at a shift in either half of the movement.
-
-    One jolt of each sensor is alike at some shift by chance.
-    """
-    first, last = max(0, -shift), min(len(one), len(two) - shift)
-    if last - first < 4:
-        return True
-    one, two = one[first:last], two[first + shift : last + shift]
-    middle = int(np.searchsorted(np.cumsum(one**2), 0.5 * float(np.sum(one**2))))
-    halves = [(a, b) for a, b in ((0, middle), (middle, len(one))) if b - a > 3]
-    return all(
-        float(np.nan_to_num(np.corrcoef(one[a:b], two[a:b])[0, 1])) > 0.5 * CLOCKS.alike
-        for a, b in halves
-    )
+    plain = alike[best] > max(TUNING.alike, near + TUNING.better)
+    return float(lag[best]) if plain else 0.0

@@ -45,7 +45,7 @@ def refuse_empty(window: Window, min_samples: int) -> None:
             "The accelerometer shows no gravity. It must publish specific force in m/s², +9.81 "
             "upwards at rest, with gravity not taken off.",
         )
-    if _usual_size(window.field) < STREAMS.smallest_field:
+    if _usual_size(window.field) < STREAMS.smallest:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
         )

@@ -51,6 +51,16 @@ class ChangeTuning:
     """Squared share of up along body x (60°) beyond which yaw is not compared."""
     widest_hole: float = math.radians(100.0)
     """Radians of heading that may be missing in one stretch where swings are fitted."""
+    chance: float = 2.0
+    clearly: float = 4.0
+    """Sigmas that chance may reach in a recheck, and in one of many looks."""
+    own_share: float = 0.25
+    """Of the bound of what is stale: so much of a swing the calibration's own sigma explains. A
+    rough calibration that swings is to be made again whether or not anything has changed."""
+    largest_sigma: float = 0.06
+    """Of added iron, against the level field, beyond which a drive shows nothing of it."""
+    sectors: int = 4
+    """Courses, of eight, that must have been driven to compare the compass with them."""
     longest_visit: float = 4.0
     """Seconds after which a visit to a heading is recorded, though the robot has not turned."""
 
@@ -125,14 +135,8 @@ def fit_waves(
     smaller than for independent records. Less than two stretches of driving were in one place, and
     cannot show how places differ.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (n, k)
-    values, stamp : ndarray, shape (n,)
-    sigmas : float
-        That chance may reach.
-    prior : tuple of int and float, optional
-        A column, and the standard deviation of its coefficient about zero.
+    The columns are (n, k), values and stamps (n,). Chance may reach so many `sigmas`. `prior` is a
+    column, and the standard deviation of its coefficient about zero.
     """
     weight = np.ones(len(values))
     for _ in range(ROUNDS):
@@ -182,14 +186,9 @@ def compass_less_gyro(records: FloatArray, heading: FloatArray, sigmas: float) -
     iron that cancels the level field the compass may go once round, and is right again afterwards.
     Over a single turn a periodic error resembles a bias in part: both are fitted together.
 
-    Parameters
-    ----------
-    records : ndarray, shape (n, 7)
-        Columns of `Record`; the yaw is by the compass that is tried.
-    heading : ndarray, shape (n,)
-        Where the robot looked as far as is known, radians.
-    sigmas : float
-        That chance may reach.
+    The records (n, 7) have the columns of `Record`, with the yaw by the compass that is tried.
+    `heading` (n,) is where the robot looked as far as is known, radians. Chance may reach so many
+    `sigmas`.
     """
     stamp, yaw, turned, path = (records[:, k] for k in (0, 1, 4, 5))
     spell = np.floor((stamp - stamp[:1]) / CHANGE.longest_piece)

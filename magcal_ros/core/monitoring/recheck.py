@@ -103,22 +103,6 @@ IRON_BOUND = Bound(
 )
 
 
-@dataclass(frozen=True)
-class RecheckTuning:
-    """How a recheck looks."""
-
-    chance: float = 2.0
-    """Sigmas that chance may be."""
-    own_share: float = 0.25
-    """Of the bound of what is stale: so much of a swing the calibration's own sigma explains. A
-    rough calibration that swings is to be made again whether or not anything has changed."""
-    largest_sigma: float = 0.06
-    """Of added iron, against the level field, beyond which a drive shows nothing of it."""
-
-
-RECHECK = RecheckTuning()
-
-
 @dataclass(frozen=True, eq=False)
 class Recheck:
     """What came of a recheck."""
@@ -139,25 +123,10 @@ class Recheck:
         return STATES[self.verdict.quality]
 
 
-def check(
-    window: Window,
-    calibration: Calibration,
-    drive: DriveLog | None = None,
-) -> Recheck:
-    """Look at a fresh turn through a calibration.
+def check(window: Window, calibration: Calibration, drive: DriveLog | None = None) -> Recheck:
+    """Look at a fresh turn, or a good part of one, through a calibration.
 
-    Parameters
-    ----------
-    window : Window
-        Samples of at least a good part of a turn.
-    calibration : Calibration
-        What is to be tried.
-    drive : DriveLog, optional
-        All that was driven, where the samples are a drive's: it tells iron from streets.
-
-    Returns
-    -------
-    Recheck
+    `drive` is all that was driven, where the samples are a drive's: it tells iron from streets.
     """
     up = up_of(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
@@ -169,15 +138,13 @@ def check(
     found, swing = _figures(corrected, corrected[:, 1], calibration)
     arc = Coverage.of(heading).arc
     found[Figure.ARC] = arc, 0.0
-    added = None
-    if drive is not None and len(drive):
-        added = iron_added(drive, calibration)
+    added = iron_added(drive, calibration) if drive is not None and len(drive) else None
     checks = []
     for bound in RECHECK_BOUNDS:
         if bound.figure in found:
             figure, places = found[bound.figure]
             raw_figure = before[bound.figure][0] if bound.figure in before else None
-            most = RECHECK.own_share * bound.warn / bound.scale
+            most = CHANGE.own_share * bound.warn / bound.scale
             own = min(_own(bound.figure, calibration), most)
             chance = math.hypot(own, places)
             decided = added is not None
@@ -254,7 +221,7 @@ def _figures(
     dip = np.arctan2(-rise, level)
 
     def waves(values: FloatArray) -> Waves:
-        return fit_waves(harmonics(heading), values, stamp, RECHECK.chance)
+        return fit_waves(harmonics(heading), values, stamp, CHANGE.chance)
 
     found = {
         Figure.HEADING_SWING: waves(level / max(float(level.mean()), 1e-12)).spread,
@@ -263,7 +230,7 @@ def _figures(
         Figure.STRENGTH_OFFSET: (abs(float(size.mean()) / calibration.strength - 1.0), 0.0),
         Figure.DIP_OFFSET: (abs(float(dip.mean()) - calibration.inclination), 0.0),
     }
-    gyro = compass_less_gyro(records, heading, RECHECK.chance)
+    gyro = compass_less_gyro(records, heading, CHANGE.chance)
     if gyro is None:
         return found, None
     rms = gyro.rms
@@ -327,14 +294,7 @@ def up_of(window: Window) -> FloatArray:
 
 
 def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
-    """Weigh the hard iron that was added; None where the drive is too short to show it.
-
-    Parameters
-    ----------
-    drive : DriveLog
-    calibration : Calibration
-        In force since before the drive.
-    """
+    """Weigh the hard iron that was added since a calibration; None where a drive is too short."""
     reference = ReferenceField(
         Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
         Belief(calibration.inclination, math.radians(INCLINATION_SIGMA_DEG)),
@@ -351,7 +311,7 @@ def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
     level = calibration.strength * math.cos(calibration.inclination)
     share = math.hypot(*added) / level
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
-    if sigma > RECHECK.largest_sigma:
+    if sigma > CHANGE.largest_sigma:
         return None
-    excess = math.sqrt(max(share**2 - (RECHECK.chance * sigma) ** 2, 0.0))
+    excess = math.sqrt(max(share**2 - (CHANGE.chance * sigma) ** 2, 0.0))
     return IRON_BOUND.check(share, excess=excess)

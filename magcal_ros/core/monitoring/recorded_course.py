@@ -16,6 +16,7 @@ from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.geometry import FloatArray, wrap_angle
 from magcal_ros.core.heading.compass import Compass, Moment
+from magcal_ros.core.monitoring.change import CHANGE
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample
 
 
@@ -173,28 +174,15 @@ SWING_TWICE = Bound(
 )
 
 
-@dataclass(frozen=True)
-class CourseCheckTuning:
-    """When the harmonics of compass against course show that a calibration is wrong."""
-
-    clear: float = 4.0
-    """Sigmas that count."""
-    sectors: int = 4
-    """Courses, of eight, that must have been driven."""
-
-
-TUNING = CourseCheckTuning()
-
-
 def check_by_course(course: CourseOffset | None) -> tuple[Check, ...]:
     """Grade a calibration by course; empty before enough courses were driven."""
-    if course is None or course.sectors < TUNING.sectors:
+    if course is None or course.sectors < CHANGE.sectors:
         return ()
     checks = []
     # Once around is hard iron, twice around soft iron.
     for order, bound in ((1, SWING_ONCE), (2, SWING_TWICE)):
         swing, sigmas = course.swing(order)
-        counts = swing if sigmas > TUNING.clear else 0.0
+        counts = swing if sigmas > CHANGE.clearly else 0.0
         note = f" (± {math.degrees(swing / max(sigmas, 1e-9)):.1f}°)"
         checks.append(bound.check(swing, excess=counts, note=note))
     return tuple(checks)

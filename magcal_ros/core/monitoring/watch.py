@@ -105,8 +105,6 @@ class WatchTuning:
     """Seconds for which every look must agree before the state changes."""
     shortest_span: float = 150.0
     """Seconds that the records must span: a disturbance that passes is shorter."""
-    clearly: float = 4.0
-    """Sigmas that chance may reach in one of many looks."""
     promise: float = 3.0
     """Predicted standard deviations of the heading that are no change."""
     lost: float = math.radians(20.0)
@@ -202,11 +200,11 @@ def _swings(
     strength, rise = (records[:, 2:4] / calibration.strength).T
     level = math.cos(calibration.inclination)
     columns = harmonics(yaw)
-    by_strength = fit_waves(columns, strength, stamp, WATCH.clearly)
+    by_strength = fit_waves(columns, strength, stamp, CHANGE.clearly)
     # In curves the accelerometer leans outwards, by the yaw rate and across north.
     in_curves = np.column_stack([columns[:, :3], rate * columns[:, 2]])
     lean = 3, level * CHANGE.fastest_curve
-    by_rise = fit_waves(in_curves, rise, stamp, WATCH.clearly, lean)
+    by_rise = fit_waves(in_curves, rise, stamp, CHANGE.clearly, lean)
     mean, up = float(by_strength.values[0]), float(by_rise.values[0])
     dip = math.atan2(-up, math.sqrt(max(mean**2 - up**2, 0.0)))
     hard, soft, moved = (
@@ -236,7 +234,7 @@ def _gyro_figure(records: FloatArray) -> dict[Figure, tuple[float, float]]:
     name = Figure.GYRO_COMPASS_HARMONIC
     if np.ptp(records[:, 0]) < WATCH.shortest_span or np.ptp(records[:, 4]) < math.tau:
         return {}
-    gyro = compass_less_gyro(records, records[:, 1], WATCH.clearly)
+    gyro = compass_less_gyro(records, records[:, 1], CHANGE.clearly)
     if gyro is None:
         return {}
     if what_lacks(records) or gyro.waves is None:

@@ -156,22 +156,9 @@ def inefficiency(residual: FloatArray) -> float:
 class AlignmentFit:
     """The fit of all candidates at once; a state is an array (k, 23).
 
-    Parameters
-    ----------
-    stretch : Stretch
-        The samples.
-    axes : ndarray, shape (k, 3, 3)
-        Candidates; rows are the magnetometer's axes in the body's.
-    gyro : ndarray, shape (k, 3, 3)
-        The same of the gyro.
-    tuning : AlignmentTuning
-    with_up : bool
-        Whether gravity takes part, as the second of two sensors s.
-
-    Attributes
-    ----------
-    share : ndarray, shape (s,)
-        How many independent samples one sample of field and of gravity counts.
+    Rows of a candidate's `axes` (k, 3, 3) are the magnetometer's in the body's, and those of `gyro`
+    the gyro's. With `with_up` gravity takes part, as the second of two sensors. `share` is how many
+    independent samples one sample of each sensor counts.
     """
 
     def __init__(

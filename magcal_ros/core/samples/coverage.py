@@ -20,7 +20,6 @@ BINS = 36
 class CoverageTuning:
     """When a turn is seen, and when it is complete."""
 
-    bins_needed: int = 34  # of `BINS`, that are filled on a complete turn
     largest_gap: float = math.radians(20.0)
     """Radians that a complete turn may leave out at one place."""
     spacings: float = 4.0  # mean distances between samples that are no gap
@@ -79,7 +78,12 @@ class Coverage:
     @property
     def is_complete(self) -> bool:
         """Whether every heading was seen, up to small gaps."""
-        return self.gap <= COVERAGE.largest_gap and int(self.filled.sum()) >= COVERAGE.bins_needed
+        return self.gap <= COVERAGE.largest_gap
+
+    @property
+    def has_turned(self) -> bool:
+        """Whether the robot has turned at all: at rest it may seem to have turned a little."""
+        return self.arc >= math.radians(5.0)
 
     @property
     def hole_in_words(self) -> str:
@@ -87,7 +91,7 @@ class Coverage:
         if self.is_complete:
             return ""
         size = math.degrees(self.gap)
-        if self.arc < math.radians(5.0):
+        if not self.has_turned:
             return "the robot has not turned yet"
         away = math.degrees(self.gap_centre)
         side = "left" if away >= 0.0 else "right"

@@ -59,14 +59,13 @@ class BiasAtRestTuning:
     smallest_turn: float = 0.004
     """Share of the field's swing that noise of another kind may move it by during a rest."""
     shown: float = 3.0
-    """Times what a rest may move by that a turn at the gyro's rate must have moved the field by."""
+    """Times what a rest may move by that a turn at the gyro's rate must have moved the field by,
+    and without a gyro the field in all."""
     most_moved: float = 0.4
     """Share of that turn's way by which the field may seem to move during a rest."""
     loose_rate: float = 0.01  # rad/s by which an engine or a person may rock a robot at rest
     next_to_nothing: float = 0.05
     """Share of a turn's own rate at which no robot turns steadily for seconds beforehand."""
-    turned: float = 5.0
-    """Times what a rest may move by that the field must move in all to tell a rest by itself."""
     longest: float = 10.0
     """Seconds of a rest that count, those nearest to the turn: before, things may have been
     moved."""
@@ -82,7 +81,6 @@ class RestBeside:
 
     seconds: float  # how long
     field: FloatArray  # mean raw field, tesla, shape (3,)
-    field_sigma: float  # of that mean, per axis
     force: FloatArray
     """Mean specific force in body axes, m/s². Shape (3,)."""
     rate: FloatArray
@@ -131,15 +129,14 @@ def apart_from_rests(
 def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool) -> RestBeside:
     """Return what rows at rest show; `last` is the one of them next to the turn's row `beside`."""
     time = rows[:, 0]
-    field, field_sigma = mean_and_sigma(time, rows[:, 1:4])
     rate, rate_sigma, step = np.zeros(3), math.inf, np.zeros(3)
     if has_gyro:
         rate, rate_sigma = mean_and_sigma(time, rows[:, 7:10])
         # Turned back by what the gyro read over the step between them, which may run either way.
         step = (0.5 * (last[7:10] + beside[7:10]) - rate) * (last[0] - beside[0])
     seconds, stamp, turned = float(time[-1] - time[0]), float(beside[0]), exp_rotation(-step)
-    force = rows[:, 4:7].mean(axis=0)
-    return RestBeside(seconds, field, field_sigma, force, rate, rate_sigma, stamp, turned)
+    field, force = rows[:, 1:4].mean(axis=0), rows[:, 4:7].mean(axis=0)
+    return RestBeside(seconds, field, force, rate, rate_sigma, stamp, turned)
 
 
 def rests_around(
@@ -239,7 +236,7 @@ def _stands(
 def _stands_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_Stretch]:
     """Return the same without a gyro: where nothing moved over the whole; a slow turn does."""
     alone = _Blocks.of(field, *blocks, TUNING.smallest_turn * float(np.ptp(field, axis=0).max()))
-    turned = np.ptp(alone.mean, axis=0) > TUNING.turned * np.median(alone.limit, axis=0)
+    turned = np.ptp(alone.mean, axis=0) > TUNING.shown * np.median(alone.limit, axis=0)
     return [
         _Stretch(start, end, np.zeros((end - start, 3)))
         for start, end in (_runs(alone.stays) if turned.any() else [])

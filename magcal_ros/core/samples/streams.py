@@ -30,13 +30,11 @@ class StreamTuning:
     longest_gyro_step: float = 0.5
     """Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
     remembered: int = 4096  # samples kept of each stream: four seconds of the fastest sensors
-    smallest_field: float = 1e-9
+    smallest: float = 1e-9  # tesla and m/s²; less is a sensor that reads nothing
     largest_field: float = 1e-3
-    """Tesla. Less is a sensor that reads nothing; more, twenty times the Earth's field, a unit
-    error or a magnet on the sensor."""
-    smallest_force: float = 1e-6
+    """Tesla, twenty times the Earth's field. More is a unit error or a magnet on the sensor."""
     largest_force: float = 1e5
-    """m/s². No accelerometer reads less or more, milli-g published as m/s² included."""
+    """m/s². No accelerometer reads more, milli-g published as m/s² included."""
     largest_rate: float = 1e4  # rad/s, no gyro reads more, degrees published as radians included
 
 
@@ -158,7 +156,7 @@ class Streams:
         """Take an IMU sample; returns whether it was usable."""
         p, q, r = sample.rate
         went_back_from = self.imu_stamps.newest
-        reason = _fault(sample.force, STREAMS.smallest_force, STREAMS.largest_force)
+        reason = _fault(sample.force, STREAMS.largest_force)
         # Without a gyro the rate is NaN, which is larger than nothing.
         if reason is None and p * p + q * q + r * r > STREAMS.largest_rate**2:
             reason = Drop.TOO_LARGE
@@ -178,7 +176,7 @@ class Streams:
         A sample with the values of the one before is counted as repeated, and still usable: a
         robot that stands still in a quantised field is no fault. `is_repeated` shows it.
         """
-        reason = _fault(sample.field, STREAMS.smallest_field, STREAMS.largest_field)
+        reason = _fault(sample.field, STREAMS.largest_field)
         if reason is Drop.TOO_LARGE:
             self.largest_field = length(sample.field)
         reason = reason or self.field_stamps.check(sample.stamp)
@@ -225,13 +223,13 @@ def enclosing(samples: Sequence[Stamped], stamp: float) -> tuple[Stamped, Stampe
     return None
 
 
-def _fault(vector: Triple, smallest: float, largest: float) -> Drop | None:
+def _fault(vector: Triple, largest: float) -> Drop | None:
     """Return why a vector cannot have been measured; None if it can."""
     x, y, z = vector
     square = x * x + y * y + z * z
     if not math.isfinite(square):
         return Drop.NOT_FINITE
-    if square < smallest * smallest:
+    if square < STREAMS.smallest**2:
         return Drop.ZERO
     return Drop.TOO_LARGE if square > largest * largest else None
 

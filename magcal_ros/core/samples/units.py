@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.samples.stamps import bursts_of_a_turn
+from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.streams import Drop, Streams
 from magcal_ros.core.samples.window import Window
 
@@ -85,7 +85,7 @@ def explained(refusal: Refusal, window: Window) -> Refusal:
     if not hint and refusal.reason in MISLED_BY_AXES:
         force = window.specific_force.mean(axis=0)
         hint = Z_NOT_UP if force[2] < LEAST_UPRIGHT * float(np.linalg.norm(force)) else ""
-        hint = hint or bursts_of_a_turn(window.time)
+        hint = hint or bursts_in_words(window.time)
     return Refusal(refusal.reason, f"{str(refusal).rstrip('.')}; {hint}") if hint else refusal
 
 

@@ -90,12 +90,12 @@ class Robot:
         return np.asarray(field_body @ self.distortion.T + self.hard_iron)
 
 
-def trial_attitudes(tilt: float = 10.0 * DEGREE, headings: int = 24) -> FloatArray:
-    """Return attitudes ENU to body at all headings for nine tilts, shape (headings, 9, 3, 3).
+def trial_attitudes(tilt: float = 10.0 * DEGREE) -> FloatArray:
+    """Return attitudes ENU to body at 24 headings for nine tilts, shape (24, 9, 3, 3).
 
     The tilts are roll and pitch in {-tilt, 0, tilt}; index 4 is level.
     """
-    yaws = np.arange(headings) * (2.0 * math.pi / headings)
+    yaws = np.arange(24) * (2.0 * math.pi / 24)
     steps = (-tilt, 0.0, tilt)
     return np.array([[rotation_from_rpy(r, p, y).T for r in steps for p in steps] for y in yaws])
 

@@ -24,9 +24,9 @@ from magcal_ros.core.geometry.vec3 import (
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.up.filter import CLEAR, FILTER, PROPAGATION
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
 from magcal_ros.core.up.stillness import ZERO, LivingAxes
-from magcal_ros.core.up.up_tuning import CLEAR, FILTER, PROPAGATION
 
 
 def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:

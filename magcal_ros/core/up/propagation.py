@@ -20,7 +20,7 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
     unit_triple,
 )
-from magcal_ros.core.up.filter import MotionPrior, UpFilter
+from magcal_ros.core.up.filter import CLEAR, FILTER, PROPAGATION, REST, MotionPrior, UpFilter
 from magcal_ros.core.up.stillness import (
     ZERO,
     BlockMeans,
@@ -29,7 +29,6 @@ from magcal_ros.core.up.stillness import (
     ShakenRest,
     SteadySpell,
 )
-from magcal_ros.core.up.up_tuning import CLEAR, FILTER, PROPAGATION, REST
 
 
 class GyroBias(NamedTuple):

@@ -24,7 +24,8 @@ from magcal_ros.core.geometry.vec3 import (
     plus,
     scaled,
 )
-from magcal_ros.core.up.up_tuning import CHECK, CLEAR, REST
+from magcal_ros.core.samples.rest import TUNING as RESTED
+from magcal_ros.core.up.filter import CHECK, CLEAR, REST
 
 
 class FieldStillness:
@@ -172,7 +173,7 @@ class ShakenRest:
     """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds."""
 
     def __init__(self) -> None:
-        self._means: deque[FloatArray] = deque(maxlen=REST.shaken)
+        self._means: deque[FloatArray] = deque(maxlen=RESTED.at_least)
         self._begin()
 
     def _begin(self) -> None:
@@ -197,13 +198,13 @@ class ShakenRest:
         mean = each.mean(axis=0)
         gaps = np.linalg.norm(each - mean, axis=2)
         field_bound = REST.shaken_field * np.linalg.norm(mean[2])
-        most = (REST.shaken_force, REST.shaken_rate, field_bound)
-        if len(each) < REST.shaken or (gaps > most).any():
+        most = (REST.shaken_force, RESTED.loose_rate, field_bound)
+        if len(each) < RESTED.at_least or (gaps > most).any():
             return None
         # The next one is of other seconds.
         self._means.clear()
-        scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (REST.shaken - 1))
-        variance = REST.shaken_sigma**2 + scatter / REST.shaken
+        scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (RESTED.at_least - 1))
+        variance = REST.shaken_sigma**2 + scatter / RESTED.at_least
         return ShownAtRest(tuple(mean[0].tolist()), tuple(mean[1].tolist()), variance)
 
 

@@ -7,7 +7,7 @@ from long_form import first_of
 from simulated.turns import measure, turn
 
 from magcal_ros.core.calibrate import calibrate, calibrate_turns
-from magcal_ros.core.doctor.axes import mount_of, parameter_line
+from magcal_ros.core.doctor.blame import mount_of, parameter_line
 from magcal_ros.core.doctor.page import examine_window
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry import rotation_from_rpy, signed_permutations

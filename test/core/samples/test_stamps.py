@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.samples import Window
-from magcal_ros.core.samples.stamps import BurstWatch, bursts_of_a_turn, long_gaps, spread_bursts
+from magcal_ros.core.samples.stamps import BurstWatch, bursts_in_words, spread_bursts
 from magcal_ros.core.samples.units import explained
 
 
@@ -21,7 +21,7 @@ def window(time):
 
 @pytest.mark.parametrize("period", [0.5, 1.0])
 def test_a_turn_that_is_stamped_when_a_buffer_is_read_says_so(period):
-    words = bursts_of_a_turn(bursts(period))
+    words = bursts_in_words(bursts(period))
     assert "bursts" in words
     assert f"{period - 19 * 0.0025:.2f} s" in words
 
@@ -30,13 +30,12 @@ def test_pauses_that_were_thinned_out_are_no_bursts():
     rng = np.random.default_rng(1)
     steps = np.where(rng.random(2000) < 0.1, rng.exponential(1.0, 2000) + 0.06, 0.01)
     time = np.cumsum(steps)
-    assert len(long_gaps(time)) > 100
-    assert bursts_of_a_turn(time) == ""
+    assert bursts_in_words(time) == ""
 
 
 @pytest.mark.parametrize("time", [np.zeros(0), np.arange(3.0), np.arange(500) * 0.02])
 def test_even_stamps_and_few_are_no_bursts(time):
-    assert bursts_of_a_turn(time) == ""
+    assert bursts_in_words(time) == ""
 
 
 def test_a_refusal_that_bursts_can_be_the_cause_of_names_them():

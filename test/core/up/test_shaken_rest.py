@@ -7,8 +7,8 @@ import pytest
 
 from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.filter import REST
 from magcal_ros.core.up.stillness import BlockMeans, ShakenRest
-from magcal_ros.core.up.up_tuning import REST
 
 STEP = 0.02
 SHAKES = 4.3
