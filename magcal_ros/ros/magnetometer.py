@@ -231,7 +231,7 @@ class Control:
         self._streams = streams
         self._pairer = Pairer(streams)
         self._worker = WorkerProcess()
-        self.turn = TurnMachine(robot)
+        self.turn = TurnMachine(robot, self._report)
         self._settings: Settings | None = None
         self._listeners: list[Tell] = []
         self._unreported: ev.Conclusion | None = None
@@ -353,8 +353,6 @@ class Control:
             self._preview(command)
         elif isinstance(command, ev.FitTurn):
             self._fit(command)
-        elif isinstance(command, ev.Report):
-            self._tell(self.turn.note_report, self._report(command))
         elif isinstance(command, ev.PutInForce):
             # The calibration is in force; a fault in storing it is only said.
             self._house.use(
@@ -381,10 +379,10 @@ class Control:
             lambda error: self._tell(self.turn.note_failed_fit, asked.turn, in_words(error)),
         )
 
-    def _report(self, asked: ev.Report) -> str:
+    def _report(self, window: Window, outcome: Outcome) -> str:
         assert self._settings is not None
         try:
-            return self._house.begin_report(asked.window, self._settings, asked.outcome)
+            return self._house.begin_report(window, self._settings, outcome)
         except Exception as error:  # the calibration matters more than a page about it
             self._node.note_error(error)
             return f"No report: {error}."

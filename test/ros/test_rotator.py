@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from support import AT_ONCE, PATIENCE, REFERENCE
 
-from magcal_ros.core.session import rotation_plan, self_turn
+from magcal_ros.core.session import rotation, self_turn
 from magcal_ros.ros import guard
 from magcal_ros.ros.main import SIGNALS
 
@@ -29,9 +29,9 @@ def leisure(monkeypatch):
     monkeypatch.setattr(self_turn, "TUNING", patient)
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
     monkeypatch.setattr(
-        rotation_plan,
+        rotation,
         "TUNING",
-        replace(rotation_plan.TUNING, farthest_beyond=math.pi),
+        replace(rotation.TUNING, farthest_beyond=math.pi),
     )
 
 

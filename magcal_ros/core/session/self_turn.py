@@ -7,14 +7,12 @@ not even zero, is given before the robot starts, and none after the zeros that e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from dataclasses import dataclass
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
-from magcal_ros.core.session.rotation_plan import Phase, RotationLimits, RotationPlan
-from magcal_ros.core.session.rotation_proof import RotationProof
+from magcal_ros.core.session.rotation import Phase, RotationLimits, RotationPlan, RotationProof
 from magcal_ros.core.session.session import Progress
 
 
@@ -104,14 +102,10 @@ class Steering:
 
 @dataclass(frozen=True)
 class Waiting:
-    """It waits for both sensors, a subscriber of the commands and the guard.
-
-    `zeros` more are to be sent for the turn before.
-    """
+    """It waits for both sensors, a subscriber of the commands and the guard."""
 
     order: Order
     since: float
-    zeros: int = 0
 
 
 @dataclass(frozen=True)
@@ -123,45 +117,35 @@ class Moving:
     limits: RotationLimits
 
 
-@dataclass(frozen=True)
-class Stopping:
-    """Zeros are sent, so many times still."""
-
-    zeros: int
-
-
-Stage: TypeAlias = Waiting | Moving | Stopping | None
-"""The stage of a robot's own turn; None if there is none."""
-
-
 class SelfTurn:
     """Turns the robot from the first usable samples of a turn until its end."""
 
     def __init__(self, topics: Topics = Topics()) -> None:
         self._topics = topics
-        self._stage: Stage = None
+        self._stage: Waiting | Moving | None = None
+        self._zeros = 0
+        """So many zeros are still sent to end a turn."""
         self._looked = self._paired = 0.0
         self._gyro_heard: float | None = None
 
     @property
     def is_under_way(self) -> bool:
         """Whether the robot is to turn, or turns."""
-        return isinstance(self._stage, (Waiting, Moving))
+        return self._stage is not None
 
     @property
     def may_move(self) -> bool:
         """Whether a rate other than zero may be in force."""
-        return isinstance(self._stage, (Moving, Stopping))
+        return isinstance(self._stage, Moving) or self._zeros > 0
 
     @property
     def is_quiet(self) -> bool:
         """Whether the turn and its zeros are over."""
-        return self._stage is None
+        return self._stage is None and not self._zeros
 
     def open(self, order: Order, now: float) -> None:
         """Let the robot turn as soon as it may."""
-        zeros = self._stage.zeros if isinstance(self._stage, (Stopping, Waiting)) else 0
-        self._stage = Waiting(order, now, zeros)
+        self._stage = Waiting(order, now)
         self._gyro_heard = None
         self._looked = self._paired = now
 
@@ -183,8 +167,8 @@ class SelfTurn:
         """Return the command at `now` (s, steady clock); to be called twenty times a second."""
         stage = self._stage
         since, self._looked = now - self._looked, now
-        if isinstance(stage, Stopping):
-            self._stage = Stopping(stage.zeros - 1) if stage.zeros > 1 else None
+        if self._zeros:
+            self._zeros -= 1
             return Steering(0.0)
         if isinstance(stage, Waiting):
             return self._wait(stage, now, around)
@@ -194,12 +178,11 @@ class SelfTurn:
 
     def stop(self) -> Steering:
         """Stop the robot."""
-        if isinstance(self._stage, Moving):
-            self._stage = Stopping(TUNING.zeros)
-            return Steering(0.0)
-        if isinstance(self._stage, Waiting):
-            self._stage = Stopping(self._stage.zeros) if self._stage.zeros else None
-        return Steering()
+        stage, self._stage = self._stage, None
+        if not isinstance(stage, Moving):
+            return Steering()
+        self._zeros = TUNING.zeros
+        return Steering(0.0)
 
     def break_off(self, reason: str) -> Steering:
         """Stop the robot and end its turn, with the reason."""
@@ -208,9 +191,6 @@ class SelfTurn:
         return Steering(rate, f"the robot was stopped: {reason}" if moved else reason)
 
     def _wait(self, stage: Waiting, now: float, around: Around) -> Steering:
-        if stage.zeros:
-            self._stage = replace(stage, zeros=stage.zeros - 1)
-            return Steering(0.0)
         if not around.is_allowed:
             return self.break_off("rotate.enabled was switched off")
         if max(around.imu_age, around.field_age) >= TUNING.silence:
@@ -261,10 +241,7 @@ class SelfTurn:
             return "rotate.enabled was switched off"
         if not around.is_guarded:
             return GUARD_GONE
-        silent = self._silence(stage, now, around)
-        if silent:
-            return silent
-        return stage.proof.objection(now)
+        return self._silence(stage, now, around) or stage.proof.objection(now)
 
     def _silence(self, stage: Moving, now: float, around: Around) -> str:
         topics = self._topics

@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples import STREAMS, Pair, Window
-from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
+from magcal_ros.core.samples.coverage import COVERAGE, Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.rest import GyroAtRest, apart_from_rests
 from magcal_ros.core.up import relative_attitudes
 
@@ -37,18 +37,18 @@ class SessionTuning:
     near: float = 2.0
     """Times the target up to which turning may end before the target is reached. Far from it the
     surroundings are at fault, and a second round is useful."""
-    whole: float = math.radians(335.0)
-    """Radians turned at a look from which more only repeats what was seen."""
     once_more: float = 1.2
     """Full turns at which it ends, unless a look at a whole turn was farther than `near`."""
     stands_still: float = 3.0
     """Seconds without turning, after a complete turn, from which the robot is taken to be done."""
     slowest_turn: float = math.radians(3.0)
     """rad/s. Slower than this the robot stands."""
-    no_turn: float = 0.1
-    """Radians of arc that a robot at rest may seem to have turned."""
     turned_over: float = 0.3
     """rad/s about other axes than up: more than ground and wheels do to a robot that turns."""
+    preview_arc: float = math.radians(120.0)
+    """Radians of arc before which the heading sigma is not predicted."""
+    preview_share: float = 0.25
+    """Share of one core that may go into predicting it while the robot turns."""
 
 
 TUNING = SessionTuning()
@@ -114,7 +114,7 @@ class Progress:
     def require_arc(self, smallest: float) -> None:
         """Raise a Refusal for a turn of less than `smallest` radians."""
         if self.coverage.arc < smallest:
-            stood = self.coverage.arc < TUNING.no_turn
+            stood = not self.coverage.has_turned
             raise Refusal(
                 Reason.NO_MOTION if stood else Reason.ARC_TOO_SHORT,
                 f"too little of a turn: {self.in_words}. Turn the robot a full circle"
@@ -140,8 +140,7 @@ class Session:
     ) -> None:
         self.limits, self._gyro, self._longer = limits, gyro, longer
         self._to_body = mounting.to_body
-        self._started = now
-        self._last_pair: float | None = None
+        self._started = self._last_pair = now
         self._buffer = np.empty((1024, ROWS))
         self._size = 0
         self._turned = self._looked_at = 0.0
@@ -196,7 +195,7 @@ class Session:
     @property
     def was_seen_whole(self) -> bool:
         """Whether a fit has looked at a whole turn."""
-        return self._seen >= TUNING.whole
+        return self._seen >= math.tau - COVERAGE.largest_gap
 
     def progress(self, now: float) -> Progress:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
@@ -204,7 +203,7 @@ class Session:
         angle = self._angle(rows)
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
         self._turned = abs(coverage.turned)
-        flows = self._last_pair is not None and now - self._last_pair < TUNING.stands_still
+        flows = self.has_samples and now - self._last_pair < TUNING.stands_still
         rate = _turn_rate(rows[:, 0], angle) if angle is not None and flows else 0.0
         if abs(rate) > TUNING.slowest_turn:
             self._last_turning = now
@@ -242,17 +241,13 @@ class Session:
         return np.union1d(thin_to_equal_angles(angle), _turned_over(rows))
 
     def _angle(self, rows: FloatArray) -> FloatArray | None:
-        rate = _rate_if_any(rows)
-        if rate is not None:
-            rate = np.where(np.isfinite(rate), rate, 0.0)
-        return yaw_progress(rows[:, 0], rows[:, 1:4] @ self._to_body.T, rows[:, 4:7], rate)
+        field = rows[:, 1:4] @ self._to_body.T
+        return yaw_progress(rows[:, 0], field, rows[:, 4:7], _rate_if_any(rows))
 
     def _stage(self, coverage: Coverage, now: float) -> Stage:
         if coverage.is_complete and self._is_enough(coverage, now):
             return Stage.COMPLETE
-        if now - (self._started if self._last_pair is None else self._last_pair) > (
-            self.limits.silence
-        ):
+        if now - self._last_pair > self.limits.silence:
             return Stage.SILENT
         if now - self._started > self.limits.timeout:
             return Stage.TIMED_OUT
@@ -303,14 +298,14 @@ def _turned_over(rows: FloatArray) -> IntArray:
     rate = _rate_if_any(rows)
     if rate is None:
         return np.zeros(0, dtype=np.intp)
-    across = np.cross(np.where(np.isfinite(rate), rate, 0.0), unit(rows[:, 4:7]))
+    across = np.cross(rate, unit(rows[:, 4:7]))
     return np.flatnonzero(np.linalg.norm(across, axis=1) > TUNING.turned_over)
 
 
 def _rate_if_any(rows: FloatArray) -> FloatArray | None:
-    """Return the angular rates, or None if there is no gyro: absent, or an unfilled field."""
+    """Return the angular rates, zero where missing; None without a gyro, absent or unfilled."""
     rate = rows[:, 7:10]
-    finite = np.isfinite(rate).all(axis=1)
+    finite = np.asarray(np.isfinite(rate).all(axis=1))
     if not len(rate) or finite.mean() < 0.9 or not rate[finite].any():
         return None
-    return np.asarray(rate)
+    return np.where(finite[:, None], rate, 0.0)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TypeAlias
 
-from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept
@@ -75,14 +74,6 @@ class FitTurn(Command):
 
 
 @dataclass(frozen=True, eq=False)
-class Report(Command):
-    """Begin the report on a turn; answered by `note_report` before anything else happens."""
-
-    window: Window
-    outcome: Outcome
-
-
-@dataclass(frozen=True, eq=False)
 class PutInForce(Command):
     """Use a calibration from now on and store it; answered by `note_saved`."""
 
@@ -124,14 +115,6 @@ class Fitting:
     kept: Kept
 
 
-@dataclass(frozen=True, eq=False)
-class Reporting:
-    """The outcome is known; its report is being begun."""
-
-    outcome: Outcome
-    words: str
-
-
 @dataclass(frozen=True)
 class Saving:
     """The new calibration is in force and is being written to disk."""
@@ -140,11 +123,10 @@ class Saving:
     report: str
 
 
-Stand: TypeAlias = Collecting | Fitting | Reporting | Saving | None
+Stand: TypeAlias = Collecting | Fitting | Saving | None
 
 STATES = {
     Collecting: TurnState.COLLECTING,
     Fitting: TurnState.FITTING,
-    Reporting: TurnState.FITTING,
     Saving: TurnState.SAVING,
 }

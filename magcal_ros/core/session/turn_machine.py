@@ -6,8 +6,8 @@ files and messages belong to the owner.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 from magcal_ros.core.calibrate import JOINS, Outcome
 from magcal_ros.core.errors import Reason, Refusal
@@ -15,23 +15,9 @@ from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples import Pair, Window
 from magcal_ros.core.session import turn_events as ev
-from magcal_ros.core.session.rotation_plan import planned_duration
+from magcal_ros.core.session.rotation import planned_duration
 from magcal_ros.core.session.self_turn import Around, SelfTurn, Steering
-from magcal_ros.core.session.session import Progress, Session, Stage
-
-
-@dataclass(frozen=True)
-class PreviewTuning:
-    """When the heading sigma is predicted in mid-turn."""
-
-    preview_arc: float = math.radians(120.0)
-    """Radians of arc before which no prediction is made."""
-    preview_share: float = 0.25
-    """Share of one core that may go into predicting the heading sigma while the robot turns."""
-
-
-TUNING = PreviewTuning()
-
+from magcal_ros.core.session.session import TUNING, Progress, Session, Stage
 
 NOBODY = ("", "")
 """The frames of magnetometer and IMU before either is heard; some drivers never name one."""
@@ -44,11 +30,15 @@ class TurnMachine:
     """One turn at a time, from the request to the calibration in force.
 
     `progress`, `last_window`, `last_outcome` and `last_conclusion` are the newest of each; None
-    before the first.
+    before the first. `report` begins the report on a turn, and returns where it will lie, in words.
     """
 
-    def __init__(self, robot: SelfTurn | None = None) -> None:
-        self.robot = SelfTurn() if robot is None else robot
+    def __init__(
+        self,
+        robot: SelfTurn | None = None,
+        report: Callable[[Window, Outcome], str] = lambda _, __: "",
+    ) -> None:
+        self.robot, self._report = SelfTurn() if robot is None else robot, report
         self.progress: Progress | None = None
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
@@ -255,35 +245,23 @@ class TurnMachine:
         self._judge(Outcome.refused(refusal), why)
 
     def _judge(self, outcome: Outcome, why: str) -> None:
+        """Put the calibration in force if it is good enough; else say what can be done."""
         self.last_outcome, self._sensors_of_outcome = outcome, self._sensors
         words = outcome.verdict.summary
         if outcome.several is not None and outcome.calibration is not None:
             words = f"{words} {outcome.several.in_words}"
         words = f"{why}; {words}" if why else words
-        self._stand = ev.Reporting(outcome, words)
-        if self.last_window is None:
-            self._weigh(self._stand, "")
-        else:
-            self._do(ev.Report(self.last_window, outcome))
-
-    def note_report(self, words: str) -> None:
-        """Take where the report will lie, in words; empty if there is none."""
-        if isinstance(self._stand, ev.Reporting):
-            self._weigh(self._stand, words)
-
-    def _weigh(self, stand: ev.Reporting, report: str) -> None:
-        """Put the calibration in force if it is good enough; else say what can be done."""
-        outcome = stand.outcome
+        report = "" if self.last_window is None else self._report(self.last_window, outcome)
         ending = f" {report}" if report else ""
         unchanged = UNCHANGED[0].upper() + UNCHANGED[1:]
         if outcome.calibration is None:
-            self._conclude(False, f"{stand.words} {unchanged}.{ending}")
+            self._conclude(False, f"{words} {unchanged}.{ending}")
         elif outcome.verdict.accepted:
-            self._stand = ev.Saving(stand.words, ending)
+            self._stand = ev.Saving(words, ending)
             self._do(ev.PutInForce(outcome.calibration))
         else:
             remedy = "~/accept applies this one anyway"
-            self._conclude(False, f"{stand.words} {unchanged}; {remedy}.{ending}")
+            self._conclude(False, f"{words} {unchanged}; {remedy}.{ending}")
 
     def note_saved(self, words: str) -> None:
         """Take whether the calibration in force is stored, in words."""

@@ -21,7 +21,6 @@ from magcal_ros.core.session.turn_events import (
     MoveBase,
     Preview,
     PutInForce,
-    Report,
 )
 from magcal_ros.core.session.turn_machine import TurnMachine
 from magcal_ros.core.simulation import Ride, Robot
@@ -44,7 +43,9 @@ class Scene:
     def __init__(self, speed=None, gain=1.0, gyro=True, outcome=GOOD, sigma=0.001, **limits):
         self.now = 500.0
         self.gain, self.outcome, self.sigma = gain, outcome, sigma
-        self.turn = TurnMachine(SelfTurn(Topics("/imu", "/mag", "/cmd_vel")))
+        self.turn = TurnMachine(
+            SelfTurn(Topics("/imu", "/mag", "/cmd_vel")), lambda *_: "Report: here."
+        )
         self.ride = Ride(
             ROBOT,
             np.random.default_rng(3),
@@ -84,8 +85,6 @@ class Scene:
             elif isinstance(command, MoveBase):
                 self.command = command.rate
                 self.said.append((self.now, command.rate))
-            elif isinstance(command, Report):
-                self.tell("note_report", "Report: here.")
             elif isinstance(command, PutInForce):
                 self.in_force.append(command.calibration)
                 self.later(self.saving_takes, "note_saved", "In force and saved.")

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.session.rotation_plan import (
+from magcal_ros.core.session.rotation import (
     TUNING,
     RotationLimits,
     Seen,

@@ -7,7 +7,7 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.session.rotation_plan import (
+from magcal_ros.core.session.rotation import (
     TUNING,
     Fault,
     Phase,

@@ -5,8 +5,7 @@ import pytest
 
 from magcal_ros.core.samples import FieldSample, Pair
 from magcal_ros.core.samples.coverage import Coverage
-from magcal_ros.core.session.rotation_plan import Fault, Seen
-from magcal_ros.core.session.rotation_proof import RotationProof
+from magcal_ros.core.session.rotation import Fault, RotationProof, Seen
 from magcal_ros.core.session.session import Progress, Stage
 from magcal_ros.core.simulation import UP_ENU, Ride, Robot
 
