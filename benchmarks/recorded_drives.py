@@ -24,7 +24,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.keeping.candidates import difference
+from magcal_ros.core.keeping.jobs import difference
 from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.samples.streams import FieldSample
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from magcal_ros.core.calibration import Calibration, predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.keeping.candidates import difference
-from magcal_ros.core.keeping.jobs import Verb
+from magcal_ros.core.keeping.jobs import Verb, difference
 from magcal_ros.core.keeping.story import DrivePath, DriveStory
 from magcal_ros.files.disk import FileTrouble, write_atomically
 from magcal_ros.files.recording import REMEDY

@@ -254,6 +254,6 @@ class Chords:
             course,
             math.remainder(compass_yaw - course, math.tau),
             math.remainder(gyro_yaw - course, math.tau),
-            math.hypot(sigma, COURSE.course_sigma),
+            sigma,
             abs(way),
         )

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.driving_tuning import COURSE
+from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING
 from magcal_ros.core.driving.mounting_yaw import ComplexArray
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
@@ -120,7 +120,7 @@ def fit_course_offset(cells: CellTable) -> CourseOffset | None:
     # What is seen counts by its places: a street that is driven again is the same one.
     places = len(np.unique(np.floor(cells.place / COURSE.reach), axis=0))
     weight, street = np.ones(count), COURSE.street
-    for _ in range(COURSE.rounds):
+    for _ in range(MOUNTING.rounds):
         # A cell of little weight is one that its street disturbs more than others.
         root = np.sqrt(weight)
         spread = (street**2 * alike + np.diag(noise)) / np.outer(root, root)

@@ -26,7 +26,9 @@ class SpeedTuning:
     largest: float = 100.0  # m/s, no vehicle this is for is faster
     largest_acceleration: float = 15.0  # m/s², a speed that changes faster is no speed
     step: float = 0.5  # m/s by which it may change besides: noise, and the steps of an encoder
-    receiver_gap: float = 2.2  # seconds between two samples that are interpolated between
+    receiver_gap: float = 2.2
+    """Seconds between two samples that are interpolated between, and after which another source
+    takes the place of one that is silent."""
     seldom: float = 0.3
     """Seconds between samples from which wheels count as a receiver in this; twice as many are
     interpolated between."""
@@ -36,10 +38,7 @@ class SpeedTuning:
     shortest: float = 0.045
     """Seconds between samples that are read, and half of those that are kept for minutes; of a
     faster source the others are passed over."""
-    newest: int = 512
-    fewest: int = 20
-    """Samples that are examined for their speed now and for jumps, and the fewest for these."""
-    silent: float = 3.0  # seconds after which another source takes its place
+    newest: int = 512  # samples that are examined for their speed now and for jumps
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,6 @@ class MountingYawTuning:
     smooth: int = 4  # ticks of the low-pass, one second: latency and vibration
     highpass: int = 80
     """Ticks of the running mean that is subtracted, 20 s: slopes and the accelerometer's bias."""
-    standing: float = 10.0  # seconds of standing after which ticks are no longer kept
     moving: float = 0.15  # m/s, slower is standing
     block: float = 10.0  # seconds of a block whose errors count as one
     lever_sigma: float = 1.0  # metres from the rear axle where the IMU may be
@@ -109,7 +107,7 @@ class MountingYawTuning:
     recent: int = 240  # ticks of the newest minute, over which a speed must hold as well
     stuck: int = 48
     """Newest ticks, 12 s, over which a speed that never changes is examined by itself."""
-    iterations: int = 6  # reweighted steps: the weights have settled
+    rounds: int = 6  # reweighted fits, also of a course: the weights have settled
 
 
 @dataclass(frozen=True)
@@ -126,7 +124,6 @@ class CourseTuning:
     """rad/s throughout, and radians in all: in bends lever arm, slip and latency show."""
     relative_sigma: float = 0.3
     """Metres of error between neighbouring fixes; not the fix's absolute accuracy."""
-    course_sigma: float = math.radians(1.0)  # radians of any course: slip, camber, lanes
     remembered: int = 200  # ticks kept for chords that end late
     span: float = 60.0
     chords: int = 8
@@ -145,7 +142,8 @@ class CourseTuning:
     reach: float = 30.0  # metres over which streets disturb the field alike
     wave_sigma: float = math.radians(3.0)
     """Radians of the harmonics: hard iron and soft iron that a calibration leaves."""
-    noise: float = math.radians(2.0)  # radians of a chord's compass beside streets and course
+    noise: float = math.radians(2.2)
+    """Radians of compass less course beside streets and fixes: slip, camber, lanes, the compass."""
     street: float = math.radians(7.0)
     street_weight: float = 4.0
     """Radians by which a street turns the compass, and pseudo-observations of it."""
@@ -154,7 +152,6 @@ class CourseTuning:
     """Share of a swing of compass against course that is in the offset's sigma: its cause may have
     come or gone on the way."""
     fewest: int = 5  # cells before the first fit
-    rounds: int = 5  # reweighted ones: weights and the street's size have settled
 
 
 SPEED, OWN, MOUNTING, COURSE = (

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from magcal_ros.core.driving.chords import Tick
 from magcal_ros.core.driving.driving_tuning import MOUNTING, OWN, SpeedSource
-from magcal_ros.core.driving.speedometer import Speedometer, SpeedRecord
+from magcal_ros.core.driving.speed import Speedometer, SpeedRecord
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -247,7 +247,7 @@ def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> Mounting
     if energy <= 0.0:
         return MountingYaw(0.0, math.pi, 0.0, delay, 0.0, 0.0, force_energy, math.inf, is_rough)
     error, weight = force, np.ones(len(force))
-    for _ in range(MOUNTING.iterations):
+    for _ in range(MOUNTING.rounds):
         # The median of a Rayleigh distribution is 1.177 of its components' sigma.
         noise = max(1e-3, 1.26 * float(np.median(np.abs(error))))
         # Smoothed rows are correlated: the prior is weighed against independent ones.
@@ -291,16 +291,14 @@ class MountingWatch:
         self._ticks: deque[Tick] = deque(maxlen=MOUNTING.remembered)
         self._fitted_at = -math.inf
         self._fits = 0
-        self._still = 0.0
         self.found: MountingYaw | None = None
         self.faults: dict[SpeedSource, SpeedFault] = {}
         self.seen: dict[SpeedSource, MountingYaw] = {}
 
     def add(self, tick: Tick, speed: float) -> bool:
         """Take a tick and its speed (m/s, NaN where unknown); returns whether a fit is due."""
-        self._still = 0.0 if abs(speed) > MOUNTING.moving else self._still + tick.seconds
-        is_quiet = abs(tick.level_force) < 0.5 * MOUNTING.moving
-        if self._still < MOUNTING.standing or not is_quiet:
+        # A vehicle that stands shows nothing, for however long.
+        if abs(speed) > MOUNTING.moving or abs(tick.level_force) > 0.5 * MOUNTING.moving:
             self._ticks.append(tick)
         return tick.stamp - self._fitted_at >= MOUNTING.reuse
 

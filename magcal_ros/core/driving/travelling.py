@@ -14,8 +14,7 @@ from magcal_ros.core.driving.chords import Chord, Chords, GyroFrame, Tick
 from magcal_ros.core.driving.course_offset import CourseCells, CourseOffset, fit_course_offset
 from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING, OWN, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import Judged, MountingWatch, MountingYaw
-from magcal_ros.core.driving.own_acceleration import OwnAcceleration
-from magcal_ros.core.driving.speedometer import Speedometer
+from magcal_ros.core.driving.speed import OwnAcceleration, Speedometer
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import (
     FieldSample,
@@ -90,20 +89,10 @@ def at_once(work: Callable[[], Any], then: Callable[[Any], None]) -> None:
 class Travelling:
     """Follows a drive with bounded memory; without speed and fixes it does nothing.
 
-    Parameters
-    ----------
-    run : callable, optional
-        Takes some work and what is to be done with its result; by default it does both at once.
-        A node has the work, of some tens of milliseconds, done beside its messages.
-
-    Attributes
-    ----------
-    course : CourseOffset or None
-        The newest fit of compass against course: of the yaw to *magnetic* north.
-    is_heard : bool
-        Whether any speed or fix has come.
-    own : OwnAcceleration
-        The vehicle's own acceleration, and the direction of travel.
+    `run` takes some work and what is to be done with its result; by default it does both at once.
+    A node has the work, of some tens of milliseconds, done beside its messages. `course` is the
+    newest fit of compass against course, of the yaw to *magnetic* north; None before one.
+    `is_heard` is whether any speed or fix has come.
     """
 
     def __init__(self, run: Run = at_once) -> None:

@@ -1,16 +1,139 @@
-"""The jobs that self-calibration gives to a worker process, their results, and what is decided."""
+"""Self-calibration: its limits, its candidates, the jobs for a worker process, and decisions."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+import numpy as np
+
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.keeping.candidates import KEEPING, DriveCandidate, Kind
+from magcal_ros.core.calibration.heading_sigma import (
+    calibration_sigma,
+    headings_apart,
+    known_sigma,
+)
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.drive_log import DriveLog
+
+
+@dataclass(frozen=True)
+class KeepingTuning:
+    """Numbers of self-calibration; seconds are of movement."""
+
+    look_every: float = 20.0
+    look_again: float = 10.0
+    """Seconds between two looks, and while a changed hard iron is on probation."""
+    windows: tuple[float, ...] = (120.0, 200.0, 300.0, 420.0)
+    """Seconds of road to which all twelve numbers are fitted."""
+    look_back: float = 240.0
+    shortest_since: float = 25.0
+    """Seconds of road in which a change is looked for, and the least of the road since it to which
+    the hard iron is fitted."""
+    notice_differs: float = 4.0
+    notice_proof: float = 2.0
+    """How many sigmas a changed hard iron must differ from what is in force to be told, and by how
+    many units of log likelihood the road before and since must be likelier with it."""
+    plainly: float = 0.2
+    """Share of the difference from what is in force that a changed hard iron may be uncertain
+    by."""
+    largest_sigma: float = math.radians(3.0)
+    """Radians of heading beyond which a candidate is not believed."""
+    fewest_sectors: int = 6
+    fewest_for_iron: int = 4
+    """Of twelve headings that all twelve numbers need, and the hard iron alone."""
+    differs: float = 2.0
+    """Sigmas within which two calibrations agree: then nothing is to be mended."""
+    much_better: float = 0.6
+    """Share of the other's sigma below which it is taken up all the same. Where that is beyond
+    `largest_sigma` and both agree, this is enough."""
+    longest_probation: float = 180.0
+    longest_trial: float = 300.0
+    """Seconds of road after which a candidate that has not proved itself is dropped, and one in
+    force is no longer compared with the one before."""
+    likelihood_proof: float = 12.0
+    iron_proof: float = 8.0
+    """Fall of minus log likelihood, independent units, on the road of probation, with a rise in
+    neither half; less is asked of a hard iron, which was far off already to be noticed."""
+    elsewhere_proof: float = 2.0
+    """Units of it that must be left without the quarter of headings that speaks most, where all
+    twelve numbers are new."""
+    most_against: float = 1.5
+    """Units that the headings which speak against a changed hard iron may have together."""
+    usual_speed: float = 5.0
+    """m/s of a robot whose speed is not measured."""
+    memory: float = 600.0
+    """Seconds of road that are remembered."""
+    map_every: float = 0.5
+    """Seconds between points of the map of a drive."""
+    kept: int = 3
+    remembered: int = 20
+    """Calibrations before the one in force, and decisions, that are kept."""
+
+
+KEEPING = KeepingTuning()
+
+
+METHOD = "smoother"
+
+
+class Kind(str, Enum):
+    """What of a calibration was fitted."""
+
+    ALL = "all"
+    IRON = "iron"
+
+
+@dataclass(frozen=True, eq=False)
+class DriveCandidate:
+    """A calibration that a stretch of road shows."""
+
+    kind: Kind
+    calibration: Calibration
+    sigma: float  # radians of heading, as it says
+    sectors: int  # of twelve headings driven
+    start: float
+    end: float
+    """Clock of the road that it was fitted to, seconds."""
+
+    @property
+    def seconds(self) -> float:
+        """How much road it was fitted to."""
+        return self.end - self.start
+
+    @property
+    def in_words(self) -> str:
+        """What it is, for a person."""
+        what = "calibration" if self.kind is Kind.ALL else "hard iron"
+        return (
+            f"a {what} from {self.seconds:.0f} s of driving, {self.sectors} of 12 headings,"
+            f" ±{math.degrees(self.sigma):.1f}°"
+        )
+
+
+def is_another(candidate: DriveCandidate, in_force: Calibration) -> bool:
+    """Whether a candidate differs from what is in force by more than both are uncertain."""
+    apart = difference(in_force, candidate.calibration)
+    return apart > KEEPING.differs * math.hypot(candidate.sigma, calibration_sigma(in_force))
+
+
+def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
+    """Whether a candidate agrees with what is in force, and is known much better."""
+    is_better = candidate.sigma < KEEPING.much_better * known_sigma(in_force)
+    return is_better and not is_another(candidate, in_force)
+
+
+def difference(old: Calibration, new: Calibration) -> float:
+    """Return the RMS over headings by which two calibrations differ, radians.
+
+    The constant is taken off: no drive shows it.
+    """
+    apart = headings_apart(new.correction, old.correction, new.strength, new.inclination)
+    turn = np.exp(1j * apart)
+    return math.sqrt(float(np.mean(np.angle(turn / turn.mean()) ** 2)))
 
 
 class Verb(str, Enum):

@@ -13,26 +13,24 @@ from dataclasses import replace
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma, known_sigma
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.keeping.candidates import (
+from magcal_ros.core.keeping.jobs import (
     KEEPING,
     METHOD,
-    DriveCandidate,
-    Kind,
-    difference,
-    is_another,
-    is_finer,
-)
-from magcal_ros.core.keeping.jobs import (
     Contest,
     Decision,
+    DriveCandidate,
     DriveJob,
     Findings,
+    Kind,
     Mode,
     Probation,
     Proof,
     Step,
     Trial,
     Verb,
+    difference,
+    is_another,
+    is_finer,
     is_same,
 )
 from magcal_ros.core.knowledge import Knowledge

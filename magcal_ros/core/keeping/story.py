@@ -15,8 +15,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
-from magcal_ros.core.keeping.candidates import KEEPING
-from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
+from magcal_ros.core.keeping.jobs import KEEPING, Decision, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge
@@ -148,17 +147,9 @@ def path_along(
 ) -> DrivePath:
     """Return where was driven, and how the field was there.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    time : ndarray, shape (n,)
-        Seconds.
-    raw, up : ndarray, shape (n, 3)
-        Raw field (tesla) and up in body axes.
-    speed : ndarray, shape (n,)
-        m/s; NaN where nobody measured it.
-    fixes : ndarray, shape (k, 3), optional
-        Stamps, metres east and north; without them places are reckoned.
+    Raw field (tesla) and up are (n, 3) in body axes, `time` (n,) in seconds, `speed` (n,) in m/s
+    and NaN where nobody measured it. `fixes` (k, 3) are stamps, metres east and north; without them
+    places are reckoned.
     """
     field = calibration.correction.apply(raw)
     rise = np.sum(field * up, axis=1)

@@ -7,16 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import local_sigma
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.keeping.candidates import (
+from magcal_ros.core.keeping.jobs import (
     KEEPING,
+    METHOD,
+    Contest,
     DriveCandidate,
+    DriveJob,
+    Findings,
     Kind,
-    candidate_of,
+    Proof,
+    Step,
 )
-from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Proof, Step
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother.drives import (
+    DriveFit,
     corrected,
     drive_nodes,
     fit_drive,
@@ -96,3 +104,53 @@ def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:
         later = nodes.time > since
         field[later] = corrected(nodes, correction, knowledge.mounting.matrix).field[later]
     return replace(nodes, field=field)
+
+
+def candidate_of(
+    fitted: DriveFit, kind: Kind, before: Calibration | None, start: float, end: float
+) -> DriveCandidate:
+    """Bring a fit into the form that is put in force.
+
+    `before` was in force while it was driven; `start` and `end` are the clock of the road, seconds.
+    """
+    sigma = fitted.posterior.heading_sigma
+    covariance = fitted.posterior.covariance
+    if kind is Kind.IRON and before is not None:
+        # The matrix is the old one's, and so is its uncertainty.
+        covariance = np.zeros_like(covariance)
+        covariance[:9, :9] = before.covariance[:9, :9]
+        covariance[9:, 9:] = fitted.posterior.covariance[9:, 9:]
+    words = (
+        f"Calibrated from {fitted.seconds:.0f} s of ordinary driving, {fitted.sectors} of 12"
+        f" headings: heading ±{math.degrees(sigma):.1f}° on the level (1σ) by the calibration"
+    )
+    figures = {
+        Figure.HEADINGS_DRIVEN.value: float(fitted.sectors),
+        Figure.DRIVING_TIME.value: fitted.seconds,
+        Figure.STREET.value: fitted.street,
+        Figure.LOCAL_FIELD.value: fitted.local_field,
+    }
+    # The road was driven without the motors' field as it is known.
+    motors = None if before is None else before.motors
+    motors = None if motors is None else motors.with_another_calibration()
+    calibration = Calibration(
+        fitted.posterior.correction,
+        covariance,
+        fitted.noise,
+        0.01 if before is None else before.noise_up,
+        fitted.posterior.strength,
+        fitted.posterior.inclination,
+        Evidence(METHOD, "good", "good", words, figures=figures),
+        motors,
+    )
+    by_place = local_sigma(calibration)
+    figures[Figure.LOCAL_SIGMA.value] = by_place
+    figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, by_place)
+    return DriveCandidate(
+        kind,
+        replace(calibration, evidence=replace(calibration.evidence, figures=figures)),
+        sigma,
+        fitted.sectors,
+        start,
+        end,
+    )

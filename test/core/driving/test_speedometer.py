@@ -5,7 +5,7 @@ import math
 import pytest
 
 from magcal_ros.core.driving.driving_tuning import SPEED, SpeedSource
-from magcal_ros.core.driving.speedometer import Speedometer, SpeedTrack
+from magcal_ros.core.driving.speed import Speedometer, SpeedTrack
 from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
 
 

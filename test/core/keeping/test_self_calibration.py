@@ -13,12 +13,15 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.keeping.candidates import (
+from magcal_ros.core.keeping.jobs import (
     DriveCandidate,
+    Findings,
     Kind,
+    Mode,
+    Proof,
+    Verb,
     difference,
 )
-from magcal_ros.core.keeping.jobs import Findings, Mode, Proof, Verb
 from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of

@@ -9,8 +9,7 @@ from simulated.drive import Fence, Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
 
-from magcal_ros.core.keeping.candidates import Kind
-from magcal_ros.core.keeping.jobs import Contest, Step
+from magcal_ros.core.keeping.jobs import Contest, Kind, Step
 from magcal_ros.core.keeping.worker import prove
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.drive_log import log_of

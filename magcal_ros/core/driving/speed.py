@@ -1,0 +1,387 @@
+"""The vehicle's speed from the best source, and its own acceleration, at the speed's delay."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from magcal_ros.core.driving.chords import GyroFrame, Tick
+from magcal_ros.core.driving.driving_tuning import OWN, SPEED, SpeedSource
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.vec3 import Triple, minus
+from magcal_ros.core.samples.streams import (
+    PositionSample,
+    SpeedSample,
+    StampGuard,
+    TravelSample,
+    VelocitySample,
+    enclosing,
+)
+
+Span = TypeVar("Span", float, FloatArray)
+
+
+def largest_change(seconds: Span) -> Span:
+    """Return by how much a speed may change meanwhile, m/s; beyond it is a jump."""
+    return SPEED.largest_acceleration * seconds + SPEED.step
+
+
+def is_jump(before: tuple[float, float], after: tuple[float, float]) -> bool:
+    """Whether a speed changes from one stamp to another as no vehicle's can."""
+    return abs(after[1] - before[1]) > largest_change(after[0] - before[0])
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedRecord:
+    """What one source has measured, frozen."""
+
+    kept: FloatArray
+    """Stamps and speeds of some minutes, thinned. Shape (n, 2)."""
+    wild_share: float  # share of the newest samples to which the speed jumps as no vehicle can
+    delay: float
+    gap: float
+    """Seconds by which the stamps are late, and that are interpolated over."""
+    is_signed: bool  # whether backwards is negative
+
+    def along(self, stamps: FloatArray, delay: float) -> FloatArray:
+        """Return the speed at many stamps (n,), NaN where there is none, for a latency."""
+        if len(self.kept) < 2:
+            return np.full(len(stamps), math.nan)
+        time, speed = self.kept.T
+        moments = stamps + delay
+        after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
+        span, change = np.diff(time), np.diff(speed)
+        broken = (span > self.gap) | (np.abs(change) > largest_change(span))
+        found = np.interp(moments, time, speed, left=math.nan, right=math.nan)
+        found[broken[after - 1]] = math.nan
+        return np.asarray(found)
+
+
+class SpeedTrack:
+    """What one source has measured lately.
+
+    `delay` are the seconds by which its stamps are late, and `is_signed` is whether backwards is
+    negative.
+    """
+
+    def __init__(self, source: SpeedSource) -> None:
+        own = source is SpeedSource.ODOMETRY
+        self.source = source
+        self.delay = 0.0 if own else SPEED.receiver_delay
+        self.is_signed = own
+        self._stamps = StampGuard()
+        self._doubted: tuple[float, float] | None = None
+        self._wild: deque[bool] = deque(maxlen=SPEED.newest)
+        self._recent: deque[tuple[float, float]] = deque(maxlen=SPEED.newest)
+        self._kept: deque[tuple[float, float]] = deque(maxlen=SPEED.remembered)
+
+    @property
+    def newest(self) -> float:
+        """Stamp of the newest sample that is believed, seconds; minus infinity before the first."""
+        return self._recent[-1][0] if self._recent else -math.inf
+
+    @property
+    def last(self) -> float:
+        """The newest speed, m/s; NaN before the first."""
+        return self._recent[-1][1] if self._recent else math.nan
+
+    def wants(self, stamp: float) -> bool:
+        """Whether a sample is of use, and not one of more a second than are read."""
+        return not 0.0 < stamp - self.newest < SPEED.shortest
+
+    def add(self, stamp: float, speed: float) -> bool:
+        """Take a speed; returns whether it was usable."""
+        if not self.wants(stamp):
+            return True
+        if not abs(speed) <= SPEED.largest or self._stamps.check(stamp) is not None:
+            return False
+        if stamp < self.newest:
+            self._recent.clear()
+            self._kept.clear()
+        self._weigh((stamp, speed))
+        return True
+
+    def _weigh(self, sample: tuple[float, float]) -> None:
+        """Accept a sample; one to which the speed jumps only if the next one stays there."""
+        doubted, self._doubted = self._doubted, None
+        is_wild = bool(self._recent) and is_jump(self._recent[-1], sample)
+        self._wild.append(is_wild)
+        if is_wild and (doubted is None or is_jump(doubted, sample)):
+            self._doubted = sample
+            return
+        self._recent.append(sample)
+        if not self._kept or sample[0] - self._kept[-1][0] >= 2.0 * SPEED.shortest:
+            self._kept.append(sample)
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether these are wheels with as few messages as a receiver."""
+        if self.source is not SpeedSource.ODOMETRY or len(self._recent) < 4:
+            return False
+        return self._recent[-1][0] - self._recent[-4][0] > 3.0 * SPEED.seldom
+
+    @property
+    def gap(self) -> float:
+        """Seconds between two samples that are interpolated between."""
+        is_quick = self.source is SpeedSource.ODOMETRY and not self.is_slow
+        return 2.0 * SPEED.seldom if is_quick else SPEED.receiver_gap
+
+    def at(self, stamp: float) -> float | None:
+        """Return the speed at a stamp of the IMU's clock; None unless two near samples enclose it.
+
+        m/s.
+        """
+        stamp += self.delay
+        found = enclosing(self._recent, stamp)
+        if found is None:
+            return None
+        sample, later = found
+        if later is None:
+            return sample[1] if sample[0] == stamp else None
+        span = later[0] - sample[0]
+        if span > self.gap or is_jump(sample, later):
+            return None
+        return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
+
+    def has_passed(self, stamp: float) -> bool:
+        """Whether waiting longer can bring no sample before a stamp of the IMU's clock."""
+        return self.newest >= stamp + self.delay
+
+    def record(self) -> SpeedRecord:
+        """Return what is remembered, for work in another thread."""
+        kept = np.array(self._kept).reshape(-1, 2)
+        wild = sum(self._wild) / SPEED.newest
+        return SpeedRecord(kept, wild, self.delay, self.gap, self.is_signed)
+
+
+class Speedometer:
+    """Listens to wheels and receiver."""
+
+    def __init__(self) -> None:
+        self.tracks = {source: SpeedTrack(source) for source in SpeedSource}
+        self.distrusted: set[SpeedSource] = set()
+        self._fix: PositionSample | None = None
+
+    def add(self, sample: TravelSample) -> bool:
+        """Take what wheels or a receiver say, m/s and metres; returns whether it was usable.
+
+        The speed of a fix is that since the fix before.
+        """
+        if isinstance(sample, SpeedSample):
+            wheels = self.tracks[SpeedSource.ODOMETRY]
+            wheels.is_signed = sample.is_signed
+            return wheels.add(sample.stamp, sample.speed)
+        if isinstance(sample, VelocitySample):
+            speed = math.hypot(sample.east, sample.north)
+            return self.tracks[SpeedSource.VELOCITY].add(sample.stamp, speed)
+        if not math.isfinite(sample.stamp + sample.east + sample.north):
+            return False
+        before, self._fix = self._fix, sample
+        if before is None or not 0.05 < sample.stamp - before.stamp <= SPEED.receiver_gap:
+            return False
+        span = sample.stamp - before.stamp
+        way = math.hypot(sample.east - before.east, sample.north - before.north)
+        return self.tracks[SpeedSource.FIXES].add(0.5 * (sample.stamp + before.stamp), way / span)
+
+    @property
+    def track(self) -> SpeedTrack | None:
+        """The best source that is available and trusted; None without one."""
+        newest = max([track.newest for track in self.tracks.values()])
+        for source, track in self.tracks.items():
+            is_here = newest - track.newest < SPEED.receiver_gap
+            if is_here and source not in self.distrusted:
+                return track
+        return None
+
+
+class _Trip(NamedTuple):
+    """When a trip ended, which way it went, and whether the force had decided on that."""
+
+    end: float = -math.inf
+    sign: float = 1.0
+    is_clear: bool = False
+
+
+class OwnAcceleration:
+    """Subtracts the vehicle's own acceleration from the force.
+
+    Over the last half second that the speed is known for, the mean force less the change of
+    velocity is gravity, in the frame that the gyro keeps still; it is turned into the body axes
+    of the moment. So neither a late speed nor one that comes once a second does harm.
+
+    `yaw` is that of the IMU in the vehicle, radians, zero until it is known. `scale` is the force
+    over the change of speed, whose noise makes it less than one, and `noise` the m/s² by which the
+    force departs from it. `is_used` is whether the speed explains the force of the last seconds.
+    `is_yaw_usable` and `is_yaw_known` are whether the yaw is known roughly, and well: before the
+    latter, a vehicle is taken to drive forwards. `sign` is minus one while a speed without sign is
+    that of a vehicle that backs up, and `is_clear` is whether the force has decided on it since the
+    vehicle stood.
+    """
+
+    def __init__(self) -> None:
+        self.yaw, self.is_yaw_usable, self.is_yaw_known = 0.0, False, False
+        self.scale, self.noise = 1.0, 0.3
+        self._waiting: deque[Tick] = deque(maxlen=64)
+        self._matched: deque[tuple[Tick, complex]] = deque(maxlen=max(OWN.spans.values()) + 1)
+        # Force, change of velocity in the direction of travel, and of speed, m/s².
+        self._seen: deque[tuple[complex, complex, float]] = deque(maxlen=OWN.watched)
+        self._is_rough, self._slow = False, OWN.slow[SpeedSource.ODOMETRY]
+        self._is_signed, self._span = True, OWN.spans[SpeedSource.ODOMETRY]
+        self._track_key: tuple[SpeedSource, float] | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget ticks: the gyro's frame is another one."""
+        self._waiting.clear()
+        self._gives, self._pauses_until = False, -math.inf
+        self._before, self._is_under_way, self._speed = _Trip(), True, 0.0
+        self.sign, self.is_clear = 1.0, False
+        self._slope, self._in_trip = 0j, 0
+        self._try_anew()
+
+    def _try_anew(self) -> None:
+        self._matched.clear()
+        self._seen.clear()
+        self._gravity: tuple[float, Triple] | None = None
+        self.is_used = False
+
+    def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
+        """Return the sign of a trip under way at a stamp, or that ended after it.
+
+        And whether the force has decided on it, and whether it may still do so.
+        """
+        if stamp > self._before.end:
+            return self.sign, self.is_clear, True
+        return self._before.sign, self._before.is_clear, False
+
+    def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
+        """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
+        self._waiting.append(tick)
+        key = None if track is None else (track.source, track.delay)
+        if key != self._track_key:
+            # Another source, or another latency: a change of velocity would be none.
+            self._track_key = key
+            self._try_anew()
+        if track is not None:
+            self._is_signed = track.is_signed
+            self._slow = OWN.slow[track.source]
+            self._is_rough = track.source is SpeedSource.FIXES
+            self._span = OWN.spans[SpeedSource.VELOCITY if track.is_slow else track.source]
+        met: list[tuple[Tick, float]] = []
+        while self._waiting:
+            first = self._waiting[0]
+            is_late = tick.stamp - first.stamp > OWN.oldest
+            if track is not None and not track.has_passed(first.stamp) and not is_late:
+                break
+            self._waiting.popleft()
+            speed = None if track is None else track.at(first.stamp)
+            self._meet(first, speed)
+            met.append((first, math.nan if speed is None else speed * self.sign))
+        return met
+
+    def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
+        """Return what to subtract from a specific force, m/s², body axes; None if it is not known.
+
+        It does not come and go: a force that is corrected for moments only would mislead.
+        """
+        since, gravity = self._gravity or (math.inf, force)
+        is_known = self.is_used and 0.0 <= stamp - since <= OWN.oldest
+        if not is_known or frame.axes is None or stamp < self._pauses_until:
+            if self._gives:
+                self._pauses_until = stamp + OWN.oldest
+            self._gives = False
+            return None
+        self._gives = True
+        return minus(force, frame.to_body(gravity))
+
+    @property
+    def _turn(self) -> complex:
+        """From the change of velocity, as if the IMU looked ahead, to the force."""
+        return self.scale * cmath.exp(-1j * self.yaw)
+
+    def _begin_trip(self, stamp: float, sign: float, is_clear: bool) -> None:
+        self._before = _Trip(stamp, self.sign, self.is_clear)
+        self.sign, self.is_clear = sign, is_clear
+        left = [force - self._turn * change for force, change, _ in self._seen]
+        self._slope, self._in_trip = sum(left) / max(len(left), 1), 0
+
+    def _meet(self, tick: Tick, speed: float | None) -> None:
+        if speed is None:
+            self._matched.clear()
+            self._gravity = None
+            return
+        is_slow = abs(speed) < OWN.standing
+        if is_slow and self._is_under_way:
+            self._begin_trip(tick.stamp, 1.0, False)
+        elif not is_slow and self._span > 2 and abs(speed) < min(OWN.crawling, self._speed):
+            # A speed that comes once a second may leave out that the vehicle stood, and mere fixes
+            # smear a stop over seconds.
+            self._begin_trip(tick.stamp, self.sign, self.is_clear and not self._is_rough)
+        self._is_under_way, self._speed = not is_slow, abs(speed)
+        self._matched.append((tick, speed * cmath.exp(1j * tick.yaw)))
+        if len(self._matched) > self._span:
+            self._weigh()
+
+    def _weigh(self) -> None:
+        """Take the change of velocity over the span off the mean force over it."""
+        (begin, old), *others = list(self._matched)[-self._span - 1 :]
+        end, new = others[-1]
+        seconds = sum(tick.seconds for tick, _ in others)
+        if not 0.5 * seconds < end.stamp - begin.stamp < 1.5 * seconds:
+            return
+        x, y, z = (
+            sum(tick.force[axis] * tick.seconds for tick, _ in others) / seconds
+            for axis in range(3)
+        )
+        # The speed of a receiver that stands wanders.
+        stands = max(abs(new), abs(old)) < self._slow
+        change = 0j if stands else (new - old) / seconds
+        along = (abs(new) - abs(old)) / seconds
+        self._seen.append((complex(x, y), self.sign * change, along))
+        self._in_trip += 1
+        self._judge()
+        own = self.sign * change * self._turn
+        self._gravity = (end.stamp, (x - own.real, y - own.imag, z))
+
+    def _judge(self) -> None:
+        """Look whether the speed explains the force of the last seconds, and with which sign."""
+        if not self._is_signed and self._is_under_way and self.is_yaw_known:
+            self._decide()
+        force, change, along = np.array(self._seen).T
+        without, quiet = float(np.var(force)), OWN.quiet**2
+        limit = OWN.gain * without if without > quiet else quiet
+        is_explained = float(np.var(force - self._turn * change)) <= limit
+        # On an even circle the gyro suffices: the speed of mere fixes would only add noise.
+        changes, starts = (float(np.sum(np.abs(each) ** 2)) for each in (change, along))
+        is_tested = not self._is_rough or (
+            self.is_yaw_usable and starts >= OWN.along * changes > 0.0
+        )
+        self.is_used = len(force) >= OWN.fewest and is_explained and is_tested
+
+    def _decide(self) -> None:
+        """Sum up, since the vehicle stood, what the force shows of the direction of travel.
+
+        What the force is beside the vehicle's own acceleration is that before the trip: later it
+        is known only by the sign that is sought.
+        """
+        first = max(0, len(self._seen) - self._in_trip)
+        trip = list(self._seen)[first:]
+        own = [self._turn * change for _, change, _ in trip]
+        energy = sum(abs(each) ** 2 for each in own)
+        if energy <= 0.0:
+            return
+        explained = sum(
+            ((force - self._slope) * each.conjugate()).real
+            for (force, _, _), each in zip(trip, own, strict=True)
+        )
+        sigmas = explained / (math.sqrt(OWN.correlated * energy) * self.noise)
+        if sigmas < -OWN.clear:
+            self.sign = -self.sign
+            for row, (force, change, along) in enumerate(trip, first):
+                self._seen[row] = force, -change, along
+        self.is_clear = self.is_clear or abs(sigmas) > OWN.clear
