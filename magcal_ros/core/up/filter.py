@@ -102,10 +102,8 @@ class PropagationTuning:
     starting_rate_noise: float = 0.005
     """g and rad/s per axis, before they are measured."""
     smallest: float = 1e-3
-    """Sigma of up, radians, that no filter removes; g by which an accelerometer's length on the
-    way, or without a gyro, differs from that at rest."""
-    most_turning: int = 500
-    """Messages of a turning robot over which its accelerometer's length is averaged."""
+    """Sigma of up, radians, that no filter removes; g by which an accelerometer's length without a
+    gyro differs from that at rest."""
     smoothing: float = 0.15  # seconds over which up is smoothed without a gyro
     rest_memory: float = 30.0  # seconds over which the length at rest is learnt without a gyro
 

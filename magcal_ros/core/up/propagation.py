@@ -81,7 +81,6 @@ class GyroPropagation:
         self._rate_noise = PROPAGATION.starting_rate_noise**2
         self._rest, self._rest_sigma = 1.0, FILTER.rest_length_sigma
         self._is_rest_seen = False
-        self._turning = 0
         self.begin(0.0, (0.0, 0.0, 1.0), ZERO)
 
     def begin(self, stamp: float, force: Triple, rate: Triple, is_given: bool = False) -> None:
@@ -166,8 +165,6 @@ class GyroPropagation:
             self._settle(doubt, noise)
         elif self._spell.seconds > REST.undecided:
             self._learn(means, doubt, noise)
-        if not self._is_rest_seen and doubt is None:
-            self._guess_rest(means.force, noise, block.count)
         self._look_for_shaken_rest(means)
         self._take_over()
 
@@ -223,12 +220,6 @@ class GyroPropagation:
         if distance(unit_triple(shown.force), unit_triple(up)) > CLEAR * sigma:
             following.begin(np.array(shown.force), sigma**2, 0.0, self._motion(True))
             following.forget_motion(self._motion())
-
-    def _guess_rest(self, force: Triple, noise: float, count: int) -> None:
-        """Until the robot was seen at rest, take its length while it turns for that at rest."""
-        self._turning = min(self._turning + count, PROPAGATION.most_turning)
-        self._rest += count / self._turning * (length(force) - self._rest)
-        self._rest_sigma = math.hypot(PROPAGATION.smallest, noise / math.sqrt(self._turning))
 
     def _settle(self, doubt: float | None, noise: float) -> None:
         """Use the accelerometer once it is steady for long enough, or its length shows a rest."""
