@@ -279,12 +279,11 @@ def listen(options: argparse.Namespace) -> Heard:
                         asking.tick(guide)
                 if guide.pass_time(now):
                     asking.tick(guide)
-                if now - begin > SILENT_AFTER and not all(listener.heard):
-                    heard = zip(listener.topics, listener.heard, strict=True)
-                    silent = " and ".join(topic for topic, count in heard if not count)
+                silent = [each.topic for each in listener.sensors if not each.messages]
+                if silent and now - begin > SILENT_AFTER:
                     raise MagcalError(
-                        f"nothing arrives on {silent}: is the driver running, is the clock paused? "
-                        "Choose other topics with --imu and --mag"
+                        f"nothing arrives on {' and '.join(silent)}: is the driver running, is "
+                        "the clock paused? Choose other topics with --imu and --mag"
                     )
         if interrupted.is_set():
             raise KeyboardInterrupt

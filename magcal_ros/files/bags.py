@@ -15,20 +15,11 @@ from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.messages import (
-    field_sample,
-    fix_of,
-    heading_of,
-    imu_sample,
-    seconds,
-    speed_of,
-    velocity_of,
-)
+from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
-from magcal_ros.files import wire
 from magcal_ros.files.disk import FileTrouble, damage_in_words, plain
-from magcal_ros.files.wire import RosReader, fix_in, speed_in, sure_velocity_in, velocity_in
+from magcal_ros.files.wire import CDR, ROS1, Format, RosReader, frame_of, is_plain_cdr
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -43,13 +34,12 @@ BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
 ODOM_TYPE = "nav_msgs/msg/Odometry"
 TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
 SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
-TRAVEL: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], Any]]] = {
-    FIX_TYPE: (fix_in, fix_of),
-    ODOM_TYPE: (speed_in, speed_of),
-    TWIST_TYPE: (velocity_in, velocity_of),
-    SURE_TWIST_TYPE: (sure_velocity_in, velocity_of),
+TRAVEL: dict[str, Callable[[Format, bytes], Any]] = {
+    FIX_TYPE: Format.fix,
+    ODOM_TYPE: Format.speed,
+    TWIST_TYPE: Format.velocity,
+    SURE_TWIST_TYPE: Format.sure_velocity,
 }
-"""How each type's numbers are read: from plain CDR, and from a message."""
 RECEIVERS_SAY = ("vel", "fix_velocity")
 """How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
 body's. A bag without fixes has no receiver."""
@@ -81,6 +71,7 @@ class Bag:
         self, path: Path, reader: Any, imu: str, field: str, start: float, stop: float
     ) -> None:
         self._path, self._reader = path, reader
+        self._format = CDR if reader.is2 else ROS1
         if not reader.message_count:
             raise FileTrouble(f"{plain(str(path))} holds no messages: record again")
         self._imu = _find(path, reader, IMU_TYPE, imu, "--imu")
@@ -97,24 +88,21 @@ class Bag:
 
     def readings(self) -> Iterator[Reading]:
         """Yield what the two topics say, in the order in which it was recorded."""
-        layout = wire.CDR if self._reader.is2 else wire.ROS1
-        of_imu, of_field = wire.imu_parser(layout), wire.field_parser(layout)
+        of_imu, of_field = self._format.imu, self._format.field
         fields = {connection.id for connection in self._field}
         imu_frame = field_frame = b""
 
         def take(connection: Connection, received: int, data: bytes) -> Reading:
             nonlocal imu_frame, field_frame
-            self._reached, is_field = received, connection.id in fields
-            if self._reader.is2 and not wire.is_plain_cdr(data):
-                return self._slowly(connection, data, is_field)
-            if is_field:
+            self._reached = received
+            if connection.id in fields:
                 frame, sample, _ = of_field(data)
                 if frame != field_frame:
-                    field_frame, self.field_frame = frame, wire.frame_of(frame)
+                    field_frame, self.field_frame = frame, frame_of(frame)
                 return sample
             frame, reading = of_imu(data)
             if frame != imu_frame:
-                imu_frame, self.imu_frame = frame, wire.frame_of(frame)
+                imu_frame, self.imu_frame = frame, frame_of(frame)
             return reading
 
         return self._read([*self._imu, *self._field], take)
@@ -154,9 +142,13 @@ class Bag:
             return []
 
         def take(connection: Connection, received: int, data: bytes) -> tuple[float, float]:
-            message: Any = self._reader.deserialize(data, connection.msgtype)
+            if self._reader.is2:
+                stamp, current = CDR.current(data)
+            else:  # some distributions of ROS 1 have no temperature before the current
+                message: Any = self._reader.deserialize(data, connection.msgtype)
+                stamp, current = seconds(message.header.stamp), float(message.current)
             # Zero stamps are usual in drivers of batteries.
-            return seconds(message.header.stamp) or received * 1e-9, float(message.current)
+            return stamp or received * 1e-9, current
 
         return sorted(self._read(heard, take))
 
@@ -168,7 +160,7 @@ class Bag:
         read = list(
             self._read(
                 _named(self._path, self._reader, IMU_TYPE, topic),
-                lambda c, _, data: heading_of(self._reader.deserialize(data, c.msgtype)),
+                lambda _, __, data: self._format.heading(data),
             )
         )
         found = [each for each in read if not isinstance(each, str)]
@@ -179,10 +171,7 @@ class Bag:
 
     def _travelled(self, connection: Connection, _: int, data: bytes) -> Any:
         """Return the fix, speed or velocity of a message, or words on why it has none."""
-        from_bytes, from_message = TRAVEL[connection.msgtype]
-        if self._reader.is2 and wire.is_plain_cdr(data):
-            return from_bytes(data)
-        return from_message(self._reader.deserialize(data, connection.msgtype))
+        return TRAVEL[connection.msgtype](self._format, data)
 
     def _of(self, *kinds: str) -> list[Connection]:
         """Return the connections of some types that hold messages."""
@@ -198,16 +187,12 @@ class Bag:
                 for connection, received, data in self._reader.messages(
                     heard, self._first, self._end
                 ):
+                    if self._reader.is2 and not is_plain_cdr(data):
+                        # The library turns the other byte order.
+                        kind, store = connection.msgtype, self._reader.typestore
+                        message = self._reader.deserialize(data, kind)
+                        data = bytes(store.serialize_cdr(message, kind, little_endian=True))
                     yield take(connection, received, data)
-
-    def _slowly(self, connection: Connection, data: bytes, is_field: bool) -> Reading:
-        """Let the library take apart what is not in the usual byte order."""
-        message: Any = self._reader.deserialize(data, connection.msgtype)
-        if is_field:
-            self.field_frame = message.header.frame_id
-            return field_sample(message)
-        self.imu_frame = message.header.frame_id
-        return imu_sample(message)
 
 
 @contextlib.contextmanager

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from by_message import speed_of, velocity_of
 from drives import STORE2, drive, write_bag
 
-from magcal_ros.core.messages import speed_of, velocity_of
 from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
 from magcal_ros.files.sources import open_recording
-from magcal_ros.files.wire import speed_in, sure_velocity_in, velocity_in
+from magcal_ros.files.wire import CDR
 
 TYPES = STORE2.types
 
@@ -79,7 +79,7 @@ def test_a_receivers_velocity_is_heard_and_a_command_is_not(tmp_path, topic, sur
 def test_a_velocity_is_read_from_its_bytes(frame, sure):
     message = velocity(12.25, 3.5, -0.1, sure, frame)
     data = bytes(STORE2.serialize_cdr(message, message.__msgtype__))
-    read = sure_velocity_in if sure else velocity_in
+    read = CDR.sure_velocity if sure else CDR.velocity
     assert read(data) == velocity_of(message)
 
 
@@ -92,6 +92,6 @@ def test_a_bag_of_the_sensors_alone_tells_no_travel(tmp_path):
 @pytest.mark.parametrize("child", ["", "b", "base", "base_link"])
 def test_an_odometry_is_read_from_its_bytes(frame, child):
     message = odometry(12.25, 3.5, frame, child)
-    found = speed_in(bytes(STORE2.serialize_cdr(message, "nav_msgs/msg/Odometry")))
+    found = CDR.speed(bytes(STORE2.serialize_cdr(message, "nav_msgs/msg/Odometry")))
     assert found == speed_of(message)
     assert isinstance(found, SpeedSample) or frame == child
