@@ -61,9 +61,9 @@ def run_check(options: argparse.Namespace) -> int:
     with recorded.opened(options, options.recording) as source:
         gathered = recorded.gather(options, Mounting(), source, calibration)
         north = gathered.reference.field.declination
-        travel, readings = source.travel(), RepairedReadings(source, known=calibration)
+        travel, readings = source.travel, RepairedReadings(source, known=calibration)
         course = recorded_course(calibration, readings, travel, north) if travel else None
-        own = against_own_yaw(calibration, readings, source.yaw(), north)
+        own = against_own_yaw(calibration, readings, source.yaw, north)
     folder = new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, gathered.reference.field)
     made_for, heard = origin.magnetometer_frame, gathered.source.field_frame
@@ -176,10 +176,10 @@ def run_drive(options: argparse.Namespace) -> int:
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
     folder = new_or_named(options.output, "magcal_drive")
     with recorded.opened(options, options.recording) as source:
-        reference = reference_in_use(options, source.place(), source.begun())
+        reference = reference_in_use(options, source.place, source.begun)
         replay = DriveReplay(Knowledge(reference.field, recorded.mounting_from(options)), begun)
         repaired = RepairedReadings(source, for_drive=True, known=begun)
-        travel = source.travel()
+        travel = source.travel
         with recorded.at_work(
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f} % of it", sys.stderr
         ):

@@ -31,6 +31,8 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.disk import FileTrouble, plain, plain_lines, write_atomically
+from magcal_ros.files.exporters import parameter_file
+from magcal_ros.files.recording import REMEDY
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -130,7 +132,8 @@ def _recorded(options: argparse.Namespace) -> Heard:
     rest = {ImuSample: MOST, FieldSample: MOST}
 
     def kept(readings: Iterator[Reading]) -> Iterator[Reading]:
-        for reading in readings:
+        for count, reading in enumerate(readings):
+            shares[0] = count / max(source.count, 1)
             if reading is not None and rest[type(reading)] > 0:
                 rest[type(reading)] -= 1
                 samples.append(reading)
@@ -139,10 +142,12 @@ def _recorded(options: argparse.Namespace) -> Heard:
     mounting = recorded.mounting_from(options)
     with recorded.opened(options, options.recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-        gathering.take(kept(recorded.watched(source, source.readings(), sys.stderr)))
+        shares = [0.0]
+        with recorded.at_work(lambda: f"reading, {100.0 * shares[0]:.0f} %", sys.stderr):
+            gathering.take(kept(source.readings()))
         newest = gathering.streams.field_stamps.newest
-        reference = reference_in_use(options, source.place(), newest)
-        travel = source.travel()
+        reference = reference_in_use(options, source.place, newest)
+        travel = source.travel
     complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
     more = tuple(looked_at("recording", "recording", words, words) for words in complaints)
     left = None if options.turned is None else options.turned == "left"
@@ -218,8 +223,7 @@ def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) ->
     lines = [page.parameters]
     if gains is not None:
         lines.append(f"soft_iron_gains: [{', '.join(f'{float(gain)!r}' for gain in gains)}]")
-    text = "\n".join(["/**:", "  ros__parameters:", *(f"    {line}" for line in lines)])
-    write_atomically(path, text + "\n", "Choose a writable folder, or correct its permissions.")
+    write_atomically(path, parameter_file(*lines), REMEDY)
     return str(path)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,7 +15,6 @@ import numpy as np
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
@@ -66,6 +66,8 @@ class Bag:
 
     imu_frame = field_frame = ""
     notes: tuple[str, ...] = ()
+    yaw = np.empty((0, 2))
+    """Only logs have the yaws of an autopilot."""
 
     def __init__(
         self, path: Path, reader: Any, imu: str, field: str, start: float, stop: float
@@ -79,12 +81,9 @@ class Bag:
         self.imu_topic, self.field_topic = plain(self._imu[0].topic), plain(self._field[0].topic)
         self._first: int = reader.start_time + _nanoseconds(max(start, 0.0))
         self._end: int = min(reader.end_time, reader.start_time + _nanoseconds(stop))
-        self._reached: int = self._first
-
-    @property
-    def share(self) -> float:
-        """How much of the span has been read, 0 to 1."""
-        return min(1.0, (self._reached - self._first) / max(self._end - self._first, 1))
+        share = (self._end - self._first) / max(reader.end_time - reader.start_time, 1)
+        self.count = round(share * sum(c.msgcount for c in (*self._imu, *self._field)))
+        """About how many messages of both sensors the span holds."""
 
     def readings(self) -> Iterator[Reading]:
         """Yield what the two topics say, in the order in which it was recorded."""
@@ -92,9 +91,8 @@ class Bag:
         fields = {connection.id for connection in self._field}
         imu_frame = field_frame = b""
 
-        def take(connection: Connection, received: int, data: bytes) -> Reading:
+        def take(connection: Connection, _at: int, data: bytes) -> Reading:
             nonlocal imu_frame, field_frame
-            self._reached = received
             if connection.id in fields:
                 frame, sample, _ = of_field(data)
                 if frame != field_frame:
@@ -107,17 +105,20 @@ class Bag:
 
         return self._read([*self._imu, *self._field], take)
 
+    @cached_property
     def place(self) -> Place | None:
-        """Return the place of the first good fix of the span; None if there is none."""
+        """The place of the first good fix of the span; None if there is none."""
         fixes = islice(self._read(self._of(FIX_TYPE), self._travelled), MOST_FIXES)
         return next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
 
+    @property
     def begun(self) -> float:
-        """Return when the span begins by the bag's own clock, seconds."""
+        """When the span begins by the bag's own clock, seconds."""
         return self._first * 1e-9
 
-    def travel(self) -> list[TravelSample]:
-        """Return what receiver and wheels said, by stamp; empty if nothing."""
+    @cached_property
+    def travel(self) -> tuple[TravelSample, ...]:
+        """What receiver and wheels said, by stamp; empty if nothing."""
         plane, found = LocalPlane(), list[TravelSample]()
         heard = self._of(FIX_TYPE, ODOM_TYPE)
         if self._of(FIX_TYPE):
@@ -128,14 +129,11 @@ class Bag:
                 sample = plane.position(sample)
             if sample is not None and not isinstance(sample, str):
                 found.append(sample)
-        return sorted(found, key=lambda sample: sample.stamp)
+        return tuple(sorted(found, key=lambda sample: sample.stamp))
 
-    def yaw(self) -> FloatArray:
-        """Return the yaws of an autopilot, (0, 2): only logs have them."""
-        return np.empty((0, 2))
-
+    @cached_property
     def currents(self) -> list[tuple[float, float]]:
-        """Return stamps, seconds, and currents of the battery, A; empty if there is none."""
+        """Stamps, seconds, and currents of the battery, A; empty if there is none."""
         heard = self._of(BATTERY_TYPE)
         # Several batteries are no one current.
         if len({c.topic for c in heard}) != 1:

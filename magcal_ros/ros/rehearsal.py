@@ -24,7 +24,6 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.files.recording import Recording
-from magcal_ros.files.sources import FIRST_STAMP
 from magcal_ros.ros.sensor_frames import LATCHED
 
 
@@ -82,18 +81,16 @@ def replay(
     Returns the number of samples.
     """
     clock_out, message = node.create_publisher(Clock, "/clock", 10) if clock else None, Clock()
-    shift = max(0.0, FIRST_STAMP - float(min(recording.imu[0, 0], recording.field[0, 0])))
     started: float | None = None
     count = 0
-    for sample in recording.samples():
-        moved = sample._replace(stamp=sample.stamp + shift) if shift else sample
+    for sample in recording.cut(0.0, math.inf).samples():
         if started is None:
-            started = time.monotonic() - moved.stamp / rate
-        between(max(0.0, started + moved.stamp / rate - time.monotonic()))
+            started = time.monotonic() - sample.stamp / rate
+        between(max(0.0, started + sample.stamp / rate - time.monotonic()))
         if clock_out is not None:
-            set_time(message.clock, moved.stamp)
+            set_time(message.clock, sample.stamp)
             clock_out.publish(message)
-        source.publish(moved)
+        source.publish(sample)
         count += 1
     return count
 

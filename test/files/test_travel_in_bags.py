@@ -46,7 +46,7 @@ def test_fixes_and_speeds_come_by_their_stamps(tmp_path):
     extra += [("/fix", fix(1002.0, 48.0 + math.degrees(100.0 / 6_371_000.0)))]
     bag = write_bag(tmp_path / "bag", [*drive(90.0), *extra])
     with open_recording(bag) as source:
-        found = source.travel()
+        found = source.travel
     assert [type(sample) for sample in found] == [SpeedSample, PositionSample, PositionSample]
     assert found[0].speed == pytest.approx(-2.0, abs=0.01)
     assert found[2].north == pytest.approx(100.0, abs=0.01)
@@ -70,7 +70,7 @@ def test_a_receivers_velocity_is_heard_and_a_command_is_not(tmp_path, topic, sur
     extra = [("/fix", fix(1001.0, 48.0)), (topic, velocity(1001.0, 3.0, -4.0, sure))]
     extra += [("/cmd_vel", velocity(1001.5, 9.0, 0.0, False))]
     with open_recording(write_bag(tmp_path / "bag", [*drive(90.0), *extra])) as source:
-        _, found = source.travel()
+        _, found = source.travel
     assert found == VelocitySample(1001.0, 3.0, -4.0, pytest.approx(sigma))
 
 
@@ -85,7 +85,7 @@ def test_a_velocity_is_read_from_its_bytes(frame, sure):
 
 def test_a_bag_of_the_sensors_alone_tells_no_travel(tmp_path):
     with open_recording(write_bag(tmp_path / "bag", drive(90.0))) as source:
-        assert source.travel() == []
+        assert source.travel == ()
 
 
 @pytest.mark.parametrize("frame", ["", "o", "od", "odo", "odom", "odom_frame"])

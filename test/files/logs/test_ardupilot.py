@@ -48,9 +48,9 @@ def test_stamps_are_the_autopilots_at_the_time_of_its_receiver(tmp_path):
     gaps = np.diff([s.stamp for s in readings if isinstance(s, ImuSample)])
     expected = np.diff([s.stamp for s in SAMPLES if isinstance(s, ImuSample)])
     assert gaps == pytest.approx(expected, abs=2e-6)
-    assert 1.6e9 < source.begun() < 1.9e9
-    assert source.place().latitude_deg == pytest.approx(48.1)
-    place, moving = sorted(source.travel(), key=lambda each: len(each))
+    assert 1.6e9 < source.begun < 1.9e9
+    assert source.place.latitude_deg == pytest.approx(48.1)
+    place, moving = sorted(source.travel, key=lambda each: len(each))
     assert isinstance(place, PositionSample)
     assert isinstance(moving, VelocitySample)
     assert (moving.east, moving.north) == pytest.approx((3.0, 0.0), abs=1e-6)
