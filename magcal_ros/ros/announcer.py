@@ -139,8 +139,8 @@ class CallbackErrors:
         if kind not in self._known:
             self._known.add(kind)
             self._log(
-                f"{said}: {words}.The node continues; from now on this kind is only counted,  "
-                "in Inputs of /diagnostics"
+                f"{said}: {words}. The node continues; from now on this kind is only counted, in "
+                "Inputs of /diagnostics"
             )
         return said
 

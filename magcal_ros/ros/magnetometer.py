@@ -133,7 +133,8 @@ class Magnetometer:
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Apply a calibration and store it; only what is stored as well is a success."""
         origin = self._pipeline.origin_of(self.inputs.field.frame)
-        self.keeper.put_in_force_and_store(calibration, origin, tell, with_backup)
+        self.keeper.put_in_force(calibration, origin)
+        self.keeper.save(tell, with_backup)
 
     def reset(self) -> None:
         """Use no calibration any more."""
@@ -221,13 +222,13 @@ class Control:
     def __init__(
         self,
         streams: Streams,
-        house: Magnetometer,
-        node: Owner,
+        magnetometer: Magnetometer,
+        owner: Owner,
         robot: SelfTurn,
         fits: BackgroundThread,
         files: BackgroundThread,
     ) -> None:
-        self._house, self._node, self._fits, self._files = house, node, fits, files
+        self._magnetometer, self._owner, self._fits, self._files = magnetometer, owner, fits, files
         self._streams = streams
         self._pairer = Pairer(streams)
         self._worker = WorkerProcess()
@@ -297,14 +298,14 @@ class Control:
         """Let a turn see that time has passed; returns whether one is under way."""
         if self.state is ev.TurnState.COLLECTING:
             self._collect()
-            self._tell(self.turn.tick, self._house.describe_silence(), now())
+            self._tell(self.turn.tick, self._magnetometer.describe_silence(), now())
         return self.state is not ev.TurnState.IDLE
 
     def look(self) -> bool:
         """Look at a robot that turns itself; returns whether there is still one to look at."""
         self._collect()
         if self.turn.progress is not None:
-            self._tell(self.turn.look, self._node.look_around(), now())
+            self._tell(self.turn.look, self._owner.look_around(), now())
         return not self.turn.robot.is_quiet
 
     def give_up(self, reason: str) -> None:
@@ -341,12 +342,12 @@ class Control:
         try:
             self._carry_out(command)
         except Exception as error:  # whatever has failed, all who wait are answered
-            self._node.note_error(error)
+            self._owner.note_error(error)
             self._tell(self.turn.break_off, _broken_off(error))
 
     def _carry_out(self, command: ev.Command) -> None:
         if isinstance(command, ev.MoveBase):
-            self._node.move(command.rate)
+            self._owner.move(command.rate)
         elif isinstance(command, ev.Prepare):
             self._fits.run(self._worker.start, lambda _: None, lambda _: None)
         elif isinstance(command, ev.Preview):
@@ -357,7 +358,7 @@ class Control:
             self._tell(self.turn.note_report, self._report(command))
         elif isinstance(command, ev.PutInForce):
             # The calibration is in force; a fault in storing it is only said.
-            self._house.use(
+            self._magnetometer.use(
                 command.calibration, lambda done: self._tell(self.turn.note_saved, done.message)
             )
         elif isinstance(command, ev.Conclude):
@@ -384,9 +385,9 @@ class Control:
     def _report(self, asked: ev.Report) -> str:
         assert self._settings is not None
         try:
-            return self._house.begin_report(asked.window, self._settings, asked.outcome)
+            return self._magnetometer.begin_report(asked.window, self._settings, asked.outcome)
         except Exception as error:  # the calibration matters more than a page about it
-            self._node.note_error(error)
+            self._owner.note_error(error)
             return f"No report: {error}."
 
     def _conclude(self, conclusion: ev.Conclusion) -> None:
@@ -397,4 +398,4 @@ class Control:
             for listener in listeners:
                 at_last.callback(listener, conclusion)
             self._worker.stop()
-            self._node.turn_ended(self._house)
+            self._owner.turn_ended(self._magnetometer)

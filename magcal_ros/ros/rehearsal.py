@@ -124,8 +124,6 @@ class Rehearsal:
         self.source = SensorSource(node)
         self.status: dict[str, Any] = {}
         self.yaws: list[float] = []
-        self.mangle: Callable[[ImuSample | FieldSample], list[ImuSample | FieldSample]] | None
-        self.mangle = None
         self._calibrator = calibrator
         self._attitudes: Any = None
         self._settled = -math.inf
@@ -190,8 +188,7 @@ class Rehearsal:
         ticks = 0
         while not stop() and time.monotonic() - started < seconds:
             for sample in self.ride.step(rate()):
-                for published in [sample] if self.mangle is None else self.mangle(sample):
-                    self.source.publish(published)
+                self.source.publish(sample)
             ticks += 1
             self._spin_until(started + ticks * step)
 

@@ -113,7 +113,7 @@ class SelfKeeping:
             return
         self._idle = 0
         job = self._machine.job(knowledge)
-        self._jobs.run(lambda: self.worker.run(run_kindly, job), self._note, self._lost)
+        self._jobs.run(lambda: self.worker.run(run_with_low_priority, job), self._note, self._lost)
 
     def _lost(self, error: Exception) -> None:
         self._machine.fail()
@@ -161,8 +161,8 @@ class SelfKeeping:
         )
 
 
-def run_kindly(job: DriveJob) -> Findings:
-    """Do a job in a process that lets all others go first; only there is loaded what it takes."""
+def run_with_low_priority(job: DriveJob) -> Findings:
+    """Do a job in the worker process at low priority; only there is loaded what it takes."""
     from magcal_ros.core.keeping.worker import answer
 
     if hasattr(os, "setpriority"):

@@ -149,12 +149,9 @@ class SensorLoop:
                 wait_set.add_guard_condition(guard)
                 wait_set.wait(FOR_EVER)
                 with self._lock:
-                    self._hand_on_all()
-
-    def _hand_on_all(self) -> None:
-        for subscription in self._subscriptions:
-            if not self._is_over:
-                self._hand_on(subscription)
+                    for subscription in self._subscriptions:
+                        if not self._is_over:
+                            self._hand_on(subscription)
 
     def _hand_on(self, subscription: Any) -> None:
         take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
@@ -267,6 +264,7 @@ class Spinner:
             self._executor.wake()
 
     def _has_ended(self) -> bool:
+        # Given another function, rclpy forgets all else that was ready.
         return self._is_over
 
     def _look_at(self, handler: Future) -> None:

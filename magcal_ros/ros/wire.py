@@ -21,12 +21,10 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, MagneticField, NavSatFix
-from std_msgs.msg import Float64
 
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.attitude import true_yaw
-from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Heading
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.messages import ABSENT
@@ -123,25 +121,28 @@ _FRAME_PLACE = _STAMP_END + 4
 
 
 class Template:
-    """A message with header, and doubles that begin right after it."""
+    """A message with a header and doubles right after it, that is filled again and again.
 
-    def __init__(self, message: Any, doubles: int) -> None:
-        self._message = message
+    `put` sets the doubles in the message itself, where rclpy lays it out otherwise.
+    """
+
+    def __init__(
+        self, message: Any, doubles: int, put: Callable[[Any, tuple[float, ...]], None]
+    ) -> None:
+        self._message, self._put = message, put
         self._body = Struct(f"<{doubles}d")
         self._frame: str | None = None
         self._data: bytearray | None = None
         self._place = 0
 
-    def _filled(
-        self, stamp: bytes, frame: str, numbers: tuple[float, ...], put: Callable[[Any], None]
-    ) -> Any:
-        """Return the message as bytes; itself, after `put`, where rclpy lays it out otherwise."""
+    def fill(self, stamp: bytes, frame: str, numbers: tuple[float, ...]) -> Any:
+        """Return what to publish: the message as bytes, or itself."""
         if frame != self._frame:
             self._lay_out(frame)
         if self._data is None:
             header = self._message.header
             header.stamp.sec, header.stamp.nanosec = STAMP.unpack(stamp)
-            put(self._message)
+            self._put(self._message, numbers)
             return self._message
         self._data[CDR_START:_STAMP_END] = stamp
         self._body.pack_into(self._data, self._place, *numbers)
@@ -156,68 +157,29 @@ class Template:
         self._data = bytearray(data) if fits else None
 
 
-class FieldTemplate(Template):
-    """A sensor_msgs/MagneticField."""
+def field_template() -> Template:
+    """Return a sensor_msgs/MagneticField to fill: tesla, and the covariance in T²."""
 
-    def __init__(self) -> None:
-        super().__init__(MagneticField(), 3 + 9)
+    def put(message: MagneticField, numbers: tuple[float, ...]) -> None:
+        vector = message.magnetic_field
+        vector.x, vector.y, vector.z = numbers[:3]
+        message.magnetic_field_covariance = numbers[3:]
 
-    def fill(self, stamp: bytes, frame: str, field: Triple, covariance: tuple[float, ...]) -> Any:
-        """Return what to publish for a field (tesla) and its covariance (T²)."""
-
-        def put(message: MagneticField) -> None:
-            vector = message.magnetic_field
-            vector.x, vector.y, vector.z = field
-            message.magnetic_field_covariance = covariance
-
-        return self._filled(stamp, frame, field + covariance, put)
+    return Template(MagneticField(), 3 + 9, put)
 
 
-class AttitudeTemplate(Template):
-    """A sensor_msgs/Imu with an orientation; rates and accelerations are marked absent."""
+def attitude_template() -> Template:
+    """Return a sensor_msgs/Imu to fill: quaternion and covariance; all else is marked absent."""
 
-    def __init__(self) -> None:
-        message = Imu()
-        message.angular_velocity_covariance[0] = ABSENT
-        message.linear_acceleration_covariance[0] = ABSENT
-        super().__init__(message, 4 + 9)
+    def put(message: Imu, numbers: tuple[float, ...]) -> None:
+        q = message.orientation
+        q.x, q.y, q.z, q.w = numbers[:4]
+        message.orientation_covariance = numbers[4:]
 
-    def fill(
-        self,
-        stamp: bytes,
-        frame: str,
-        heading: Heading,
-        declination: float = 0.0,
-        declination_sigma: float = 0.0,
-    ) -> Any:
-        """Return what to publish for a heading; without a declination (rad) to magnetic north."""
-        quaternion = heading.quaternion(declination)
-        covariance = heading.covariance(declination_sigma**2)
-
-        def put(message: Imu) -> None:
-            q = message.orientation
-            q.x, q.y, q.z, q.w = quaternion
-            message.orientation_covariance = covariance
-
-        return self._filled(stamp, frame, quaternion + covariance, put)
-
-
-class NumberTemplate:
-    """A std_msgs/Float64."""
-
-    def __init__(self) -> None:
-        self._message = Float64()
-        data = serialize_message(self._message)
-        fits = is_plain_cdr(data) and len(data) == CDR_START + DOUBLE
-        self._encapsulation = data[:CDR_START] if fits else None
-        self._pack = Struct("<d").pack
-
-    def fill(self, value: float) -> Any:
-        """Return what to publish for a number."""
-        if self._encapsulation is not None:
-            return self._encapsulation + self._pack(value)
-        self._message.data = value
-        return self._message
+    message = Imu()
+    message.angular_velocity_covariance[0] = ABSENT
+    message.linear_acceleration_covariance[0] = ABSENT
+    return Template(message, 4 + 9, put)
 
 
 def bias_message(correction: Correction, frame: str) -> MagneticField:
