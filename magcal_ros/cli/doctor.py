@@ -73,7 +73,7 @@ def add_doctor(commands: Any) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """What a recording or the guided half minute brought."""
+    """The samples of a recording or of the guided half minute, and what is known beside them."""
 
     samples: list[ImuSample | FieldSample]
     knowledge: Knowledge
@@ -112,7 +112,7 @@ class Heard:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Look, and say what was found."""
+    """Examine the sensors and print the findings."""
     if options.write is not None and options.write.exists():
         raise FileTrouble(f"{options.write} exists already: name another --write")
     if options.recording is not None and options.live:
@@ -213,7 +213,7 @@ def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, An
 
 
 def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) -> str | None:
-    """Leave what parameters can correct, and the gains that were given; returns the path.
+    """Write what parameters can correct, and the gains that were given; returns the path.
 
     Nothing is written where no mounting alone corrects the axes: what a driver does wrong is
     corrected there, and never here.
@@ -295,7 +295,7 @@ def listen(options: argparse.Namespace) -> Heard:
 
 
 def say(line: str) -> None:
-    """Tell the person what to do; the page alone goes to standard output."""
+    """Print a line for the person; the page alone goes to standard output."""
     print(line, file=sys.stderr, flush=True)
 
 
@@ -316,7 +316,7 @@ def _topics(node: Node, options: argparse.Namespace) -> tuple[str, str]:
 
 
 class Asking:
-    """Says what is asked for and for how long yet, and hears the Enter key, where a person sits."""
+    """Prints the steps of the guide and the seconds left, and reads the Enter key of a terminal."""
 
     def __init__(self) -> None:
         self._rewrites = sys.stderr.isatty()
@@ -342,12 +342,12 @@ class Asking:
         """Return whether the Enter key was pressed."""
         if not self._keys or not select.select([sys.stdin], [], [], 0.0)[0]:
             return False
-        # An end of the input is no key, and would be heard for ever.
+        # The end of the input is no key, and would be read for ever.
         self._keys = bool(sys.stdin.readline())
         return self._keys
 
     def tick(self, guide: Guide) -> None:
-        """Tell what was seen of what was asked for."""
+        """Print whether the step that ended was seen."""
         ended = (GuideStepState.SEEN, GuideStepState.MISSED)
         last = [step for step, state in guide.states.items() if state in ended][-1]
         seen = guide.states[last] is GuideStepState.SEEN
@@ -362,7 +362,7 @@ def gathered(
     samples: list[ImuSample | FieldSample],
     guide: Guide,
 ) -> Heard:
-    """Return what was heard, with what the graph and the user say beside it."""
+    """Return the samples, with what the graph and the user give beside them."""
     newest = max((s.stamp for s in samples if isinstance(s, FieldSample)), default=0.0)
     reference = reference_in_use(options, None, newest)
     mounting, described, pose = recorded.mounting_from(options), "", listener.described_pose
@@ -370,6 +370,8 @@ def gathered(
     if pose is not None and not any(options.mount_rpy_deg):
         mounting, described = Mounting(mounting.gains, pose), pose_in_words(pose)
     more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
-    more += [wrong("publishers", "publishers", words, CROWD) for words in listener.crowded]
+    more += [
+        wrong("publishers", "publishers", words, CROWD) for words in listener.several_publishers
+    ]
     known = Knowledge(reference.field, mounting)
     return Heard(samples, known, guide.turned_left, tuple(more), described)

@@ -40,7 +40,7 @@ TRAVEL: dict[str, Callable[[Format, bytes], Any]] = {
     TWIST_TYPE: Format.velocity,
     SURE_TWIST_TYPE: Format.sure_velocity,
 }
-RECEIVERS_SAY = ("vel", "fix_velocity")
+RECEIVER_TOPICS = ("vel", "fix_velocity")
 """How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
 body's. A bag without fixes has no receiver."""
 MOST_FIXES = 10_000
@@ -86,7 +86,7 @@ class Bag:
         """About how many messages of both sensors the span holds."""
 
     def readings(self) -> Iterator[Reading]:
-        """Yield what the two topics say, in the order in which it was recorded."""
+        """Yield the samples of both topics in the order in which they were recorded."""
         of_imu, of_field = self._format.imu, self._format.field
         fields = {connection.id for connection in self._field}
         imu_frame = field_frame = b""
@@ -118,12 +118,12 @@ class Bag:
 
     @cached_property
     def travel(self) -> tuple[TravelSample, ...]:
-        """What receiver and wheels said, by stamp; empty if nothing."""
+        """The samples of receiver and wheels, by stamp; empty if there are none."""
         plane, found = LocalPlane(), list[TravelSample]()
         heard = self._of(FIX_TYPE, ODOM_TYPE)
         if self._of(FIX_TYPE):
             twists = self._of(TWIST_TYPE, SURE_TWIST_TYPE)
-            heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVERS_SAY]
+            heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVER_TOPICS]
         for sample in self._read(heard, self._travelled):
             if isinstance(sample, Fix):
                 sample = plane.position(sample)

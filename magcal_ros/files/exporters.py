@@ -242,7 +242,7 @@ def c_header(calibration: Calibration) -> str:
 
 
 ARDUPILOT_FRAME = "ardupilot_compass"
-"""What a calibration from a log of ArduPilot remembers, with the number of the parameters."""
+"""The frame in a calibration from a log of ArduPilot, with the number of the parameters."""
 
 
 def ardupilot(calibration: Calibration, frame: str = "") -> str:
@@ -292,7 +292,7 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
 
 
 PX4_FRAME = "px4_mag{slot}_rot{rotation}"
-"""What a calibration from a log of PX4 remembers: CAL_MAGn and its ROT."""
+"""The frame in a calibration from a log of PX4: CAL_MAGn and its ROT."""
 
 SMALLEST_SCALE, LARGEST_SCALE = 0.1, 3.0
 

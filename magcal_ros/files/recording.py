@@ -46,13 +46,13 @@ class Recording:
     field: FloatArray
     """Stamp (s), raw field (tesla). Shape (m, 4)."""
     travel: tuple[TravelSample, ...] = ()
-    """What receiver and wheels said, by stamp."""
+    """The samples of receiver and wheels, by stamp."""
     place: Place | None = None
     """Where the first good fix was."""
     imu_topic: str = "imu.csv"
     field_topic: str = "mag.csv"
     field_frame: str = ""
-    """What a calibration remembers of the magnetometer."""
+    """The name of the magnetometer that is stored in a calibration."""
     yaw: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
     """Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north). Shape (k, 2)."""
     notes: tuple[str, ...] = ()

@@ -122,7 +122,7 @@ class RepairedReadings:
         return min(1.0, self._given / max(self._source.count, 1))
 
     def __iter__(self) -> Iterator[Reading]:
-        """Yield what the sensors said in the order in which it was recorded."""
+        """Yield the samples in the order in which they were recorded."""
         if self._known is None or self._known.motors is None:
             return self._repaired()
         inputs = self._source.travel, self._source.currents
@@ -183,7 +183,7 @@ class RepairedReadings:
         )
 
     def _note(self, stamps: Sequence[FloatArray], even: Sequence[FloatArray | None]) -> None:
-        """Say which topics were repaired; those of one driver in one line."""
+        """Note which topics were repaired; those of one driver in one line."""
         topics: dict[str, list[str]] = {}
         names = self._source.imu_topic, self._source.field_topic
         for name, old, new in zip(names, stamps, even, strict=True):

@@ -134,10 +134,10 @@ def caption_of_gyro(turn: Turn) -> str:
     swing = turn.corrected.estimate.swing
     judged = "" if swing is None else f" ({math.degrees(swing.rms):.1f}° rms, which is judged)"
     return (
-        "The gyro knows nothing of magnetism, so it shows what a clean circle hides: where steel "
-        "near by bends the field, the compass swings once or twice around the turn. A flat blue "
-        f"line is good; here it swings by up to {worst:.1f}°{judged}. Each mark is the mean over "
-        "15° of heading; the gyro's own bias and scale are taken off."
+        "A gyro is not affected by magnetic fields, so it shows what a clean circle hides: where "
+        "steel near by bends the field, the compass swings once or twice around the turn. A flat "
+        f"blue line is good; here it swings by up to {worst:.1f}°{judged}. Each mark is the mean "
+        "over 15° of heading; the gyro's own bias and scale are taken off."
     )
 
 

@@ -251,7 +251,7 @@ def _several(several: Several) -> str:
     ]
     return (
         '<section id="several"><h2>Turns put together</h2>'
-        f"{table('checks', rows, ('turn', 'fate', 'what it shows'))}"
+        f"{table('checks', rows, ('turn', 'result', 'what it shows'))}"
         f"<p>Now shown: {escape(several.shown.in_words)}.</p>"
         f"<p>{escape(several.advice_in_words)}</p></section>"
     )

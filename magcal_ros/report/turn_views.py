@@ -228,10 +228,10 @@ def _draw_solid(
 
 RAW_FIELD = (
     "Below, the raw field. On a turn two of its lines swing up and down like waves; flat lines "
-    "mean that the robot stood, or that the sensor does not feel the field; jumps mean that "
-    "something magnetic switched."
+    "mean that the robot stood, or that the sensor does not measure the field; jumps mean that "
+    "something magnetic was switched."
 )
-"""What its picture says to someone who is no expert."""
+"""What its picture shows, for someone who is no expert."""
 
 
 def draw_residuals(figure: Figure, turn: Turn) -> None:
@@ -254,7 +254,7 @@ def caption_of_residuals(turn: Turn) -> str:
         return f"{ring} {RAW_FIELD}"
     return (
         f"{ring} Below, what the model leaves unexplained: a cloud without a pattern inside the "
-        "grey band is sensor noise; waves show iron that turns with the robot, bumps of "
+        "grey band is sensor noise; waves show iron that turns with the robot, and bumps show "
         "something that passed by."
     )
 

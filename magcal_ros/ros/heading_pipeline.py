@@ -145,7 +145,7 @@ FIX_PAUSE = 0.2
 
 
 class ReferenceSource:
-    """Listens to gps/fix and keeps the reference field up to date."""
+    """Subscribes to gps/fix and keeps the reference field up to date."""
 
     def __init__(self, node: Node, table: Parameters) -> None:
         self._node, self._table = node, table

@@ -36,7 +36,7 @@ from magcal_ros.ros.worker_process import WorkerProcess
 
 
 class Owner(Protocol):
-    """What happens in the node when something happens to a magnetometer."""
+    """What the node does when something happens to a magnetometer."""
 
     def move(self, rate: float) -> None:
         """Command the base to turn at a rate, rad/s."""
@@ -112,7 +112,7 @@ class Magnetometer:
 
     @property
     def has_something_to_accept(self) -> bool:
-        """Whether its last turn fitted a calibration that a person may accept."""
+        """Whether its last turn gave a calibration that a person may accept."""
         turn, outcome = self.control.turn, self.control.turn.last_outcome
         if outcome is None or outcome.calibration is None:
             return False
@@ -150,7 +150,7 @@ class Magnetometer:
         return self._pipeline.settled(self.number, frame).knowledge if is_idle else None
 
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
-        """Begin the report on a turn; returns where it will lie, in words."""
+        """Begin the report on a turn; returns where it will be written, in words."""
         yaw = self._pipeline.travel.yaw
         words = "" if yaw is None else yaw.words
         return self._reporter.report(window, settings, outcome, self.inputs, words)
@@ -291,7 +291,7 @@ class Control:
         return self._tell(self.turn.finish, now())
 
     def cancel(self) -> ev.Conclusion:
-        """Give up the turn under way; the calibration in force stays."""
+        """Cancel the turn under way; the calibration in force stays."""
         return self._tell(self.turn.cancel)
 
     def tick(self) -> bool:

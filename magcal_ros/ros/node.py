@@ -263,7 +263,7 @@ class Calibrator(Node):
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
         complaints += [
             *self._known.antenna.complaints,
-            *filter(None, [self._pipeline.headings.rivals()]),
+            *filter(None, [self._pipeline.headings.other_publishers()]),
         ]
         self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()

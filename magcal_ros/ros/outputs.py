@@ -131,8 +131,8 @@ class HeadingOutput:
         self.moment: Moment | None = None
         """The newest field message under the calibration in force, with the published variance."""
 
-    def rivals(self) -> str:
-        """Say that another node publishes the same heading; empty if none does."""
+    def other_publishers(self) -> str:
+        """Return which other node publishes the same heading; empty if none does."""
         topic = self._yaw_out.topic_name
         if self._node.count_publishers(topic) < 2:
             return ""
@@ -170,7 +170,7 @@ class HeadingOutput:
                 out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
     def _with_doubt(self, moment: Moment) -> Moment:
-        """Return the moment with a yaw that is as uncertain as its field is wrong."""
+        """Return the moment with a larger yaw variance where its field is not the calibrated one."""
         heading, up = moment.heading, moment.up
         if heading is None or up is None or self._doubt is None:
             return moment

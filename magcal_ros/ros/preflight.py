@@ -1,4 +1,4 @@
-"""What a calibration and `doctor` need from the graph, and what is received there."""
+"""What a calibration and `doctor` need from the graph: topics, publishers and samples."""
 
 from __future__ import annotations
 
@@ -169,12 +169,12 @@ def _explain_silence(heard: Heard, publishers: int, elsewhere: Sequence[str]) ->
         names = ", ".join(sorted(elsewhere))
         lines.append(f"  the same type is published on {names}: remap to it with -r")
     elif not publishers:
-        lines.append("  nobody publishes this type: is the driver running, on this domain?")
+        lines.append("  nothing publishes this type: is the driver running, on this domain?")
     return lines
 
 
 OURS = ("_unbiased", "_bias", "/enu/imu")
-"""How topics end that a calibrator makes of the sensors'."""
+"""How the names of a calibrator's own topics end."""
 
 USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
 """Which of several topics of a type is meant."""
@@ -232,7 +232,7 @@ class Listener:
         self._description.listen()
 
     @property
-    def crowded(self) -> list[str]:
+    def several_publishers(self) -> list[str]:
         """The topics on which more than one node publishes, in words."""
         said = []
         for heard in self.sensors:

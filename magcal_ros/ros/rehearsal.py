@@ -1,4 +1,4 @@
-"""Sensors in the graph: a replayed recording, or a simulated robot with a user who turns it."""
+"""Simulated sensors in the graph: a replayed recording, or a robot that a simulated user turns."""
 
 from __future__ import annotations
 
@@ -162,14 +162,14 @@ class Rehearsal:
         return client.call_async(Trigger.Request())
 
     def answer(self, future: Any) -> Any:
-        """Let the robot stand until a service has answered; returns the answer."""
+        """Keep the robot at rest until a service has answered; returns the answer."""
         self.run(PATIENCE, stop=future.done)
         if not future.done():
             raise MagcalError("the service did not answer in time")
         return future.result()
 
     def reset(self) -> None:
-        """Make the node forget what it may have loaded."""
+        """Reset the node, which may have loaded a calibration."""
         self.answer(self.call("reset"))
 
     def run(
@@ -178,7 +178,7 @@ class Rehearsal:
         yaw_rate: float | Callable[[], float] = 0.0,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Let the robot live for so many wall-clock seconds, or until `stop` says so.
+        """Run the robot for so many wall-clock seconds, or until `stop` returns true.
 
         Its yaw rate (rad/s) is given, or asked for at each step.
         """

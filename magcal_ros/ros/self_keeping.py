@@ -57,7 +57,7 @@ class SelfKeeping:
             self._look()
 
     def use(self, calibration: Calibration | None) -> None:
-        """Take note of what is in force."""
+        """Use the calibration that is in force now."""
         self._machine.put_in_force(calibration)
 
     def note_sensors(self, sensors: str) -> None:
@@ -67,7 +67,7 @@ class SelfKeeping:
         self._sensors = sensors
 
     def follow(self, mode: str, reports: str) -> None:
-        """Look after the rest, once a second."""
+        """Take the mode and the folder of the reports, once a second."""
         self._jobs.deliver()
         self._reports = reports
         self._idle += 1
@@ -79,7 +79,7 @@ class SelfKeeping:
 
     @property
     def proposal(self) -> Calibration | None:
-        """What waits for a person's word."""
+        """What waits for a person to accept it."""
         return self._machine.proposal
 
     def accept(self, tell: Tell) -> None:
@@ -142,7 +142,7 @@ class SelfKeeping:
         self._say(f"self-calibration: {words}")
 
     def _leave_page(self, calibration: Calibration) -> None:
-        """Have a page written on the drive, the samples used and the decisions."""
+        """Write a page on the drive, the samples used and the decisions."""
         if self._reports == NO_REPORTS:
             return
         from magcal_ros.core.keeping.story import DriveStory

@@ -1,4 +1,4 @@
-"""The node's threads: one for the messages of the sensors, others for work that takes long.
+"""The node's threads: one for the messages of the sensors, others for long computations.
 
 For each message rclpy's executor gathers everything the node owns, builds a wait set of it and
 makes a task of the callback, twice over: most of what a rclpy node costs. Here the sensors have a
@@ -241,7 +241,7 @@ class Spinner:
                 if handler.exception() is not None:
                     _release(entity)
             else:
-                # Who resumes a coroutine, and by which handler, is rclpy's own affair.
+                # rclpy decides by which handler a coroutine is resumed.
                 self._waiting.add(handler)
                 handler.add_done_callback(self._look_at)
 

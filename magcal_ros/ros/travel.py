@@ -66,7 +66,7 @@ class Travel:
     ) -> None:
         self._node, self._thread, self._tell_fix = node, thread, on_fix
         self._plane = LocalPlane()
-        self._odd: dict[str, str] = {}
+        self._unusable: dict[str, str] = {}
         self._topics: dict[SpeedSource | None, str] = {}
         self._travelling = Travelling(run=self._run)
         self.front = Front()
@@ -131,8 +131,8 @@ class Travel:
             self.kept = kept
             self._travelling.believe(kept.offset, kept.sigma)
 
-    def look(self, reference: ReferenceField) -> VehicleYaw | None:
-        """Compare what is known, once a second; returns a yaw that is to be kept, if there is."""
+    def _find_front(self, reference: ReferenceField) -> VehicleYaw | None:
+        """Estimate the front again; returns a yaw that is to be kept, if there is one."""
         travelling = self._travelling
         if not travelling.is_heard:
             return None
@@ -149,8 +149,8 @@ class Travel:
     def follow(
         self, reference: ReferenceField, frames: SensorFrames, announcer: Announcer
     ) -> VehicleYaw | None:
-        """Use what is known, once a second, and say what is new; returns what is to be kept."""
-        news = self.look(reference)
+        """Use what is known, once a second, and log what is new; returns what is to be kept."""
+        news = self._find_front(reference)
         frames.note_vehicle_yaw(self.yaw)
         if self.verdict:
             announcer.tell("course", self.verdict, wrong=True)
@@ -167,14 +167,14 @@ class Travel:
             for source, fault in watch.faults.items()
             if source in watch.seen
         ]
-        words += [f"{topic}: {why}" for topic, why in self._odd.items()]
+        words += [f"{topic}: {why}" for topic, why in self._unusable.items()]
         if self.front.suspicion:
             words.append(self.front.suspicion)
         return words
 
     @property
     def verdict(self) -> str:
-        """What course says against the calibration in force; empty if nothing."""
+        """Why the course contradicts the calibration in force; empty if it does not."""
         if self._travelling.known_mounting is None:
             # A vehicle that moves sideways would make every compass look wrong.
             return ""
@@ -199,7 +199,7 @@ class Travel:
         }
 
     def diagnostics(self, name: str) -> list[DiagnosticStatus]:
-        """Say what the drive has shown so far; nothing where no speed and no fix has come."""
+        """Return what the drive has shown so far; nothing where no speed and no fix has come."""
         if not self._travelling.is_heard:
             return []
         yaw, verdict = self.yaw, self.verdict
@@ -229,9 +229,9 @@ class Travel:
         except Unreadable as error:
             found = str(error)
         if isinstance(found, str):
-            self._odd[self._topics[source]] = found
+            self._unusable[self._topics[source]] = found
             return
-        self._odd.pop(self._topics[source], None)
+        self._unusable.pop(self._topics[source], None)
         if not isinstance(found, Fix):
             self._travelling.add_travel(found)
             return

@@ -112,7 +112,7 @@ def looked(graph):
         out.publish(String(data=URDF.format(rpy)))
         listener = Listener(node, "/imu/data_raw", "/imu/mag", samples.append)
         wait_until(lambda: source.listeners > 0)
-        wait_until(lambda: len(listener.crowded) == bool(others))
+        wait_until(lambda: len(listener.several_publishers) == bool(others))
         mounted = replace(ROBOT, mounting=Mounting(pose=np.diag([1.0, -1.0, -1.0])))
         executor, sent = SingleThreadedExecutor(), 0
         executor.add_node(node)

@@ -105,7 +105,7 @@ def test_the_first_living_compass_is_taken_and_another_can_be_chosen(tmp_path):
 
 def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
     dead = write_bin(tmp_path / "a.bin", SAMPLES, compasses=lambda _: {0: (0.0, 0.0, 0.0)})
-    with pytest.raises(FileTrouble, match=r"no living magnetometer.*COMPASS_ENABLE"):
+    with pytest.raises(FileTrouble, match=r"no working magnetometer.*COMPASS_ENABLE"):
         read(dead)
     without = write_bin(tmp_path / "b.bin", SAMPLES, compasses=lambda _: {})
     with pytest.raises(FileTrouble, match="no MAG data: look at COMPASS_ENABLE"):

@@ -70,7 +70,7 @@ def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
         s._replace(field=(1e-5, 2e-5, 3e-5)) if isinstance(s, FieldSample) else s for s in SAMPLES
     ]
     with (
-        pytest.raises(FileTrouble, match=r"no living magnetometer.*SYS_HAS_MAG"),
+        pytest.raises(FileTrouble, match=r"no working magnetometer.*SYS_HAS_MAG"),
         open_recording(write_ulog(tmp_path / "a.ulg", hanging)),
     ):
         pass
