@@ -272,15 +272,15 @@ COLUMNS = {
 REMEDY = "Choose a writable folder, or correct its permissions."
 
 
-def write_samples(path: Path, window: Window, believed: BoolArray | None = None) -> None:
+def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) -> None:
     """Write a window, every number at full precision.
 
-    Without a gyro its columns hold `nan`. `believed` (n,) tells the inliers of the fit; without a
+    Without a gyro its columns hold `nan`. `inliers` (n,) are those of the fit; without a
     fit there are none.
     """
     n = len(window)
     rate = np.full((n, 3), np.nan) if window.angular_rate is None else window.angular_rate
-    marks = [0] * n if believed is None else [int(mark) for mark in believed]
+    marks = [0] * n if inliers is None else [int(mark) for mark in inliers]
     numbers = np.column_stack([window.time, window.field, window.specific_force, rate]).tolist()
     lines = [",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items())]
     lines += [

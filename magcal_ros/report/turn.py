@@ -110,7 +110,7 @@ class Turn:
     (n,)."""
     has_gyro: bool
     """Whether a gyro measured the angle."""
-    believed: BoolArray
+    inliers: BoolArray
     """Inliers of the fit; all where there was none. Shape (n,)."""
     coverage: Coverage
     corrected: Corrected | None
@@ -134,9 +134,9 @@ class Turn:
             progress = yaw_progress(window.time, field, window.specific_force, rate)
         gyro = _gyro_angle(window, level)
         corrected = None
-        believed = np.ones(len(window), dtype=np.bool_)
+        inliers = np.ones(len(window), dtype=np.bool_)
         if estimate is not None:
-            believed = np.asarray(estimate.inliers)
+            inliers = np.asarray(estimate.inliers)
             corrected = _correct(subject, estimate, level, gyro)
         angle = gyro
         if angle is None and corrected is not None:
@@ -148,7 +148,7 @@ class Turn:
             yaw=yaw_from_up_and_field(level, field),
             angle=progress if angle is None else angle,
             has_gyro=gyro is not None,
-            believed=believed,
+            inliers=inliers,
             coverage=Coverage.nothing() if progress is None else Coverage.of(progress),
             corrected=corrected,
             sensors=examine_window(window, subject.knowledge),
@@ -211,8 +211,8 @@ def _correct(
 
 def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> FloatArray:
     """Return the reference field turned once about the axis, in body axes, shape (m, 3)."""
-    believed = estimate.inliers if estimate.inliers.any() else np.ones(len(up), dtype=np.bool_)
-    attitudes = body_from_enu(up[believed], field[believed])
+    inliers = estimate.inliers if estimate.inliers.any() else np.ones(len(up), dtype=np.bool_)
+    attitudes = body_from_enu(up[inliers], field[inliers])
     axis_in_world = unit(np.einsum("nij,i->nj", attitudes, estimate.axis).mean(axis=0))
     along = float(field_in_enu(estimate.strength, estimate.inclination) @ axis_in_world)
     radius = math.sqrt(max(estimate.strength**2 - along**2, 0.0))
@@ -235,18 +235,18 @@ def _published_sigma(calibration: Calibration, up: FloatArray, field: FloatArray
 
 
 def _reference(
-    time: FloatArray, yaw: FloatArray, gyro: FloatArray | None, believed: BoolArray
+    time: FloatArray, yaw: FloatArray, gyro: FloatArray | None, inliers: BoolArray
 ) -> FloatArray:
     """Return the yaw that the turn asks for: the gyro's, or the compass's own smoothed course."""
-    if not believed.any():
-        believed = np.ones(len(yaw), dtype=np.bool_)
+    if not inliers.any():
+        inliers = np.ones(len(yaw), dtype=np.bool_)
     if gyro is None:
-        return _smooth_course(time, yaw, believed)
-    start = float(np.angle(np.mean(np.exp(1j * (yaw - gyro)[believed]))))
+        return _smooth_course(time, yaw, inliers)
+    start = float(np.angle(np.mean(np.exp(1j * (yaw - gyro)[inliers]))))
     error = wrap_angle(yaw - gyro - start)
     columns = np.column_stack([np.ones_like(time), gyro - gyro.mean(), time - time.mean()])
-    weight = INDEPENDENT_SAMPLES / (max(int(believed.sum()), 1) * COMPASS_SIGMA**2)
-    weights = weight * believed
+    weight = INDEPENDENT_SAMPLES / (max(int(inliers.sum()), 1) * COMPASS_SIGMA**2)
+    weights = weight * inliers
     prior = np.diag([0.0, GYRO_SCALE_SIGMA**-2, GYRO_BIAS_SIGMA**-2])
     normal = columns.T @ (weights[:, None] * columns) + prior
     return np.asarray(
@@ -254,9 +254,9 @@ def _reference(
     )
 
 
-def _smooth_course(time: FloatArray, yaw: FloatArray, believed: BoolArray) -> FloatArray:
+def _smooth_course(time: FloatArray, yaw: FloatArray, inliers: BoolArray) -> FloatArray:
     """Return the unwrapped yaw through a local straight line over a twentieth of the samples."""
-    course = np.interp(time, time[believed], np.unwrap(yaw[believed]))
+    course = np.interp(time, time[inliers], np.unwrap(yaw[inliers]))
     half = max(2, len(time) // 40)
     smooth = np.empty_like(course)
     for row in range(len(time)):

@@ -104,7 +104,7 @@ class Calibrator(Node):
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers
         slow: dict[str, Callable[[Tell], None]] = {
-            "accept": self._accept,
+            "accept": lambda tell: magnetometers.accept(self._keeping.accept, tell),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),
@@ -191,13 +191,9 @@ class Calibrator(Node):
     def calibration_changed(self, magnetometer: Magnetometer) -> None:
         """Let the heading follow what is in force."""
         if magnetometer is self._first:
-            self._keeping.use(self._keeper.calibration)
+            self._keeping.machine.put_in_force(self._keeper.calibration)
         self._pipeline.use(self._magnetometers.keepers)
         self._publish_status()
-
-    def _accept(self, tell: Tell) -> None:
-        proposed = None if self._keeping.proposal is None else self._keeping.accept
-        self._magnetometers.accept(proposed, tell)
 
     def _reset(self) -> Conclusion:
         self._known.forget()

@@ -170,7 +170,7 @@ class HeadingOutput:
                 out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
     def _with_doubt(self, moment: Moment) -> Moment:
-        """Return the moment with a larger yaw variance where its field is not the calibrated one."""
+        """Return the moment with a larger yaw variance where its field is disturbed."""
         heading, up = moment.heading, moment.up
         if heading is None or up is None or self._doubt is None:
             return moment

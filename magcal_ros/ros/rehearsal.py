@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -236,10 +236,12 @@ class Rehearsal:
         # It rests before it is carried off: an up vector that lost messages in a turn follows
         # no jump out of it.
         self._settled_yaw()
-        return [
-            float(wrap_angle(self._settled_yaw() - self.ride.magnetic_yaw))
-            for _ in self._poses(tilts, headings)
-        ]
+        errors = []
+        for roll, pitch in tilts:
+            for k in range(headings):
+                self.ride.stand(math.radians(roll), math.radians(pitch), k * math.tau / headings)
+                errors.append(float(wrap_angle(self._settled_yaw() - self.ride.magnetic_yaw)))
+        return errors
 
     def _settled_yaw(self) -> float:
         """Let the robot stand and return the mean of the yaws once they are of this pose."""
@@ -248,9 +250,3 @@ class Rehearsal:
         if not self._settled_yaws:
             raise MagcalError("no yaw is published")
         return float(np.angle(np.mean(np.exp(1j * np.array(self._settled_yaws)))))
-
-    def _poses(self, tilts: Sequence[tuple[float, float]], headings: int) -> Iterator[None]:
-        for roll, pitch in tilts:
-            for k in range(headings):
-                self.ride.stand(math.radians(roll), math.radians(pitch), k * math.tau / headings)
-                yield

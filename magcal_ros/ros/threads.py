@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from queue import SimpleQueue
 from threading import Lock
 from typing import Any, TypeVar
@@ -41,7 +41,7 @@ FOR_EVER = -1
 
 
 class SensorGroup(CallbackGroup):
-    """Keeps subscriptions from rclpy's executor for as long as a `SensorLoop` serves them.
+    """Keeps subscriptions from rclpy's executor while a thread of the `Spinner` serves them.
 
     Their events of the middleware (a publisher of another type) are kept from it too: in a wait set
     they are woken by each message. While `is_open`, as at first, rclpy's executor serves them.
@@ -63,12 +63,31 @@ class SensorGroup(CallbackGroup):
         """Nothing has to be noted: one thread calls back at a time."""
 
 
-class SensorLoop:
-    """A thread that takes the messages of chosen subscriptions and calls back, under a lock.
+class FairLock:
+    """A lock that two threads get in turn whenever both want it.
 
-    `note` is given what a callback raised; the loop goes on. `give_up` is called in the loop's
-    thread, with the group open again, if a call of rclpy has failed. Messages of `unhurried`
-    subscriptions wake nothing and are taken with the next of the others.
+    With a plain one, the thread that releases it and wants it again at once usually gets it again,
+    and under a flood of messages a service would never be answered.
+    """
+
+    def __init__(self) -> None:
+        self._held, self._next = Lock(), Lock()
+
+    def __enter__(self) -> None:
+        with self._next:
+            self._held.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._held.release()
+
+
+class Spinner:
+    """Serves a node, one callback at a time, and chosen subscriptions with the least effort.
+
+    rclpy's executor finds what is ready, and the handlers it returns are called here, under a lock
+    that is shared with a thread that serves the subscriptions. Messages of `unhurried` ones wake
+    nothing and are taken with the next of the others. An error in a callback is noted and ends
+    nothing. If a call of rclpy fails in that thread, rclpy's executor serves the subscriptions.
     """
 
     def __init__(
@@ -76,24 +95,91 @@ class SensorLoop:
         node: Node,
         subscriptions: Sequence[Subscription],
         group: SensorGroup,
-        lock: AbstractContextManager[None],
         note: Callable[[Exception], None],
-        give_up: Callable[[Exception], None],
         unhurried: Sequence[Subscription] = (),
     ) -> None:
-        self._node = node
+        self._node, self._group, self._note_error = node, group, note
         self._awaited = tuple(subscriptions)
         self._subscriptions = (*subscriptions, *unhurried)
-        self._group = group
-        self._lock = lock
-        self._note = note
-        self._give_up = give_up
-        self._is_over = False
+        self._is_over = self._is_started = False
+        self._lock, self._waking = FairLock(), Lock()
+        self._waiting: set[Future] = set()
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
         self._guard: GuardCondition | None = None
         self._thread = threading.Thread(target=self._run, name="magcal-sensors", daemon=True)
 
-    def start(self) -> None:
-        """Take the subscriptions over."""
+    def spin(self) -> None:
+        """Serve the node until `end` is called; ExternalShutdownException if the context ends."""
+        while self._node.context.ok() and not self._is_over:
+            self.spin_once()
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait until something is ready, at most so many seconds, and serve it.
+
+        From the first call on the chosen subscriptions are served too, until the shutdown.
+        """
+        if not self._is_started:
+            self._is_started = True
+            self._start_thread()
+        try:
+            ready: Any = self._executor.wait_for_ready_callbacks(timeout_sec, None, self._has_ended)
+        except (TimeoutException, ConditionReachedException, ShutdownException):
+            return
+        except MemoryError as error:  # a request that claims to be huge has taken it for a moment
+            self._note(error)
+            return
+        handler, entity, _ = ready
+        with self._lock:
+            handler()
+            if handler in self._waiting:
+                return
+            if handler.done():
+                self._look_at(handler)
+                if handler.exception() is not None:
+                    _release(entity)
+            else:
+                # rclpy decides by which handler a coroutine is resumed.
+                self._waiting.add(handler)
+                handler.add_done_callback(self._look_at)
+
+    def end(self) -> None:
+        """Let `spin` and `spin_once` return, for good; from any thread."""
+        self._is_over = True
+        if self._thread.is_alive() and self._guard is not None:
+            self._guard.trigger()
+        self._wake()
+
+    def shutdown(self, timeout_sec: float | None = None) -> bool:
+        """Stop; returns whether the callbacks of the subscriptions have ended in time."""
+        self.end()
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(timeout_sec)
+        has_ended = not self._thread.is_alive()
+        with self._waking:
+            return self._executor.shutdown(timeout_sec) and has_ended
+
+    def _wake(self) -> None:
+        # Not while the shutdown destroys what it is woken by.
+        with self._waking:
+            self._executor.wake()
+
+    def _has_ended(self) -> bool:
+        # Given another function, rclpy forgets all else that was ready.
+        return self._is_over
+
+    def _look_at(self, handler: Future) -> None:
+        self._waiting.discard(handler)
+        error = handler.exception()
+        if error is not None:
+            self._note(error)
+
+    def _note(self, error: Exception) -> None:
+        # The context may go away in the middle of a callback: that is an end, no fault.
+        if self._node.context.ok():
+            self._note_error(error)
+
+    def _start_thread(self) -> None:
         try:
             # One of the node would be gone with it, and nothing left to end the thread with.
             self._guard = GuardCondition(None, None, context=self._node.context)
@@ -101,18 +187,6 @@ class SensorLoop:
             self._thread.start()
         except Exception as error:
             self._hand_back(error)
-
-    def end(self) -> None:
-        """Serve nothing any more once the callback that runs has returned; from any thread."""
-        self._is_over = True
-        if self._thread.is_alive() and self._guard is not None:
-            self._guard.trigger()
-
-    def join(self, timeout: float | None = None) -> bool:
-        """Wait until the thread has ended; returns whether it has."""
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
-            self._thread.join(timeout)
-        return not self._thread.is_alive()
 
     def _run(self) -> None:
         try:
@@ -124,7 +198,11 @@ class SensorLoop:
 
     def _hand_back(self, error: Exception) -> None:
         self._group.is_open = True
-        self._give_up(error)
+        self._node.get_logger().warning(
+            f"this rclpy is unlike those known ({type(error).__name__}: {error}): rclpy's own "
+            "executor serves the sensors from now on, at more CPU"
+        )
+        self._wake()
 
     def _serve(self) -> None:
         # Imported where its absence can be survived.
@@ -164,126 +242,6 @@ class SensorLoop:
                 subscription.callback(message)
             except Exception as error:
                 self._note(error)
-
-
-class FairLock:
-    """A lock that two threads get in turn whenever both want it.
-
-    With a plain one, the thread that releases it and wants it again at once usually gets it again,
-    and under a flood of messages a service would never be answered.
-    """
-
-    def __init__(self) -> None:
-        self._held, self._next = Lock(), Lock()
-
-    def __enter__(self) -> None:
-        with self._next:
-            self._held.acquire()
-
-    def __exit__(self, *_: object) -> None:
-        self._held.release()
-
-
-class Spinner:
-    """Serves a node, one callback at a time, and chosen subscriptions with the least effort.
-
-    rclpy's executor finds what is ready, and the handlers it returns are called here, under a lock
-    that is shared with the loop of the subscriptions. An error in a callback is noted and ends
-    nothing.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        subscriptions: Sequence[Subscription],
-        group: SensorGroup,
-        note: Callable[[Exception], None],
-        unhurried: Sequence[Subscription] = (),
-    ) -> None:
-        self._node = node
-        self._note_error = note
-        self._is_over = self._is_started = False
-        self._lock, self._waking = FairLock(), Lock()
-        self._waiting: set[Future] = set()
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(node)
-        self._loop = SensorLoop(
-            node, subscriptions, group, self._lock, self._note, self._say_and_go_on, unhurried
-        )
-
-    def spin(self) -> None:
-        """Serve the node until `end` is called; ExternalShutdownException if the context ends."""
-        while self._node.context.ok() and not self._is_over:
-            self.spin_once()
-
-    def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait until something is ready, at most so many seconds, and serve it.
-
-        From the first call on the chosen subscriptions are served too, until the shutdown.
-        """
-        if not self._is_started:
-            self._is_started = True
-            self._loop.start()
-        try:
-            ready: Any = self._executor.wait_for_ready_callbacks(timeout_sec, None, self._has_ended)
-        except (TimeoutException, ConditionReachedException, ShutdownException):
-            return
-        except MemoryError as error:  # a request that claims to be huge has taken it for a moment
-            self._note(error)
-            return
-        handler, entity, _ = ready
-        with self._lock:
-            handler()
-            if handler in self._waiting:
-                return
-            if handler.done():
-                self._look_at(handler)
-                if handler.exception() is not None:
-                    _release(entity)
-            else:
-                # rclpy decides by which handler a coroutine is resumed.
-                self._waiting.add(handler)
-                handler.add_done_callback(self._look_at)
-
-    def end(self) -> None:
-        """Let `spin` and `spin_once` return, for good; from any thread."""
-        self._is_over = True
-        self._loop.end()
-        self._wake()
-
-    def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """Stop; returns whether the callbacks of the subscriptions have ended in time."""
-        self.end()
-        has_ended = self._loop.join(timeout_sec)
-        with self._waking:
-            return self._executor.shutdown(timeout_sec) and has_ended
-
-    def _wake(self) -> None:
-        # Not while the shutdown destroys what it is woken by.
-        with self._waking:
-            self._executor.wake()
-
-    def _has_ended(self) -> bool:
-        # Given another function, rclpy forgets all else that was ready.
-        return self._is_over
-
-    def _look_at(self, handler: Future) -> None:
-        self._waiting.discard(handler)
-        error = handler.exception()
-        if error is not None:
-            self._note(error)
-
-    def _note(self, error: Exception) -> None:
-        # The context may go away in the middle of a callback: that is an end, no fault.
-        if self._node.context.ok():
-            self._note_error(error)
-
-    def _say_and_go_on(self, error: Exception) -> None:
-        self._node.get_logger().warning(
-            f"this rclpy is unlike those known ({type(error).__name__}: {error}): rclpy's own "
-            "executor serves the sensors from now on, at more CPU"
-        )
-        self._wake()
 
 
 def _release(entity: Any) -> None:
