@@ -35,8 +35,6 @@ from magcal_ros.files.exporters import parameter_file
 from magcal_ros.files.recording import REMEDY
 
 if TYPE_CHECKING:
-    from rclpy.node import Node
-
     from magcal_ros.ros.preflight import Listener
 
 
@@ -230,9 +228,6 @@ def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) ->
 SILENT_AFTER = 8.0
 """Seconds within which both sensors must have said something."""
 
-DISCOVERY = 3.0
-"""Seconds in which topics are looked for."""
-
 MISLEADING = (
     "axes",
     "field_axes",
@@ -255,9 +250,10 @@ def listen(options: argparse.Namespace) -> Heard:
     with joined("magcal_doctor", []) as node:
         from rclpy.executors import SingleThreadedExecutor
 
-        from magcal_ros.ros.preflight import Listener
+        from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE, Listener, sensor_topic
 
-        topics = _topics(node, options)
+        wanted = (IMU_TYPE, options.imu, "--imu"), (FIELD_TYPE, options.mag, "--mag")
+        imu, field = (sensor_topic(node, *each) for each in wanted)
         samples: list[ImuSample | FieldSample] = []
         guide = Guide(time.monotonic())
 
@@ -265,11 +261,11 @@ def listen(options: argparse.Namespace) -> Heard:
             samples.append(sample)
             guide.add(sample)
 
-        listener = Listener(node, *topics, take)
+        listener = Listener(node, imu, field, take)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         begin = time.monotonic()
-        say(f"Listening to {topics[0]} and {topics[1]}. The Enter key skips a step.")
+        say(f"Listening to {imu} and {field}. The Enter key skips a step.")
         asking = Asking()
         with interrupts_noted() as interrupted:
             while guide.current is not None and not interrupted.is_set():
@@ -297,22 +293,6 @@ def listen(options: argparse.Namespace) -> Heard:
 def say(line: str) -> None:
     """Print a line for the person; the page alone goes to standard output."""
     print(line, file=sys.stderr, flush=True)
-
-
-def _topics(node: Node, options: argparse.Namespace) -> tuple[str, str]:
-    from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE, sensor_topic
-
-    deadline = time.monotonic() + DISCOVERY
-    while True:
-        try:
-            return (
-                sensor_topic(node, IMU_TYPE, options.imu, "--imu"),
-                sensor_topic(node, FIELD_TYPE, options.mag, "--mag"),
-            )
-        except MagcalError:
-            if time.monotonic() > deadline:
-                raise
-        time.sleep(0.1)
 
 
 class Asking:

@@ -1,4 +1,4 @@
-"""What the numbers of messages say."""
+"""From the numbers in messages to samples."""
 
 from __future__ import annotations
 
@@ -37,18 +37,10 @@ def imu_of(
     orientation: tuple[float, float, float, float],
     orientation_mark: float,
 ) -> ImuSample | None:
-    """Return the sample of an Imu's numbers; None if it says that it has no acceleration.
+    """Return the sample of an Imu's numbers; None if its acceleration is marked absent.
 
-    Parameters
-    ----------
-    stamp : float
-        Seconds.
-    force, rate : tuple of float
-        m/s² and rad/s.
-    orientation : tuple of float
-        Quaternion x, y, z, w.
-    force_mark, rate_mark, orientation_mark : float
-        First element of the covariance of each, which tells whether it is absent.
+    The stamp is in seconds, force in m/s², rate in rad/s, and the orientation x, y, z, w. Each mark
+    is the first element of the covariance.
     """
     if force_mark == ABSENT:
         return None
@@ -61,7 +53,7 @@ def imu_of(
 
 
 def fix_from(stamp: float, status: int, latitude: float, longitude: float, altitude: float) -> Fix:
-    """Return the fix that a NavSatFix tells: seconds, its status, degrees and metres."""
+    """Return the fix of a NavSatFix, from seconds, its status, degrees and metres."""
     return Fix(status >= STATUS_FIX, latitude, longitude, altitude, stamp)
 
 
@@ -72,20 +64,11 @@ RECEIVER_SPEED_SIGMA = 0.1
 def speed_from(
     stamp: float, world: str, child: str, mark: float, x: float, y: float
 ) -> SpeedSample | str:
-    """Return the signed speed that an Odometry tells, or why it has none.
+    """Return the signed speed of an Odometry, or why it has none.
 
-    REP-105 and nav_msgs have the twist in `child_frame_id`, the vehicle's own frame.
-
-    Parameters
-    ----------
-    stamp : float
-        Seconds.
-    world, child : str
-        Its frames.
-    mark : float
-        First element of the twist's covariance, which tells whether it is absent.
-    x, y : float
-        Of its linear velocity, m/s.
+    The stamp is in seconds, `world` and `child` are its frames, `mark` is the first element of the
+    twist's covariance, and x, y are its velocity, m/s. REP-105 and nav_msgs have the twist in
+    `child_frame_id`, the vehicle's own frame.
     """
     if child and child == world:
         return (
@@ -103,16 +86,10 @@ def speed_from(
 def velocity_from(
     stamp: float, east: float, north: float, of_east: float = 0.0, of_north: float = 0.0
 ) -> VelocitySample | str:
-    """Return the velocity that a twist tells, or why it has none.
+    """Return the velocity of a twist, or why it has none.
 
-    Parameters
-    ----------
-    stamp : float
-        Seconds.
-    east, north : float
-        m/s.
-    of_east, of_north : float
-        Variance of each, (m/s)²; zero where it is unknown.
+    The stamp is in seconds, the velocity in m/s, and `of_east`, `of_north` are the variances of
+    both, (m/s)²; zero where they are unknown.
     """
     if of_east == ABSENT:
         return "its velocity is marked absent (covariance -1)"

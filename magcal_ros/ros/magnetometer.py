@@ -30,6 +30,7 @@ from magcal_ros.ros.keeper import Keeper, Tell
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.reporter import Reporter
+from magcal_ros.ros.rotator import Rotator
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
 from magcal_ros.ros.wire import Unreadable, read_field
 from magcal_ros.ros.worker_process import WorkerProcess
@@ -38,8 +39,7 @@ from magcal_ros.ros.worker_process import WorkerProcess
 class Owner(Protocol):
     """What the node does when something happens to a magnetometer."""
 
-    def move(self, rate: float) -> None:
-        """Command the base to turn at a rate, rad/s."""
+    rotator: Rotator
 
     def look_around(self) -> Around:
         """Return the state of sensors, base and guard."""
@@ -347,7 +347,7 @@ class Control:
 
     def _carry_out(self, command: ev.Command) -> None:
         if isinstance(command, ev.MoveBase):
-            self._owner.move(command.rate)
+            self._owner.rotator.move(command.rate)
         elif isinstance(command, ev.Prepare):
             self._fits.run(self._worker.start, lambda _: None, lambda _: None)
         elif isinstance(command, ev.Preview):

@@ -116,7 +116,7 @@ def _spin(node: Calibrator, signals: EndSignals) -> None:
         try:
             spinner.end()
         finally:
-            node.stop_robot()
+            node.rotator.halt()
 
     signals.when_given(end)
     try:

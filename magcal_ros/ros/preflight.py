@@ -142,7 +142,7 @@ def _describe(heard: Heard, duration: float) -> str:
 
 def _judge(heard: Heard, duration: float, publishers: int) -> list[str]:
     found, stamps = [], [sample.stamp for sample in heard.samples]
-    if not any(stamps):
+    if stamps and not any(stamps):
         found.append("  stamps are zero: the driver must stamp its messages")
     elif len(stamps) > FEWEST_STAMPS:
         long = long_gaps(np.array(stamps))
@@ -176,6 +176,9 @@ def _explain_silence(heard: Heard, publishers: int, elsewhere: Sequence[str]) ->
 OURS = ("_unbiased", "_bias", "/enu/imu")
 """How the names of a calibrator's own topics end."""
 
+DISCOVERY = 3.0
+"""Seconds in which topics are looked for."""
+
 USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
 """Which of several topics of a type is meant."""
 
@@ -187,12 +190,16 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
     """
     if wanted:
         return node.resolve_topic_name(wanted)
-    usual = node.resolve_topic_name(USUAL[kind])
-    found = _of_sensors(node, kind)
-    if usual in found:
-        return usual
-    if len(found) == 1:
-        return found[0]
+    usual, deadline = node.resolve_topic_name(USUAL[kind]), time.monotonic() + DISCOVERY
+    while True:
+        found = _of_sensors(node, kind)
+        if usual in found:
+            return usual
+        if len(found) == 1:
+            return found[0]
+        if time.monotonic() > deadline:
+            break
+        time.sleep(0.1)
     if found:
         listed = ", ".join(plain(topic) for topic in sorted(found))
         raise Misuse(f"{len(found)} topics carry {kind}: {listed}; choose one with {option}")

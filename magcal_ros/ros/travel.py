@@ -180,6 +180,14 @@ class Travel:
             return ""
         return course_fault(check_by_course(self._travelling.course))
 
+    def yaw_facts(self) -> dict[str, Any] | None:
+        """Return the part of `~/status` on the yaw of the IMU in the vehicle; None if unknown."""
+        yaw = self.yaw
+        if yaw is None:
+            return None
+        deg, sigma = (round(math.degrees(angle), 2) for angle in (yaw.offset, yaw.sigma))
+        return {"deg": deg, "sigma_deg": sigma, "by": yaw.source, "words": yaw.words}
+
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the drive; None where no speed and no fix came."""
         travelling, yaw = self._travelling, self.yaw
