@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import heapq
 import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -75,15 +76,12 @@ class Recording:
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
         """Yield the samples of both sensors in the order of their stamps, the IMU's first."""
-        i = 0
-        imu, n = self.imu.tolist(), len(self.imu)
-        for t, x, y, z in self.field.tolist():
-            while i < n and imu[i][0] <= t:
-                yield _imu_sample(imu[i])
-                i += 1
-            yield FieldSample(t, (x, y, z))
-        for row in imu[i:]:
-            yield _imu_sample(row)
+        imu = (
+            ImuSample(t, (ax, ay, az), (gx, gy, gz))
+            for t, ax, ay, az, gx, gy, gz in self.imu.tolist()
+        )
+        field = (FieldSample(t, (x, y, z)) for t, x, y, z in self.field.tolist())
+        return heapq.merge(imu, field, key=lambda sample: sample.stamp)
 
     readings = samples
 
@@ -115,11 +113,6 @@ class Recording:
         for vectors in (imu[:, 1:4], imu[:, 4:7], raw[:, 1:4]):
             vectors[:] = vectors @ pose.T
         return replace(self, imu=imu, field=raw)
-
-
-def _imu_sample(row: list[float]) -> ImuSample:
-    t, ax, ay, az, gx, gy, gz = row
-    return ImuSample(t, (ax, ay, az), (gx, gy, gz))
 
 
 def read_csv_folder(folder: Path) -> Recording:

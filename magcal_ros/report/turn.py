@@ -20,6 +20,7 @@ from magcal_ros.core.geometry.attitude import (
     wrap_angle,
     yaw_from_up_and_field,
 )
+from magcal_ros.core.geometry.planes import Circle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
@@ -216,13 +217,9 @@ def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> Floa
     axis_in_world = unit(np.einsum("nij,i->nj", attitudes, estimate.axis).mean(axis=0))
     along = float(field_in_enu(estimate.strength, estimate.inclination) @ axis_in_world)
     radius = math.sqrt(max(estimate.strength**2 - along**2, 0.0))
-    # Any vector that is not the axis gives a first direction across it.
-    other = np.eye(3)[int(np.argmin(np.abs(estimate.axis)))]
-    first = unit(np.cross(estimate.axis, other))
-    phase = np.linspace(0.0, math.tau, 121)[:, None]
-    second = np.cross(estimate.axis, first)
-    ring = radius * (np.cos(phase) * first + np.sin(phase) * second)
-    return np.asarray(ring + along * estimate.axis)
+    across = np.linalg.svd(estimate.axis[None])[2][1:]
+    circle = Circle(along * estimate.axis, np.vstack([across, estimate.axis]), radius)
+    return circle.at(np.linspace(0.0, math.tau, 121))
 
 
 def _published_sigma(calibration: Calibration, up: FloatArray, field: FloatArray) -> FloatArray:
@@ -256,13 +253,9 @@ def _reference(
 
 def _smooth_course(time: FloatArray, yaw: FloatArray, inliers: BoolArray) -> FloatArray:
     """Return the unwrapped yaw through a local straight line over a twentieth of the samples."""
+    # Slow to load, and of use without a gyro alone.
+    from scipy.signal import savgol_filter
+
     course = np.interp(time, time[inliers], np.unwrap(yaw[inliers]))
-    half = max(2, len(time) // 40)
-    smooth = np.empty_like(course)
-    for row in range(len(time)):
-        near = slice(max(0, row - half), row + half + 1)
-        t = time[near] - time[row]
-        centred = t - t.mean()
-        slope = float(centred @ course[near]) / max(float(centred @ centred), 1e-12)
-        smooth[row] = float(course[near].mean()) - slope * float(t.mean())
-    return smooth
+    width = 2 * max(2, len(time) // 40) + 1
+    return course if len(time) < width else np.asarray(savgol_filter(course, width, 1))
