@@ -132,8 +132,7 @@ class Magnetometer:
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Apply a calibration and store it; only what is stored as well is a success."""
-        origin = self._pipeline.origin_of(self.inputs.field.frame)
-        self.keeper.put_in_force(calibration, origin)
+        self.keeper.put_in_force(calibration, self._pipeline.origin_of(self.inputs.field.frame))
         self.keeper.save(tell, with_backup)
 
     def reset(self) -> None:
@@ -145,15 +144,15 @@ class Magnetometer:
 
     def drive_knowledge(self) -> Knowledge | None:
         """Return what is known beforehand of a drive; None while a turn is under way."""
-        is_idle = self.control.state is ev.TurnState.IDLE
-        frame = self.inputs.field.frame
-        return self._pipeline.settled(self.number, frame).knowledge if is_idle else None
+        if self.control.state is not ev.TurnState.IDLE:
+            return None
+        return self._pipeline.settled(self.number, self.inputs.field.frame).knowledge
 
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
         """Begin the report on a turn; returns where it will be written, in words."""
         yaw = self._pipeline.travel.yaw
-        words = "" if yaw is None else yaw.words
-        return self._reporter.report(window, settings, outcome, self.inputs, words)
+        vehicle = yaw.words if yaw else ""
+        return self._reporter.report(window, settings, outcome, self.inputs, vehicle)
 
     def describe_silence(self) -> str:
         """Say which sensor is missing, and what to look at."""
