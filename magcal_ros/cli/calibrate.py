@@ -111,7 +111,7 @@ def add_calibrate(commands: Any) -> None:
         help="full name of the node (default: the only calibrator that is seen)",
     )
     parser.add_argument(
-        "--skip-preflight", action="store_true", help="do not look at the sensors first"
+        "--skip-preflight", action="store_true", help="do not check the sensors first"
     )
     parser.set_defaults(run=run)
 

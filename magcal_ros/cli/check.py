@@ -56,14 +56,14 @@ def add_check(commands: Any) -> None:
 
 
 def run_check(options: argparse.Namespace) -> int:
-    """Read both, compare, and say what came of it."""
+    """Compare a recording with a calibration and print the result."""
     calibration, origin = read_calibration(options.calibration)
     with recorded.opened(options, options.recording) as source:
         gathered = recorded.gather(options, Mounting(), source, calibration)
         north = gathered.reference.field.declination
-        travel, readings = source.travel(), RepairedReadings(source, known=calibration)
+        travel, readings = source.travel, RepairedReadings(source, known=calibration)
         course = recorded_course(calibration, readings, travel, north) if travel else None
-        own = against_own_yaw(calibration, readings, source.yaw(), north)
+        own = against_own_yaw(calibration, readings, source.yaw, north)
     folder = new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, gathered.reference.field)
     made_for, heard = origin.magnetometer_frame, gathered.source.field_frame
@@ -123,7 +123,7 @@ def _words(result: Recheck, notes: list[str]) -> str:
         if STATES[f.grade] != "holds"
     ]
     text = f"{SENTENCES[result.state]}.\n\n{table(rows)}\n"
-    text += bullets("What speaks against it:", against)
+    text += bullets("What contradicts it:", against)
     text += bullets("Not shown by this recording:", result.verdict.not_shown)
     text += bullets("About the recording:", notes)
     return text.rstrip("\n")
@@ -157,9 +157,9 @@ def add_drive(commands: Any) -> None:
     """Add the command's arguments."""
     parser = commands.add_parser(
         "drive",
-        help="say what a recorded drive shows of the compass",
-        description="Tell a recorded drive again: what self-calibration would have decided and "
-        "why, and a map of where the field is bent. Exit status: 0 a calibration is in force at "
+        help="replay self-calibration on a recorded drive",
+        description="Replay a recorded drive: what self-calibration would have decided and why, "
+        "and a map of where the field is disturbed. Exit status: 0 a calibration is in force at "
         "the end, 2 usage, 3 none is, 5 file trouble.",
     )
     recorded.add_recording_options(parser)
@@ -172,14 +172,14 @@ def add_drive(commands: Any) -> None:
 
 
 def run_drive(options: argparse.Namespace) -> int:
-    """Read, decide again, write the page."""
+    """Replay the drive and write the page."""
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
     folder = new_or_named(options.output, "magcal_drive")
     with recorded.opened(options, options.recording) as source:
-        reference = reference_in_use(options, source.place(), source.begun())
+        reference = reference_in_use(options, source.place, source.begun)
         replay = DriveReplay(Knowledge(reference.field, recorded.mounting_from(options)), begun)
         repaired = RepairedReadings(source, for_drive=True, known=begun)
-        travel = source.travel()
+        travel = source.travel
         with recorded.at_work(
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f} % of it", sys.stderr
         ):
@@ -239,7 +239,7 @@ def add_export(commands: Any) -> None:
 
 
 def run_export(options: argparse.Namespace) -> int:
-    """Read, translate, write."""
+    """Write the calibration in another format."""
     calibration, origin = read_calibration(options.calibration)
     about = [origin.magnetometer_frame] if options.to in OF_LOGS else []
     text = EXPORTERS[options.to](calibration, *about)

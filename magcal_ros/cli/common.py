@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from datetime import date, datetime, timezone
+from datetime import datetime
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -144,18 +144,13 @@ def reference_in_use(
 
 
 def _year(text: str) -> float:
-    parsers: tuple[Callable[[str], float], ...] = (float, _year_of_day)
-    for parse in parsers:
-        try:
-            year = parse(text)
-        except ValueError:
-            continue
-        if 1900.0 <= year <= 2200.0:
-            return year
+    try:
+        if "-" in text[1:]:
+            year = decimal_year(datetime.fromisoformat(f"{text}T12:00+00:00").timestamp())
+        else:
+            year = float(text)
+    except ValueError:
+        year = math.nan
+    if 1900.0 <= year <= 2200.0:
+        return year
     raise argparse.ArgumentTypeError(f"{text!r} is no date: write 2026-11-21 or 2026.9")
-
-
-def _year_of_day(text: str) -> float:
-    day = date.fromisoformat(text)
-    noon = datetime(day.year, day.month, day.day, 12, tzinfo=timezone.utc)
-    return decimal_year(noon.timestamp())

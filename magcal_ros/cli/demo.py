@@ -195,19 +195,15 @@ def run_replay(options: argparse.Namespace) -> int:
         from magcal_ros.ros.rehearsal import SensorSource, replay
 
         source = SensorSource(node, options.imu_frame, options.mag_frame)
-        if not _wait_for_listener(source, options.wait):
+        deadline = time.monotonic() + options.wait
+        while not source.listeners and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(0.2)
+        if not source.listeners:
             print("magcal: there is no subscriber; publishing all the same", file=sys.stderr)
         count = replay(node, source, recording, options.rate, time.sleep, options.clock)
     print(plain_lines(f"replayed {count} samples of {options.folder}"))
     return Exit.GOOD
-
-
-def _wait_for_listener(source: Any, patience: float) -> bool:
-    deadline = time.monotonic() + patience
-    while not source.listeners and time.monotonic() < deadline:
-        time.sleep(0.05)
-    time.sleep(0.2)
-    return bool(source.listeners)
 
 
 def _require_stamps(folder: Path, recording: Recording) -> None:

@@ -31,10 +31,10 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.disk import FileTrouble, plain, plain_lines, write_atomically
+from magcal_ros.files.exporters import parameter_file
+from magcal_ros.files.recording import REMEDY
 
 if TYPE_CHECKING:
-    from rclpy.node import Node
-
     from magcal_ros.ros.preflight import Listener
 
 
@@ -71,7 +71,7 @@ def add_doctor(commands: Any) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """What a recording or the guided half minute brought."""
+    """The samples of a recording or of the guided half minute, and what is known beside them."""
 
     samples: list[ImuSample | FieldSample]
     knowledge: Knowledge
@@ -110,7 +110,7 @@ class Heard:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Look, and say what was found."""
+    """Examine the sensors and print the findings."""
     if options.write is not None and options.write.exists():
         raise FileTrouble(f"{options.write} exists already: name another --write")
     if options.recording is not None and options.live:
@@ -130,7 +130,8 @@ def _recorded(options: argparse.Namespace) -> Heard:
     rest = {ImuSample: MOST, FieldSample: MOST}
 
     def kept(readings: Iterator[Reading]) -> Iterator[Reading]:
-        for reading in readings:
+        for count, reading in enumerate(readings):
+            shares[0] = count / max(source.count, 1)
             if reading is not None and rest[type(reading)] > 0:
                 rest[type(reading)] -= 1
                 samples.append(reading)
@@ -139,10 +140,12 @@ def _recorded(options: argparse.Namespace) -> Heard:
     mounting = recorded.mounting_from(options)
     with recorded.opened(options, options.recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-        gathering.take(kept(recorded.watched(source, source.readings(), sys.stderr)))
+        shares = [0.0]
+        with recorded.at_work(lambda: f"reading, {100.0 * shares[0]:.0f} %", sys.stderr):
+            gathering.take(kept(source.readings()))
         newest = gathering.streams.field_stamps.newest
-        reference = reference_in_use(options, source.place(), newest)
-        travel = source.travel()
+        reference = reference_in_use(options, source.place, newest)
+        travel = source.travel
     complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
     more = tuple(looked_at("recording", "recording", words, words) for words in complaints)
     left = None if options.turned is None else options.turned == "left"
@@ -208,7 +211,7 @@ def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, An
 
 
 def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) -> str | None:
-    """Leave what parameters can correct, and the gains that were given; returns the path.
+    """Write what parameters can correct, and the gains that were given; returns the path.
 
     Nothing is written where no mounting alone corrects the axes: what a driver does wrong is
     corrected there, and never here.
@@ -218,16 +221,12 @@ def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) ->
     lines = [page.parameters]
     if gains is not None:
         lines.append(f"soft_iron_gains: [{', '.join(f'{float(gain)!r}' for gain in gains)}]")
-    text = "\n".join(["/**:", "  ros__parameters:", *(f"    {line}" for line in lines)])
-    write_atomically(path, text + "\n", "Choose a writable folder, or correct its permissions.")
+    write_atomically(path, parameter_file(*lines), REMEDY)
     return str(path)
 
 
 SILENT_AFTER = 8.0
 """Seconds within which both sensors must have said something."""
-
-DISCOVERY = 3.0
-"""Seconds in which topics are looked for."""
 
 MISLEADING = (
     "axes",
@@ -251,9 +250,10 @@ def listen(options: argparse.Namespace) -> Heard:
     with joined("magcal_doctor", []) as node:
         from rclpy.executors import SingleThreadedExecutor
 
-        from magcal_ros.ros.preflight import Listener
+        from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE, Listener, sensor_topic
 
-        topics = _topics(node, options)
+        wanted = (IMU_TYPE, options.imu, "--imu"), (FIELD_TYPE, options.mag, "--mag")
+        imu, field = (sensor_topic(node, *each) for each in wanted)
         samples: list[ImuSample | FieldSample] = []
         guide = Guide(time.monotonic())
 
@@ -261,11 +261,11 @@ def listen(options: argparse.Namespace) -> Heard:
             samples.append(sample)
             guide.add(sample)
 
-        listener = Listener(node, *topics, take)
+        listener = Listener(node, imu, field, take)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         begin = time.monotonic()
-        say(f"Listening to {topics[0]} and {topics[1]}. The Enter key skips a step.")
+        say(f"Listening to {imu} and {field}. The Enter key skips a step.")
         asking = Asking()
         with interrupts_noted() as interrupted:
             while guide.current is not None and not interrupted.is_set():
@@ -279,12 +279,11 @@ def listen(options: argparse.Namespace) -> Heard:
                         asking.tick(guide)
                 if guide.pass_time(now):
                     asking.tick(guide)
-                if now - begin > SILENT_AFTER and not all(listener.heard):
-                    heard = zip(listener.topics, listener.heard, strict=True)
-                    silent = " and ".join(topic for topic, count in heard if not count)
+                silent = [each.topic for each in listener.sensors if not each.messages]
+                if silent and now - begin > SILENT_AFTER:
                     raise MagcalError(
-                        f"nothing arrives on {silent}: is the driver running, is the clock paused? "
-                        "Choose other topics with --imu and --mag"
+                        f"nothing arrives on {' and '.join(silent)}: is the driver running, is "
+                        "the clock paused? Choose other topics with --imu and --mag"
                     )
         if interrupted.is_set():
             raise KeyboardInterrupt
@@ -292,28 +291,12 @@ def listen(options: argparse.Namespace) -> Heard:
 
 
 def say(line: str) -> None:
-    """Tell the person what to do; the page alone goes to standard output."""
+    """Print a line for the person; the page alone goes to standard output."""
     print(line, file=sys.stderr, flush=True)
 
 
-def _topics(node: Node, options: argparse.Namespace) -> tuple[str, str]:
-    from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE, sensor_topic
-
-    deadline = time.monotonic() + DISCOVERY
-    while True:
-        try:
-            return (
-                sensor_topic(node, IMU_TYPE, options.imu, "--imu"),
-                sensor_topic(node, FIELD_TYPE, options.mag, "--mag"),
-            )
-        except MagcalError:
-            if time.monotonic() > deadline:
-                raise
-        time.sleep(0.1)
-
-
 class Asking:
-    """Says what is asked for and for how long yet, and hears the Enter key, where a person sits."""
+    """Prints the steps of the guide and the seconds left, and reads the Enter key of a terminal."""
 
     def __init__(self) -> None:
         self._rewrites = sys.stderr.isatty()
@@ -339,12 +322,12 @@ class Asking:
         """Return whether the Enter key was pressed."""
         if not self._keys or not select.select([sys.stdin], [], [], 0.0)[0]:
             return False
-        # An end of the input is no key, and would be heard for ever.
+        # The end of the input is no key, and would be read for ever.
         self._keys = bool(sys.stdin.readline())
         return self._keys
 
     def tick(self, guide: Guide) -> None:
-        """Tell what was seen of what was asked for."""
+        """Print whether the step that ended was seen."""
         ended = (GuideStepState.SEEN, GuideStepState.MISSED)
         last = [step for step, state in guide.states.items() if state in ended][-1]
         seen = guide.states[last] is GuideStepState.SEEN
@@ -359,7 +342,7 @@ def gathered(
     samples: list[ImuSample | FieldSample],
     guide: Guide,
 ) -> Heard:
-    """Return what was heard, with what the graph and the user say beside it."""
+    """Return the samples, with what the graph and the user give beside them."""
     newest = max((s.stamp for s in samples if isinstance(s, FieldSample)), default=0.0)
     reference = reference_in_use(options, None, newest)
     mounting, described, pose = recorded.mounting_from(options), "", listener.described_pose
@@ -367,6 +350,8 @@ def gathered(
     if pose is not None and not any(options.mount_rpy_deg):
         mounting, described = Mounting(mounting.gains, pose), pose_in_words(pose)
     more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
-    more += [wrong("publishers", "publishers", words, CROWD) for words in listener.crowded]
+    more += [
+        wrong("publishers", "publishers", words, CROWD) for words in listener.several_publishers
+    ]
     known = Knowledge(reference.field, mounting)
     return Heard(samples, known, guide.turned_left, tuple(more), described)

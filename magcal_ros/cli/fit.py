@@ -28,7 +28,6 @@ from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
-from magcal_ros.core.session.session import Progress
 from magcal_ros.files.calibration_file import Origin, write_calibration
 from magcal_ros.files.disk import FileTrouble, plain, plain_lines
 from magcal_ros.report import Subject, write_report
@@ -38,13 +37,12 @@ from magcal_ros.report import Subject, write_report
 class Fitted:
     """A recording, or several that were joined, and the result.
 
-    Of several, `gathered` and `progress` are those of the last that joined.
+    Of several, `gathered` is the last that joined.
     """
 
     gathered: Gathered
     knowledge: Knowledge
     outcome: Outcome
-    progress: Progress
     everything: tuple[Gathered, ...]
 
     @property
@@ -134,17 +132,15 @@ def _fit(
     knowledge = Knowledge(known.reference.field, known.gathering.mounting)
     at_headings = recorded.fit_known(options, knowledge)
     if at_headings is not None:
-        progress = everything[-1].gathering.progress()
-        return Fitted(everything[-1], knowledge, at_headings, progress, everything)
+        return Fitted(everything[-1], knowledge, at_headings, everything)
     if len(everything) == 1:
-        gathering = everything[0].gathering
-        outcome = fit_gathered(gathering, knowledge, options.method, report_share)
-        return Fitted(everything[0], knowledge, outcome, gathering.progress(), everything)
+        outcome = fit_gathered(known.gathering, knowledge, options.method, report_share)
+        return Fitted(known, knowledge, outcome, everything)
     names = names_of([str(path) for path in options.recordings])
     gatherings = [each.gathering for each in everything]
     outcome, newest = fit_several(gatherings, names, knowledge, options.method)
     gathered = replace(everything[newest], reference=known.reference)
-    return Fitted(gathered, knowledge, outcome, gatherings[newest].progress(), everything)
+    return Fitted(gathered, knowledge, outcome, everything)
 
 
 def _folder(chosen: Path | None) -> Path:
@@ -232,14 +228,14 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
 
 def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
     """Return key, name, number and unit of everything worth a line."""
-    imus, fields = fitted.gathered.gathering.heard
-    window = fitted.outcome.window
+    gathering, source = fitted.gathered.gathering, fitted.gathered.source
+    imus, fields = gathering.heard
+    window, estimate = fitted.outcome.window, fitted.outcome.estimate
     used = 0 if window is None else len(window)
-    estimate = fitted.outcome.estimate
-    arc = math.degrees(fitted.progress.coverage.arc if estimate is None else estimate.arc)
+    arc = math.degrees(gathering.progress().coverage.arc if estimate is None else estimate.arc)
     rows = [
-        ("imu_messages", f"messages on {fitted.gathered.source.imu_topic}", f"{imus}", ""),
-        ("mag_messages", f"messages on {fitted.gathered.source.field_topic}", f"{fields}", ""),
+        ("imu_messages", f"messages on {source.imu_topic}", f"{imus}", ""),
+        ("mag_messages", f"messages on {source.field_topic}", f"{fields}", ""),
         ("samples", "samples in the fit", f"{used}", ""),
         ("arc_deg", "turn seen", f"{arc:.0f}", "°"),
     ]
@@ -266,17 +262,14 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
         ("strength_ut", "field strength", f"{estimate.strength * 1e6:.1f}", "µT"),
         ("inclination_deg", "inclination", f"{math.degrees(estimate.inclination):.1f}", "°"),
     ]
-    for figure, key, name in (
-        (Figure.HEADING_SIGMA, "heading_sigma_deg", "heading error (1σ), level"),
-        (
-            Figure.HEADING_SIGMA_TILTED,
-            "heading_sigma_tilted_deg",
-            "heading error (1σ), 10° of tilt",
-        ),
-        (Figure.GYRO_COMPASS_SWING, "gyro_compass_rms_deg", "gyro against compass, rms"),
+    for figure, name in (
+        (Figure.HEADING_SIGMA, "heading error (1σ), level"),
+        (Figure.HEADING_SIGMA_TILTED, "heading error (1σ), 10° of tilt"),
+        (Figure.GYRO_COMPASS_SWING, "gyro against compass, rms"),
     ):
         if figure in figures:
-            rows.append((key, name, f"{math.degrees(figures[figure]):.2f}", "°"))
+            angle = math.degrees(figures[figure])
+            rows.append((f"{figure.value}_deg", name, f"{angle:.2f}", "°"))
     ratio = 100.0 * figures[Figure.RESIDUAL_RATIO]
     rows.append(("residual_percent", "residual against the level field", f"{ratio:.1f}", "%"))
     return rows

@@ -1,4 +1,4 @@
-"""The turn as a person watches it, and the access of a command to the graph."""
+"""The live view of a turn in the terminal, and how a command joins the ROS graph."""
 
 from __future__ import annotations
 
@@ -40,7 +40,9 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
     try:
         rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node(name)
-    except Exception as error:  # rclpy has several roots: arguments, names, the environment
+    except (
+        Exception
+    ) as error:  # rclpy has several base classes of errors: arguments, names, the environment
         rclpy.try_shutdown()
         words = plain(" ".join(str(error).split()), LONGEST_ERROR)
         raise Misuse(
@@ -65,7 +67,7 @@ def keep_traffic_here() -> None:
 
 @contextlib.contextmanager
 def interrupts_noted() -> Iterator[threading.Event]:
-    """Note Ctrl-C instead of raising it wherever the program stands, which may be inside rclpy."""
+    """Note Ctrl-C instead of raising it at once, which might be inside of rclpy."""
     noted = threading.Event()
     before = signal.signal(signal.SIGINT, lambda *_: noted.set())
     try:
@@ -127,7 +129,7 @@ def best_view() -> Lines:
 
 
 def advice(progress: dict[str, Any]) -> str:
-    """Say what to do next, in a few words."""
+    """Return what to do next, in a few words."""
     rate = abs(progress["turn_rate_deg_s"])
     if progress["stage"] != "collecting":
         return "complete: fitting"

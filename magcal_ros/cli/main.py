@@ -28,7 +28,7 @@ COMMANDS = (
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong with arguments without what could steer a terminal."""
+    """Reports wrong arguments without characters that could control a terminal."""
 
     def error(self, message: str) -> NoReturn:
         """End the program; argparse quotes some arguments as they are."""
@@ -96,13 +96,13 @@ def _fault() -> Exit:
     traceback.print_exc()
     print(
         f"magcal: this is a fault of magcal_ros {__version__} and not yours. Please report it with "
-        f"the lines above{_whom()}",
+        f"the lines above{_maintainer()}",
         file=sys.stderr,
     )
     return Exit.FAULT
 
 
-def _whom() -> str:
+def _maintainer() -> str:
     try:
         address = metadata("magcal_ros")["Maintainer-email"]
     except PackageNotFoundError:

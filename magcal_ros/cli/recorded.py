@@ -7,7 +7,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,15 +23,11 @@ from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.recorded import (
     Gathering,
-    Reading,
     fit_at_headings,
     fit_heading_topic,
     standing_pairs,
 )
 from magcal_ros.files.sources import RepairedReadings, Source, open_recording
-
-LOOK_EVERY = 2000
-"""Messages between two looks at the clock."""
 
 REDRAW = 0.2
 LINE_EVERY = 5.0
@@ -129,15 +125,9 @@ def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManag
     pose = None
     if options.imu_rpy_deg is not None:
         pose = rotation_from_rpy(*map(math.radians, options.imu_rpy_deg))
-    line = StatusLine(sys.stderr)
-
-    def progress(share: float) -> None:
-        line.tell(f"reading: {100.0 * share:3.0f} %")
-
-    try:
-        return open_recording(recording, **chosen, **span, imu_pose=pose, progress=progress)
-    finally:
-        line.clear()
+    shares = [0.0]
+    with at_work(lambda: f"reading, {100.0 * shares[-1]:.0f} %", sys.stderr):
+        return open_recording(recording, **chosen, **span, imu_pose=pose, progress=shares.append)
 
 
 def gather(
@@ -153,63 +143,27 @@ def gather(
     """
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
-    gathering.take(watched(repaired, repaired, sys.stderr), source.travel())
+    with at_work(lambda: f"reading, {100.0 * repaired.share:.0f} %", sys.stderr):
+        gathering.take(repaired, source.travel)
     newest = gathering.streams.field_stamps.newest
-    reference = reference_in_use(options, source.place(), newest)
+    reference = reference_in_use(options, source.place, newest)
     return Gathered(gathering, source, reference, repaired.notes)
-
-
-class StatusLine:
-    """Shows the progress of a long operation.
-
-    On a terminal one line is drawn again and removed at the end. Elsewhere a line comes now and
-    then, so that a short operation prints nothing.
-    """
-
-    def __init__(self, out: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
-        self._out, self._clock, self._terminal = out, clock, out.isatty()
-        self._pause = REDRAW if self._terminal else LINE_EVERY
-        self._due, self._drawn = clock() + self._pause, False
-
-    def tell(self, line: str) -> None:
-        """Show a line if it is time."""
-        if self._clock() < self._due:
-            return
-        if self._terminal:
-            print(f"\r{line}\x1b[K", end="", file=self._out, flush=True)
-        else:
-            print(line, file=self._out, flush=True)
-        self._due, self._drawn = self._clock() + self._pause, True
-
-    def clear(self) -> None:
-        """Take the line off a terminal."""
-        if self._drawn and self._terminal:
-            print("\r\x1b[K", end="", file=self._out, flush=True)
-
-
-def watched(
-    source: Source | RepairedReadings,
-    readings: Iterable[Reading],
-    out: TextIO,
-    clock: Callable[[], float] = time.monotonic,
-) -> Iterator[Reading]:
-    """Yield what is read of a source, and print the progress."""
-    line = StatusLine(out, clock)
-    for count, reading in enumerate(readings):
-        if count % LOOK_EVERY == 0:
-            line.tell(f"reading: {100.0 * source.share:3.0f} %, {count} messages")
-        yield reading
-    line.clear()
 
 
 @contextmanager
 def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
-    """Say every now and then that a long operation goes on, and for how long."""
-    line, begun, done = StatusLine(out), time.monotonic(), threading.Event()
+    """Say every now and then that a long operation goes on, and for how long.
+
+    On a terminal one line is drawn again and removed at the end. Elsewhere a line comes now and
+    then, so that a short operation prints nothing.
+    """
+    is_terminal, begun, done = out.isatty(), time.monotonic(), threading.Event()
+    begin, end, pause = ("\r", "\x1b[K", REDRAW) if is_terminal else ("", "\n", LINE_EVERY)
 
     def tell() -> None:
-        while not done.wait(REDRAW):
-            line.tell(f"{words()}: {time.monotonic() - begun:.0f} s")
+        while not done.wait(pause):
+            seconds = time.monotonic() - begun
+            print(f"{begin}{words()}: {seconds:.0f} s", end=end, file=out, flush=True)
 
     teller = threading.Thread(target=tell, name="at work", daemon=True)
     teller.start()
@@ -218,7 +172,8 @@ def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
     finally:
         done.set()
         teller.join()
-        line.clear()
+        if is_terminal and time.monotonic() - begun > pause:
+            print("\r\x1b[K", end="", file=out, flush=True)
 
 
 def add_heading_options(parser: Any) -> None:

@@ -1,4 +1,4 @@
-"""Messages become numbers, whether they come from rclpy or from a bag."""
+"""From the numbers in messages to samples."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import (
-    FieldSample,
     HeadingSample,
     ImuSample,
     SpeedSample,
@@ -29,21 +28,6 @@ def seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
-def imu_sample(message: Any) -> ImuSample | None:
-    """Return the numbers of a sensor_msgs/Imu; None if it says that it has no acceleration."""
-    force, rate = message.linear_acceleration, message.angular_velocity
-    q = message.orientation
-    return imu_of(
-        seconds(message.header.stamp),
-        (force.x, force.y, force.z),
-        message.linear_acceleration_covariance[0],
-        (rate.x, rate.y, rate.z),
-        message.angular_velocity_covariance[0],
-        (q.x, q.y, q.z, q.w),
-        message.orientation_covariance[0],
-    )
-
-
 def imu_of(
     stamp: float,
     force: Triple,
@@ -53,18 +37,10 @@ def imu_of(
     orientation: tuple[float, float, float, float],
     orientation_mark: float,
 ) -> ImuSample | None:
-    """Return the sample of an Imu's numbers; None if it says that it has no acceleration.
+    """Return the sample of an Imu's numbers; None if its acceleration is marked absent.
 
-    Parameters
-    ----------
-    stamp : float
-        Seconds.
-    force, rate : tuple of float
-        m/s² and rad/s.
-    orientation : tuple of float
-        Quaternion x, y, z, w.
-    force_mark, rate_mark, orientation_mark : float
-        First element of the covariance of each, which tells whether it is absent.
+    The stamp is in seconds, force in m/s², rate in rad/s, and the orientation x, y, z, w. Each mark
+    is the first element of the covariance.
     """
     if force_mark == ABSENT:
         return None
@@ -76,20 +52,8 @@ def imu_of(
     )
 
 
-def field_sample(message: Any) -> FieldSample:
-    """Return the numbers of a sensor_msgs/MagneticField."""
-    field = message.magnetic_field
-    return FieldSample(seconds(message.header.stamp), (field.x, field.y, field.z))
-
-
-def fix_of(message: Any) -> Fix:
-    """Return the numbers of a sensor_msgs/NavSatFix."""
-    place = message.latitude, message.longitude, message.altitude
-    return fix_from(seconds(message.header.stamp), message.status.status, *place)
-
-
 def fix_from(stamp: float, status: int, latitude: float, longitude: float, altitude: float) -> Fix:
-    """Return the fix that a NavSatFix tells: seconds, its status, degrees and metres."""
+    """Return the fix of a NavSatFix, from seconds, its status, degrees and metres."""
     return Fix(status >= STATUS_FIX, latitude, longitude, altitude, stamp)
 
 
@@ -97,31 +61,14 @@ RECEIVER_SPEED_SIGMA = 0.1
 """m/s per axis of a receiver's velocity; a TwistStamped carries no covariance."""
 
 
-def speed_of(message: Any) -> SpeedSample | str:
-    """Return the signed speed of a nav_msgs/Odometry, or why it has none."""
-    header, linear = message.header, message.twist.twist.linear
-    frames = header.frame_id, message.child_frame_id
-    mark = message.twist.covariance[0]
-    return speed_from(seconds(header.stamp), *frames, mark, linear.x, linear.y)
-
-
 def speed_from(
     stamp: float, world: str, child: str, mark: float, x: float, y: float
 ) -> SpeedSample | str:
-    """Return the signed speed that an Odometry tells, or why it has none.
+    """Return the signed speed of an Odometry, or why it has none.
 
-    REP-105 and nav_msgs have the twist in `child_frame_id`, the vehicle's own frame.
-
-    Parameters
-    ----------
-    stamp : float
-        Seconds.
-    world, child : str
-        Its frames.
-    mark : float
-        First element of the twist's covariance, which tells whether it is absent.
-    x, y : float
-        Of its linear velocity, m/s.
+    The stamp is in seconds, `world` and `child` are its frames, `mark` is the first element of the
+    twist's covariance, and x, y are its velocity, m/s. REP-105 and nav_msgs have the twist in
+    `child_frame_id`, the vehicle's own frame.
     """
     if child and child == world:
         return (
@@ -136,32 +83,13 @@ def speed_from(
     return SpeedSample(stamp, math.copysign(math.hypot(x, y), x))
 
 
-def velocity_of(message: Any) -> VelocitySample | str:
-    """Return the velocity of a TwistStamped in ENU, or why it has none.
-
-    A geometry_msgs/TwistWithCovarianceStamped may tell its sigma, too.
-    """
-    twist, variances = message.twist, (0.0, 0.0)
-    if hasattr(twist, "covariance"):
-        variances = float(twist.covariance[0]), float(twist.covariance[7])
-        twist = twist.twist
-    stamp, linear = seconds(message.header.stamp), twist.linear
-    return velocity_from(stamp, linear.x, linear.y, *variances)
-
-
 def velocity_from(
     stamp: float, east: float, north: float, of_east: float = 0.0, of_north: float = 0.0
 ) -> VelocitySample | str:
-    """Return the velocity that a twist tells, or why it has none.
+    """Return the velocity of a twist, or why it has none.
 
-    Parameters
-    ----------
-    stamp : float
-        Seconds.
-    east, north : float
-        m/s.
-    of_east, of_north : float
-        Variance of each, (m/s)²; zero where it is unknown.
+    The stamp is in seconds, the velocity in m/s, and `of_east`, `of_north` are the variances of
+    both, (m/s)²; zero where they are unknown.
     """
     if of_east == ABSENT:
         return "its velocity is marked absent (covariance -1)"
@@ -179,17 +107,20 @@ NO_HEADING = math.radians(30.0)
 """Sigma from which a driver says that it has no heading at the moment."""
 
 
-def heading_of(message: Any) -> HeadingSample | str:
-    """Return the yaw of a sensor_msgs/Imu's orientation, or why it has none."""
-    q, covariance = message.orientation, message.orientation_covariance
-    if covariance[0] == ABSENT:
+def heading_from(
+    stamp: float, orientation: tuple[float, float, float, float], mark: float, variance: float
+) -> HeadingSample | str:
+    """Return the yaw of an Imu's orientation (x, y, z, w), or why it has none.
+
+    `mark` is the first element of its covariance, and `variance` that of the yaw, rad².
+    """
+    x, y, z, w = orientation
+    if mark == ABSENT:
         return "its orientation is marked absent (covariance -1)"
-    size = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    size = x * x + y * y + z * z + w * w
     if not abs(size - 1.0) < 0.02:
         return f"its orientation is no unit quaternion (length {math.sqrt(abs(size)):.3g})"
-    variance = float(covariance[8])
     if not (math.isfinite(variance) and 0.0 <= variance < NO_HEADING**2):
         return "its orientation covariance says that the yaw is not known"
-    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    sigma = math.sqrt(variance) if variance > 0.0 else HEADING_SIGMA
-    return HeadingSample(seconds(message.header.stamp), yaw, sigma)
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return HeadingSample(stamp, yaw, math.sqrt(variance) if variance > 0.0 else HEADING_SIGMA)

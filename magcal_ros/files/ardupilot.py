@@ -24,6 +24,9 @@ from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
+BINARY = b"\xa3\x95"
+"""The first bytes of a binary log."""
+
 TESLA = 1e-7
 """In a milligauss."""
 
@@ -79,19 +82,15 @@ def read_ardupilot(
 
 
 def _require_dataflash(path: Path, begun: bytes) -> None:
-    if path.suffix.lower() == ".bin" and begun[:2] != b"\xa3\x95":
+    is_text = path.suffix.lower() == ".log" and b"FMT," in begun
+    if not is_text and begun[:2] != BINARY:
         raise FileTrouble(f"{plain(str(path))} is no DataFlash log: it does not begin as one")
-    if path.suffix.lower() == ".log" and b"FMT," not in begun and begun[:2] != b"\xa3\x95":
-        raise FileTrouble(
-            f"{plain(str(path))} is no DataFlash log: no FMT line stands at its beginning"
-        )
 
 
 def _dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> Iterator[tuple[Any, float]]:
     """Yield the wanted messages of a log and the share that has been read."""
     dataflash = logs.library(path, "pymavlink.DFReader", "ardupilot")
-    is_binary = begun[:2] == b"\xa3\x95"
-    kind: Any = dataflash.DFReader_binary if is_binary else dataflash.DFReader_text
+    kind: Any = dataflash.DFReader_binary if begun[:2] == BINARY else dataflash.DFReader_text
 
     def recv_msg(reader: Any) -> Any:
         # Without a receiver the library goes through the whole log before it gives a message.
@@ -111,10 +110,8 @@ def _telemetry(path: Path) -> Iterator[tuple[Any, float]]:
     wanted = {*RAW_KINDS, "ATTITUDE", "GPS_RAW_INT", "PARAM_VALUE"}
     try:
         while (message := reader.recv_msg()) is not None:
-            if message.get_type() in wanted:
-                yield message, 0.01 * reader.percent
-            else:
-                yield None, 0.01 * reader.percent
+            is_wanted = message.get_type() in wanted
+            yield message if is_wanted else None, 0.01 * reader.percent
     finally:
         reader.close()
 
@@ -164,14 +161,8 @@ class _Rows:
             return
         if kind in RAW_KINDS:
             stamp = self._by_own_clock(m)
-            milli = [
-                m.xacc * logs.GRAVITY,
-                m.yacc * logs.GRAVITY,
-                m.zacc * logs.GRAVITY,
-                m.xgyro,
-                m.ygyro,
-            ]
-            row = [1e-3 * value for value in (*milli, m.zgyro)]
+            force = (value * logs.GRAVITY for value in (m.xacc, m.yacc, m.zacc))
+            row = [1e-3 * value for value in (*force, m.xgyro, m.ygyro, m.zgyro)]
             self._imus[RAW_KINDS[kind]].extend((stamp, *row))
             self._mags[RAW_KINDS[kind]].extend((stamp, m.xmag, m.ymag, m.zmag, *NO_OFFSETS))
         elif kind == "ATTITUDE":

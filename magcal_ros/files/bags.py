@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -14,21 +15,11 @@ import numpy as np
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.messages import (
-    field_sample,
-    fix_of,
-    heading_of,
-    imu_sample,
-    seconds,
-    speed_of,
-    velocity_of,
-)
+from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
-from magcal_ros.files import wire
 from magcal_ros.files.disk import FileTrouble, damage_in_words, plain
-from magcal_ros.files.wire import RosReader, fix_in, speed_in, sure_velocity_in, velocity_in
+from magcal_ros.files.wire import CDR, ROS1, Format, RosReader, frame_of, is_plain_cdr
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -43,14 +34,13 @@ BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
 ODOM_TYPE = "nav_msgs/msg/Odometry"
 TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
 SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
-TRAVEL: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], Any]]] = {
-    FIX_TYPE: (fix_in, fix_of),
-    ODOM_TYPE: (speed_in, speed_of),
-    TWIST_TYPE: (velocity_in, velocity_of),
-    SURE_TWIST_TYPE: (sure_velocity_in, velocity_of),
+TRAVEL: dict[str, Callable[[Format, bytes], Any]] = {
+    FIX_TYPE: Format.fix,
+    ODOM_TYPE: Format.speed,
+    TWIST_TYPE: Format.velocity,
+    SURE_TWIST_TYPE: Format.sure_velocity,
 }
-"""How each type's numbers are read: from plain CDR, and from a message."""
-RECEIVERS_SAY = ("vel", "fix_velocity")
+RECEIVER_TOPICS = ("vel", "fix_velocity")
 """How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
 body's. A bag without fixes has no receiver."""
 MOST_FIXES = 10_000
@@ -76,11 +66,14 @@ class Bag:
 
     imu_frame = field_frame = ""
     notes: tuple[str, ...] = ()
+    yaw = np.empty((0, 2))
+    """Only logs have the yaws of an autopilot."""
 
     def __init__(
         self, path: Path, reader: Any, imu: str, field: str, start: float, stop: float
     ) -> None:
         self._path, self._reader = path, reader
+        self._format = CDR if reader.is2 else ROS1
         if not reader.message_count:
             raise FileTrouble(f"{plain(str(path))} holds no messages: record again")
         self._imu = _find(path, reader, IMU_TYPE, imu, "--imu")
@@ -88,75 +81,72 @@ class Bag:
         self.imu_topic, self.field_topic = plain(self._imu[0].topic), plain(self._field[0].topic)
         self._first: int = reader.start_time + _nanoseconds(max(start, 0.0))
         self._end: int = min(reader.end_time, reader.start_time + _nanoseconds(stop))
-        self._reached: int = self._first
-
-    @property
-    def share(self) -> float:
-        """How much of the span has been read, 0 to 1."""
-        return min(1.0, (self._reached - self._first) / max(self._end - self._first, 1))
+        share = (self._end - self._first) / max(reader.end_time - reader.start_time, 1)
+        self.count = round(share * sum(c.msgcount for c in (*self._imu, *self._field)))
+        """About how many messages of both sensors the span holds."""
 
     def readings(self) -> Iterator[Reading]:
-        """Yield what the two topics say, in the order in which it was recorded."""
-        layout = wire.CDR if self._reader.is2 else wire.ROS1
-        of_imu, of_field = wire.imu_parser(layout), wire.field_parser(layout)
+        """Yield the samples of both topics in the order in which they were recorded."""
+        of_imu, of_field = self._format.imu, self._format.field
         fields = {connection.id for connection in self._field}
         imu_frame = field_frame = b""
 
-        def take(connection: Connection, received: int, data: bytes) -> Reading:
+        def take(connection: Connection, _at: int, data: bytes) -> Reading:
             nonlocal imu_frame, field_frame
-            self._reached, is_field = received, connection.id in fields
-            if self._reader.is2 and not wire.is_plain_cdr(data):
-                return self._slowly(connection, data, is_field)
-            if is_field:
+            if connection.id in fields:
                 frame, sample, _ = of_field(data)
                 if frame != field_frame:
-                    field_frame, self.field_frame = frame, wire.frame_of(frame)
+                    field_frame, self.field_frame = frame, frame_of(frame)
                 return sample
             frame, reading = of_imu(data)
             if frame != imu_frame:
-                imu_frame, self.imu_frame = frame, wire.frame_of(frame)
+                imu_frame, self.imu_frame = frame, frame_of(frame)
             return reading
 
         return self._read([*self._imu, *self._field], take)
 
+    @cached_property
     def place(self) -> Place | None:
-        """Return the place of the first good fix of the span; None if there is none."""
+        """The place of the first good fix of the span; None if there is none."""
         fixes = islice(self._read(self._of(FIX_TYPE), self._travelled), MOST_FIXES)
         return next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
 
+    @property
     def begun(self) -> float:
-        """Return when the span begins by the bag's own clock, seconds."""
+        """When the span begins by the bag's own clock, seconds."""
         return self._first * 1e-9
 
-    def travel(self) -> list[TravelSample]:
-        """Return what receiver and wheels said, by stamp; empty if nothing."""
+    @cached_property
+    def travel(self) -> tuple[TravelSample, ...]:
+        """The samples of receiver and wheels, by stamp; empty if there are none."""
         plane, found = LocalPlane(), list[TravelSample]()
         heard = self._of(FIX_TYPE, ODOM_TYPE)
         if self._of(FIX_TYPE):
             twists = self._of(TWIST_TYPE, SURE_TWIST_TYPE)
-            heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVERS_SAY]
+            heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVER_TOPICS]
         for sample in self._read(heard, self._travelled):
             if isinstance(sample, Fix):
                 sample = plane.position(sample)
             if sample is not None and not isinstance(sample, str):
                 found.append(sample)
-        return sorted(found, key=lambda sample: sample.stamp)
+        return tuple(sorted(found, key=lambda sample: sample.stamp))
 
-    def yaw(self) -> FloatArray:
-        """Return the yaws of an autopilot, (0, 2): only logs have them."""
-        return np.empty((0, 2))
-
+    @cached_property
     def currents(self) -> list[tuple[float, float]]:
-        """Return stamps, seconds, and currents of the battery, A; empty if there is none."""
+        """Stamps, seconds, and currents of the battery, A; empty if there is none."""
         heard = self._of(BATTERY_TYPE)
         # Several batteries are no one current.
         if len({c.topic for c in heard}) != 1:
             return []
 
         def take(connection: Connection, received: int, data: bytes) -> tuple[float, float]:
-            message: Any = self._reader.deserialize(data, connection.msgtype)
+            if self._reader.is2:
+                stamp, current = CDR.current(data)
+            else:  # some distributions of ROS 1 have no temperature before the current
+                message: Any = self._reader.deserialize(data, connection.msgtype)
+                stamp, current = seconds(message.header.stamp), float(message.current)
             # Zero stamps are usual in drivers of batteries.
-            return seconds(message.header.stamp) or received * 1e-9, float(message.current)
+            return stamp or received * 1e-9, current
 
         return sorted(self._read(heard, take))
 
@@ -168,7 +158,7 @@ class Bag:
         read = list(
             self._read(
                 _named(self._path, self._reader, IMU_TYPE, topic),
-                lambda c, _, data: heading_of(self._reader.deserialize(data, c.msgtype)),
+                lambda _, __, data: self._format.heading(data),
             )
         )
         found = [each for each in read if not isinstance(each, str)]
@@ -179,10 +169,7 @@ class Bag:
 
     def _travelled(self, connection: Connection, _: int, data: bytes) -> Any:
         """Return the fix, speed or velocity of a message, or words on why it has none."""
-        from_bytes, from_message = TRAVEL[connection.msgtype]
-        if self._reader.is2 and wire.is_plain_cdr(data):
-            return from_bytes(data)
-        return from_message(self._reader.deserialize(data, connection.msgtype))
+        return TRAVEL[connection.msgtype](self._format, data)
 
     def _of(self, *kinds: str) -> list[Connection]:
         """Return the connections of some types that hold messages."""
@@ -198,16 +185,12 @@ class Bag:
                 for connection, received, data in self._reader.messages(
                     heard, self._first, self._end
                 ):
+                    if self._reader.is2 and not is_plain_cdr(data):
+                        # The library turns the other byte order.
+                        kind, store = connection.msgtype, self._reader.typestore
+                        message = self._reader.deserialize(data, kind)
+                        data = bytes(store.serialize_cdr(message, kind, little_endian=True))
                     yield take(connection, received, data)
-
-    def _slowly(self, connection: Connection, data: bytes, is_field: bool) -> Reading:
-        """Let the library take apart what is not in the usual byte order."""
-        message: Any = self._reader.deserialize(data, connection.msgtype)
-        if is_field:
-            self.field_frame = message.header.frame_id
-            return field_sample(message)
-        self.imu_frame = message.header.frame_id
-        return imu_sample(message)
 
 
 @contextlib.contextmanager

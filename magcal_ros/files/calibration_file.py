@@ -189,7 +189,7 @@ def _damaged(path: Path, detail: str) -> FileTrouble:
 
 def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
     hard_iron = [float(value) for value in calibration.correction.hard_iron]
-    evidence = calibration.evidence
+    evidence, yaw = calibration.evidence, origin.vehicle_yaw
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -204,7 +204,9 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
             "inclination": "radian",
         },
         "frames": {"field_raw": origin.magnetometer_frame, "field_body": origin.imu_frame},
-        "vehicle_yaw_offset": _vehicle_entry(origin.vehicle_yaw),
+        "vehicle_yaw_offset": None
+        if yaw is None
+        else {"yaw": float(yaw.offset), "sigma": float(yaw.sigma), "source": yaw.source},
         **{f"magnetometer_bias_{axis}": iron for axis, iron in zip("xyz", hard_iron, strict=True)},
         "hard_iron": hard_iron,
         "correction_matrix": calibration.correction.matrix.tolist(),
@@ -227,12 +229,6 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
             "figures": {name: float(value) for name, value in evidence.figures.items()},
         },
     }
-
-
-def _vehicle_entry(yaw: VehicleYaw | None) -> dict[str, Any] | None:
-    if yaw is None:
-        return None
-    return {"yaw": float(yaw.offset), "sigma": float(yaw.sigma), "source": yaw.source}
 
 
 def _vehicle_yaw(document: Mapping[str, Any]) -> VehicleYaw | None:

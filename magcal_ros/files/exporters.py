@@ -36,6 +36,8 @@ LARGEST_LOST_ROTATION = math.radians(5.0)
 
 MENTIONED_ROTATION = math.radians(0.5)
 
+ABOVE_DIAGONAL = np.triu_indices(3, 1)
+
 
 class NotExportable(MagcalError):
     """The consumer cannot hold this calibration; the text says what to do."""
@@ -97,11 +99,6 @@ def numbers(values: FloatArray, decimals: int = DECIMALS) -> str:
     return ", ".join(number(value, decimals) for value in np.ravel(values))
 
 
-def commented(mark: str, *lines: str) -> str:
-    """Return lines as comments."""
-    return "".join(f"{mark} {line}\n" for line in lines)
-
-
 def provenance(calibration: Calibration) -> str:
     """Return where the numbers come from, in one line."""
     evidence = calibration.evidence
@@ -116,6 +113,16 @@ def provenance(calibration: Calibration) -> str:
     )
 
 
+def commented(calibration: Calibration, *comments: str) -> str:
+    """Return lines as comments, where the numbers come from first."""
+    return "".join(f"# {line}\n" for line in (provenance(calibration), *comments))
+
+
+def parameter_file(*entries: str) -> str:
+    """Return a parameter file for nodes of every name."""
+    return "\n".join(["/**:", "  ros__parameters:", *(f"    {each}" for each in entries), ""])
+
+
 def ctu_vras(calibration: Calibration) -> str:
     """Return a parameter file for the compass stack of ctu-vras, for nodes of every name.
 
@@ -128,19 +135,14 @@ def ctu_vras(calibration: Calibration) -> str:
     """
     correction = calibration.correction
     matrix = f"[{numbers(correction.matrix)}]"
-    lines = ["/**:", "  ros__parameters:"]
-    lines += [
-        f"    {prefix}_{axis}: {number(value, OF_TESLA)}"
+    entries = [
+        f"{prefix}_{axis}: {number(value, OF_TESLA)}"
         for prefix in ("initial_mag_bias", "magnetometer_bias")
         for axis, value in zip("xyz", correction.hard_iron, strict=True)
     ]
-    lines += [f"    initial_mag_scaling_matrix: {matrix}", f"    initial_scaling_matrix: {matrix}"]
-    header = commented(
-        "#",
-        provenance(calibration),
-        "unbiased = scaling_matrix * (mag - bias): tesla; the result is in the IMU's axes.",
-    )
-    return header + "\n".join(lines) + "\n"
+    entries += [f"initial_mag_scaling_matrix: {matrix}", f"initial_scaling_matrix: {matrix}"]
+    formula = "unbiased = scaling_matrix * (mag - bias): tesla; the result is in the IMU's axes."
+    return commented(calibration, formula) + parameter_file(*entries)
 
 
 def fusioncore(calibration: Calibration) -> str:
@@ -151,18 +153,15 @@ def fusioncore(calibration: Calibration) -> str:
     """
     correction, tesla = calibration.correction, OF_TESLA
     header = commented(
-        "#",
-        provenance(calibration),
+        calibration,
         "corrected = soft_iron * (mag - hard_iron): tesla, for the readings as the driver",
         "publishes them. soft_iron turns them into the IMU's axes: they must not be turned twice.",
     )
-    return header + (
-        "/**:\n"
-        "  ros__parameters:\n"
-        "    magnetometer.enabled: true\n"
-        f"    magnetometer.hard_iron: [{numbers(correction.hard_iron, tesla)}]\n"
-        f"    magnetometer.soft_iron: [{numbers(correction.matrix)}]\n"
-        f"    magnetometer.field_strength: {number(calibration.strength, tesla)}\n"
+    return header + parameter_file(
+        "magnetometer.enabled: true",
+        f"magnetometer.hard_iron: [{numbers(correction.hard_iron, tesla)}]",
+        f"magnetometer.soft_iron: [{numbers(correction.matrix)}]",
+        f"magnetometer.field_strength: {number(calibration.strength, tesla)}",
     )
 
 
@@ -174,7 +173,7 @@ def imu_filter_madgwick(calibration: Calibration) -> str:
 
     `compensated = mag - mag_bias`, tesla (wiki.ros.org/imu_filter_madgwick).
     """
-    comments = [provenance(calibration), "compensated = mag - mag_bias, tesla."]
+    comments = ["compensated = mag - mag_bias, tesla."]
     matrix = calibration.correction.matrix
     if np.abs(matrix - np.eye(3)).max() > UNCHANGED:
         left, sizes, right = np.linalg.svd(matrix)
@@ -185,10 +184,11 @@ def imu_filter_madgwick(calibration: Calibration) -> str:
             "To lose nothing, let it subscribe to imu/mag_unbiased of the calibrator, with zeros "
             "here.",
         ]
-    lines = ["/**:", "  ros__parameters:"]
-    for axis, value in zip("xyz", calibration.correction.hard_iron, strict=True):
-        lines.append(f"    mag_bias_{axis}: {number(value, OF_TESLA)}")
-    return commented("#", *comments) + "\n".join(lines) + "\n"
+    entries = [
+        f"mag_bias_{axis}: {number(value, OF_TESLA)}"
+        for axis, value in zip("xyz", calibration.correction.hard_iron, strict=True)
+    ]
+    return commented(calibration, *comments) + parameter_file(*entries)
 
 
 LARGEST_NUMBER = 1e3
@@ -214,9 +214,8 @@ def vectornav(calibration: Calibration) -> str:
             "The calibration has numbers that no VectorNav sensor could need. Check the field's "
             "unit (tesla) in the driver, and calibrate again."
         )
-    body = "VNWRG,23," + ",".join(
-        f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}" for value in twelve
-    )
+    written = (f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}" for value in twelve)
+    body = f"VNWRG,23,{','.join(written)}"
     return f"${body}*{checksum(body):02X}\n"
 
 
@@ -243,7 +242,7 @@ def c_header(calibration: Calibration) -> str:
 
 
 ARDUPILOT_FRAME = "ardupilot_compass"
-"""What a calibration from a log of ArduPilot remembers, with the number of the parameters."""
+"""The frame in a calibration from a log of ArduPilot, with the number of the parameters."""
 
 
 def ardupilot(calibration: Calibration, frame: str = "") -> str:
@@ -273,27 +272,27 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
         "OFS to those in force.",
     )
     header = commented(
-        "#",
-        provenance(calibration),
+        calibration,
         "corrected = D * (mag + OFS), milligauss, forward-right-down. Offsets beyond 1800 need",
         "a larger COMPASS_OFFS_MAX.",
         *(origin if of_log else driver),
         *comments,
     )
     offsets, matrix = -MILLIGAUSS * held.hard_iron, held.matrix
-    values = {f"COMPASS_OFS{slot}_{axis}": offsets[k] for k, axis in enumerate("XYZ")}
-    values |= {f"COMPASS_DIA{slot}_{axis}": matrix[k, k] for k, axis in enumerate("XYZ")}
-    values |= {
-        f"COMPASS_ODI{slot}_X": matrix[0, 1],
-        f"COMPASS_ODI{slot}_Y": matrix[0, 2],
-        f"COMPASS_ODI{slot}_Z": matrix[1, 2],
-        f"COMPASS_SCALE{slot}": 1.0,
-    }
-    return header + "".join(f"{name},{number(value)}\n" for name, value in values.items())
+    lines = [
+        f"COMPASS_{name}{slot}_{axis},{number(value)}\n"
+        for name, values in (
+            ("OFS", offsets),
+            ("DIA", matrix.diagonal()),
+            ("ODI", matrix[ABOVE_DIAGONAL]),
+        )
+        for axis, value in zip("XYZ", values, strict=True)
+    ]
+    return "".join([header, *lines, f"COMPASS_SCALE{slot},1.0\n"])
 
 
 PX4_FRAME = "px4_mag{slot}_rot{rotation}"
-"""What a calibration from a log of PX4 remembers: CAL_MAGn and its ROT."""
+"""The frame in a calibration from a log of PX4: CAL_MAGn and its ROT."""
 
 SMALLEST_SCALE, LARGEST_SCALE = 0.1, 3.0
 
@@ -334,21 +333,21 @@ def px4(calibration: Calibration, frame: str = "") -> str:
         "by it (param show CAL_MAG*_ID); where another slot has it, put that number for the 0.",
     )
     header = commented(
-        "#",
-        provenance(calibration),
+        calibration,
         "corrected = ROT * S * (mag - OFF), gauss, forward-right-down.",
         *(origin if of_log else driver),
         *comments,
     )
-    name = f"CAL_MAG{slot}"
-    values = {f"{name}_{axis}OFF": GAUSS * offset[k] for k, axis in enumerate("XYZ")}
-    values |= {f"{name}_{axis}SCALE": scales[k] for k, axis in enumerate("XYZ")}
-    values |= {
-        f"{name}_XODIAG": matrix[0, 1],
-        f"{name}_YODIAG": matrix[0, 2],
-        f"{name}_ZODIAG": matrix[1, 2],
-    }
-    return header + "".join(f"param set {name} {number(value)}\n" for name, value in values.items())
+    lines = [
+        f"param set CAL_MAG{slot}_{axis}{name} {number(value)}\n"
+        for name, values in (
+            ("OFF", GAUSS * offset),
+            ("SCALE", scales),
+            ("ODIAG", matrix[ABOVE_DIAGONAL]),
+        )
+        for axis, value in zip("XYZ", values, strict=True)
+    ]
+    return "".join([header, *lines])
 
 
 EXPORTERS: dict[str, Callable[..., str]] = {

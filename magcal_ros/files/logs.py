@@ -64,7 +64,7 @@ class LogTables:
     fields: dict[int, FloatArray] = field(default_factory=dict)
     """As in `Recording`, by the number of the sensor."""
     frames: dict[int, str] = field(default_factory=dict)
-    """What a calibration remembers of each magnetometer, for `export`."""
+    """The name of each magnetometer that is stored in a calibration, for `export`."""
     fixes: list[Fix] = field(default_factory=list)
     velocities: list[VelocitySample] = field(default_factory=list)
     yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -125,25 +125,26 @@ def _chosen(
         numbers = found
     if not numbers:
         raise FileTrouble(f"{plain(str(path))} has no {name} data: {remedy}")
-    alive = [k for k in numbers if is_alive(sensors[k][:, 1:4])]
-    if not alive:
+    working = [k for k in numbers if varies(sensors[k][:, 1:4])]
+    if not working:
         what = "magnetometer" if option == "--mag" else "accelerometer"
         count = len(sensors[numbers[0]])
         raise FileTrouble(
-            f"{plain(str(path))} has no living {what}: {name}[{numbers[0]}] holds one value, or "
+            f"{plain(str(path))} has no working {what}: {name}[{numbers[0]}] holds one value, or "
             f"none, in all its {count} samples. {remedy[:1].upper()}{remedy[1:]}"
         )
     if len(numbers) > 1:
-        dead = [f"{name}[{k}]" for k in numbers if k not in alive]
+        dead = [f"{name}[{k}]" for k in numbers if k not in working]
         told = f" ({', '.join(dead)} never changes)" if dead else ""
         notes.append(
-            f"the log has {every}{told}: {name}[{alive[0]}] is taken, choose another with {option}"
+            f"the log has {every}{told}: {name}[{working[0]}] is taken, choose another with "
+            f"{option}"
         )
-    return alive[0]
+    return working[0]
 
 
-def is_alive(vectors: FloatArray) -> bool:
-    """Whether a sensor measures anything: one that hangs, or is not there, repeats one value."""
+def varies(vectors: FloatArray) -> bool:
+    """Whether the vectors change: a sensor that hangs, or is missing, repeats one value."""
     finite = vectors[np.isfinite(vectors).all(axis=1)]
     return len(finite) > 1 and bool(np.ptp(finite, axis=0).any())
 
@@ -192,7 +193,7 @@ def begun_with(path: Path, count: int) -> bytes:
 
 @contextlib.contextmanager
 def quietly(path: Path, deadline: Deadline) -> Iterator[None]:
-    """Keep a library's own words from the terminal, and turn its errors into ours."""
+    """Discard what a library prints, and raise its errors as `FileTrouble`."""
     heard = _Heard(deadline)
     with (
         damage_in_words(path, "no log of its kind", lambda: "Download it again"),
@@ -203,7 +204,7 @@ def quietly(path: Path, deadline: Deadline) -> Iterator[None]:
 
 
 class _Heard(io.TextIOBase):
-    """Swallows a library's words; each is also a chance to look at the clock."""
+    """Discards what a library prints, and checks the time limit at each write."""
 
     def __init__(self, deadline: Deadline) -> None:
         super().__init__()

@@ -55,13 +55,10 @@ def read_phone(path: Path) -> Recording:
     logger = any(map(_is_logger, headers.values()))
     notes: list[str] = []
     read = _logger_sensors if logger else _phyphox_sensors
-    force, rate, field = read(path, headers, notes)
+    force, rate, field = sensors = read(path, headers, notes)
     if force is None or rate is None or field is None:
-        missing = [
-            name
-            for name, table in (("accelerometer", force), ("gyroscope", rate), ("field", field))
-            if table is None
-        ]
+        names = zip(("accelerometer", "gyroscope", "field"), sensors, strict=True)
+        missing = [name for name, table in names if table is None]
         raise FileTrouble(
             f"{plain(str(path))} has no {' and no '.join(missing)}. Record accelerometer (with "
             "gravity), gyroscope and magnetometer with the phone, and unpack what it exports"

@@ -132,7 +132,9 @@ def _take_field(
     if topic is None:
         return
     device = int(topic["device_id"][-1]) if "device_id" in topic else 0
-    slot = next((k for k in range(MOST_SENSORS) if _device(parameters, k) == device), None)
+    # The topics write a device unsigned, the parameters signed.
+    devices = [int(parameters.get(f"CAL_MAG{k}_ID", 0)) % (1 << 32) for k in range(MOST_SENSORS)]
+    slot = devices.index(device) if device in devices else None
     mounted = int(parameters.get(f"CAL_MAG{slot}_ROT", -1))
     board = int(parameters.get("SENS_BOARD_ROT", 0))
     rotation = board if mounted < 0 else mounted
@@ -147,11 +149,6 @@ def _take_field(
     stamps = 1e-6 * topic["timestamp"] + shift
     tables.fields[number] = np.column_stack([stamps, field * logs.FLU_FROM_FRD * TESLA])
     tables.frames[number] = f"px4_mag{0 if slot is None else slot}_rot{rotation}"
-
-
-def _device(parameters: Mapping[str, float], slot: int) -> int:
-    """Return the device of a slot as the topics write it; parameters are signed."""
-    return int(parameters.get(f"CAL_MAG{slot}_ID", 0)) % (1 << 32)
 
 
 def _calibration(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import heapq
 import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,9 +17,11 @@ import numpy as np
 
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
+from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.samples.streams import (
     FieldSample,
+    HeadingSample,
     ImuSample,
     PositionSample,
     SpeedSample,
@@ -31,37 +34,78 @@ IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
 FIELD_COLUMNS = ("t", "mx", "my", "mz")
 
 
+FIRST_STAMP = 1.0
+"""Seconds. A drive whose time begins at zero or before is moved here: a zero stamp is none."""
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive as it was recorded, nothing cleaned."""
+    """A drive in memory as it was recorded, nothing cleaned; it is read like a `Bag`."""
 
     imu: FloatArray
     """Stamp (s), specific force (m/s²), angular rate (rad/s; NaN without a gyro). Shape (n, 7)."""
     field: FloatArray
     """Stamp (s), raw field (tesla). Shape (m, 4)."""
     travel: tuple[TravelSample, ...] = ()
-    """What receiver and wheels said, by stamp."""
+    """The samples of receiver and wheels, by stamp."""
     place: Place | None = None
     """Where the first good fix was."""
     imu_topic: str = "imu.csv"
     field_topic: str = "mag.csv"
     field_frame: str = ""
-    """What a calibration remembers of the magnetometer."""
+    """The name of the magnetometer that is stored in a calibration."""
     yaw: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
     """Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north). Shape (k, 2)."""
     notes: tuple[str, ...] = ()
+    imu_frame = ""
+    currents = ()
+
+    @property
+    def count(self) -> int:
+        """How many messages both sensors sent."""
+        return len(self.imu) + len(self.field)
+
+    @property
+    def begun(self) -> float:
+        """The stamp of the first sample, seconds."""
+        return float(self.imu[0, 0]) if len(self.imu) else 0.0
+
+    def headings(self, topic: str) -> list[HeadingSample]:
+        """Raise a Misuse: only bags have topics."""
+        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
         """Yield the samples of both sensors in the order of their stamps, the IMU's first."""
-        i = 0
-        imu, n = self.imu.tolist(), len(self.imu)
-        for t, x, y, z in self.field.tolist():
-            while i < n and imu[i][0] <= t:
-                yield _imu_sample(imu[i])
-                i += 1
-            yield FieldSample(t, (x, y, z))
-        for row in imu[i:]:
-            yield _imu_sample(row)
+        imu = (
+            ImuSample(t, (ax, ay, az), (gx, gy, gz))
+            for t, ax, ay, az, gx, gy, gz in self.imu.tolist()
+        )
+        field = (FieldSample(t, (x, y, z)) for t, x, y, z in self.field.tolist())
+        return heapq.merge(imu, field, key=lambda sample: sample.stamp)
+
+    readings = samples
+
+    def cut(self, start: float, stop: float) -> Recording:
+        """Return the span, seconds from the beginning, with every stamp above zero."""
+        stamps = np.concatenate([self.imu[:, 0], self.field[:, 0]])
+        stamps = stamps[np.isfinite(stamps)]
+        if not len(stamps):
+            return self
+        first = float(stamps.min())
+        shift = FIRST_STAMP - first if first <= 0.0 < np.ptp(stamps) else 0.0
+        parts = []
+        for table in (self.imu, self.field, self.yaw):
+            since = table[:, 0] - first
+            part = table[(since >= start) & (since < stop)]
+            part[:, 0] += shift
+            parts.append(part)
+        imu, field, yaw = parts
+        heard = tuple(
+            each._replace(stamp=each.stamp + shift)
+            for each in self.travel
+            if start <= each.stamp - first < stop
+        )
+        return replace(self, imu=imu, field=field, yaw=yaw, travel=heard)
 
     def turned(self, pose: FloatArray) -> Recording:
         """Return the recording in the vehicle's axes, for a recorder of this pose (3, 3) in it."""
@@ -69,11 +113,6 @@ class Recording:
         for vectors in (imu[:, 1:4], imu[:, 4:7], raw[:, 1:4]):
             vectors[:] = vectors @ pose.T
         return replace(self, imu=imu, field=raw)
-
-
-def _imu_sample(row: list[float]) -> ImuSample:
-    t, ax, ay, az, gx, gy, gz = row
-    return ImuSample(t, (ax, ay, az), (gx, gy, gz))
 
 
 def read_csv_folder(folder: Path) -> Recording:
@@ -90,7 +129,9 @@ LATEST_STAMP = 2.0**33
 """Seconds, whichever sign: the stamps of ROS end at a quarter of that."""
 
 
-def read_columns(path: Path, *choices: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
+def read_columns(
+    path: Path, *choices: tuple[str, ...], may_be_empty: bool = False
+) -> tuple[tuple[str, ...], FloatArray]:
     """Return the first choice of columns that a file has, and its rows, one column each.
 
     The file has a header line; columns may come in any order, with others beside them. The first
@@ -104,17 +145,21 @@ def read_columns(path: Path, *choices: tuple[str, ...]) -> tuple[tuple[str, ...]
         raise FileTrouble(
             f"{path} has no column {', '.join(missing)}; its first line should be {lines_like}"
         )
-    return columns, read_numbers(path, [header.index(name) for name in columns])
+    places = [header.index(name) for name in columns]
+    return columns, read_numbers(path, places, may_be_empty=may_be_empty)
 
 
 def read_header(path: Path) -> list[str]:
-    """Return the names in a file's first line."""
+    """Return the names in a file's first line, without units in square brackets."""
     with _opened(path) as handle:
         first = next(_lines(handle), "")
-    return [name.strip().strip('"') for name in first.split(_separator(first))]
+    cells = first.split(_separator(first))
+    return [cell.partition("[")[0].strip().strip('"') for cell in cells]
 
 
-def read_numbers(path: Path, columns: Sequence[int], second: float = 1.0) -> FloatArray:
+def read_numbers(
+    path: Path, columns: Sequence[int], second: float = 1.0, may_be_empty: bool = False
+) -> FloatArray:
     """Return some columns below a header line; the first are stamps, returned in seconds.
 
     They are separated by commas, tabs or semicolons; with the last two, numbers may have a decimal
@@ -128,6 +173,8 @@ def read_numbers(path: Path, columns: Sequence[int], second: float = 1.0) -> Flo
         rows = (line for line in lines if line.partition("#")[0].strip())
         first = next(rows, None)
         if first is None:
+            if may_be_empty:
+                return np.empty((0, len(columns)))
             raise FileTrouble(f"{path} holds no samples")
         table = np.loadtxt(chain([first], rows), delimiter=separator, usecols=columns, ndmin=2)
     table[:, 0] /= second
@@ -218,15 +265,15 @@ COLUMNS = {
 REMEDY = "Choose a writable folder, or correct its permissions."
 
 
-def write_samples(path: Path, window: Window, believed: BoolArray | None = None) -> None:
+def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) -> None:
     """Write a window, every number at full precision.
 
-    Without a gyro its columns hold `nan`. `believed` (n,) tells the inliers of the fit; without a
+    Without a gyro its columns hold `nan`. `inliers` (n,) are those of the fit; without a
     fit there are none.
     """
     n = len(window)
     rate = np.full((n, 3), np.nan) if window.angular_rate is None else window.angular_rate
-    marks = [0] * n if believed is None else [int(mark) for mark in believed]
+    marks = [0] * n if inliers is None else [int(mark) for mark in inliers]
     numbers = np.column_stack([window.time, window.field, window.specific_force, rate]).tolist()
     lines = [",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items())]
     lines += [
@@ -241,18 +288,9 @@ def read_samples(path: Path) -> Window:
     The header has at least t, mx, my, mz, ax, ay and az, in any order, with or without units in
     brackets; SI units.
     """
-    with _opened(path) as handle:
-        names = [cell.split("[")[0].strip() for cell in handle.readline().split(",")]
-        missing = [name for name in NEEDED if name not in names]
-        if missing:
-            raise FileTrouble(
-                f"{path} has no column {', '.join(missing)}; its first line should be "
-                f"{','.join(COLUMNS)}"
-            )
-        wanted = NEEDED + (GYRO if set(GYRO) <= set(names) else ())
-        order, lines = [names.index(name) for name in wanted], handle.readlines()
-        table = np.empty((0, len(order)))
-        if lines:
-            table = np.loadtxt(lines, delimiter=",", usecols=order, ndmin=2, comments=None)
-        rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None
+    _, table = read_columns(path, NEEDED + GYRO, NEEDED, may_be_empty=True)
+    rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None
+    try:
         return Window(table[:, 0], table[:, 1:4], table[:, 4:7], rate)
+    except ValueError as error:
+        raise FileTrouble(f"{plain(str(path))} is damaged: {error}") from error

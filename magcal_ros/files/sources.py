@@ -16,7 +16,6 @@ from typing import TypeAlias
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import between, length
@@ -26,73 +25,18 @@ from magcal_ros.core.samples.stamps import (
 )
 from magcal_ros.core.samples.streams import (
     STREAMS,
-    HeadingSample,
     ImuSample,
-    TravelSample,
     slow_field_words,
     slow_words,
 )
 from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import Bag, open_bag
-from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
-FIRST_STAMP = 1.0
-"""Seconds. A drive whose time begins at zero or before is moved here: a zero stamp is none."""
-
-
-class HeldDrive:
-    """A recording in memory, read like a `Bag`; `start`, `stop` are seconds from its beginning."""
-
-    imu_frame = ""
-
-    def __init__(self, recording: Recording, start: float, stop: float) -> None:
-        self._recording = _cut(recording, start, stop)
-        self.imu_topic, self.field_topic = recording.imu_topic, recording.field_topic
-        self.field_frame, self.notes = recording.field_frame, recording.notes
-        self._read = 0
-
-    @property
-    def share(self) -> float:
-        """How much of it has been read, 0 to 1."""
-        return self._read / max(len(self._recording.imu) + len(self._recording.field), 1)
-
-    def readings(self) -> Iterator[Reading]:
-        """Yield the samples of both sensors in the order of their stamps."""
-        self._read = 0
-        for sample in self._recording.samples():
-            self._read += 1
-            yield sample
-
-    def place(self) -> Place | None:
-        """Return where its first good fix was; None without one."""
-        return self._recording.place
-
-    def begun(self) -> float:
-        """Return the stamp of the first sample, seconds."""
-        imu = self._recording.imu
-        return float(imu[0, 0]) if len(imu) else 0.0
-
-    def travel(self) -> list[TravelSample]:
-        """Return the samples of receiver and wheels, by stamp."""
-        return list(self._recording.travel)
-
-    def yaw(self) -> FloatArray:
-        """Return stamps and the yaws of an autopilot (rad, ENU, true north), (n, 2)."""
-        return self._recording.yaw
-
-    def currents(self) -> list[tuple[float, float]]:
-        """Return the currents of the battery: only bags have them."""
-        return []
-
-    def headings(self, topic: str) -> list[HeadingSample]:
-        """Raise a Misuse: only bags have topics."""
-        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
-
-
-Source: TypeAlias = Bag | HeldDrive
+Source: TypeAlias = Bag | Recording
 """A recording of any kind, opened."""
 
 
@@ -123,9 +67,8 @@ def open_recording(
                 "--imu-rpy-deg is for logs and CSV folders: the frames of a bag are the driver's"
             )
         return open_bag(path, imu, field, start, stop)
-    return nullcontext(
-        HeldDrive(recording if imu_pose is None else recording.turned(imu_pose), start, stop)
-    )
+    turned = recording if imu_pose is None else recording.turned(imu_pose)
+    return nullcontext(turned.cut(start, stop))
 
 
 def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Recording | None:
@@ -144,29 +87,6 @@ def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Record
         return phone.read_phone(path)
     travel, place = read_travel(path)
     return replace(read_csv_folder(path), travel=travel, place=place)
-
-
-def _cut(recording: Recording, start: float, stop: float) -> Recording:
-    """Return the span, with every stamp above zero."""
-    stamps = np.concatenate([recording.imu[:, 0], recording.field[:, 0]])
-    stamps = stamps[np.isfinite(stamps)]
-    if not len(stamps):
-        return recording
-    first = float(stamps.min())
-    shift = FIRST_STAMP - first if first <= 0.0 < np.ptp(stamps) else 0.0
-    parts = []
-    for table in (recording.imu, recording.field, recording.yaw):
-        since = table[:, 0] - first
-        part = table[(since >= start) & (since < stop)]
-        part[:, 0] += shift
-        parts.append(part)
-    imu, field, yaw = parts
-    heard = tuple(
-        each._replace(stamp=each.stamp + shift)
-        for each in recording.travel
-        if start <= each.stamp - first < stop
-    )
-    return replace(recording, imu=imu, field=field, yaw=yaw, travel=heard)
 
 
 LOOKED_AT = 20_000
@@ -191,25 +111,25 @@ class RepairedReadings:
         self, source: Source, for_drive: bool = False, known: Calibration | None = None
     ) -> None:
         self._source, self._for_drive, self._known = source, for_drive, known
-        self._ahead = self._given = 0
+        self._given = 0
         self.notes: list[str] = []
 
     @property
     def share(self) -> float:
         """How much of the recording has been given on, 0 to 1."""
-        return self._source.share * self._given / max(self._ahead, self._given, 1)
+        return min(1.0, self._given / max(self._source.count, 1))
 
     def __iter__(self) -> Iterator[Reading]:
-        """Yield what the sensors said in the order in which it was recorded."""
+        """Yield the samples in the order in which they were recorded."""
         if self._known is None or self._known.motors is None:
             return self._repaired()
-        inputs = self._source.travel(), self._source.currents()
+        inputs = self._source.travel, self._source.currents
         return without_motors(self._repaired(), self._known, *inputs)
 
     def _repaired(self) -> Iterator[Reading]:
         readings = self._source.readings()
         begun = list(islice(readings, LOOKED_AT))
-        self._ahead, self._given = len(begun), 0
+        self._given = 0
         stamps = _stamps(begun)
         if self._for_drive and (slow := slow_field_words(_usual_gap(stamps[1]))):
             raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.field_topic}: {slow}")
@@ -222,7 +142,6 @@ class RepairedReadings:
             yield from self._counted(chain(begun, readings))
             return
         del readings, begun
-        self._ahead = 0
         stamps = _stamps(self._source.readings())
         even = [spread_bursts(each) for each in stamps]
         self._note(stamps, even)
@@ -262,7 +181,7 @@ class RepairedReadings:
         )
 
     def _note(self, stamps: Sequence[FloatArray], even: Sequence[FloatArray | None]) -> None:
-        """Say which topics were repaired; those of one driver in one line."""
+        """Note which topics were repaired; those of one driver in one line."""
         topics: dict[str, list[str]] = {}
         names = self._source.imu_topic, self._source.field_topic
         for name, old, new in zip(names, stamps, even, strict=True):

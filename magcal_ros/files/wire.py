@@ -1,7 +1,7 @@
 """Messages of sensors and of travel from their bytes, several times faster than any library.
 
-Both types have never changed, so their places in CDR (ROS 2) and in ROS 1's format are fixed:
-a header with stamp and frame, and doubles after it.
+Their types have never changed, so their places in CDR (ROS 2) and in ROS 1's format are fixed: a
+header with stamp and frame, and numbers after it.
 
 `rosbag2_py` reads bags on a robot that has no other library, with the names that the library
 rosbags gives. Checked against its published source from Humble to Rolling: before Jazzy the
@@ -11,74 +11,127 @@ named.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from datetime import timedelta
 from pathlib import Path
 from struct import Struct, error
 from typing import Any, NamedTuple, NoReturn
 
 from magcal_ros.core.earth_field.reference import Fix
-from magcal_ros.core.messages import fix_from, imu_of, speed_from, velocity_from
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample, VelocitySample
+from magcal_ros.core.messages import fix_from, heading_from, imu_of, speed_from, velocity_from
+from magcal_ros.core.samples.streams import (
+    FieldSample,
+    HeadingSample,
+    ImuSample,
+    SpeedSample,
+    VelocitySample,
+)
 from magcal_ros.files.disk import FileTrouble
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4
-"""Bytes of encapsulation, from which CDR counts its alignment."""
-
-
-class Layout(NamedTuple):
-    """Where a format keeps the stamp, and how it aligns doubles.
-
-    `head` is stamp seconds, nanoseconds and the frame's length; `start` its place in the bytes.
-    """
-
-    start: int
-    head: Struct
-    alignment: int
-    ends_in_zero: bool
-
-
-CDR = Layout(CDR_START, Struct("<iII"), 8, True)
-ROS1 = Layout(4, Struct("<III"), 1, False)
-"""ROS 1 puts a sequence number of four bytes before the stamp."""
+"""Bytes of encapsulation, from which CDR counts its alignment; ROS 1 has a sequence number there,
+before the stamp."""
 
 # Orientation, rate and force, each with the first of its covariance.
 IMU_BODY = Struct("<5d64x4d64x4d64x")
+# The orientation, and of its covariance the first and the last.
+HEADING = Struct("<5d56xd")
 # Field and its covariance.
 FIELD_BODY = Struct("<3d72s")
+LENGTH = Struct("<I")
+STATUS = Struct("<b")
+PLACE = Struct("<3d")
+VELOCITY = Struct("<2d")
+# After the other four numbers of a twist come the variances: of east first, of north as the eighth.
+SURE_VELOCITY = Struct("<2d32xd48xd")
+# An Odometry's pose with its covariance, then the twist with the first of its covariance.
+ODOMETRY_BODY = Struct("<344x2d32xd")
+# Voltage, temperature and current of a BatteryState of ROS 2.
+BATTERY = Struct("<8xf")
 
 
-def imu_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, ImuSample | None]]:
-    """Return what turns the bytes of a sensor_msgs/Imu into the frame's bytes and the numbers.
+class Format:
+    """Reads messages of one format; it raises `struct.error` for bytes laid out in another way.
 
-    It raises `struct.error` if the bytes are laid out in another way.
+    `head` is stamp seconds, nanoseconds and the frame's length, `widest` the alignment of doubles,
+    and `zero` how many zero bytes end a text.
     """
-    head, body = _reader(layout), IMU_BODY.unpack_from
 
-    def parse(data: bytes) -> tuple[bytes, ImuSample | None]:
-        stamp, frame, place = head(data)
-        x, y, z, w, no_yaw, wx, wy, wz, no_rate, fx, fy, fz, no_force = body(data, place)
+    def __init__(self, head: str, widest: int, zero: int) -> None:
+        self._head, self._widest, self._zero = Struct(head).unpack_from, widest, zero
+        self._frame_at = CDR_START + Struct(head).size
+
+    def header(self, data: bytes, size: int = 8) -> tuple[float, bytes, int]:
+        """Return stamp (s), frame, and the place of the next number of so many bytes."""
+        sec, nanosec, length = self._head(data, CDR_START)
+        end = self._frame_at + length
+        if self._zero and (not length or data[end - 1 : end] != b"\0"):
+            raise error("the frame does not end in a zero")
+        frame = data[self._frame_at : end - self._zero]
+        return sec + nanosec * 1e-9, frame, self._aligned(end, size)
+
+    def _aligned(self, at: int, size: int) -> int:
+        return at + (CDR_START - at) % min(size, self._widest)
+
+    def imu(self, data: bytes) -> tuple[bytes, ImuSample | None]:
+        """Return the frame and the numbers of a sensor_msgs/Imu."""
+        stamp, frame, at = self.header(data)
+        x, y, z, w, no_yaw, wx, wy, wz, no_rate, fx, fy, fz, no_force = IMU_BODY.unpack_from(
+            data, at
+        )
         force, rate, orientation = (fx, fy, fz), (wx, wy, wz), (x, y, z, w)
         return frame, imu_of(stamp, force, no_force, rate, no_rate, orientation, no_yaw)
 
-    return parse
+    def heading(self, data: bytes) -> HeadingSample | str:
+        """Return the yaw of a sensor_msgs/Imu's orientation, or why it has none."""
+        stamp, _, at = self.header(data)
+        x, y, z, w, mark, variance = HEADING.unpack_from(data, at)
+        return heading_from(stamp, (x, y, z, w), mark, variance)
 
+    def field(self, data: bytes) -> tuple[bytes, FieldSample, bytes]:
+        """Return frame, numbers and covariance of a sensor_msgs/MagneticField.
 
-def field_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, FieldSample, bytes]]:
-    """Return what turns the bytes of a MagneticField into frame, numbers and covariance.
-
-    The covariance stays nine little-endian doubles: hardly any reader needs its numbers. It raises
-    `struct.error` if the bytes are laid out in another way.
-    """
-    head, body = _reader(layout), FIELD_BODY.unpack_from
-
-    def parse(data: bytes) -> tuple[bytes, FieldSample, bytes]:
-        stamp, frame, place = head(data)
-        x, y, z, covariance = body(data, place)
+        The covariance stays nine little-endian doubles: hardly any reader needs its numbers.
+        """
+        stamp, frame, at = self.header(data)
+        x, y, z, covariance = FIELD_BODY.unpack_from(data, at)
         return frame, FieldSample(stamp, (x, y, z)), covariance
 
-    return parse
+    def fix(self, data: bytes) -> Fix:
+        """Return what a sensor_msgs/NavSatFix says of its place."""
+        stamp, _, at = self.header(data, 1)
+        (status,) = STATUS.unpack_from(data, at)
+        service = self._aligned(at + 1, 2)
+        return fix_from(stamp, status, *PLACE.unpack_from(data, self._aligned(service + 2, 8)))
+
+    def velocity(self, data: bytes) -> VelocitySample | str:
+        """Return the velocity of a geometry_msgs/TwistStamped, or why it has none."""
+        stamp, _, at = self.header(data)
+        return velocity_from(stamp, *VELOCITY.unpack_from(data, at))
+
+    def sure_velocity(self, data: bytes) -> VelocitySample | str:
+        """Return the velocity of a geometry_msgs/TwistWithCovarianceStamped, or why it has none."""
+        stamp, _, at = self.header(data)
+        return velocity_from(stamp, *SURE_VELOCITY.unpack_from(data, at))
+
+    def speed(self, data: bytes) -> SpeedSample | str:
+        """Return the signed speed of a nav_msgs/Odometry, or why it has none."""
+        stamp, world, at = self.header(data, 4)
+        (length,) = LENGTH.unpack_from(data, at)
+        end = at + LENGTH.size + length
+        child = data[at + LENGTH.size : end - self._zero]
+        x, y, mark = ODOMETRY_BODY.unpack_from(data, self._aligned(end, 8))
+        return speed_from(stamp, frame_of(world), frame_of(child), mark, x, y)
+
+    def current(self, data: bytes) -> tuple[float, float]:
+        """Return stamp (s) and current (A) of a sensor_msgs/BatteryState of ROS 2."""
+        stamp, _, at = self.header(data, 4)
+        return stamp, *BATTERY.unpack_from(data, at)
+
+
+CDR = Format("<iII", 8, 1)
+ROS1 = Format("<III", 1, 0)
 
 
 def is_plain_cdr(data: bytes) -> bool:
@@ -89,82 +142,6 @@ def is_plain_cdr(data: bytes) -> bool:
 def frame_of(text: bytes) -> str:
     """Return a frame as ROS reads it: to its first zero, and what is no text replaced."""
     return bytes(text).partition(b"\0")[0].decode("utf-8", "replace")
-
-
-def _reader(layout: Layout) -> Callable[[bytes], tuple[float, bytes, int]]:
-    """Return what reads stamp, frame and the place of the first double."""
-    start, unpack, size = layout.start, layout.head.unpack_from, layout.head.size
-    alignment, zero = layout.alignment, int(layout.ends_in_zero)
-    first = start + size
-
-    def read(data: bytes) -> tuple[float, bytes, int]:
-        sec, nanosec, length = unpack(data, start)
-        end = first + length
-        place = end + (start - end) % alignment
-        if zero and (not length or data[end - 1 : end] != b"\0"):
-            raise error("the frame does not end in a zero")
-        return sec + nanosec * 1e-9, data[first : end - zero], place
-
-    return read
-
-
-LENGTH = Struct("<I")
-PLACE = Struct("<3d")
-VELOCITY = Struct("<2d")
-# After the other four numbers of a twist come the variances: of east first, of north as the eighth.
-SURE_VELOCITY = Struct("<2d32xd48xd")
-# An Odometry's pose with its covariance, then the twist with the first of its covariance.
-ODOMETRY_BODY = Struct("<344x2d32xd")
-
-
-def stamp_in(data: bytes) -> float:
-    """Return the stamp of a message with a header, seconds."""
-    stamp, _, _ = _header(data)
-    return stamp
-
-
-def fix_in(data: bytes) -> Fix:
-    """Return what a sensor_msgs/NavSatFix says of its place."""
-    stamp, _, at = _header(data)
-    status = int.from_bytes(data[at : at + 1], "little", signed=True)
-    service = _aligned(at + 1, 2)
-    latitude, longitude, altitude = PLACE.unpack_from(data, _aligned(service + 2, 8))
-    return fix_from(stamp, status, latitude, longitude, altitude)
-
-
-def velocity_in(data: bytes) -> VelocitySample | str:
-    """Return the velocity of a geometry_msgs/TwistStamped, or why it has none."""
-    stamp, _, at = _header(data)
-    return velocity_from(stamp, *VELOCITY.unpack_from(data, _aligned(at, 8)))
-
-
-def sure_velocity_in(data: bytes) -> VelocitySample | str:
-    """Return the velocity of a geometry_msgs/TwistWithCovarianceStamped, or why it has none."""
-    stamp, _, at = _header(data)
-    return velocity_from(stamp, *SURE_VELOCITY.unpack_from(data, _aligned(at, 8)))
-
-
-def speed_in(data: bytes) -> SpeedSample | str:
-    """Return the signed speed of a nav_msgs/Odometry, or why it has none."""
-    stamp, world, at = _header(data)
-    at = _aligned(at, 4)
-    (size,) = LENGTH.unpack_from(data, at)
-    at += LENGTH.size
-    child = data[at : at + size - 1]
-    x, y, mark = ODOMETRY_BODY.unpack_from(data, _aligned(at + size, 8))
-    return speed_from(stamp, frame_of(world), frame_of(child), mark, x, y)
-
-
-def _header(data: bytes) -> tuple[float, bytes, int]:
-    """Return stamp (s) and frame of a message, and the place after them."""
-    sec, nanosec, length = CDR.head.unpack_from(data, CDR.start)
-    at = CDR.start + CDR.head.size
-    return sec + nanosec * 1e-9, data[at : at + length - 1], at + length
-
-
-def _aligned(at: int, size: int) -> int:
-    """Return the next place at which CDR puts a number of so many bytes."""
-    return at + (CDR.start - at) % size
 
 
 STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
@@ -215,7 +192,7 @@ class RosReader:
                 yield channels[topic], stamp, data
 
     def deserialize(self, _: bytes, msgtype: str) -> NoReturn:
-        """Refuse what is not in the usual byte order, with a FileTrouble."""
+        """Refuse what is in the other byte order, with a FileTrouble."""
         raise FileTrouble(
             f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
             "Python library rosbags is installed and ROS is not"

@@ -61,7 +61,7 @@ def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
 def render_drive(story: DriveStory, source: str) -> str:
     """Return the whole page; it loads nothing."""
     summary = f'<p id="summary">{escape(summary_of(story))}</p>'
-    title = "A drive, and what it says of the compass"
+    title = "A drive, and what it shows of the compass"
     return "\n".join(
         [
             page_head(title, datetime.now(timezone.utc), source),

@@ -36,19 +36,15 @@ def caption(turn: Turn) -> str:
     by = (
         "the gyro" if turn.has_gyro else "the corrected heading itself, smoothed (there is no gyro)"
     )
-    scatter = _scatter_share(turn, turn.corrected)
+    corrected, kept = turn.corrected, turn.inliers & np.isfinite(turn.corrected.sigma)
+    inside = np.abs(corrected.deviation[kept]) <= 2.0 * corrected.sigma[kept]
+    scatter = 100.0 * float(inside.mean()) if len(inside) else 0.0
     return (
         "A perfect compass follows the black line: one degree of heading for each degree turned. "
         f"The turn was measured by {by}. Below, the corrected heading's distance from that line; "
         f"{scatter:.0f}% of the samples lie in the blue ±2σ band that the node would publish "
         "(about 95% should)."
     )
-
-
-def _scatter_share(turn: Turn, corrected: Corrected) -> float:
-    kept = turn.believed & np.isfinite(corrected.sigma)
-    inside = np.abs(corrected.deviation[kept]) <= 2.0 * corrected.sigma[kept]
-    return 100.0 * float(inside.mean()) if len(inside) else 0.0
 
 
 def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> None:
@@ -75,7 +71,7 @@ def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> N
 
 
 def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> None:
-    rows = turn.rows(turn.believed & np.isfinite(corrected.sigma))
+    rows = turn.rows(turn.inliers & np.isfinite(corrected.sigma))
     rows = rows[np.argsort(angle[rows])]
     deviation, sigma = np.degrees(corrected.deviation), np.degrees(corrected.sigma)
     band = 2.0 * sigma[rows]
@@ -83,7 +79,7 @@ def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> 
         angle[rows], -band, band, color=turn_views.CORRECTED, alpha=0.2, linewidth=0.0
     )
     axes.axhline(0.0, color=turn_views.IDEAL, linewidth=0.9)
-    left_out = turn.rows(~turn.believed, most=100)
+    left_out = turn.rows(~turn.inliers, most=100)
     # A few wild samples must not flatten all others; they are drawn at the rim.
     usual = np.percentile(np.append(np.abs(deviation[rows]), band), 98.0) if len(rows) else 0.0
     reach = 1.4 * max(float(usual), 0.1)
@@ -120,7 +116,10 @@ def draw_gyro(figure: Figure, turn: Turn) -> None:
         title += f" (grey: good, ±{bound:g}° rms)"
     _draw_card(lower, after, turn_views.CORRECTED, "o", title)
     if bound is not None:
-        _draw_bound(lower, after, bound)
+        # The range that the verdict calls good stays in the picture.
+        lower.axhspan(-bound, bound, color="#EAEAEA", zorder=0)
+        reach = max(1.2 * math.degrees(float(np.nanmax(np.abs(after)))), 1.25 * bound)
+        lower.set_ylim(-reach, reach)
     lower.set_xticks(list(POINTS_OF_COMPASS))
     lower.set_xticklabels([f"{yaw}°\n{point}" for yaw, point in POINTS_OF_COMPASS.items()])
     lower.set(xlim=(-184, 184), xlabel="heading of the robot, ENU yaw")
@@ -134,10 +133,10 @@ def caption_of_gyro(turn: Turn) -> str:
     swing = turn.corrected.estimate.swing
     judged = "" if swing is None else f" ({math.degrees(swing.rms):.1f}° rms, which is judged)"
     return (
-        "The gyro knows nothing of magnetism, so it shows what a clean circle hides: where steel "
-        "near by bends the field, the compass swings once or twice around the turn. A flat blue "
-        f"line is good; here it swings by up to {worst:.1f}°{judged}. Each mark is the mean over "
-        "15° of heading; the gyro's own bias and scale are taken off."
+        "A gyro is not affected by magnetic fields, so it shows what a clean circle hides: where "
+        "steel near by bends the field, the compass swings once or twice around the turn. A flat "
+        f"blue line is good; here it swings by up to {worst:.1f}°{judged}. Each mark is the mean "
+        "over 15° of heading; the gyro's own bias and scale are taken off."
     )
 
 
@@ -146,12 +145,12 @@ def deviations(turn: Turn, corrected: Corrected) -> tuple[FloatArray, FloatArray
 
     Afterwards it is what the verdict is on, where it is on any.
     """
-    reference, believed = corrected.reference, turn.believed
-    before = _means(wrap_angle(turn.yaw - reference)[believed], reference[believed])
+    reference, inliers = corrected.reference, turn.inliers
+    before = _means(wrap_angle(turn.yaw - reference)[inliers], reference[inliers])
     swing = corrected.estimate.swing
     if swing is not None:
         return before, _means(swing.deviation, swing.heading)
-    return before, _means(corrected.deviation[believed], reference[believed])
+    return before, _means(corrected.deviation[inliers], reference[inliers])
 
 
 def _means(deviation: FloatArray, heading: FloatArray) -> FloatArray:
@@ -174,13 +173,6 @@ def _draw_card(axes: Any, values: FloatArray, colour: str, marker: str, title: s
     axes.plot(centre, np.where(leaps, np.nan, shown), color=colour, linewidth=1.2)
     reach = 1.2 * max(float(np.nanmax(np.abs(shown))), 0.1)
     axes.set(ylim=(-reach, reach), ylabel="compass − gyro [°]", title=title)
-
-
-def _draw_bound(axes: Any, values: FloatArray, bound: float) -> None:
-    """Shade the range that the verdict calls good, and keep it in the picture."""
-    axes.axhspan(-bound, bound, color="#EAEAEA", zorder=0)
-    reach = max(1.2 * math.degrees(float(np.nanmax(np.abs(values)))), 1.25 * bound)
-    axes.set_ylim(-reach, reach)
 
 
 NO_MATPLOTLIB = (

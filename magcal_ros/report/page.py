@@ -99,11 +99,11 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
         yaw, off = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
         words = f"{yaw * DEGREES:.2f} ± {off * DEGREES:.2f}°"
         rows.append(Row("installation yaw (±1σ)", words))
-    believed = int(np.count_nonzero(estimate.inliers))
+    inliers = int(np.count_nonzero(estimate.inliers))
     return [
         *rows,
         Row("turn seen", f"{estimate.arc * DEGREES:.0f}°"),
-        Row("samples believed", f"{believed} of {samples}"),
+        Row("samples used", f"{inliers} of {samples}"),
         Row("field strength", f"{estimate.strength * MICRO:.2f} µT"),
         Row("inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
     ]
@@ -147,14 +147,14 @@ def known_before(knowledge: Knowledge) -> list[Row]:
     """Return what was known beforehand."""
     reference, mounting, iron = knowledge.reference, knowledge.mounting, knowledge.soft_iron
     pose = "; ".join(" ".join(f"{value:.4g}" for value in row) for row in mounting.pose)
-    believed = f"±{iron.sigma_diagonal * 100:g}% on, ±{iron.sigma_cross * 100:g}% off the diagonal"
+    spread = f"±{iron.sigma_diagonal * 100:g}% on, ±{iron.sigma_cross * 100:g}% off the diagonal"
     return [
         Row("reference strength", _belief(reference.strength, MICRO, " µT")),
         Row("reference inclination", _belief(reference.inclination, DEGREES, "°")),
         Row("declination, positive east", _belief(reference.declination_belief, DEGREES, "°")),
         Row("known soft-iron gains x, y, z", ", ".join(f"{gain:g}" for gain in mounting.gains)),
         Row("nominal mounting, rows of the pose", pose),
-        Row("soft iron beyond the gains (1σ)", believed),
+        Row("soft iron beyond the gains (1σ)", spread),
     ]
 
 
@@ -251,7 +251,7 @@ def _several(several: Several) -> str:
     ]
     return (
         '<section id="several"><h2>Turns put together</h2>'
-        f"{table('checks', rows, ('turn', 'fate', 'what it shows'))}"
+        f"{table('checks', rows, ('turn', 'result', 'what it shows'))}"
         f"<p>Now shown: {escape(several.shown.in_words)}.</p>"
         f"<p>{escape(several.advice_in_words)}</p></section>"
     )

@@ -20,6 +20,7 @@ from magcal_ros.core.geometry.attitude import (
     wrap_angle,
     yaw_from_up_and_field,
 )
+from magcal_ros.core.geometry.planes import Circle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
@@ -110,7 +111,7 @@ class Turn:
     (n,)."""
     has_gyro: bool
     """Whether a gyro measured the angle."""
-    believed: BoolArray
+    inliers: BoolArray
     """Inliers of the fit; all where there was none. Shape (n,)."""
     coverage: Coverage
     corrected: Corrected | None
@@ -134,9 +135,9 @@ class Turn:
             progress = yaw_progress(window.time, field, window.specific_force, rate)
         gyro = _gyro_angle(window, level)
         corrected = None
-        believed = np.ones(len(window), dtype=np.bool_)
+        inliers = np.ones(len(window), dtype=np.bool_)
         if estimate is not None:
-            believed = np.asarray(estimate.inliers)
+            inliers = np.asarray(estimate.inliers)
             corrected = _correct(subject, estimate, level, gyro)
         angle = gyro
         if angle is None and corrected is not None:
@@ -148,7 +149,7 @@ class Turn:
             yaw=yaw_from_up_and_field(level, field),
             angle=progress if angle is None else angle,
             has_gyro=gyro is not None,
-            believed=believed,
+            inliers=inliers,
             coverage=Coverage.nothing() if progress is None else Coverage.of(progress),
             corrected=corrected,
             sensors=examine_window(window, subject.knowledge),
@@ -211,18 +212,14 @@ def _correct(
 
 def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> FloatArray:
     """Return the reference field turned once about the axis, in body axes, shape (m, 3)."""
-    believed = estimate.inliers if estimate.inliers.any() else np.ones(len(up), dtype=np.bool_)
-    attitudes = body_from_enu(up[believed], field[believed])
+    inliers = estimate.inliers if estimate.inliers.any() else np.ones(len(up), dtype=np.bool_)
+    attitudes = body_from_enu(up[inliers], field[inliers])
     axis_in_world = unit(np.einsum("nij,i->nj", attitudes, estimate.axis).mean(axis=0))
     along = float(field_in_enu(estimate.strength, estimate.inclination) @ axis_in_world)
     radius = math.sqrt(max(estimate.strength**2 - along**2, 0.0))
-    # Any vector that is not the axis gives a first direction across it.
-    other = np.eye(3)[int(np.argmin(np.abs(estimate.axis)))]
-    first = unit(np.cross(estimate.axis, other))
-    phase = np.linspace(0.0, math.tau, 121)[:, None]
-    second = np.cross(estimate.axis, first)
-    ring = radius * (np.cos(phase) * first + np.sin(phase) * second)
-    return np.asarray(ring + along * estimate.axis)
+    across = np.linalg.svd(estimate.axis[None])[2][1:]
+    circle = Circle(along * estimate.axis, np.vstack([across, estimate.axis]), radius)
+    return circle.at(np.linspace(0.0, math.tau, 121))
 
 
 def _published_sigma(calibration: Calibration, up: FloatArray, field: FloatArray) -> FloatArray:
@@ -235,18 +232,18 @@ def _published_sigma(calibration: Calibration, up: FloatArray, field: FloatArray
 
 
 def _reference(
-    time: FloatArray, yaw: FloatArray, gyro: FloatArray | None, believed: BoolArray
+    time: FloatArray, yaw: FloatArray, gyro: FloatArray | None, inliers: BoolArray
 ) -> FloatArray:
     """Return the yaw that the turn asks for: the gyro's, or the compass's own smoothed course."""
-    if not believed.any():
-        believed = np.ones(len(yaw), dtype=np.bool_)
+    if not inliers.any():
+        inliers = np.ones(len(yaw), dtype=np.bool_)
     if gyro is None:
-        return _smooth_course(time, yaw, believed)
-    start = float(np.angle(np.mean(np.exp(1j * (yaw - gyro)[believed]))))
+        return _smooth_course(time, yaw, inliers)
+    start = float(np.angle(np.mean(np.exp(1j * (yaw - gyro)[inliers]))))
     error = wrap_angle(yaw - gyro - start)
     columns = np.column_stack([np.ones_like(time), gyro - gyro.mean(), time - time.mean()])
-    weight = INDEPENDENT_SAMPLES / (max(int(believed.sum()), 1) * COMPASS_SIGMA**2)
-    weights = weight * believed
+    weight = INDEPENDENT_SAMPLES / (max(int(inliers.sum()), 1) * COMPASS_SIGMA**2)
+    weights = weight * inliers
     prior = np.diag([0.0, GYRO_SCALE_SIGMA**-2, GYRO_BIAS_SIGMA**-2])
     normal = columns.T @ (weights[:, None] * columns) + prior
     return np.asarray(
@@ -254,15 +251,11 @@ def _reference(
     )
 
 
-def _smooth_course(time: FloatArray, yaw: FloatArray, believed: BoolArray) -> FloatArray:
+def _smooth_course(time: FloatArray, yaw: FloatArray, inliers: BoolArray) -> FloatArray:
     """Return the unwrapped yaw through a local straight line over a twentieth of the samples."""
-    course = np.interp(time, time[believed], np.unwrap(yaw[believed]))
-    half = max(2, len(time) // 40)
-    smooth = np.empty_like(course)
-    for row in range(len(time)):
-        near = slice(max(0, row - half), row + half + 1)
-        t = time[near] - time[row]
-        centred = t - t.mean()
-        slope = float(centred @ course[near]) / max(float(centred @ centred), 1e-12)
-        smooth[row] = float(course[near].mean()) - slope * float(t.mean())
-    return smooth
+    # Slow to load, and of use without a gyro alone.
+    from scipy.signal import savgol_filter
+
+    course = np.interp(time, time[inliers], np.unwrap(yaw[inliers]))
+    width = 2 * max(2, len(time) // 40) + 1
+    return course if len(time) < width else np.asarray(savgol_filter(course, width, 1))

@@ -167,9 +167,9 @@ def _clouds(turn: Turn, strength: float) -> list[tuple[FloatArray, dict[str, Any
     ]
     if turn.corrected is not None:
         field = MICRO * turn.corrected.field
-        kept = turn.rows(turn.believed, most=POINTS)
+        kept = turn.rows(turn.inliers, most=POINTS)
         clouds.append((field[kept], {"color": CORRECTED, "label": "corrected field"}))
-        left_out = turn.rows(~turn.believed, most=POINTS // 4)
+        left_out = turn.rows(~turn.inliers, most=POINTS // 4)
         if len(left_out):
             clouds.append((field[left_out], LEFT_OUT | {"label": "left out"}))
     return clouds
@@ -228,10 +228,10 @@ def _draw_solid(
 
 RAW_FIELD = (
     "Below, the raw field. On a turn two of its lines swing up and down like waves; flat lines "
-    "mean that the robot stood, or that the sensor does not feel the field; jumps mean that "
-    "something magnetic switched."
+    "mean that the robot stood, or that the sensor does not measure the field; jumps mean that "
+    "something magnetic was switched."
 )
-"""What its picture says to someone who is no expert."""
+"""What its picture shows, for someone who is no expert."""
 
 
 def draw_residuals(figure: Figure, turn: Turn) -> None:
@@ -254,7 +254,7 @@ def caption_of_residuals(turn: Turn) -> str:
         return f"{ring} {RAW_FIELD}"
     return (
         f"{ring} Below, what the model leaves unexplained: a cloud without a pattern inside the "
-        "grey band is sensor noise; waves show iron that turns with the robot, bumps of "
+        "grey band is sensor noise; waves show iron that turns with the robot, and bumps show "
         "something that passed by."
     )
 
@@ -303,12 +303,12 @@ def _draw_residuals(axes: Any, turn: Turn, corrected: Corrected) -> None:
     noise = 2.0 * corrected.estimate.noise_field * MICRO
     axes.axhspan(-noise, noise, color="#EAEAEA", label="±2σ of the field's noise")
     axes.axhline(0.0, color=IDEAL, linewidth=0.6)
-    kept = turn.rows(turn.believed)
+    kept = turn.rows(turn.inliers)
     series = (
         (corrected.radial, CORRECTED, "o", "across the circle"),
         (corrected.axial, RAW, "^", "along the turn's axis"),
     )
-    left_out = turn.rows(~turn.believed, most=100)
+    left_out = turn.rows(~turn.inliers, most=100)
     for values, colour, marker, words in series:
         shown = MICRO * values
         dots(axes, angle[kept], shown[kept], color=colour, marker=marker, label=words)

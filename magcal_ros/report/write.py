@@ -30,10 +30,10 @@ def write_report(folder: Path, subject: Subject) -> Path:
         if path.exists():
             raise FileTrouble(f"{path} is there already and stays; choose another folder")
     turn = Turn.of(subject)
-    believed = None if subject.outcome.estimate is None else turn.believed
+    inliers = None if subject.outcome.estimate is None else turn.inliers
     # The samples come first, because the rest can be made of them; the page comes last: where
     # there is one, the report is complete.
-    write_samples(folder / SAMPLES, subject.window, believed)
+    write_samples(folder / SAMPLES, subject.window, inliers)
     write_atomically(page, render(subject, turn, pictures(turn)), REMEDY)
     return page
 
@@ -83,8 +83,14 @@ def mark_in_force(folder: Path) -> None:
 def remove_old(parent: Path, keep: int) -> None:
     """Remove the oldest reports; those that were put in force stay, and whatever is not ours."""
     with contextlib.suppress(OSError):
-        found = [(_age(f), f) for f in parent.iterdir() if DATED.fullmatch(f.name) and _is_ours(f)]
-        mere = [f for _, f in sorted(found) if not (f / IN_FORCE).exists()]
+        found = [
+            (dated[1], int(dated[2] or 1), folder)
+            for folder in parent.iterdir()
+            if (dated := DATED.fullmatch(folder.name))
+            and not folder.is_symlink()
+            and (folder / OURS).is_file()
+        ]
+        mere = [folder for *_, folder in sorted(found) if not (folder / IN_FORCE).exists()]
         for folder in mere[: max(len(mere) - keep, 0)]:
             remove(folder)
 
@@ -96,13 +102,3 @@ def remove(folder: Path) -> None:
         for path in (*folder.glob(f".*{UNFINISHED}"), *own):
             path.unlink(missing_ok=True)
         folder.rmdir()
-
-
-def _is_ours(folder: Path) -> bool:
-    return not folder.is_symlink() and (folder / OURS).is_file()
-
-
-def _age(folder: Path) -> tuple[str, int]:
-    found = DATED.fullmatch(folder.name)
-    assert found is not None
-    return found[1], int(found[2] or 1)

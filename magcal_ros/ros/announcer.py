@@ -14,7 +14,7 @@ PAUSE = 10.0
 """Seconds between two lines on one subject."""
 
 LASTING = 3.0
-"""Seconds that something must be wrong before it is said: drivers start one after another."""
+"""Seconds that something must be wrong before it is logged: drivers start one after another."""
 
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
@@ -34,7 +34,7 @@ class Log(Protocol):
 
 @dataclass
 class _Line:
-    """What is to be said on a subject, what was said last, and when."""
+    """The line to log on a subject, the line that was logged last, and when."""
 
     text: str = ""
     wrong: bool = False
@@ -51,7 +51,7 @@ class _Complaint:
 
 
 class Announcer:
-    """Writes to the log what changed, at most once in ten seconds on each subject."""
+    """Logs what has changed, at most once in ten seconds for each subject."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class Announcer:
         self._say_if_due(line)
 
     def catch_up(self) -> None:
-        """Say what had to wait; to be called about once a second."""
+        """Log what had to wait; to be called about once a second."""
         for line in self._lines.values():
             self._say_if_due(line)
 
@@ -97,7 +97,7 @@ class Announcer:
                 self._log.warning(found[kind])
 
     def follow_turn(self, turning: bool, answer: object, words: str) -> None:
-        """Say that a turn begins, and what came of it: the words of each new answer."""
+        """Log that a turn begins, and the words of each new answer."""
         if answer is not self._answer:
             self._answer, self._turning = answer, False
             self._log.info(f"the turn is over: {words}")
@@ -139,8 +139,8 @@ class CallbackErrors:
         if kind not in self._known:
             self._known.add(kind)
             self._log(
-                f"{said}: {words}.The node continues; from now on this kind is only counted,  "
-                "in Inputs of /diagnostics"
+                f"{said}: {words}. The node continues; from now on this kind is only counted, in "
+                "Inputs of /diagnostics"
             )
         return said
 

@@ -38,11 +38,11 @@ the robot may move."""
 STOPPED = b"stopped the base"
 
 HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGALRM")
-"""Signals that are meant for the node: whoever ends both must not end the guard first."""
+"""Signals that are meant for the node: where both get one, the guard must not end first."""
 
 
 class Guard:
-    """The node's end of the line to a guard of a base's topic, given by its full name."""
+    """The node's end of the pipe to a guard; `topic` is the full name of the base's topic."""
 
     def __init__(self, topic: str, stamped: bool, frame: str) -> None:
         self._process = start(
@@ -69,22 +69,22 @@ class Guard:
 
     @property
     def is_ready(self) -> bool:
-        """Whether it could stop the base now: it has just answered what it would do."""
+        """Whether it could stop the base now: it has just answered what it publishes and where."""
         self._ask(ASKED)
         return not self.has_ended and time.monotonic() - self._proved_at < SILENCE
 
     @property
     def has_ended(self) -> bool:
-        """Whether it is of no use any more: it stopped the base, or something ended it."""
+        """Whether it has stopped the base, or its process has ended."""
         self._listen()
         return self._has_stopped or self._process.poll() is not None
 
     def tell_alive(self) -> None:
-        """Say that the node is alive; from the first time on silence stops the base."""
+        """Report that the node is alive; after the first report, silence stops the base."""
         self._ask(ALIVE)
 
     def dismiss(self) -> None:
-        """Let it go without stopping anything."""
+        """End the guard without stopping the base."""
         self._say(DISMISSED)
         with self._lock:
             self._line = self._answers = -1
@@ -92,11 +92,11 @@ class Guard:
                 assert stream is not None
                 stream.close()
         try:
-            threading.Thread(target=self._see_off, name="magcal-guard", daemon=True).start()
+            threading.Thread(target=self._wait_for_end, name="magcal-guard", daemon=True).start()
         except RuntimeError:  # no room for another thread
             self._process.kill()
 
-    def _see_off(self) -> None:
+    def _wait_for_end(self) -> None:
         try:
             self._process.wait(ENDING)
         except subprocess.TimeoutExpired:
@@ -111,7 +111,7 @@ class Guard:
         self._say(kind + question)
 
     def _listen(self) -> None:
-        """Take note of what it has said."""
+        """Read its answers."""
         with self._lock, contextlib.suppress(BlockingIOError):
             if self._answers >= 0:
                 self._heard += os.read(self._answers, 65536)
@@ -130,7 +130,7 @@ class Guard:
 
 
 def duty(kind: str, topic: str, silence: float) -> bytes:
-    """Return what a guard does, as it answers a question."""
+    """Return what a guard does, in the words of its answer."""
     return f"zeros as {kind} on {topic} after {silence:g} s".encode()
 
 
@@ -222,7 +222,7 @@ class Brake:
         return self._has_met_base
 
     def duty(self, silence: float) -> bytes:
-        """Return what this brake does, by its publisher's own word."""
+        """Return what this process would publish, as its publisher describes itself."""
         return duty(type(self._zero).__name__, self._out.topic_name, silence)
 
     def stop_base(self, tell: Callable[[], None]) -> None:

@@ -145,7 +145,7 @@ FIX_PAUSE = 0.2
 
 
 class ReferenceSource:
-    """Listens to gps/fix and keeps the reference field up to date."""
+    """Subscribes to gps/fix and keeps the reference field up to date."""
 
     def __init__(self, node: Node, table: Parameters) -> None:
         self._node, self._table = node, table
@@ -224,9 +224,8 @@ FIRST = 1
 class HeadingPipeline:
     """Computes and publishes the heading from the messages of all magnetometers.
 
-    `motors` follows the motors, and `several` joins the magnetometers. `are_several` says whether
-    a calibration of a further one is in force. `lead` is the calibration that the heading is based
-    on: that of the first magnetometer that has one.
+    `motors` follows the motors, and `several` joins the magnetometers. `lead` is the calibration
+    that the heading is based on: that of the first magnetometer that has one.
     """
 
     def __init__(
@@ -245,7 +244,6 @@ class HeadingPipeline:
         self.headings = HeadingOutput(node, frames)
         self.fused = FusedOutput(node, up, frames)
         self.several = SeveralCompasses()
-        self.are_several = False
         self.lead: Calibration | None = None
         self._origin: Origin | None = None
         self._in_force: dict[int, Calibration | None] = {}
@@ -257,7 +255,7 @@ class HeadingPipeline:
                 self._in_force[number] = keeper.calibration
                 self.several.put_in_force(number, keeper.calibration)
         in_force = [number for number, keeper in keepers.items() if keeper.calibration is not None]
-        self.are_several = self.fused.is_needed = any(number > FIRST for number in in_force)
+        self.fused.is_needed = any(number > FIRST for number in in_force)
         leader = keepers[min(in_force)] if in_force else None
         lead = None if leader is None else leader.calibration
         self._origin = None if leader is None else leader.origin
@@ -289,7 +287,7 @@ class HeadingPipeline:
 
     def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
         """Publish the heading that follows from a magnetometer's message."""
-        if self.are_several:
+        if self.fused.is_needed:  # a calibration of a further magnetometer is in force
             now = self.streams.imu_stamps.newest
             joined = self.several.add(number, moment, now, self.fused.yaw)
             if joined is None:

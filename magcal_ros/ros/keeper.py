@@ -78,13 +78,6 @@ class Keeper:
         self.calibration, self.origin = calibration, origin
         self._apply(calibration, origin.magnetometer_frame)
 
-    def put_in_force_and_store(
-        self, calibration: Calibration, origin: Origin, tell: Tell, with_backup: bool = True
-    ) -> None:
-        """Apply a calibration and store it; only what is stored as well is a success."""
-        self.put_in_force(calibration, origin)
-        self.save(tell, with_backup)
-
     def keep_vehicle_yaw(self, yaw: VehicleYaw) -> None:
         """Store a yaw with the calibration in force, if there is one."""
         if self.calibration is not None and self.origin is not None:

@@ -14,7 +14,6 @@ from sensor_msgs.msg import Imu
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.yaw_filter import FUSION
 from magcal_ros.core.keeping.jobs import Mode
-from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading
@@ -25,7 +24,7 @@ from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
-from magcal_ros.ros.wire import Unreadable, by_rclpy
+from magcal_ros.ros.wire import Unreadable, read_heading
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ class Antenna:
 
     def _on_heading(self, data: bytes) -> None:
         try:
-            sample = heading_of(by_rclpy(data, Imu))
+            sample = read_heading(data)
         except Unreadable as error:
             sample = str(error)
         if isinstance(sample, str):

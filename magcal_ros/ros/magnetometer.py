@@ -30,16 +30,16 @@ from magcal_ros.ros.keeper import Keeper, Tell
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.reporter import Reporter
+from magcal_ros.ros.rotator import Rotator
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
 from magcal_ros.ros.wire import Unreadable, read_field
 from magcal_ros.ros.worker_process import WorkerProcess
 
 
 class Owner(Protocol):
-    """What happens in the node when something happens to a magnetometer."""
+    """What the node does when something happens to a magnetometer."""
 
-    def move(self, rate: float) -> None:
-        """Command the base to turn at a rate, rad/s."""
+    rotator: Rotator
 
     def look_around(self) -> Around:
         """Return the state of sensors, base and guard."""
@@ -112,7 +112,7 @@ class Magnetometer:
 
     @property
     def has_something_to_accept(self) -> bool:
-        """Whether its last turn fitted a calibration that a person may accept."""
+        """Whether its last turn gave a calibration that a person may accept."""
         turn, outcome = self.control.turn, self.control.turn.last_outcome
         if outcome is None or outcome.calibration is None:
             return False
@@ -132,8 +132,8 @@ class Magnetometer:
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Apply a calibration and store it; only what is stored as well is a success."""
-        origin = self._pipeline.origin_of(self.inputs.field.frame)
-        self.keeper.put_in_force_and_store(calibration, origin, tell, with_backup)
+        self.keeper.put_in_force(calibration, self._pipeline.origin_of(self.inputs.field.frame))
+        self.keeper.save(tell, with_backup)
 
     def reset(self) -> None:
         """Use no calibration any more."""
@@ -144,15 +144,15 @@ class Magnetometer:
 
     def drive_knowledge(self) -> Knowledge | None:
         """Return what is known beforehand of a drive; None while a turn is under way."""
-        is_idle = self.control.state is ev.TurnState.IDLE
-        frame = self.inputs.field.frame
-        return self._pipeline.settled(self.number, frame).knowledge if is_idle else None
+        if self.control.state is not ev.TurnState.IDLE:
+            return None
+        return self._pipeline.settled(self.number, self.inputs.field.frame).knowledge
 
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
-        """Begin the report on a turn; returns where it will lie, in words."""
+        """Begin the report on a turn; returns where it will be written, in words."""
         yaw = self._pipeline.travel.yaw
-        words = "" if yaw is None else yaw.words
-        return self._reporter.report(window, settings, outcome, self.inputs, words)
+        vehicle = yaw.words if yaw else ""
+        return self._reporter.report(window, settings, outcome, self.inputs, vehicle)
 
     def describe_silence(self) -> str:
         """Say which sensor is missing, and what to look at."""
@@ -221,13 +221,13 @@ class Control:
     def __init__(
         self,
         streams: Streams,
-        house: Magnetometer,
-        node: Owner,
+        magnetometer: Magnetometer,
+        owner: Owner,
         robot: SelfTurn,
         fits: BackgroundThread,
         files: BackgroundThread,
     ) -> None:
-        self._house, self._node, self._fits, self._files = house, node, fits, files
+        self._magnetometer, self._owner, self._fits, self._files = magnetometer, owner, fits, files
         self._streams = streams
         self._pairer = Pairer(streams)
         self._worker = WorkerProcess()
@@ -290,21 +290,21 @@ class Control:
         return self._tell(self.turn.finish, now())
 
     def cancel(self) -> ev.Conclusion:
-        """Give up the turn under way; the calibration in force stays."""
+        """Cancel the turn under way; the calibration in force stays."""
         return self._tell(self.turn.cancel)
 
     def tick(self) -> bool:
         """Let a turn see that time has passed; returns whether one is under way."""
         if self.state is ev.TurnState.COLLECTING:
             self._collect()
-            self._tell(self.turn.tick, self._house.describe_silence(), now())
+            self._tell(self.turn.tick, self._magnetometer.describe_silence(), now())
         return self.state is not ev.TurnState.IDLE
 
     def look(self) -> bool:
         """Look at a robot that turns itself; returns whether there is still one to look at."""
         self._collect()
         if self.turn.progress is not None:
-            self._tell(self.turn.look, self._node.look_around(), now())
+            self._tell(self.turn.look, self._owner.look_around(), now())
         return not self.turn.robot.is_quiet
 
     def give_up(self, reason: str) -> None:
@@ -341,12 +341,12 @@ class Control:
         try:
             self._carry_out(command)
         except Exception as error:  # whatever has failed, all who wait are answered
-            self._node.note_error(error)
+            self._owner.note_error(error)
             self._tell(self.turn.break_off, _broken_off(error))
 
     def _carry_out(self, command: ev.Command) -> None:
         if isinstance(command, ev.MoveBase):
-            self._node.move(command.rate)
+            self._owner.rotator.move(command.rate)
         elif isinstance(command, ev.Prepare):
             self._fits.run(self._worker.start, lambda _: None, lambda _: None)
         elif isinstance(command, ev.Preview):
@@ -355,7 +355,7 @@ class Control:
             self._fit(command)
         elif isinstance(command, ev.PutInForce):
             # The calibration is in force; a fault in storing it is only said.
-            self._house.use(
+            self._magnetometer.use(
                 command.calibration, lambda done: self._tell(self.turn.note_saved, done.message)
             )
         elif isinstance(command, ev.Conclude):
@@ -382,9 +382,9 @@ class Control:
     def _report(self, window: Window, outcome: Outcome) -> str:
         assert self._settings is not None
         try:
-            return self._house.begin_report(window, self._settings, outcome)
+            return self._magnetometer.begin_report(window, self._settings, outcome)
         except Exception as error:  # the calibration matters more than a page about it
-            self._node.note_error(error)
+            self._owner.note_error(error)
             return f"No report: {error}."
 
     def _conclude(self, conclusion: ev.Conclusion) -> None:
@@ -395,4 +395,4 @@ class Control:
             for listener in listeners:
                 at_last.callback(listener, conclusion)
             self._worker.stop()
-            self._node.turn_ended(self._house)
+            self._owner.turn_ended(self._magnetometer)

@@ -54,7 +54,7 @@ class Magnetometers:
         told_together({each.topic: each.keeper.load for each in self.heard}, tell)
 
     def accept(self, proposed: Ask | None, tell: Tell) -> None:
-        """Put in force what waits for a person's word, first what was learnt while driving."""
+        """Put in force what waits to be accepted, first what was learnt while driving."""
         asked: dict[str, Ask] = {} if proposed is None else {self.heard[0].topic: proposed}
         for each in self.heard:
             if each.has_something_to_accept:
@@ -146,7 +146,7 @@ class Magnetometers:
 
     @property
     def keepers(self) -> dict[int, Keeper]:
-        """Who has what is in force, by the magnetometers' numbers."""
+        """The keepers of the calibrations, by the magnetometers' numbers."""
         return {each.number: each.keeper for each in self.heard}
 
     @property
@@ -174,7 +174,7 @@ class Magnetometers:
         return None if collecting else self.heard[0].control.finish()
 
     def cancel(self) -> Conclusion:
-        """Give up the turns under way; the calibrations in force stay."""
+        """Cancel the turns under way; the calibrations in force stay."""
         busy = self._busy or self.heard[:1]
         return joined({each.topic: each.control.cancel() for each in busy})
 

@@ -81,7 +81,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv if arguments is None else arguments)
     try:
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rclpy has several roots: a bad argument or parameter file
+    except (
+        Exception
+    ) as error:  # rclpy has several base classes of errors: a bad argument or parameter file
         print(f"calibrator: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201
         return 2
     sys.setswitchinterval(SWITCH_INTERVAL)
@@ -114,7 +116,7 @@ def _spin(node: Calibrator, signals: EndSignals) -> None:
         try:
             spinner.end()
         finally:
-            node.stop_robot()
+            node.rotator.halt()
 
     signals.when_given(end)
     try:

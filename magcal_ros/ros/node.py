@@ -54,7 +54,7 @@ class Calibrator(Node):
         self._fits, self._files = (BackgroundThread(self, f"magcal-{n}") for n in ("fit", "files"))
         self._sensor_group = SensorGroup()
         self._travel = Travel(self, self._fits, self._sensor_group, self._reference.on_fix)
-        self._rotator = Rotator(self)
+        self.rotator = Rotator(self)
         imu = Sensor(self.resolve_topic_name("imu/data_raw"))
         self._inputs = self._inputs_of(FIRST, imu)
         where = self._frames, self._reference, self._travel
@@ -104,7 +104,7 @@ class Calibrator(Node):
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers
         slow: dict[str, Callable[[Tell], None]] = {
-            "accept": self._accept,
+            "accept": lambda tell: magnetometers.accept(self._keeping.accept, tell),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),
@@ -114,14 +114,10 @@ class Calibrator(Node):
 
     def close(self) -> None:
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
-        self.stop_robot()
+        self.rotator.halt()
         self._magnetometers.shut_down()
         self._keeping.worker.end()
         self._known.worker.end()
-
-    def stop_robot(self) -> None:
-        """Stop a robot that turns itself, from any thread; it will not move again."""
-        self._rotator.halt()
 
     def spinner(self) -> Spinner:
         """Return what serves this node, its sensors with the least effort; one at a time."""
@@ -183,7 +179,7 @@ class Calibrator(Node):
             rotation = self._table.settings.rotation
             if rotation.enabled:
                 self._pipeline.motors.commands.leave()
-                self._rotator.prepare(rotation)
+                self.rotator.prepare(rotation)
                 self._look.reset()
             self._publish_status()
         return opened
@@ -191,13 +187,9 @@ class Calibrator(Node):
     def calibration_changed(self, magnetometer: Magnetometer) -> None:
         """Let the heading follow what is in force."""
         if magnetometer is self._first:
-            self._keeping.use(self._keeper.calibration)
+            self._keeping.machine.put_in_force(self._keeper.calibration)
         self._pipeline.use(self._magnetometers.keepers)
         self._publish_status()
-
-    def _accept(self, tell: Tell) -> None:
-        proposed = None if self._keeping.proposal is None else self._keeping.accept
-        self._magnetometers.accept(proposed, tell)
 
     def _reset(self) -> Conclusion:
         self._known.forget()
@@ -210,15 +202,11 @@ class Calibrator(Node):
             True, "no calibration is in force any more; its file stays and is used at next start"
         )
 
-    def move(self, rate: float) -> None:
-        """Tell the base to turn at a rate, rad/s."""
-        self._rotator.move(rate)
-
     def look_around(self) -> Around:
         """Return what is around a robot that turns itself."""
         ages = self._inputs.imu.age(), self._inputs.field.age()
         is_allowed = self._table.settings.rotation.enabled
-        return Around(*ages, self._rotator.listeners, is_allowed, self._rotator.is_guarded)
+        return Around(*ages, self.rotator.listeners, is_allowed, self.rotator.is_guarded)
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:
         """Publish how a turn ended, before those who wait for it are answered."""
@@ -233,7 +221,7 @@ class Calibrator(Node):
 
     def _on_look(self) -> None:
         if not self._control.look():
-            self._rotator.rest()
+            self.rotator.rest()
             self._look.cancel()
 
     def _on_tick(self) -> None:
@@ -263,7 +251,7 @@ class Calibrator(Node):
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
         complaints += [
             *self._known.antenna.complaints,
-            *filter(None, [self._pipeline.headings.rivals()]),
+            *filter(None, [self._pipeline.headings.other_publishers()]),
         ]
         self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()
@@ -293,10 +281,16 @@ class Calibrator(Node):
         answer, state = self._control.turn.last_conclusion, self._magnetometers.state
         words = "" if answer is None else answer.message
         self._announcer.follow_turn(state is not TurnState.IDLE, answer, words)
-        turns_itself = self._table.settings.rotation.enabled
-        shown = self._travel, self._keeping, self._magnetometers, self._pipeline.motors
+        parts = {
+            "turns_itself": self._table.settings.rotation.enabled,
+            "vehicle_yaw_offset": self._travel.yaw_facts(),
+            "drive": self._travel.facts(),
+            "self_calibration": self._keeping.facts(),
+            "motors": self._pipeline.motors.facts(self._first.compass),
+            "known_headings": self._known.facts(),
+        }
         reference = self._reference.reference
-        text = status.status_json(self._first, reference, turns_itself, *shown, self._known)
+        text = status.status_json(self._first, self._magnetometers, reference, parts)
         if text != self._status:
             self._status = text
             self._status_out.publish(String(data=text))

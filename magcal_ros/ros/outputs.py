@@ -24,7 +24,7 @@ from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry import FloatArray, true_yaw, unit
 from magcal_ros.core.geometry.planes import Circle, fit_circle_in_space
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.compass import Compass, Moment
+from magcal_ros.core.heading.compass import Compass, Heading, Moment
 from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import ReferenceField
@@ -45,7 +45,7 @@ class FieldOutput:
     def __init__(self, node: Node, topic: str) -> None:
         self._field_out = node.create_publisher(MagneticField, f"{topic}_unbiased", RELIABLE)
         self._bias_out = node.create_publisher(MagneticField, f"{topic}_bias", LATCHED)
-        self._field = wire.FieldTemplate()
+        self._field = wire.field_template()
         self._covariance_in = b""
         self._covariance: tuple[float, ...] = ()
         self._bias: MagneticField | None = None
@@ -71,20 +71,45 @@ class FieldOutput:
     def publish(self, field: Triple, arrived: wire.FieldArrival, frame: str) -> None:
         """Publish a corrected field, tesla, in the IMU's frame."""
         if _is_wanted(self._field_out):
-            covariance = self._carried(arrived.covariance)
-            self._field_out.publish(self._field.fill(arrived.stamp, frame, field, covariance))
+            covariance = self._rotated(arrived.covariance)
+            self._field_out.publish(self._field.fill(arrived.stamp, frame, field + covariance))
 
-    def _carried(self, covariance: bytes) -> tuple[float, ...]:
+    def _rotated(self, covariance: bytes) -> tuple[float, ...]:
         """Return the covariance in body axes; drivers send the same with every message."""
         if self._compass is not None and covariance != self._covariance_in:
             sigma = np.frombuffer(covariance, "<f8").reshape(3, 3)
             with np.errstate(over="ignore", invalid="ignore"):
-                carried = self._compass.calibration.correction.covariance(sigma)
+                rotated = self._compass.calibration.correction.covariance(sigma)
             # By convention zeros stand for a covariance that is not known.
-            is_known = np.isfinite(carried).all()
-            self._covariance = tuple(carried.ravel().tolist()) if is_known else (0.0,) * 9
+            is_known = np.isfinite(rotated).all()
+            self._covariance = tuple(rotated.ravel().tolist()) if is_known else (0.0,) * 9
             self._covariance_in = covariance
         return self._covariance
+
+
+class AttitudeOutput:
+    """Publishes the attitude of the base on one topic, while something subscribes."""
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._out = node.create_publisher(Imu, topic, RELIABLE)
+        self._attitude = wire.attitude_template()
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether something subscribes."""
+        return _is_wanted(self._out)
+
+    def publish(
+        self, stamp: bytes, frame: str, heading: Heading, reference: ReferenceField | None = None
+    ) -> None:
+        """Publish a heading, to true north by a reference field with a declination."""
+        if self.is_wanted:
+            declination, sigma = None, 0.0
+            if reference is not None:
+                declination, sigma = reference.declination, reference.declination_sigma
+            covariance = heading.covariance(0.0 if declination is None else sigma**2)
+            numbers = heading.quaternion(declination or 0.0) + covariance
+            self._out.publish(self._attitude.fill(stamp, frame, numbers))
 
 
 class HeadingOutput:
@@ -92,8 +117,8 @@ class HeadingOutput:
 
     def __init__(self, node: Node, frames: SensorFrames) -> None:
         self._node, self._frames = node, frames
-        self._magnetic_out = node.create_publisher(Imu, "compass/mag/enu/imu", RELIABLE)
-        self._true_out = node.create_publisher(Imu, "compass/true/enu/imu", RELIABLE)
+        self._magnetic = AttitudeOutput(node, "compass/mag/enu/imu")
+        self._true = AttitudeOutput(node, "compass/true/enu/imu")
         self._yaw_out = node.create_publisher(Float64, "compass/yaw", RELIABLE)
         self._azimuth = azimuth_type()
         self._azimuth_outs: dict[str, Publisher] = {}
@@ -102,14 +127,12 @@ class HeadingOutput:
                 north: node.create_publisher(self._azimuth, f"compass/{north}/enu/rad", RELIABLE)
                 for north in ("mag", "true")
             }
-        self._attitude = wire.AttitudeTemplate()
-        self._yaw = wire.NumberTemplate()
         self._doubt: FieldDoubt | None = None
         self.moment: Moment | None = None
         """The newest field message under the calibration in force, with the published variance."""
 
-    def rivals(self) -> str:
-        """Say that another node publishes the same heading; empty if none does."""
+    def other_publishers(self) -> str:
+        """Return which other node publishes the same heading; empty if none does."""
         topic = self._yaw_out.topic_name
         if self._node.count_publishers(topic) < 2:
             return ""
@@ -130,27 +153,24 @@ class HeadingOutput:
 
     def publish(self, moment: Moment, stamp: bytes, frame: str, reference: ReferenceField) -> None:
         """Publish everything that follows from one field message."""
-        moment, declination = self._doubted(moment), reference.declination
+        moment, declination = self._with_doubt(moment), reference.declination
         self.moment = moment
         view = self._frames.view
         if moment.heading is None or view is None:
             return
         frame, heading = self._frames.frame(frame), view.heading(moment.heading)
-        if _is_wanted(self._magnetic_out):
-            self._magnetic_out.publish(self._attitude.fill(stamp, frame, heading))
-        if declination is not None and _is_wanted(self._true_out):
-            sigma = reference.declination_sigma
-            filled = self._attitude.fill(stamp, frame, heading, declination, sigma)
-            self._true_out.publish(filled)
+        self._magnetic.publish(stamp, frame, heading)
+        if declination is not None:
+            self._true.publish(stamp, frame, heading, reference)
         if _is_wanted(self._yaw_out):
-            self._yaw_out.publish(self._yaw.fill(true_yaw(heading.yaw, declination or 0.0)))
+            self._yaw_out.publish(Float64(data=true_yaw(heading.yaw, declination or 0.0)))
         for north, out in self._azimuth_outs.items():
             known = None if north == "mag" else reference
             if _is_wanted(out) and (known is None or declination is not None):
                 out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
-    def _doubted(self, moment: Moment) -> Moment:
-        """Return the moment with a yaw that is as uncertain as its field is wrong."""
+    def _with_doubt(self, moment: Moment) -> Moment:
+        """Return the moment with a larger yaw variance where its field is disturbed."""
         heading, up = moment.heading, moment.up
         if heading is None or up is None or self._doubt is None:
             return moment
@@ -182,10 +202,9 @@ class FusedOutput:
         self.patience = PATIENCE
         self.is_needed = False
         """Whether the yaw is propagated without a subscriber."""
-        self._out = node.create_publisher(Imu, TOPIC, RELIABLE)
+        self._out = AttitudeOutput(node, TOPIC)
         self._follower = follower
         self._calibration: Calibration | None = None
-        self._attitude = wire.AttitudeTemplate()
         self.yaw: FusedYaw | None = None
         """The yaw that is propagated; None while none is."""
 
@@ -204,8 +223,7 @@ class FusedOutput:
         """Propagate the yaw to an IMU message, and publish it there."""
         if self._calibration is None:
             return
-        is_heard = bool(self._out.get_subscription_count())
-        if not (is_heard or self.is_needed):
+        if not (self._out.is_wanted or self.is_needed):
             self.yaw = None
             return
         if self.yaw is None:
@@ -216,15 +234,10 @@ class FusedOutput:
             return
         follower = self._follower
         fused.propagate(seconds, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest)
-        if not is_heard:
-            return
         heading, view = fused.heading(), self._frames.view
         if heading is not None and view is not None:
-            declination = reference.declination
-            sigma = 0.0 if declination is None else reference.declination_sigma
             seen, frame = view.heading(heading), self._frames.frame(frame)
-            message = self._attitude.fill(stamp, frame, seen, declination or 0.0, sigma)
-            self._out.publish(message)
+            self._out.publish(stamp, frame, seen, reference)
 
     def on_field(self, moment: Moment) -> None:
         """Let a field message correct the yaw."""
@@ -261,7 +274,7 @@ class FusedOutput:
         """Say why nothing is published; empty if something is."""
         if self._calibration is None:
             return "no fused yaw before a calibration is in force"
-        if self.yaw is None or not self._out.get_subscription_count():
+        if self.yaw is None or not self._out.is_wanted:
             return f"nothing subscribes to {TOPIC}"
         if not self._follower.gyro_is_believed:
             why = (

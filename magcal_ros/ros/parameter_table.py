@@ -204,7 +204,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "report_folder",
         "",
-        "Where each turn leaves a dated folder with report.html and samples.csv. Empty: "
+        "Where a dated folder with report.html and samples.csv is made for each turn. Empty: "
         "$ROS_HOME/magcal/reports; none: no reports. While the node runs only what lies below "
         "$ROS_HOME/magcal, or below what it was at start",
         later=Later.FOLDER,
@@ -213,7 +213,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "reports_kept",
         50,
-        "How many reports stay beside those of turns that were put in force; older ones are "
+        "How many reports are kept beside those of turns that were put in force; older ones are "
         "removed",
         Span(1, 100_000),
     ),
@@ -225,7 +225,7 @@ PARAMETERS: tuple[Spec, ...] = (
         Span(256, 1_000_000, "MB"),
         later=Later.NOTHING,
     ),
-    Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
+    Spec("method", METHODS[0], "The method that calibrates from a turn", choices=METHODS),
     Spec(
         "accumulate",
         False,
@@ -235,9 +235,9 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "self_calibration",
         "propose",
-        "What is done with a calibration that ordinary driving has shown and proved better: "
-        "proposed (call ~/accept), applied (and taken back where it was worse), or nothing looked "
-        "for",
+        "What is done with a calibration from ordinary driving that has proved better: propose it "
+        "(call ~/accept), apply it (and take it back where it proves worse), or off: none is "
+        "looked for",
         choices=tuple(mode.value for mode in Mode),
     ),
     Spec(
@@ -249,7 +249,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "reference.strength_sigma_ut",
         STRENGTH_SIGMA_UT,
-        "What crust and iron near by do to the strength (1 σ); indoors rather 7",
+        "Local deviation of the strength, by crust and iron near by (1 σ); indoors about 7",
         Span(0.0, 100.0, "µT"),
     ),
     Spec(
@@ -261,7 +261,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "reference.inclination_sigma_deg",
         INCLINATION_SIGMA_DEG,
-        "What crust and iron near by do to the inclination (1 σ); indoors rather 5",
+        "Local deviation of the inclination, by crust and iron near by (1 σ); indoors about 5",
         Span(0.0, 90.0, "°"),
     ),
     Spec(
@@ -273,7 +273,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "reference.declination_sigma_deg",
         DECLINATION_SIGMA_DEG,
-        "What crust and iron near by do to the declination (1 σ); indoors rather 5",
+        "Local deviation of the declination, by crust and iron near by (1 σ); indoors about 5",
         Span(0.0, 90.0, "°"),
     ),
     Spec(
@@ -347,7 +347,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "known_heading.sigma_deg",
         2.0,
-        "How far known_heading.yaw_deg may be off (1 σ)",
+        "Standard deviation of known_heading.yaw_deg",
         Span(0.05, 30.0, "°"),
     ),
     Spec(
@@ -365,19 +365,19 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "window.silence_s",
         10.0,
-        "A turn ends when a sensor was silent for so long",
+        "A turn ends when a sensor has been silent for this long",
         Span(0.5, 600.0, "s"),
     ),
     Spec(
         "window.max_gap_s",
         STREAMS.max_gap,
-        "IMU samples further apart are not interpolated between",
+        "Between IMU samples further apart than this nothing is interpolated",
         Span(0.001, 5.0, "s"),
     ),
     Spec(
         "fused.patience_s",
         PATIENCE,
-        "A field that departs from the calibrated one for so long is taken for the new one",
+        "A field that differs from the calibrated one for this long is taken as the new one",
         Span(1.0, 3600.0, "s"),
     ),
     Spec(

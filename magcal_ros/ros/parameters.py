@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -44,16 +44,20 @@ class Rotation:
     frame: str
 
 
+ROTATION = ("enabled", "speed_rad_s", "stamped", "frame_id")
+"""The parameters of it, below `rotate`."""
+
+
 @dataclass(frozen=True)
 class Settings:
     """The parameters' values in SI units and in the core's own types.
 
-    `knowledge` is what was given by hand; `given` and the World Magnetic Model fill in what its
-    reference field lacks. `mounts` has the poses of magnetometers that were given, by their
-    numbers. An empty `base_frame` is the IMU's. `vehicle_yaw` is
-    that of the IMU in the vehicle by hand, radians; None without. `known_heading` is the heading
-    typed in; None without, or while its north is not said. `heading_is_true` tells which north the
-    topic `heading` is to.
+    What is named like a parameter is its value. `knowledge` is what was given by hand; `given` and
+    the World Magnetic Model fill in what its reference field lacks. `mounts` has the poses of
+    magnetometers that were given, by their numbers. An empty `base_frame` is the IMU's.
+    `vehicle_yaw` is that of the IMU in the vehicle by hand, radians; None without. `known_heading`
+    is None without one, or while its north is not given. `heading_is_true` is the north of the
+    topic `heading`.
     """
 
     calibration_file: str
@@ -86,46 +90,28 @@ class Settings:
         }
         given = Given.of({name.removeprefix("reference."): v for name, v in values.items()})
         mounting = knowledge_of(soft_iron_gains=values["soft_iron_gains"]).mounting
-        by_hand = values["vehicle_yaw_deg"]
+        by_hand, sigma = values["vehicle_yaw_deg"], values["confidence.target_sigma_deg"]
+        yaw, north = values["known_heading.yaw_deg"], values["known_heading.north"]
+        known_heading = None
+        if north and not math.isnan(yaw):
+            radians = math.radians(yaw), math.radians(values["known_heading.sigma_deg"])
+            known_heading = ExternalHeading(*radians, north == TRUE_NORTH)
+        rotation = (values[f"rotate.{name}"] for name in ROTATION)
+        limits = values["window.timeout_s"], values["window.silence_s"]
         return cls(
-            values["calibration_file"],
-            values["report_folder"],
-            values["reports_kept"],
-            values["method"],
-            values["accumulate"],
-            Knowledge(given.field, replace(mounting, pose=mounts.get(1, mounting.pose))),
-            Limits(
-                values["window.timeout_s"],
-                values["window.silence_s"],
-                target_sigma=math.radians(values["confidence.target_sigma_deg"]),
-            ),
-            values["window.max_gap_s"],
-            values["fused.patience_s"],
-            given,
-            Rotation(
-                values["rotate.enabled"],
-                values["rotate.speed_rad_s"],
-                values["rotate.stamped"],
-                values["rotate.frame_id"],
-            ),
-            values["base_frame"],
-            mounts,
-            values["magnetometers"],
-            values["self_calibration"],
-            None if math.isnan(by_hand) else math.radians(by_hand),
-            _told(values),
-            not (math.isnan(values["known_heading.yaw_deg"]) or values["known_heading.north"]),
-            values["known_heading.topic_north"] == TRUE_NORTH,
+            **{each.name: values[each.name] for each in fields(cls) if each.name in values},
+            knowledge=Knowledge(given.field, replace(mounting, pose=mounts.get(1, mounting.pose))),
+            limits=Limits(*limits, target_sigma=math.radians(sigma)),
+            max_gap=values["window.max_gap_s"],
+            patience=values["fused.patience_s"],
+            given=given,
+            rotation=Rotation(*rotation),
+            mounts=mounts,
+            vehicle_yaw=None if math.isnan(by_hand) else math.radians(by_hand),
+            known_heading=known_heading,
+            north_is_missing=not (math.isnan(yaw) or north),
+            heading_is_true=values["known_heading.topic_north"] == TRUE_NORTH,
         )
-
-
-def _told(values: Mapping[str, Any]) -> ExternalHeading | None:
-    """Return the heading typed in; None without one, or while its north is not said."""
-    yaw, north = values["known_heading.yaw_deg"], values["known_heading.north"]
-    if math.isnan(yaw) or not north:
-        return None
-    sigma = math.radians(values["known_heading.sigma_deg"])
-    return ExternalHeading(math.radians(yaw), sigma, north == TRUE_NORTH)
 
 
 class Parameters:
@@ -153,8 +139,13 @@ class Parameters:
 
     def _declare(self, spec: Spec) -> Any:
         default = list(spec.default) if isinstance(spec.default, tuple) else spec.default
-        # A range would end the node on a bad value from a file: it is added after the check.
-        bare = _descriptor(spec)
+        # Dynamic typing lets `-p reference.strength_ut:=48` and `[0, 0, 0]` pass as numbers. A
+        # range would end the node on a bad value from a file: it is added after the check.
+        bare = ParameterDescriptor(
+            description=spec.description,
+            additional_constraints=spec.constraints,
+            dynamic_typing=True,
+        )
         given: Any = self._node.declare_parameter(spec.name, default, bare).value
         try:
             value = spec.parse(given)
@@ -232,13 +223,6 @@ class Parameters:
         ours = [change for change in changes if change.name in self._specs]
         parsed = {change.name: self._specs[change.name].parse(change.value) for change in ours}
         return {**self._values, **parsed}
-
-
-def _descriptor(spec: Spec) -> ParameterDescriptor:
-    # Dynamic typing lets `-p reference.strength_ut:=48` and `[0, 0, 0]` pass as numbers.
-    return ParameterDescriptor(
-        description=spec.description, additional_constraints=spec.constraints, dynamic_typing=True
-    )
 
 
 def _with_range(descriptor: ParameterDescriptor, spec: Spec) -> ParameterDescriptor:

@@ -1,4 +1,4 @@
-"""What a calibration and `doctor` need from the graph, and what is received there."""
+"""What a calibration and `doctor` need from the graph: topics, publishers and samples."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray
 from magcal_ros.core.geometry.frame_tree import FrameTrouble
-from magcal_ros.core.messages import field_sample, imu_sample, seconds
 from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.disk import plain
 from magcal_ros.ros.sensor_frames import Description
+from magcal_ros.ros.wire import read_field, read_imu
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"
@@ -38,27 +38,41 @@ SLOWEST_FIELD = 5.0
 """Hertz, below which a turn of 12 s gives too few samples."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Heard:
-    """What came on one topic while it was listened to."""
+    """What came on the topic of a sensor; without `take` the samples are kept."""
 
     topic: str
     kind: str
+    take: Callable[[ImuSample | FieldSample], None] | None = None
+    messages: int = 0
+    frame: str = ""
+    """The newest."""
     frames: set[str] = field(default_factory=set)
-    stamps: list[float] = field(default_factory=list)
-    sizes: list[float] = field(default_factory=list)
-    publishers: int = 0
-    elsewhere: list[str] = field(default_factory=list)
+    """Fit to be shown."""
+    samples: list[ImuSample | FieldSample] = field(default_factory=list)
 
-    def rate(self, seconds_listened: float) -> float:
-        """Messages per second."""
-        return len(self.stamps) / seconds_listened
+    def listen(self, node: Node) -> Subscription:
+        """Subscribe to the topic."""
+        message = Imu if self.kind == IMU_TYPE else MagneticField
+        quality = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+        return node.create_subscription(message, self.topic, self.note, quality, raw=True)
+
+    def note(self, data: bytes) -> None:
+        """Take a message."""
+        arrived = read_imu(data) if self.kind == IMU_TYPE else read_field(data)
+        self.messages += 1
+        self.frame = arrived.frame
+        if len(self.frames) < MOST_FRAMES:
+            self.frames.add(plain(arrived.frame))
+        if arrived.sample is not None:
+            (self.take or self.samples.append)(arrived.sample)
 
     @property
     def size(self) -> float:
         """Median length of the vector, in the unit of the topic; NaN if nothing came."""
-        ordered = sorted(self.sizes)
-        return ordered[len(ordered) // 2] if ordered else math.nan
+        vectors = [s.force if isinstance(s, ImuSample) else s.field for s in self.samples]
+        return float(np.median(np.linalg.norm(vectors, axis=1))) if vectors else math.nan
 
 
 class Preflight(NamedTuple):
@@ -78,11 +92,13 @@ def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
     _listen(node, sensors, duration)
     lines = []
     for heard in sensors:
-        if heard.stamps:
-            lines += [_describe(heard, duration), *_judge(heard, duration)]
+        publishers = node.count_publishers(heard.topic)
+        if heard.messages:
+            lines += [_describe(heard, duration), *_judge(heard, duration, publishers)]
         else:
-            lines += _explain_silence(heard)
-    return Preflight(tuple(lines), all(heard.stamps for heard in sensors))
+            elsewhere = [plain(topic) for topic in _of_sensors(node, heard.kind, heard.topic)]
+            lines += _explain_silence(heard, publishers, elsewhere)
+    return Preflight(tuple(lines), all(heard.messages for heard in sensors))
 
 
 def _sensor_topics(node: Node, calibrator: str) -> list[tuple[str, str]] | None:
@@ -106,53 +122,33 @@ def _sensor_topics(node: Node, calibrator: str) -> list[tuple[str, str]] | None:
 
 
 def _listen(node: Node, sensors: Sequence[Heard], duration: float) -> None:
-    best_effort = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-    subscriptions = [
-        node.create_subscription(
-            Imu if heard.kind == IMU_TYPE else MagneticField,
-            heard.topic,
-            partial(_note, heard),
-            best_effort,
-        )
-        for heard in sensors
-    ]
+    subscriptions = [heard.listen(node) for heard in sensors]
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     deadline = time.monotonic() + duration
     while time.monotonic() < deadline:
         executor.spin_once(timeout_sec=0.05)
     executor.remove_node(node)
-    for heard, subscription in zip(sensors, subscriptions, strict=True):
-        heard.publishers = node.count_publishers(heard.topic)
-        others = (topic for topic in _of_sensors(node, heard.kind) if topic != heard.topic)
-        heard.elsewhere = [plain(topic) for topic in others]
+    for subscription in subscriptions:
         node.destroy_subscription(subscription)
-
-
-def _note(heard: Heard, message: Any) -> None:
-    vector = message.linear_acceleration if heard.kind == IMU_TYPE else message.magnetic_field
-    if len(heard.frames) < MOST_FRAMES:
-        heard.frames.add(plain(message.header.frame_id))
-    heard.stamps.append(seconds(message.header.stamp))
-    heard.sizes.append(math.hypot(vector.x, vector.y, vector.z))
 
 
 def _describe(heard: Heard, duration: float) -> str:
     frames = ", ".join(sorted(frame or "(empty)" for frame in heard.frames))
     size = heard.size
     measured = f"{size:.2f} m/s²" if heard.kind == IMU_TYPE else f"{size * 1e6:.1f} µT"
-    return f"{heard.topic}: {heard.rate(duration):.0f} Hz, frame {frames}, {measured}"
+    return f"{heard.topic}: {heard.messages / duration:.0f} Hz, frame {frames}, {measured}"
 
 
-def _judge(heard: Heard, duration: float) -> list[str]:
-    found = []
-    if not any(heard.stamps):
+def _judge(heard: Heard, duration: float, publishers: int) -> list[str]:
+    found, stamps = [], [sample.stamp for sample in heard.samples]
+    if stamps and not any(stamps):
         found.append("  stamps are zero: the driver must stamp its messages")
-    elif len(heard.stamps) > FEWEST_STAMPS:
-        words = bursts_in_words(np.array(heard.stamps))
+    elif len(stamps) > FEWEST_STAMPS:
+        words = bursts_in_words(np.array(stamps))
         found += [f"  {words}"] if words else []
-    if heard.publishers > 1:
-        found.append(f"  {heard.publishers} publishers on one topic: only one can be the sensor")
+    if publishers > 1:
+        found.append(f"  {publishers} publishers on one topic: only one can be the sensor")
     if heard.kind == IMU_TYPE:
         if not 0.8 < heard.size / STANDARD_GRAVITY < 1.2:
             unit = likely_acceleration_unit(heard.size)
@@ -160,25 +156,28 @@ def _judge(heard: Heard, duration: float) -> list[str]:
         return found
     unit = likely_field_unit(heard.size)
     found += [f"  {unit}"] if unit else []
-    if heard.rate(duration) < SLOWEST_FIELD:
+    if heard.messages / duration < SLOWEST_FIELD:
         found.append("  slower than 5 Hz: turn slowly, a full circle in 30 s or more")
     return found
 
 
-def _explain_silence(heard: Heard) -> list[str]:
-    lines = [f"{heard.topic}: nothing arrives ({heard.publishers} publishers)"]
-    if heard.publishers:
+def _explain_silence(heard: Heard, publishers: int, elsewhere: Sequence[str]) -> list[str]:
+    lines = [f"{heard.topic}: nothing arrives ({publishers} publishers)"]
+    if publishers:
         lines.append("  it is advertised: is the driver running, is the clock paused?")
-    if heard.elsewhere:
-        names = ", ".join(sorted(heard.elsewhere))
+    if elsewhere:
+        names = ", ".join(sorted(elsewhere))
         lines.append(f"  the same type is published on {names}: remap to it with -r")
-    elif not heard.publishers:
-        lines.append("  nobody publishes this type: is the driver running, on this domain?")
+    elif not publishers:
+        lines.append("  nothing publishes this type: is the driver running, on this domain?")
     return lines
 
 
 OURS = ("_unbiased", "_bias", "/enu/imu")
-"""How topics end that a calibrator makes of the sensors'."""
+"""How the names of a calibrator's own topics end."""
+
+DISCOVERY = 3.0
+"""Seconds in which topics are looked for."""
 
 USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
 """Which of several topics of a type is meant."""
@@ -191,12 +190,16 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
     """
     if wanted:
         return node.resolve_topic_name(wanted)
-    usual = node.resolve_topic_name(USUAL[kind])
-    found = _of_sensors(node, kind)
-    if usual in found:
-        return usual
-    if len(found) == 1:
-        return found[0]
+    usual, deadline = node.resolve_topic_name(USUAL[kind]), time.monotonic() + DISCOVERY
+    while True:
+        found = _of_sensors(node, kind)
+        if usual in found:
+            return usual
+        if len(found) == 1:
+            return found[0]
+        if time.monotonic() > deadline:
+            break
+        time.sleep(0.1)
     if found:
         listed = ", ".join(plain(topic) for topic in sorted(found))
         raise Misuse(f"{len(found)} topics carry {kind}: {listed}; choose one with {option}")
@@ -206,17 +209,20 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
     )
 
 
-def _of_sensors(node: Node, kind: str) -> list[str]:
+def _of_sensors(node: Node, kind: str, other_than: str = "") -> list[str]:
     """Return the topics of a type that somebody publishes, without those of a calibrator."""
     return [
         topic
         for topic, kinds in node.get_topic_names_and_types()
-        if kind in kinds and not topic.endswith(OURS) and node.count_publishers(topic)
+        if kind in kinds
+        and topic != other_than
+        and not topic.endswith(OURS)
+        and node.count_publishers(topic)
     ]
 
 
 class Listener:
-    """Subscribes to both sensors and passes on their samples; `heard` counts messages of each."""
+    """Subscribes to both sensors and passes on their samples."""
 
     def __init__(
         self,
@@ -225,37 +231,28 @@ class Listener:
         field_topic: str,
         take: Callable[[ImuSample | FieldSample], None],
     ) -> None:
-        self._node, self._take = node, take
-        self.topics = (imu_topic, field_topic)
-        self.heard = [0, 0]
-        self._frames = ["", ""]
-        quality = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(Imu, imu_topic, self._on_imu, quality)
-        node.create_subscription(MagneticField, field_topic, self._on_field, quality)
+        self._node = node
+        self.sensors = Heard(imu_topic, IMU_TYPE, take), Heard(field_topic, FIELD_TYPE, take)
+        for heard in self.sensors:
+            heard.listen(node)
         self._description = Description(node, lambda: None)
         self._description.listen()
 
     @property
-    def crowded(self) -> list[str]:
+    def several_publishers(self) -> list[str]:
         """The topics on which more than one node publishes, in words."""
         said = []
-        for topic in self.topics:
-            infos = self._node.get_publishers_info_by_topic(topic)
+        for heard in self.sensors:
+            infos = self._node.get_publishers_info_by_topic(heard.topic)
             if len(infos) > 1:
                 names = ", ".join(plain(name) for name in sorted({i.node_name for i in infos}))
-                said.append(f"{len(infos)} publishers on {plain(topic)}: {names}")
+                said.append(f"{len(infos)} publishers on {plain(heard.topic)}: {names}")
         return said
-
-    @property
-    def frames(self) -> tuple[str, str]:
-        """`frame_id` of IMU and magnetometer, fit to be shown; empty while unknown."""
-        imu, field = self._frames
-        return plain(imu), plain(field)
 
     @property
     def described_pose(self) -> FloatArray | None:
         """The magnetometer's pose in the IMU by the robot's description; None without one."""
-        imu, field = map(known_as, self._frames)
+        imu, field = (known_as(heard.frame) for heard in self.sensors)
         tree = self._description.tree
         if not imu or not field or imu == field or field not in tree.frames:
             return None
@@ -263,15 +260,3 @@ class Listener:
             return tree.pose(field, imu)
         except FrameTrouble:
             return None
-
-    def _on_imu(self, message: Any) -> None:
-        self.heard[0] += 1
-        self._frames[0] = message.header.frame_id
-        sample = imu_sample(message)
-        if sample is not None:
-            self._take(sample)
-
-    def _on_field(self, message: Any) -> None:
-        self.heard[1] += 1
-        self._frames[1] = message.header.frame_id
-        self._take(field_sample(message))

@@ -1,11 +1,11 @@
-"""Sensors in the graph: a replayed recording, or a simulated robot with a user who turns it."""
+"""Simulated sensors in the graph: a replayed recording, or a robot that a simulated user turns."""
 
 from __future__ import annotations
 
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from magcal_ros.core.messages import ABSENT, seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.files.recording import Recording
-from magcal_ros.files.sources import FIRST_STAMP
 from magcal_ros.ros.sensor_frames import LATCHED
 
 
@@ -81,18 +80,16 @@ def replay(
     Returns the number of samples.
     """
     clock_out, message = node.create_publisher(Clock, "/clock", 10) if clock else None, Clock()
-    shift = max(0.0, FIRST_STAMP - float(min(recording.imu[0, 0], recording.field[0, 0])))
     started: float | None = None
     count = 0
-    for sample in recording.samples():
-        moved = sample._replace(stamp=sample.stamp + shift) if shift else sample
+    for sample in recording.cut(0.0, math.inf).samples():
         if started is None:
-            started = time.monotonic() - moved.stamp / rate
-        between(max(0.0, started + moved.stamp / rate - time.monotonic()))
+            started = time.monotonic() - sample.stamp / rate
+        between(max(0.0, started + sample.stamp / rate - time.monotonic()))
         if clock_out is not None:
-            set_time(message.clock, moved.stamp)
+            set_time(message.clock, sample.stamp)
             clock_out.publish(message)
-        source.publish(moved)
+        source.publish(sample)
         count += 1
     return count
 
@@ -126,8 +123,6 @@ class Rehearsal:
         self.source = SensorSource(node)
         self.status: dict[str, Any] = {}
         self.yaws: list[float] = []
-        self.mangle: Callable[[ImuSample | FieldSample], list[ImuSample | FieldSample]] | None
-        self.mangle = None
         self._calibrator = calibrator
         self._attitudes: Any = None
         self._settled = -math.inf
@@ -166,14 +161,14 @@ class Rehearsal:
         return client.call_async(Trigger.Request())
 
     def answer(self, future: Any) -> Any:
-        """Let the robot stand until a service has answered; returns the answer."""
+        """Keep the robot at rest until a service has answered; returns the answer."""
         self.run(PATIENCE, stop=future.done)
         if not future.done():
             raise MagcalError("the service did not answer in time")
         return future.result()
 
     def reset(self) -> None:
-        """Make the node forget what it may have loaded."""
+        """Reset the node, which may have loaded a calibration."""
         self.answer(self.call("reset"))
 
     def run(
@@ -182,7 +177,7 @@ class Rehearsal:
         yaw_rate: float | Callable[[], float] = 0.0,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Let the robot live for so many wall-clock seconds, or until `stop` says so.
+        """Run the robot for so many wall-clock seconds, or until `stop` returns true.
 
         Its yaw rate (rad/s) is given, or asked for at each step.
         """
@@ -192,8 +187,7 @@ class Rehearsal:
         ticks = 0
         while not stop() and time.monotonic() - started < seconds:
             for sample in self.ride.step(rate()):
-                for published in [sample] if self.mangle is None else self.mangle(sample):
-                    self.source.publish(published)
+                self.source.publish(sample)
             ticks += 1
             self._spin_until(started + ticks * step)
 
@@ -241,10 +235,12 @@ class Rehearsal:
         # It rests before it is carried off: an up vector that lost messages in a turn follows
         # no jump out of it.
         self._settled_yaw()
-        return [
-            float(wrap_angle(self._settled_yaw() - self.ride.magnetic_yaw))
-            for _ in self._poses(tilts, headings)
-        ]
+        errors = []
+        for roll, pitch in tilts:
+            for k in range(headings):
+                self.ride.stand(math.radians(roll), math.radians(pitch), k * math.tau / headings)
+                errors.append(float(wrap_angle(self._settled_yaw() - self.ride.magnetic_yaw)))
+        return errors
 
     def _settled_yaw(self) -> float:
         """Let the robot stand and return the mean of the yaws once they are of this pose."""
@@ -253,9 +249,3 @@ class Rehearsal:
         if not self._settled_yaws:
             raise MagcalError("no yaw is published")
         return float(np.angle(np.mean(np.exp(1j * np.array(self._settled_yaws)))))
-
-    def _poses(self, tilts: Sequence[tuple[float, float]], headings: int) -> Iterator[None]:
-        for roll, pitch in tilts:
-            for k in range(headings):
-                self.ride.stand(math.radians(roll), math.radians(pitch), k * math.tau / headings)
-                yield

@@ -40,7 +40,7 @@ class Reporter:
         self._newest: Path | None = None
 
     def begin(self, parent: str, subject: Subject, keep: int) -> str:
-        """Start a report in a new folder and say where it will lie; empty if there is none."""
+        """Start a report in a new folder and return its place in words; empty if there is none."""
         self._newest = None
         if parent == NO_REPORTS:
             return ""
@@ -66,7 +66,7 @@ class Reporter:
     def report(
         self, window: Window, settings: Settings, outcome: Outcome, inputs: Inputs, vehicle: str
     ) -> str:
-        """Begin the report on a turn; returns where it will lie, in words."""
+        """Begin the report on a turn; returns where it will be written, in words."""
         # A node that never calibrates should not load what draws reports.
         from magcal_ros.report import Subject
 

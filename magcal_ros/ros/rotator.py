@@ -1,4 +1,4 @@
-"""Commands the base of a robot that turns itself, and sends zeros at every end.
+"""Commands the base of a robot that turns itself, and sends zeros whenever a turn ends.
 
 A guard in a process of its own stands by from the request until the closing zeros are sent, for the
 cases in which this process can send none.
@@ -31,7 +31,7 @@ ACKNOWLEDGED_WITHIN = 0.2
 
 
 class Rotator:
-    """Publishes velocities, once there is something to say."""
+    """Publishes velocities during a turn."""
 
     def __init__(self, node: Node, guard: Callable[[str, bool, str], Guard] = Guard) -> None:
         self._node, self._start_guard = node, guard
@@ -49,7 +49,7 @@ class Rotator:
 
     @property
     def listeners(self) -> int:
-        """How many hear what is said."""
+        """How many subscribe to the velocities."""
         return 0 if self._out is None else self._out.get_subscription_count()
 
     def prepare(self, rotation: Rotation) -> None:
@@ -72,7 +72,7 @@ class Rotator:
             )
 
     def move(self, rate: float) -> None:
-        """Tell the base to turn at a rate, rad/s; nothing is said once the robot was halted."""
+        """Command the base to turn at a rate, rad/s; nothing is sent after `halt`."""
         with self._lock:
             if not self._halted:
                 if self._guard is not None:
@@ -81,18 +81,18 @@ class Rotator:
                 self._may_move = True
 
     def rest(self) -> None:
-        """Note that enough zeros were sent; the guard may go."""
+        """Note that enough zeros were sent, and end the guard."""
         self._may_move = False
         self._dismiss_guard()
 
     def halt(self) -> None:
         """Stop the robot for good, from any thread; returns when the zeros are on their way."""
-        # Whoever comes second waits: the context must not go before the zeros have gone.
+        # A second caller waits: the context must not end before the zeros have been sent.
         with self._halting:
             with self._lock:
                 was_halted, self._halted = self._halted, True
             if self._may_move and not was_halted:
-                # The context may be gone already: then the guard has the last word.
+                # The context may have ended already: then the guard sends the zeros.
                 with contextlib.suppress(Exception):
                     self._send_last_zeros()
                     self._dismiss_guard()

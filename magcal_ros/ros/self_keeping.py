@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +40,7 @@ class SelfKeeping:
 
     def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
         self._magnetometer, self._say = magnetometer, node.get_logger().info
-        self._machine = SelfCalibration()
+        self.machine = SelfCalibration()
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
         self._sensors = ""
@@ -53,44 +55,37 @@ class SelfKeeping:
         """Take a field sample with the newest IMU sample and what the vehicle does."""
         if imu is None or not math.isfinite(imu.rate[0]):
             return
-        if self._machine.add(sample.stamp, sample.field, imu.force, imu.rate, travel.speed):
+        if self.machine.add(sample.stamp, sample.field, imu.force, imu.rate, travel.speed):
             self._look()
-
-    def use(self, calibration: Calibration | None) -> None:
-        """Take note of what is in force."""
-        self._machine.put_in_force(calibration)
 
     def note_sensors(self, sensors: str) -> None:
         """Take note of the present sensors: data of others does not count."""
         if self._sensors and sensors != self._sensors:
-            self._machine.forget()
+            self.machine.forget()
         self._sensors = sensors
 
     def follow(self, mode: str, reports: str) -> None:
-        """Look after the rest, once a second."""
+        """Take the mode and the folder of the reports, once a second."""
         self._jobs.deliver()
         self._reports = reports
         self._idle += 1
-        if self._machine.mode is not Mode(mode):
-            self._machine.mode = Mode(mode)
-            self._machine.forget()
+        if self.machine.mode is not Mode(mode):
+            self.machine.mode = Mode(mode)
+            self.machine.forget()
         if self._idle == IDLE_LOOKS:
             self.worker.stop()
 
     @property
-    def proposal(self) -> Calibration | None:
-        """What waits for a person's word."""
-        return self._machine.proposal
-
-    def accept(self, tell: Tell) -> None:
-        """Put what is proposed in force; there must be something."""
-        proposal = self._machine.proposal
-        assert proposal is not None
-        self._magnetometer.use(proposal.on_users_word(), tell)
+    def accept(self) -> Callable[[Tell], None] | None:
+        """What puts the proposal in force; None without one."""
+        proposal = self.machine.proposal
+        if proposal is None:
+            return None
+        return partial(self._magnetometer.use, proposal.on_users_word())
 
     def facts(self) -> dict[str, Any]:
         """Return the part of `~/status` on self-calibration."""
-        machine = self._machine
+        machine = self.machine
         return {
             "mode": machine.mode.value,
             "doing": machine.in_words,
@@ -112,11 +107,11 @@ class SelfKeeping:
         if knowledge is None:
             return
         self._idle = 0
-        job = self._machine.job(knowledge)
-        self._jobs.run(lambda: self.worker.run(run_kindly, job), self._note, self._lost)
+        job = self.machine.job(knowledge)
+        self._jobs.run(lambda: self.worker.run(run_with_low_priority, job), self._note, self._lost)
 
     def _lost(self, error: Exception) -> None:
-        self._machine.fail()
+        self.machine.fail()
         if not isinstance(error, Stopped):
             self.lost += 1
             self.trouble = f"self-calibration: no fit was finished lately: {in_words(error)}"
@@ -124,7 +119,7 @@ class SelfKeeping:
 
     def _note(self, findings: Findings) -> None:
         self.trouble = ""
-        for decision in self._machine.note(findings):
+        for decision in self.machine.note(findings):
             self._tell(f"{decision.verb.value.replace('_', ' ')}: {decision.words}")
             if decision.calibration is not None:
                 self._leave_page(decision.calibration)
@@ -142,12 +137,12 @@ class SelfKeeping:
         self._say(f"self-calibration: {words}")
 
     def _leave_page(self, calibration: Calibration) -> None:
-        """Have a page written on the drive, the samples used and the decisions."""
+        """Write a page on the drive, the samples used and the decisions."""
         if self._reports == NO_REPORTS:
             return
         from magcal_ros.core.keeping.story import DriveStory
 
-        machine = self._machine
+        machine = self.machine
         decisions = tuple((made.clock, made) for made in machine.decisions)
         before = self._magnetometer.keeper.calibration
         story = DriveStory(
@@ -161,8 +156,8 @@ class SelfKeeping:
         )
 
 
-def run_kindly(job: DriveJob) -> Findings:
-    """Do a job in a process that lets all others go first; only there is loaded what it takes."""
+def run_with_low_priority(job: DriveJob) -> Findings:
+    """Do a job in the worker process at low priority; only there is loaded what it takes."""
     from magcal_ros.core.keeping.worker import answer
 
     if hasattr(os, "setpriority"):

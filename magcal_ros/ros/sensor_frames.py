@@ -44,9 +44,9 @@ MOST_FRAMES = 10_000
 
 
 class Description:
-    """Keeps what `robot_description` and the static transforms contain, once `listen` is called.
+    """Keeps the joints of `robot_description` and the static transforms, once `listen` is called.
 
-    Both are whatever the network sends. They are read in a thread of their own, and no more than
+    The network may send anything there. Both are read in a thread of their own, and no more than
     `LARGEST` bytes at a time.
     """
 
@@ -66,7 +66,7 @@ class Description:
         return self._tree
 
     def listen(self) -> None:
-        """Hear what is described from now on."""
+        """Subscribe to the description."""
         if self._is_listening:
             return
         self._is_listening = True

@@ -22,26 +22,22 @@ from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.disk import plain
 from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
-from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.self_keeping import SelfKeeping
-from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.wire import diagnostic
 
 
 def status_json(
     first: Magnetometer,
-    reference: Reference,
-    turns_itself: bool,
-    travel: Travel,
-    keeping: SelfKeeping,
     magnetometers: Magnetometers,
-    motors: Motors,
-    known_headings: KnownHeadings,
+    reference: Reference,
+    parts: Mapping[str, Any],
 ) -> str:
-    """Return the content of `~/status`: one JSON object, stable keys, people's units."""
+    """Return the content of `~/status`: one JSON object, stable keys, people's units.
+
+    `parts` are entries that others give.
+    """
     keeper, streams, turn = first.keeper, first.inputs.streams, first.control.turn
     state = magnetometers.state.value
     if magnetometers.state is TurnState.IDLE:
@@ -53,7 +49,6 @@ def status_json(
         "state": state,
         "north": reference.north,
         "reference": reference.facts,
-        "turns_itself": turns_itself,
         "progress": _progress(turn.progress),
         "answer": None if conclusion is None else asdict(conclusion),
         "verdict": None if outcome is None else _verdict(outcome.verdict),
@@ -61,17 +56,13 @@ def status_json(
         "several": None if several is None else several.facts(),
         "calibration": _calibration(keeper),
         "watch": None if first.watch is None else _watch(first.watch.watched),
-        "vehicle_yaw_offset": _vehicle_yaw(travel),
-        "drive": travel.facts(),
-        "self_calibration": keeping.facts(),
         "magnetometers": magnetometers.facts(),
-        "motors": motors.facts(first.compass),
-        "known_headings": known_headings.facts(),
         "dropped": {
             "imu": {drop.value: n for drop, n in streams.imu_drops.items()},
             "field": {drop.value: n for drop, n in streams.field_drops.items()},
         },
         "complaints": first.inputs.complaints(),
+        **parts,
     }
     return json.dumps(content, ensure_ascii=False)
 
@@ -113,18 +104,6 @@ def _watch(watched: Watched) -> Mapping[str, Any]:
         "stale": watched.is_stale,
         "summary": watched.summary,
         "findings": {f.key: round(f.value or 0.0, 2) for f in watched.findings},
-    }
-
-
-def _vehicle_yaw(travel: Travel) -> Mapping[str, Any] | None:
-    yaw = travel.yaw
-    if yaw is None:
-        return None
-    return {
-        "deg": round(math.degrees(yaw.offset), 2),
-        "sigma_deg": round(math.degrees(yaw.sigma), 2),
-        "by": yaw.source,
-        "words": yaw.words,
     }
 
 

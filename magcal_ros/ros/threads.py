@@ -1,4 +1,4 @@
-"""The node's threads: one for the messages of the sensors, others for work that takes long.
+"""The node's threads: one for the messages of the sensors, others for long computations.
 
 For each message rclpy's executor gathers everything the node owns, builds a wait set of it and
 makes a task of the callback, twice over: most of what a rclpy node costs. Here the sensors have a
@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from queue import SimpleQueue
 from threading import Lock
 from typing import Any, TypeVar
@@ -41,7 +41,7 @@ FOR_EVER = -1
 
 
 class SensorGroup(CallbackGroup):
-    """Keeps subscriptions from rclpy's executor for as long as a `SensorLoop` serves them.
+    """Keeps subscriptions from rclpy's executor while a thread of the `Spinner` serves them.
 
     Their events of the middleware (a publisher of another type) are kept from it too: in a wait set
     they are woken by each message. While `is_open`, as at first, rclpy's executor serves them.
@@ -61,112 +61,6 @@ class SensorGroup(CallbackGroup):
 
     def ending_execution(self, _: Any) -> None:
         """Nothing has to be noted: one thread calls back at a time."""
-
-
-class SensorLoop:
-    """A thread that takes the messages of chosen subscriptions and calls back, under a lock.
-
-    `note` is given what a callback raised; the loop goes on. `give_up` is called in the loop's
-    thread, with the group open again, if a call of rclpy has failed. Messages of `unhurried`
-    subscriptions wake nothing and are taken with the next of the others.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        subscriptions: Sequence[Subscription],
-        group: SensorGroup,
-        lock: AbstractContextManager[None],
-        note: Callable[[Exception], None],
-        give_up: Callable[[Exception], None],
-        unhurried: Sequence[Subscription] = (),
-    ) -> None:
-        self._node = node
-        self._awaited = tuple(subscriptions)
-        self._subscriptions = (*subscriptions, *unhurried)
-        self._group = group
-        self._lock = lock
-        self._note = note
-        self._give_up = give_up
-        self._is_over = False
-        self._guard: GuardCondition | None = None
-        self._thread = threading.Thread(target=self._run, name="magcal-sensors", daemon=True)
-
-    def start(self) -> None:
-        """Take the subscriptions over."""
-        try:
-            # One of the node would be gone with it, and nothing left to end the thread with.
-            self._guard = GuardCondition(None, None, context=self._node.context)
-            self._group.is_open = False
-            self._thread.start()
-        except Exception as error:
-            self._hand_back(error)
-
-    def end(self) -> None:
-        """Serve nothing any more once the callback that runs has returned; from any thread."""
-        self._is_over = True
-        if self._thread.is_alive() and self._guard is not None:
-            self._guard.trigger()
-
-    def join(self, timeout: float | None = None) -> bool:
-        """Wait until the thread has ended; returns whether it has."""
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
-            self._thread.join(timeout)
-        return not self._thread.is_alive()
-
-    def _run(self) -> None:
-        try:
-            self._serve()
-        except Exception as error:
-            # When the context is gone its parts fail, and there is nothing left to serve.
-            if self._node.context.ok() and not self._is_over:
-                self._hand_back(error)
-
-    def _hand_back(self, error: Exception) -> None:
-        self._group.is_open = True
-        self._give_up(error)
-
-    def _serve(self) -> None:
-        # Imported where its absence can be survived.
-        from rclpy.impl.implementation_singleton import rclpy_implementation
-
-        assert self._guard is not None
-        # Their types promise less than there is.
-        context: Any = self._node.context
-        new_wait_set: Any = rclpy_implementation.WaitSet
-        guard = self._guard.handle
-        served: list[Any] = [subscription.handle for subscription in self._subscriptions]
-        handles: list[Any] = [subscription.handle for subscription in self._awaited]
-        with ExitStack() as in_use:
-            for handle in (context.handle, guard, *served):
-                # Nothing of it is destroyed while it is waited for.
-                in_use.enter_context(handle)
-            wait_set = new_wait_set(len(handles), 1, 0, 0, 0, 0, context.handle)
-            while not self._is_over and context.ok():
-                wait_set.clear_entities()
-                for handle in handles:
-                    wait_set.add_subscription(handle)
-                wait_set.add_guard_condition(guard)
-                wait_set.wait(FOR_EVER)
-                with self._lock:
-                    self._hand_on_all()
-
-    def _hand_on_all(self) -> None:
-        for subscription in self._subscriptions:
-            if not self._is_over:
-                self._hand_on(subscription)
-
-    def _hand_on(self, subscription: Any) -> None:
-        take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
-        for _ in range(MOST_AT_ONCE):
-            taken = take(kind, raw)
-            if taken is None:
-                return
-            message = taken[0]
-            try:
-                subscription.callback(message)
-            except Exception as error:
-                self._note(error)
 
 
 class FairLock:
@@ -191,8 +85,9 @@ class Spinner:
     """Serves a node, one callback at a time, and chosen subscriptions with the least effort.
 
     rclpy's executor finds what is ready, and the handlers it returns are called here, under a lock
-    that is shared with the loop of the subscriptions. An error in a callback is noted and ends
-    nothing.
+    that is shared with a thread that serves the subscriptions. Messages of `unhurried` ones wake
+    nothing and are taken with the next of the others. An error in a callback is noted and ends
+    nothing. If a call of rclpy fails in that thread, rclpy's executor serves the subscriptions.
     """
 
     def __init__(
@@ -203,16 +98,16 @@ class Spinner:
         note: Callable[[Exception], None],
         unhurried: Sequence[Subscription] = (),
     ) -> None:
-        self._node = node
-        self._note_error = note
+        self._node, self._group, self._note_error = node, group, note
+        self._awaited = tuple(subscriptions)
+        self._subscriptions = (*subscriptions, *unhurried)
         self._is_over = self._is_started = False
         self._lock, self._waking = FairLock(), Lock()
         self._waiting: set[Future] = set()
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
-        self._loop = SensorLoop(
-            node, subscriptions, group, self._lock, self._note, self._say_and_go_on, unhurried
-        )
+        self._guard: GuardCondition | None = None
+        self._thread = threading.Thread(target=self._run, name="magcal-sensors", daemon=True)
 
     def spin(self) -> None:
         """Serve the node until `end` is called; ExternalShutdownException if the context ends."""
@@ -226,7 +121,7 @@ class Spinner:
         """
         if not self._is_started:
             self._is_started = True
-            self._loop.start()
+            self._start_thread()
         try:
             ready: Any = self._executor.wait_for_ready_callbacks(timeout_sec, None, self._has_ended)
         except (TimeoutException, ConditionReachedException, ShutdownException):
@@ -244,20 +139,23 @@ class Spinner:
                 if handler.exception() is not None:
                     _release(entity)
             else:
-                # Who resumes a coroutine, and by which handler, is rclpy's own affair.
+                # rclpy decides by which handler a coroutine is resumed.
                 self._waiting.add(handler)
                 handler.add_done_callback(self._look_at)
 
     def end(self) -> None:
         """Let `spin` and `spin_once` return, for good; from any thread."""
         self._is_over = True
-        self._loop.end()
+        if self._thread.is_alive() and self._guard is not None:
+            self._guard.trigger()
         self._wake()
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Stop; returns whether the callbacks of the subscriptions have ended in time."""
         self.end()
-        has_ended = self._loop.join(timeout_sec)
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(timeout_sec)
+        has_ended = not self._thread.is_alive()
         with self._waking:
             return self._executor.shutdown(timeout_sec) and has_ended
 
@@ -267,6 +165,7 @@ class Spinner:
             self._executor.wake()
 
     def _has_ended(self) -> bool:
+        # Given another function, rclpy forgets all else that was ready.
         return self._is_over
 
     def _look_at(self, handler: Future) -> None:
@@ -280,12 +179,69 @@ class Spinner:
         if self._node.context.ok():
             self._note_error(error)
 
-    def _say_and_go_on(self, error: Exception) -> None:
+    def _start_thread(self) -> None:
+        try:
+            # One of the node would be gone with it, and nothing left to end the thread with.
+            self._guard = GuardCondition(None, None, context=self._node.context)
+            self._group.is_open = False
+            self._thread.start()
+        except Exception as error:
+            self._hand_back(error)
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except Exception as error:
+            # When the context is gone its parts fail, and there is nothing left to serve.
+            if self._node.context.ok() and not self._is_over:
+                self._hand_back(error)
+
+    def _hand_back(self, error: Exception) -> None:
+        self._group.is_open = True
         self._node.get_logger().warning(
             f"this rclpy is unlike those known ({type(error).__name__}: {error}): rclpy's own "
             "executor serves the sensors from now on, at more CPU"
         )
         self._wake()
+
+    def _serve(self) -> None:
+        # Imported where its absence can be survived.
+        from rclpy.impl.implementation_singleton import rclpy_implementation
+
+        assert self._guard is not None
+        # Their types promise less than there is.
+        context: Any = self._node.context
+        new_wait_set: Any = rclpy_implementation.WaitSet
+        guard = self._guard.handle
+        served: list[Any] = [subscription.handle for subscription in self._subscriptions]
+        handles: list[Any] = [subscription.handle for subscription in self._awaited]
+        with ExitStack() as in_use:
+            for handle in (context.handle, guard, *served):
+                # Nothing of it is destroyed while it is waited for.
+                in_use.enter_context(handle)
+            wait_set = new_wait_set(len(handles), 1, 0, 0, 0, 0, context.handle)
+            while not self._is_over and context.ok():
+                wait_set.clear_entities()
+                for handle in handles:
+                    wait_set.add_subscription(handle)
+                wait_set.add_guard_condition(guard)
+                wait_set.wait(FOR_EVER)
+                with self._lock:
+                    for subscription in self._subscriptions:
+                        if not self._is_over:
+                            self._hand_on(subscription)
+
+    def _hand_on(self, subscription: Any) -> None:
+        take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
+        for _ in range(MOST_AT_ONCE):
+            taken = take(kind, raw)
+            if taken is None:
+                return
+            message = taken[0]
+            try:
+                subscription.callback(message)
+            except Exception as error:
+                self._note(error)
 
 
 def _release(entity: Any) -> None:

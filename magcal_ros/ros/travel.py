@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any, TypeAlias
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
@@ -39,7 +40,12 @@ from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
 from magcal_ros.ros.wire import Unreadable
 
-Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
+Sample: TypeAlias = SpeedSample | VelocitySample | Fix
+RECEIVED: tuple[tuple[SpeedSource, type, str, Callable[[bytes], Sample | str]], ...] = (
+    (SpeedSource.ODOMETRY, Odometry, "odom", wire.read_speed),
+    (SpeedSource.VELOCITY, TwistStamped, "gps/vel", wire.read_velocity),
+    (SpeedSource.FIXES, NavSatFix, "gps/fix", wire.read_fix),
+)
 
 BETTER = 0.7
 """Share of the sigma that is kept, below which a newly found yaw is kept instead."""
@@ -60,34 +66,34 @@ class Travel:
     ) -> None:
         self._node, self._thread, self._tell_fix = node, thread, on_fix
         self._plane = LocalPlane()
-        self._odd: dict[str, str] = {}
-        self._topics: dict[SpeedSource | None, str] = {
-            SpeedSource.ODOMETRY: node.resolve_topic_name("odom"),
-            SpeedSource.VELOCITY: node.resolve_topic_name("gps/vel"),
-            SpeedSource.FIXES: node.resolve_topic_name("gps/fix"),
-        }
+        self._unusable: dict[str, str] = {}
+        self._topics: dict[SpeedSource | None, str] = {}
         self._travelling = Travelling(run=self._run)
         self.front = Front()
         self.kept: VehicleYaw | None = None
         """The yaw that lies beside the calibration in force."""
-        self.subscriptions = [
-            node.create_subscription(
-                kind, topic, callback, SENSOR_DATA, raw=True, callback_group=group
+        self.subscriptions = []
+        for source, kind, topic, read in RECEIVED:
+            self._topics[source] = node.resolve_topic_name(topic)
+            take = partial(self._take, source, read)
+            subscription = node.create_subscription(
+                kind, topic, take, SENSOR_DATA, raw=True, callback_group=group
             )
-            for kind, topic, callback in (
-                (Odometry, "odom", self._on_odometry),
-                (TwistStamped, "gps/vel", self._on_velocity),
-                (NavSatFix, "gps/fix", self._on_fix),
-            )
-        ]
+            self.subscriptions.append(subscription)
 
     @property
     def yaw(self) -> VehicleYaw | None:
         """How the IMU sits in the vehicle: what is found now, else what was kept."""
-        found, kept = self.front.yaw, self.kept
-        if found is None or (kept is not None and found.sigma > kept.sigma and _agree(found, kept)):
-            return kept
-        return found
+        found = self.front.yaw
+        return found if found is not None and self._is_better(found, 1.0) else self.kept
+
+    def _is_better(self, found: VehicleYaw, share: float) -> bool:
+        """Whether a yaw is known to a share of the sigma that is kept, or contradicts what is."""
+        kept = self.kept
+        if kept is None or found.sigma <= share * kept.sigma:
+            return True
+        gap = math.remainder(found.offset - kept.offset, math.tau)
+        return abs(gap) >= 3.0 * math.hypot(found.sigma, kept.sigma)
 
     def on_imu(self, sample: ImuSample, follower: UpFollower) -> Triple | None:
         """Take an IMU sample; returns the vehicle's own acceleration, m/s², where it is known."""
@@ -125,8 +131,8 @@ class Travel:
             self.kept = kept
             self._travelling.believe(kept.offset, kept.sigma)
 
-    def look(self, reference: ReferenceField) -> VehicleYaw | None:
-        """Compare what is known, once a second; returns a yaw that is to be kept, if there is."""
+    def _find_front(self, reference: ReferenceField) -> VehicleYaw | None:
+        """Estimate the front again; returns a yaw that is to be kept, if there is one."""
         travelling = self._travelling
         if not travelling.is_heard:
             return None
@@ -134,10 +140,8 @@ class Travel:
         sigma = reference.declination_sigma
         declination = Declination() if known is None else Declination(known, sigma)
         self.front = where_is_the_front(travelling.known_mounting, travelling.course, declination)
-        found, kept = self.front.yaw, self.kept
-        if found is None or found.sigma > FRONT.useful:
-            return None
-        if kept is not None and found.sigma > BETTER * kept.sigma and _agree(found, kept):
+        found = self.front.yaw
+        if found is None or found.sigma > FRONT.useful or not self._is_better(found, BETTER):
             return None
         self.kept = found
         return found
@@ -145,8 +149,8 @@ class Travel:
     def follow(
         self, reference: ReferenceField, frames: SensorFrames, announcer: Announcer
     ) -> VehicleYaw | None:
-        """Use what is known, once a second, and say what is new; returns what is to be kept."""
-        news = self.look(reference)
+        """Use what is known, once a second, and log what is new; returns what is to be kept."""
+        news = self._find_front(reference)
         frames.note_vehicle_yaw(self.yaw)
         if self.verdict:
             announcer.tell("course", self.verdict, wrong=True)
@@ -163,18 +167,26 @@ class Travel:
             for source, fault in watch.faults.items()
             if source in watch.seen
         ]
-        words += [f"{topic}: {why}" for topic, why in self._odd.items()]
+        words += [f"{topic}: {why}" for topic, why in self._unusable.items()]
         if self.front.suspicion:
             words.append(self.front.suspicion)
         return words
 
     @property
     def verdict(self) -> str:
-        """What course says against the calibration in force; empty if nothing."""
+        """Why the course contradicts the calibration in force; empty if it does not."""
         if self._travelling.known_mounting is None:
             # A vehicle that moves sideways would make every compass look wrong.
             return ""
         return course_fault(check_by_course(self._travelling.course))
+
+    def yaw_facts(self) -> dict[str, Any] | None:
+        """Return the part of `~/status` on the yaw of the IMU in the vehicle; None if unknown."""
+        yaw = self.yaw
+        if yaw is None:
+            return None
+        deg, sigma = (round(math.degrees(angle), 2) for angle in (yaw.offset, yaw.sigma))
+        return {"deg": deg, "sigma_deg": sigma, "by": yaw.source, "words": yaw.words}
 
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the drive; None where no speed and no fix came."""
@@ -195,7 +207,7 @@ class Travel:
         }
 
     def diagnostics(self, name: str) -> list[DiagnosticStatus]:
-        """Say what the drive has shown so far; nothing where no speed and no fix has come."""
+        """Return what the drive has shown so far; nothing where no speed and no fix has come."""
         if not self._travelling.is_heard:
             return []
         yaw, verdict = self.yaw, self.verdict
@@ -212,47 +224,30 @@ class Travel:
 
         self._thread.run(work, then, fail)
 
-    def _on_odometry(self, data: bytes) -> None:
-        if not self._travelling.wants_speed(wire.read_stamp(data)):
-            return
-        sample = self._read(SpeedSource.ODOMETRY, wire.read_speed, data)
-        if sample is not None:
-            self._travelling.add_travel(sample)
-
-    def _on_velocity(self, data: bytes) -> None:
-        sample = self._read(SpeedSource.VELOCITY, wire.read_velocity, data)
-        if sample is not None:
-            self._travelling.add_travel(sample)
-
-    def _on_fix(self, data: bytes) -> None:
-        fix = self._read(SpeedSource.FIXES, wire.read_fix, data)
-        if fix is None:
-            return
-        # What is wrong with fixes is said where the place is looked up.
-        self._tell_fix(fix)
-        position = self._plane.position(fix)
-        if position is not None:
-            self._travelling.add_travel(position)
-
-    def _read(
+    def _take(
         self, source: SpeedSource, read: Callable[[bytes], Sample | str], data: bytes
-    ) -> Sample | None:
-        """Return the sample that bytes hold; where they hold none, keep why as a complaint."""
+    ) -> None:
+        """Take a message; where it holds no sample, keep why as a complaint."""
+        if source is SpeedSource.ODOMETRY and not self._travelling.wants_speed(
+            wire.read_stamp(data)
+        ):
+            return
         try:
             found = read(data)
         except Unreadable as error:
             found = str(error)
-        topic = self._topics[source]
         if isinstance(found, str):
-            self._odd[topic] = found
-            return None
-        self._odd.pop(topic, None)
-        return found
-
-
-def _agree(one: VehicleYaw, other: VehicleYaw) -> bool:
-    gap = math.remainder(one.offset - other.offset, math.tau)
-    return abs(gap) < 3.0 * math.hypot(one.sigma, other.sigma)
+            self._unusable[self._topics[source]] = found
+            return
+        self._unusable.pop(self._topics[source], None)
+        if not isinstance(found, Fix):
+            self._travelling.add_travel(found)
+            return
+        # What is wrong with fixes is said where the place is looked up.
+        self._tell_fix(found)
+        position = self._plane.position(found)
+        if position is not None:
+            self._travelling.add_travel(position)
 
 
 def _degrees(angle: float) -> float | None:

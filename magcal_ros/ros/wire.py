@@ -8,6 +8,7 @@ through rclpy.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import struct
 from collections.abc import Callable, Mapping
@@ -15,33 +16,27 @@ from functools import lru_cache
 from struct import Struct
 from typing import Any, NamedTuple, TypeVar
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, MagneticField, NavSatFix
-from std_msgs.msg import Float64
 
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.attitude import true_yaw
-from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Heading
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.messages import ABSENT, field_sample, fix_of, imu_sample, speed_of, velocity_of
+from magcal_ros.core.messages import ABSENT
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.files import wire
-from magcal_ros.files.wire import CDR_START, fix_in, is_plain_cdr, speed_in, stamp_in, velocity_in
+from magcal_ros.files.wire import CDR, CDR_START, frame_of, is_plain_cdr
 
 T = TypeVar("T")
 
 STAMP = struct.Struct("<iI")
-_STAMP_PLACE = slice(wire.CDR_START, wire.CDR_START + STAMP.size)
-_COVARIANCE = struct.Struct("<9d")
-_parse_imu = wire.imu_parser(wire.CDR)
-_parse_field = wire.field_parser(wire.CDR)
-_frame_of = lru_cache(maxsize=8)(wire.frame_of)
+_STAMP_END = CDR_START + STAMP.size
+_STAMP_PLACE = slice(CDR_START, _STAMP_END)
+_frame_of = lru_cache(maxsize=8)(frame_of)
 
 
 class Unreadable(MagcalError):
@@ -69,100 +64,87 @@ class FieldArrival(NamedTuple):
     """Nine little-endian doubles, row-major, T²."""
 
 
-def _in_place(data: bytes, parse: Callable[[bytes], T]) -> T | None:
-    """Return what bytes hold; None where rclpy has to read them."""
-    if is_plain_cdr(data):
-        try:
-            return parse(data)
-        except struct.error:
-            pass
-    return None
-
-
-def read_imu(data: bytes) -> ImuArrival:
-    """Return the content of a serialized sensor_msgs/Imu; Unreadable if it is none."""
-    if (found := _in_place(data, _parse_imu)) is not None:
-        frame, sample = found
-        return ImuArrival(_frame_of(frame), sample, data[_STAMP_PLACE])
-    message = by_rclpy(data, Imu)
-    return ImuArrival(message.header.frame_id, imu_sample(message), _packed(message.header.stamp))
-
-
-def read_field(data: bytes) -> FieldArrival:
-    """Return the content of a serialized sensor_msgs/MagneticField; Unreadable if it is none."""
-    if (found := _in_place(data, _parse_field)) is not None:
-        frame, sample, covariance = found
-        return FieldArrival(_frame_of(frame), sample, data[_STAMP_PLACE], covariance)
-    message = by_rclpy(data, MagneticField)
-    return FieldArrival(
-        message.header.frame_id,
-        field_sample(message),
-        _packed(message.header.stamp),
-        _COVARIANCE.pack(*message.magnetic_field_covariance),
-    )
-
-
-def _travel_reader(
-    kind: type, from_bytes: Callable[[bytes], T], from_message: Callable[[Any], T]
-) -> Callable[[bytes], T]:
-    """Return what reads a message, and raises `Unreadable` if it is none."""
+def _reader(kind: type, parse: Callable[[bytes], T]) -> Callable[[bytes], T]:
+    """Return what reads a serialized message; it raises `Unreadable` if the bytes are none."""
 
     def read(data: bytes) -> T:
-        found = _in_place(data, from_bytes)
-        return from_message(by_rclpy(data, kind)) if found is None else found
+        if is_plain_cdr(data):
+            try:
+                return parse(data)
+            except struct.error:
+                pass
+        try:
+            return parse(serialize_message(by_rclpy(data, kind)))
+        except struct.error as error:
+            raise Unreadable(f"a {kind.__name__} that is laid out in an unknown way") from error
 
     return read
 
 
+def _imu(data: bytes) -> ImuArrival:
+    frame, sample = CDR.imu(data)
+    return ImuArrival(_frame_of(frame), sample, data[_STAMP_PLACE])
+
+
+def _field(data: bytes) -> FieldArrival:
+    frame, sample, covariance = CDR.field(data)
+    return FieldArrival(_frame_of(frame), sample, data[_STAMP_PLACE], covariance)
+
+
+read_imu = _reader(Imu, _imu)
+read_field = _reader(MagneticField, _field)
+read_heading = _reader(Imu, CDR.heading)
+read_speed = _reader(Odometry, CDR.speed)
+read_velocity = _reader(TwistStamped, CDR.velocity)
+read_fix = _reader(NavSatFix, CDR.fix)
+
+
 def read_stamp(data: bytes) -> float:
     """Return the stamp of a message with a header, seconds; NaN if it is laid out otherwise."""
-    found = _in_place(data, stamp_in)
-    return math.nan if found is None else found
-
-
-read_speed = _travel_reader(Odometry, speed_in, speed_of)
-read_velocity = _travel_reader(TwistStamped, velocity_in, velocity_of)
-read_fix = _travel_reader(NavSatFix, fix_in, fix_of)
-
-
-def _packed(stamp: Time) -> bytes:
-    return STAMP.pack(stamp.sec, stamp.nanosec)
+    with contextlib.suppress(struct.error):
+        if is_plain_cdr(data):
+            return CDR.header(data)[0]
+    return math.nan
 
 
 def by_rclpy(data: bytes, kind: type) -> Any:
     """Return a message of any kind; Unreadable if the bytes are none."""
     try:
         return deserialize_message(data, kind)
-    except Exception as error:  # rclpy has several roots, and a message from outside no manners
+    except (
+        Exception
+    ) as error:  # rclpy has several base classes of errors, and the bytes may be anything
         raise Unreadable(f"bytes that are no {kind.__name__}: {error}") from error
 
 
 DOUBLE = 8
-_STAMP_END = CDR_START + STAMP.size
 _FRAME_PLACE = _STAMP_END + 4
 """After the stamp comes the frame's length in four bytes."""
 
 
 class Template:
-    """A message with header, and doubles that begin right after it."""
+    """A message with a header and doubles right after it, that is filled again and again.
 
-    def __init__(self, message: Any, doubles: int) -> None:
-        self._message = message
+    `put` sets the doubles in the message itself, where rclpy lays it out otherwise.
+    """
+
+    def __init__(
+        self, message: Any, doubles: int, put: Callable[[Any, tuple[float, ...]], None]
+    ) -> None:
+        self._message, self._put = message, put
         self._body = Struct(f"<{doubles}d")
         self._frame: str | None = None
         self._data: bytearray | None = None
         self._place = 0
 
-    def _filled(
-        self, stamp: bytes, frame: str, numbers: tuple[float, ...], put: Callable[[Any], None]
-    ) -> Any:
-        """Return the message as bytes; itself, after `put`, where rclpy lays it out otherwise."""
+    def fill(self, stamp: bytes, frame: str, numbers: tuple[float, ...]) -> Any:
+        """Return what to publish: the message as bytes, or itself."""
         if frame != self._frame:
             self._lay_out(frame)
         if self._data is None:
             header = self._message.header
             header.stamp.sec, header.stamp.nanosec = STAMP.unpack(stamp)
-            put(self._message)
+            self._put(self._message, numbers)
             return self._message
         self._data[CDR_START:_STAMP_END] = stamp
         self._body.pack_into(self._data, self._place, *numbers)
@@ -177,68 +159,29 @@ class Template:
         self._data = bytearray(data) if fits else None
 
 
-class FieldTemplate(Template):
-    """A sensor_msgs/MagneticField."""
+def field_template() -> Template:
+    """Return a sensor_msgs/MagneticField to fill: tesla, and the covariance in T²."""
 
-    def __init__(self) -> None:
-        super().__init__(MagneticField(), 3 + 9)
+    def put(message: MagneticField, numbers: tuple[float, ...]) -> None:
+        vector = message.magnetic_field
+        vector.x, vector.y, vector.z = numbers[:3]
+        message.magnetic_field_covariance = numbers[3:]
 
-    def fill(self, stamp: bytes, frame: str, field: Triple, covariance: tuple[float, ...]) -> Any:
-        """Return what to publish for a field (tesla) and its covariance (T²)."""
-
-        def put(message: MagneticField) -> None:
-            vector = message.magnetic_field
-            vector.x, vector.y, vector.z = field
-            message.magnetic_field_covariance = covariance
-
-        return self._filled(stamp, frame, field + covariance, put)
+    return Template(MagneticField(), 3 + 9, put)
 
 
-class AttitudeTemplate(Template):
-    """A sensor_msgs/Imu with an orientation; rates and accelerations are marked absent."""
+def attitude_template() -> Template:
+    """Return a sensor_msgs/Imu to fill: quaternion and covariance; all else is marked absent."""
 
-    def __init__(self) -> None:
-        message = Imu()
-        message.angular_velocity_covariance[0] = ABSENT
-        message.linear_acceleration_covariance[0] = ABSENT
-        super().__init__(message, 4 + 9)
+    def put(message: Imu, numbers: tuple[float, ...]) -> None:
+        q = message.orientation
+        q.x, q.y, q.z, q.w = numbers[:4]
+        message.orientation_covariance = numbers[4:]
 
-    def fill(
-        self,
-        stamp: bytes,
-        frame: str,
-        heading: Heading,
-        declination: float = 0.0,
-        declination_sigma: float = 0.0,
-    ) -> Any:
-        """Return what to publish for a heading; without a declination (rad) to magnetic north."""
-        quaternion = heading.quaternion(declination)
-        covariance = heading.covariance(declination_sigma**2)
-
-        def put(message: Imu) -> None:
-            q = message.orientation
-            q.x, q.y, q.z, q.w = quaternion
-            message.orientation_covariance = covariance
-
-        return self._filled(stamp, frame, quaternion + covariance, put)
-
-
-class NumberTemplate:
-    """A std_msgs/Float64."""
-
-    def __init__(self) -> None:
-        self._message = Float64()
-        data = serialize_message(self._message)
-        fits = is_plain_cdr(data) and len(data) == CDR_START + DOUBLE
-        self._encapsulation = data[:CDR_START] if fits else None
-        self._pack = Struct("<d").pack
-
-    def fill(self, value: float) -> Any:
-        """Return what to publish for a number."""
-        if self._encapsulation is not None:
-            return self._encapsulation + self._pack(value)
-        self._message.data = value
-        return self._message
+    message = Imu()
+    message.angular_velocity_covariance[0] = ABSENT
+    message.linear_acceleration_covariance[0] = ABSENT
+    return Template(message, 4 + 9, put)
 
 
 def bias_message(correction: Correction, frame: str) -> MagneticField:

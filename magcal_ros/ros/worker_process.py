@@ -56,16 +56,11 @@ class WorkerProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._is_over = False
 
-    def start(self) -> subprocess.Popen[bytes]:
-        """Start the process, if it does not run, and return it.
+    def start(self, calls: IO[bytes] | None = None) -> subprocess.Popen[bytes]:
+        """Start the process, if it does not run, and return it; without a file it has a pipe.
 
         Lost if the system cannot start it, or after `end`.
         """
-        import subprocess
-
-        return self._begin(subprocess.PIPE)
-
-    def _begin(self, stdin: int | IO[bytes]) -> subprocess.Popen[bytes]:
         import subprocess
 
         with self._lock:
@@ -75,7 +70,7 @@ class WorkerProcess:
                 try:
                     self._process = start(
                         __name__,
-                        stdin=stdin,
+                        stdin=subprocess.PIPE if calls is None else calls,
                         stdout=subprocess.PIPE,
                         # Ctrl-C in the node's terminal is not meant for it.
                         start_new_session=True,
@@ -105,7 +100,7 @@ class WorkerProcess:
         with tempfile.TemporaryFile() as call:
             call.write(_message((function, arguments)))
             call.seek(0)
-            process = self._begin(call)
+            process = self.start(call)
         try:
             return self._answer(process, b"")
         finally:

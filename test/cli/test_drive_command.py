@@ -55,7 +55,7 @@ def test_a_speed_beside_the_sensors_goes_into_the_log(tmp_path):
     assert {each.name for each in folder.iterdir()} >= {"odom.csv", "gps.csv"}
     with open_recording(folder) as source:
         gathered = Gathering(Mounting())
-        gathered.take(source.readings(), source.travel())
+        gathered.take(source.readings(), source.travel)
     driven = 0.1 * np.nansum(np.abs(gathered.drive().speed))
     assert driven == pytest.approx(drive.truth.metres[-1], rel=0.1)
 

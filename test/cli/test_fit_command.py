@@ -1,4 +1,3 @@
-import io
 import json
 import math
 import os
@@ -12,7 +11,6 @@ from drives import ROBOT, STORE2, drive, message, write_bag, write_csv
 from simulated.turns import slope_rpy
 
 from magcal_ros.cli.main import main
-from magcal_ros.cli.recorded import watched
 from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.simulation import Ride
 from magcal_ros.files.calibration_file import read_calibration
@@ -181,34 +179,6 @@ def test_options_say_what_is_known(fit, tmp_path):
     assert abs(numbers["installation_roll_deg"]) < 0.5
     assert abs(numbers["installation_pitch_deg"]) < 0.5
     assert ROBOT.roll == pytest.approx(np.radians(3.0))
-
-
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
-class Slow:
-    """A source of which every reading takes a millisecond."""
-
-    share = 0.5
-
-    def __init__(self):
-        self.now = 0.0
-
-    def readings(self):
-        for _ in range(20_000):
-            self.now += 1e-3
-            yield None
-
-
-@pytest.mark.parametrize(("out", "lines"), [(io.StringIO(), 3), (Terminal(), 0)])
-def test_progress_is_one_line_on_a_terminal_and_one_in_five_seconds_elsewhere(out, lines):
-    source = Slow()
-    assert sum(1 for _ in watched(source, source.readings(), out, lambda: source.now)) == 20_000
-    assert out.getvalue().count("\n") == lines
-    assert "reading:  50 %" in out.getvalue()
-    assert ("\r" in out.getvalue()) == (lines == 0)
 
 
 class TestRecordings:

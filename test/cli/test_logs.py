@@ -128,6 +128,17 @@ def test_a_long_fit_shows_that_it_goes_on(monkeypatch):
     assert lines[0] == "fitting 7 messages: 0 s"
 
 
+def test_on_a_terminal_one_line_is_drawn_again_and_removed(monkeypatch):
+    monkeypatch.setattr(recorded, "REDRAW", 0.01)
+    out = io.StringIO()
+    out.isatty = lambda: True
+    with recorded.at_work(lambda: "reading, 50 %", out):
+        time.sleep(0.1)
+    assert "\n" not in out.getvalue()
+    assert out.getvalue().count("\rreading, 50 %: 0 s") > 1
+    assert out.getvalue().endswith("\r\x1b[K")
+
+
 class TestASlowImu:
     def slow(self, samples, every):
         """Means over `every` seconds of a drive at 50 Hz, as phones write them."""

@@ -1,17 +1,19 @@
 """Bags read with ROS's own reader give what the library gives."""
 
+import math
 import sys
 
+import numpy as np
 import pytest
+from by_message import fix_of
 from drives import STORE2, drive, message, write_bag
 from ros_bags import rosbag2_py
 
 from magcal_ros.core.earth_field.reference import Place
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.messages import fix_of
 from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.sources import open_recording
-from magcal_ros.files.wire import fix_in
+from magcal_ros.files.wire import CDR
 
 FIX = "sensor_msgs/msg/NavSatFix"
 
@@ -47,7 +49,7 @@ def test_it_reads_what_the_library_reads(tmp_path, samples, kind, span, with_ros
     assert found == expected
     assert (source.imu_topic, source.field_topic) == (by_library.imu_topic, by_library.field_topic)
     assert (source.imu_frame, source.field_frame) == ("imu_link", "mag_link")
-    assert source.share == pytest.approx(1.0, abs=0.02)
+    assert source.count == pytest.approx(len(found), rel=0.05)
 
 
 def test_a_single_file_is_read(tmp_path, samples, with_ros):
@@ -60,7 +62,7 @@ def test_a_place_is_found(tmp_path, samples, with_ros):
     path = write_bag(tmp_path / "bag", [*samples, ("/fix", fix("gps"))])
     with_ros()
     with open_recording(path) as source:
-        assert source.place() == Place(48.1, 11.6, 520.0)
+        assert source.place == Place(48.1, 11.6, 520.0)
 
 
 def fix(frame):
@@ -74,9 +76,24 @@ def fix(frame):
 @pytest.mark.parametrize("length", range(12))
 def test_a_fix_is_read_whatever_the_length_of_its_frame(length):
     whole = fix("x" * length)
-    found = fix_in(bytes(STORE2.serialize_cdr(whole, FIX)))
+    found = CDR.fix(bytes(STORE2.serialize_cdr(whole, FIX)))
     assert found == fix_of(whole)
     assert (found.has_fix, found.latitude_deg, found.altitude) == (True, 48.1, 520.0)
+
+
+def test_headings_and_currents_are_read_from_their_bytes(tmp_path, samples, with_ros):
+    turned = samples[0]._replace(orientation=(0.0, 0.0, math.sin(0.3), math.cos(0.3)))
+    battery = STORE2.types["sensor_msgs/msg/BatteryState"](
+        fix("b").header, 12.0, 20.0, -3.5, *[0.0] * 4, 0, 0, 0, True,
+        np.zeros(0, np.float32), np.zeros(0, np.float32), "", "",
+    )  # fmt: skip
+    extra = [("/antennas", message(STORE2, turned)), ("/battery", battery)]
+    path = write_bag(tmp_path / "bag", [*samples, *extra])
+    with_ros()
+    with open_recording(path, imu="/imu/data_raw") as source:
+        (heading,) = source.headings("/antennas")
+        assert heading.yaw == pytest.approx(0.6)
+        assert source.currents == [(pytest.approx(drive(5.0)[0].stamp), -3.5)]
 
 
 def test_topics_are_not_guessed_and_missing_ones_listed(tmp_path, samples, with_ros):

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from by_message import speed_of, velocity_of
 from drives import STORE2, drive, write_bag
 
-from magcal_ros.core.messages import speed_of, velocity_of
 from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
 from magcal_ros.files.sources import open_recording
-from magcal_ros.files.wire import speed_in, sure_velocity_in, velocity_in
+from magcal_ros.files.wire import CDR
 
 TYPES = STORE2.types
 
@@ -46,7 +46,7 @@ def test_fixes_and_speeds_come_by_their_stamps(tmp_path):
     extra += [("/fix", fix(1002.0, 48.0 + math.degrees(100.0 / 6_371_000.0)))]
     bag = write_bag(tmp_path / "bag", [*drive(90.0), *extra])
     with open_recording(bag) as source:
-        found = source.travel()
+        found = source.travel
     assert [type(sample) for sample in found] == [SpeedSample, PositionSample, PositionSample]
     assert found[0].speed == pytest.approx(-2.0, abs=0.01)
     assert found[2].north == pytest.approx(100.0, abs=0.01)
@@ -70,7 +70,7 @@ def test_a_receivers_velocity_is_heard_and_a_command_is_not(tmp_path, topic, sur
     extra = [("/fix", fix(1001.0, 48.0)), (topic, velocity(1001.0, 3.0, -4.0, sure))]
     extra += [("/cmd_vel", velocity(1001.5, 9.0, 0.0, False))]
     with open_recording(write_bag(tmp_path / "bag", [*drive(90.0), *extra])) as source:
-        _, found = source.travel()
+        _, found = source.travel
     assert found == VelocitySample(1001.0, 3.0, -4.0, pytest.approx(sigma))
 
 
@@ -79,19 +79,19 @@ def test_a_receivers_velocity_is_heard_and_a_command_is_not(tmp_path, topic, sur
 def test_a_velocity_is_read_from_its_bytes(frame, sure):
     message = velocity(12.25, 3.5, -0.1, sure, frame)
     data = bytes(STORE2.serialize_cdr(message, message.__msgtype__))
-    read = sure_velocity_in if sure else velocity_in
+    read = CDR.sure_velocity if sure else CDR.velocity
     assert read(data) == velocity_of(message)
 
 
 def test_a_bag_of_the_sensors_alone_tells_no_travel(tmp_path):
     with open_recording(write_bag(tmp_path / "bag", drive(90.0))) as source:
-        assert source.travel() == []
+        assert source.travel == ()
 
 
 @pytest.mark.parametrize("frame", ["", "o", "od", "odo", "odom", "odom_frame"])
 @pytest.mark.parametrize("child", ["", "b", "base", "base_link"])
 def test_an_odometry_is_read_from_its_bytes(frame, child):
     message = odometry(12.25, 3.5, frame, child)
-    found = speed_in(bytes(STORE2.serialize_cdr(message, "nav_msgs/msg/Odometry")))
+    found = CDR.speed(bytes(STORE2.serialize_cdr(message, "nav_msgs/msg/Odometry")))
     assert found == speed_of(message)
     assert isinstance(found, SpeedSample) or frame == child

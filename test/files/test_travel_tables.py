@@ -22,8 +22,8 @@ def test_speeds_and_fixes_come_by_their_stamps_and_tell_the_place(folder):
         f"t,latitude,longitude\n0.2,nan,11\n0.3,48,11\n0.8,{48.0 + step!r},11\n"
     )
     with open_recording(folder) as source:
-        first, speed, _, second = source.travel()
-        assert source.place().latitude_deg == 48.0
+        first, speed, _, second = source.travel
+        assert source.place.latitude_deg == 48.0
     # Time that begins at zero is moved to one second for all alike.
     shift = first.stamp - 0.3
     assert speed == SpeedSample(pytest.approx(0.5 + shift), -2.0)
@@ -34,15 +34,15 @@ def test_speeds_and_fixes_come_by_their_stamps_and_tell_the_place(folder):
 def test_places_in_metres_do_as_well_and_a_span_cuts_them(folder):
     (folder / "gps.csv").write_text("t,east,north\n0.3,1,2\n0.9,3,4\n")
     with open_recording(folder, start=0.5) as source:
-        (found,) = source.travel()
-        assert source.place() is None
+        (found,) = source.travel
+        assert source.place is None
     assert isinstance(found, PositionSample)
     assert (found.east, found.north) == (3.0, 4.0)
 
 
 def test_a_folder_of_the_sensors_alone_tells_no_travel(folder):
     with open_recording(folder) as source:
-        assert (source.travel(), source.place()) == ([], None)
+        assert (source.travel, source.place) == ((), None)
 
 
 @pytest.mark.parametrize("name", ["odom.csv", "gps.csv"])

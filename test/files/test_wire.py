@@ -3,9 +3,9 @@ import struct
 
 import numpy as np
 import pytest
+from by_message import field_sample, imu_sample
 from drives import FIELD, IMU, STORE1, STORE2, drive, message, write_bag
 
-from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.files import wire
 from magcal_ros.files.sources import open_recording
@@ -19,18 +19,18 @@ def packed(store, content, kind, **options):
 
 
 @pytest.mark.parametrize("frame", ["", "a", "imu", "imu_link", "ä" * 7, "x" * 101])
-@pytest.mark.parametrize(("store", "layout"), [(STORE1, wire.ROS1), (STORE2, wire.CDR)])
-def test_it_reads_what_the_library_wrote(store, layout, frame):
+@pytest.mark.parametrize(("store", "form"), [(STORE1, wire.ROS1), (STORE2, wire.CDR)])
+def test_it_reads_what_the_library_wrote(store, form, frame):
     imu, field = message(store, IMU_SAMPLE, frame), message(store, FIELD_SAMPLE, frame)
-    found = wire.imu_parser(layout)(packed(store, imu, IMU))
+    found = form.imu(packed(store, imu, IMU))
     assert found == (frame.encode(), imu_sample(imu))
-    found = wire.field_parser(layout)(packed(store, field, FIELD))
+    found = form.field(packed(store, field, FIELD))
     covariance = field.magnetic_field_covariance.tobytes()
     assert found == (frame.encode(), field_sample(field), covariance)
 
 
 def test_marks_of_absence_are_understood():
-    parse = wire.imu_parser(wire.CDR)
+    parse = wire.CDR.imu
     gyroless = message(STORE2, IMU_SAMPLE._replace(rate=(math.nan,) * 3))
     assert all(math.isnan(value) for value in parse(packed(STORE2, gyroless, IMU))[1].rate)
     gyroless.linear_acceleration_covariance = np.r_[-1.0, np.zeros(8)]
@@ -41,7 +41,7 @@ def test_bytes_that_end_early_are_an_error_and_no_sample():
     data = packed(STORE2, message(STORE2, FIELD_SAMPLE), FIELD)
     for size in range(len(data)):
         with pytest.raises((struct.error, IndexError)):
-            wire.field_parser(wire.CDR)(data[:size])
+            wire.CDR.field(data[:size])
 
 
 def test_the_other_byte_order_is_left_to_the_library(tmp_path, monkeypatch):

@@ -11,8 +11,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from other_rclpy import CALLS
 from support import IMU_RATE, PATIENCE, ROBOT
-
-from magcal_ros.ros.rehearsal import Rehearsal
+from theatre import PacedRobot
 
 NODE = [sys.executable, "-m", "magcal_ros.ros.main", "--ros-args"]
 GIVEN = ["-p", "reference.strength_ut:=48.0", "-p", "reference.inclination_deg:=65.0",
@@ -51,7 +50,7 @@ class Run:
         )
         self.published = {"imu/data_raw": 0, "imu/mag": 0}
         self.counted = {}
-        self.actor = Rehearsal(rclpy.create_node("actor"), ROBOT, speed=SPEED, imu_rate=IMU_RATE)
+        self.actor = PacedRobot(rclpy.create_node("actor"), ROBOT, speed=SPEED, imu_rate=IMU_RATE)
         self.actor.mangle = self.count
         self.actor.node.create_subscription(DiagnosticArray, "/diagnostics", self.hear, 10)
 

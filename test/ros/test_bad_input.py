@@ -31,7 +31,7 @@ def with_field(sample, field):
 
 def assert_alive(actor):
     """The node still answers, and calibrates once the input is good again."""
-    actor.mangle = None
+    actor.mangle = lambda sample: [sample]
     answer = actor.calibrate()
     assert answer.success, answer.message
 

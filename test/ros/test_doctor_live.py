@@ -112,7 +112,7 @@ def looked(graph):
         out.publish(String(data=URDF.format(rpy)))
         listener = Listener(node, "/imu/data_raw", "/imu/mag", samples.append)
         wait_until(lambda: source.listeners > 0)
-        wait_until(lambda: len(listener.crowded) == bool(others))
+        wait_until(lambda: len(listener.several_publishers) == bool(others))
         mounted = replace(ROBOT, mounting=Mounting(pose=np.diag([1.0, -1.0, -1.0])))
         executor, sent = SingleThreadedExecutor(), 0
         executor.add_node(node)
@@ -123,7 +123,7 @@ def looked(graph):
             for sample in ride.step(turning, tipping=np.array([0.0, lift, 0.0])):
                 source.publish(sample)
                 sent += 1
-            wait_until(lambda: executor.spin_once(0.01) or sum(listener.heard) == sent)  # noqa: B023
+            wait_until(lambda: executor.spin_once(0.01) or came(listener) == sent)  # noqa: B023
         wait_until(lambda: executor.spin_once(0.01) or listener.described_pose is not None)
         executor.shutdown()
         parser = argparse.ArgumentParser()
@@ -134,6 +134,10 @@ def looked(graph):
     yield run
     for each in (node, other):
         each.destroy_node()
+
+
+def came(listener):
+    return sum(each.messages for each in listener.sensors)
 
 
 def wrong_lines(page):

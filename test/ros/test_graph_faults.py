@@ -60,7 +60,7 @@ def test_a_sensor_that_dies_stops_the_yaw_and_returns_with_it(calibrated, kind, 
     actor.run(PATIENCE, stop=lambda: bool(actor.status["complaints"]))
     assert not actor.yaws
     assert [f"/{topic} has been silent" in words for words in actor.status["complaints"]] == [True]
-    actor.mangle = None
+    actor.mangle = lambda sample: [sample]
     actor.run(PATIENCE, stop=lambda: actor.yaws and not actor.status["complaints"])
     assert actor.yaws
     assert actor.status["complaints"] == []

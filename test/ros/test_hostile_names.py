@@ -12,7 +12,7 @@ from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.files.default_paths import LONGEST_FRAME
 from magcal_ros.files.recording import read_samples
 from magcal_ros.report.write import OURS
-from magcal_ros.ros.preflight import Heard, _describe, _note
+from magcal_ros.ros.preflight import Heard, _describe
 from magcal_ros.ros.sensor_frames import LATCHED
 
 pytestmark = pytest.mark.faults
@@ -90,13 +90,14 @@ def test_an_enormous_frame_is_cut_wherever_it_is_shown(stage, capfd):
 
 
 def test_what_the_preflight_shows_of_a_frame_is_plain():
+    from rclpy.serialization import serialize_message
     from sensor_msgs.msg import Imu
 
     heard = Heard("/imu", "sensor_msgs/msg/Imu")
     for k in range(100):
         message = Imu()
         message.header.frame_id = f"{k}\x1b[2J\n" + "x" * 1000
-        _note(heard, message)
+        heard.note(serialize_message(message))
     line = _describe(heard, 1.0)
     assert line.isprintable()
     assert len(line) < 2000

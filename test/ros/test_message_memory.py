@@ -15,9 +15,8 @@ from magcal_ros.core.samples import STREAMS, Pairer, Streams
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.wire import (
-    AttitudeTemplate,
-    FieldTemplate,
-    NumberTemplate,
+    attitude_template,
+    field_template,
     read_field,
     read_imu,
 )
@@ -35,7 +34,7 @@ class Walk:
         self.compass, self.up = Compass(outcome.calibration), UpFollower()
         self.streams = Streams(STREAMS.max_gap)
         self.pairer = Pairer(self.streams)
-        self.templates = FieldTemplate(), AttitudeTemplate(), NumberTemplate()
+        self.templates = field_template(), attitude_template()
         imu, field = Imu(), MagneticField()
         imu.header.frame_id, field.header.frame_id = "imu_link", "mag_link"
         imu.linear_acceleration.z, field.magnetic_field.x = 9.81, 2e-5
@@ -64,10 +63,10 @@ class Walk:
         corrected = self.compass.correct(arrived.sample.field)
         up = self.up.at(arrived.sample.stamp, STREAMS.max_gap)
         heading = self.compass.heading(corrected, up.direction, up.variance)
-        field, attitude, number = self.templates
-        field.fill(arrived.stamp, "imu_link", corrected, (0.0,) * 9)
-        attitude.fill(arrived.stamp, "imu_link", heading, 0.0)
-        number.fill(heading.yaw)
+        field, attitude = self.templates
+        field.fill(arrived.stamp, "imu_link", corrected + (0.0,) * 9)
+        numbers = heading.quaternion(0.0) + heading.covariance(0.0)
+        attitude.fill(arrived.stamp, "imu_link", numbers)
 
 
 @pytest.mark.nightly

@@ -53,7 +53,7 @@ class TestInTheNode:
         assert stage.status["self_calibration"]["mode"] == "propose"
         iron = calibration.correction.hard_iron + 1e-6
         proposed = replace(calibration, correction=replace(calibration.correction, hard_iron=iron))
-        machine = house._keeping._machine
+        machine = house._keeping.machine
         machine.proposal = proposed
         machine._decisions.append(Decision(90.0, Verb.PROPOSED, "it was better", proposed))
         stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"])
@@ -90,14 +90,14 @@ class TestInTheNode:
     def test_what_a_worker_cannot_do_is_said_and_asked_again(self, house, monkeypatch):
         keeping, said = house._keeping, []
         keeping._say = said.append
-        keeping._machine.job(house._first.drive_knowledge())
+        keeping.machine.job(house._first.drive_knowledge())
         keeping._lost(OSError("no memory"))
         assert "no memory" in said[0]
         assert keeping.facts()["fits_lost"] == 1
         status = watch_diagnostic("calibrator", None, keeping)
         assert status.level == DiagnosticStatus.WARN
         assert "no memory" in status.message
-        keeping._machine.job(house._first.drive_knowledge())
+        keeping.machine.job(house._first.drive_knowledge())
         keeping._note(Findings(0.0, (), None, None, {}))
         assert watch_diagnostic("calibrator", None, keeping).level == DiagnosticStatus.OK
         assert keeping.facts()["fits_lost"] == 1

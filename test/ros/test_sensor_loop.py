@@ -12,7 +12,6 @@ from rclpy.duration import Duration
 from std_msgs.msg import Float64
 from support import PATIENCE, wait_until
 
-from magcal_ros.ros import threads
 from magcal_ros.ros.threads import MOST_AT_ONCE, SensorGroup, Spinner
 
 
@@ -174,14 +173,10 @@ def test_a_flood_is_taken_in_pieces(served, number, monkeypatch):
         def __exit__(self, *_):
             pass
 
-    loop = threads.SensorLoop(
-        served.node, [served.subscription], served.group, Lock(), served.errors.append, print
-    )
+    served.spinner._lock = Lock()
     number(*range(90))
-    loop.start()
+    served.thread.start()
     wait_until(lambda: len(served.heard) == 90)
-    loop.end()
-    assert loop.join(PATIENCE)
     assert max(b - a for a, b in itertools.pairwise(turns)) == MOST_AT_ONCE
 
 

@@ -31,11 +31,13 @@ class PacedRobot(Rehearsal):
     def __init__(self, *arguments, audience=None, **options):
         super().__init__(*arguments, **options)
         self._audience, self._under_way = audience, 0
+        self.mangle = lambda sample: [sample]
         publish = self.source.publish
 
         def counted(sample):
-            self._under_way += 1
-            publish(sample)
+            for each in self.mangle(sample):
+                self._under_way += 1
+                publish(each)
 
         self.source.publish = counted
         self._arrived = self._count()

@@ -56,8 +56,8 @@ def test_location_gives_place_and_course(tmp_path):
         "1001000000000,1,2.0,90,500,11.5,48.1\n1002000000000,2,-1,-1,500,11.5,48.1\n"
     )
     source, _, _ = numbers(path)
-    assert source.place().longitude_deg == 11.5
-    moving = [each for each in source.travel() if isinstance(each, VelocitySample)]
+    assert source.place.longitude_deg == 11.5
+    moving = [each for each in source.travel if isinstance(each, VelocitySample)]
     assert [(m.stamp, m.east) for m in moving] == [(1001.0, pytest.approx(2.0))]
 
 

@@ -44,11 +44,11 @@ def test_the_receiver_tells_time_place_and_course_and_the_autopilot_its_yaw(tmp_
         bearings=[(first + 1.0, 90.0), (first + 2.0, 0.0)],
     )
     with open_recording(path) as source:
-        assert source.begun() == pytest.approx(1.7e9 - 1.0, abs=1e-3)
-        assert source.place().latitude_deg == pytest.approx(48.1)
-        moving = [each for each in source.travel() if isinstance(each, VelocitySample)]
+        assert source.begun == pytest.approx(1.7e9 - 1.0, abs=1e-3)
+        assert source.place.latitude_deg == pytest.approx(48.1)
+        moving = [each for each in source.travel if isinstance(each, VelocitySample)]
         assert [(each.east, each.north) for each in moving] == [(3.0, 0.0)]
-        assert source.yaw()[:, 1] == pytest.approx([0.0, np.pi / 2.0], abs=1e-6)
+        assert source.yaw[:, 1] == pytest.approx([0.0, np.pi / 2.0], abs=1e-6)
 
 
 def test_rotations_are_mavlinks():
@@ -70,7 +70,7 @@ def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
         s._replace(field=(1e-5, 2e-5, 3e-5)) if isinstance(s, FieldSample) else s for s in SAMPLES
     ]
     with (
-        pytest.raises(FileTrouble, match=r"no living magnetometer.*SYS_HAS_MAG"),
+        pytest.raises(FileTrouble, match=r"no working magnetometer.*SYS_HAS_MAG"),
         open_recording(write_ulog(tmp_path / "a.ulg", hanging)),
     ):
         pass

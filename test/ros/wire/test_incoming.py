@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 import pytest
+from by_message import field_sample, fix_of, imu_sample, speed_of, velocity_of
 from examples import examples
 from geometry_msgs.msg import TwistStamped
 from hypothesis import given
@@ -14,7 +15,6 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 
-from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
 from magcal_ros.ros.wire import (
     STAMP,
     Unreadable,
