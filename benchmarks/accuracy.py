@@ -19,7 +19,7 @@ from limit import Scene, covariance_limit, heading_rms
 from magcal_ros.core.calibration.calibration import Estimate, yaw_jacobian
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
     DEGREE,

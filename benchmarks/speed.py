@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, smooth_wobble, turn
 

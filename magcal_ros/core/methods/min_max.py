@@ -19,7 +19,6 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.tumbling import (
     CLOUD,
-    Settings,
     Shape,
     TumblingOptions,
     finish,
@@ -30,10 +29,10 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class MinMaxTuning:
-    """What extremes are taken of."""
+    """Bounds of the ranges, and the cells in which robust extremes are counted."""
 
     smallest_range: float = 0.5
-    """Smallest over largest range of an axis; below it one axis never met the field."""
+    """Smallest over largest range of an axis; below it one axis was never along the field."""
     least_extent: float = 1.6
     """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
     direction_cells: float = 4.0
@@ -54,9 +53,9 @@ class Options(TumblingOptions):
     """Choices of the min/max method, besides those of `TumblingOptions`."""
 
     robust: bool = False
-    """Whether to leave out samples that lie on no common sphere before taking the extremes. Plain
-    quantiles would do this, too, but they move towards wherever the sensor rested longest; so
-    samples are first sorted into cells of direction, each of which counts once."""
+    """Whether to leave out samples that are not on a common sphere. Quantiles of the samples would
+    move towards the orientation in which the sensor rested longest; so samples are sorted into
+    cells of direction, each of which counts once."""
 
 
 def fit(
@@ -64,42 +63,27 @@ def fit(
 ) -> Estimate:
     """Calibrate by the extremes of each axis.
 
-    Parameters
-    ----------
-    window : Window
-        Samples of a sensor tumbled through all orientations.
-    knowledge : Knowledge
-        Strength of the field, if known, and mounting. Axes are the nominal body axes.
-    options : Options
-        Plain or robust.
-
-    Returns
-    -------
-    Estimate
-        With the figures of `tumbling.finish` and `offset_x`, `_y`, `_z`, `half_range_x`, `_y`,
-        `_z` (tesla, nominal axes). Its covariance comes from leaving out pieces of time and from
-        the mounting as far as gravity shows it.
-
-    Raises
-    ------
-    Refusal
-        If the samples cannot carry an answer; its text says why and what to do.
+    The sensor has to be tumbled through all orientations. Without a known strength the correction
+    keeps the mean of the half ranges. Figures are in nominal body axes. The covariance comes from
+    leaving out pieces of time, and from the mounting as far as gravity shows it. Raises `Refusal`
+    if the samples do not determine an answer.
     """
     remedy = "Tumble again away from iron, or fit a rotated ellipsoid."
     if not options.robust:
         remedy = "Use the robust variant if single samples are off, or fit a rotated ellipsoid."
-    settings = Settings("min_max", TUNING.least_extent, remedy, options)
-    return finish(lambda part, known: solve(part, known, options), window, knowledge, settings)
+    return finish(
+        lambda part, known: solve(part, known, options),
+        window,
+        knowledge,
+        options,
+        method="min_max",
+        least_extent=TUNING.least_extent,
+        remedy=remedy,
+    )
 
 
 def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
-    """Take offset and scale of each axis on whatever samples there are.
-
-    Raises
-    ------
-    Refusal
-        If the range of an axis is too small against the others'.
-    """
+    """Return offset and scale of each axis. Raises `Refusal` if the range of one is too small."""
     nominal = nominal_field(window, knowledge)
     kept = believed_on_sphere(nominal) if options.robust else np.ones(len(nominal), dtype=np.bool_)
     low, high = nominal[kept].min(axis=0), nominal[kept].max(axis=0)
@@ -109,7 +93,7 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
         raise Refusal(
             Reason.PLANAR,
             f"The {axis} axis saw only {half_range.min() / half_range.max():.0%} of the range of "
-            "another: its offset cannot be told. Tumble the sensor until every axis has pointed "
+            "another: its offset is not determined. Tumble the sensor until every axis has pointed "
             "along the field and against it, or use a method for turns about one axis.",
         )
     figures = along("offset", offset) | along("half_range", half_range)
@@ -117,12 +101,9 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
 
 
 def believed_on_sphere(nominal: FloatArray) -> BoolArray:
-    """Return which samples lie on one common, axis-aligned ellipsoid, however they crowd.
+    """Return which samples (n,) are on one common, axis-aligned ellipsoid, however they cluster.
 
-    Parameters
-    ----------
-    nominal : ndarray, shape (n, 3)
-        Field in nominal axes, tesla.
+    The field (n, 3) is in nominal axes, tesla.
     """
     low, high = _starting_range(nominal)
     kept = np.ones(len(nominal), dtype=np.bool_)

@@ -7,7 +7,7 @@ from tumbles import SQUARE, hand_tumbling, tumbling
 
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotation
-from magcal_ros.core.methods.mounting import look_at_mounting
+from magcal_ros.core.methods.tumbling import look_at_mounting
 from magcal_ros.core.simulation.simulator import DEGREE, UP_ENU, turn
 
 SIGMA = 3.0 * DEGREE

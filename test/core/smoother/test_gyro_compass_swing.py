@@ -9,7 +9,7 @@ from long_form import first_of
 
 from magcal_ros.core.geometry.attitude import body_from_enu
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
 from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
 
