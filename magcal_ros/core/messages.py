@@ -1,4 +1,4 @@
-"""Messages become numbers, whether they come from rclpy or from a bag."""
+"""Samples from ROS messages, of rclpy or of a bag."""
 
 from __future__ import annotations
 
@@ -20,17 +20,13 @@ ABSENT = -1.0
 """First element of a covariance whose measurement is absent (sensor_msgs/Imu)."""
 
 
-STATUS_FIX = 0
-"""Lowest status of a sensor_msgs/NavSatStatus that has a fix."""
-
-
 def seconds(stamp: Any) -> float:
     """Return a builtin_interfaces/Time in seconds."""
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
 def imu_sample(message: Any) -> ImuSample | None:
-    """Return the numbers of a sensor_msgs/Imu; None if it says that it has no acceleration."""
+    """Return the sample of a sensor_msgs/Imu; None if its acceleration is marked absent."""
     force, rate = message.linear_acceleration, message.angular_velocity
     q = message.orientation
     return imu_of(
@@ -53,18 +49,10 @@ def imu_of(
     orientation: tuple[float, float, float, float],
     orientation_mark: float,
 ) -> ImuSample | None:
-    """Return the sample of an Imu's numbers; None if it says that it has no acceleration.
+    """Return the sample of an Imu's numbers; None if its acceleration is marked absent.
 
-    Parameters
-    ----------
-    stamp : float
-        Seconds.
-    force, rate : tuple of float
-        m/s² and rad/s.
-    orientation : tuple of float
-        Quaternion x, y, z, w.
-    force_mark, rate_mark, orientation_mark : float
-        First element of the covariance of each, which tells whether it is absent.
+    Stamp in seconds, force in m/s², rate in rad/s, orientation as quaternion x, y, z, w. Each mark
+    is the first element of a covariance; -1 there means that the measurement is absent.
     """
     if force_mark == ABSENT:
         return None
@@ -77,20 +65,21 @@ def imu_of(
 
 
 def field_sample(message: Any) -> FieldSample:
-    """Return the numbers of a sensor_msgs/MagneticField."""
+    """Return the sample of a sensor_msgs/MagneticField."""
     field = message.magnetic_field
     return FieldSample(seconds(message.header.stamp), (field.x, field.y, field.z))
 
 
 def fix_of(message: Any) -> Fix:
-    """Return the numbers of a sensor_msgs/NavSatFix."""
+    """Return the fix of a sensor_msgs/NavSatFix."""
     place = message.latitude, message.longitude, message.altitude
     return fix_from(seconds(message.header.stamp), message.status.status, *place)
 
 
 def fix_from(stamp: float, status: int, latitude: float, longitude: float, altitude: float) -> Fix:
-    """Return the fix that a NavSatFix tells: seconds, its status, degrees and metres."""
-    return Fix(status >= STATUS_FIX, latitude, longitude, altitude, stamp)
+    """Return the fix of a NavSatFix's numbers: seconds, its status, degrees and metres."""
+    # STATUS_FIX of sensor_msgs/NavSatStatus is 0; only STATUS_NO_FIX is below.
+    return Fix(status >= 0, latitude, longitude, altitude, stamp)
 
 
 RECEIVER_SPEED_SIGMA = 0.1
@@ -108,20 +97,11 @@ def speed_of(message: Any) -> SpeedSample | str:
 def speed_from(
     stamp: float, world: str, child: str, mark: float, x: float, y: float
 ) -> SpeedSample | str:
-    """Return the signed speed that an Odometry tells, or why it has none.
+    """Return the signed speed of an Odometry's numbers, or why it has none.
 
-    REP-105 and nav_msgs have the twist in `child_frame_id`, the vehicle's own frame.
-
-    Parameters
-    ----------
-    stamp : float
-        Seconds.
-    world, child : str
-        Its frames.
-    mark : float
-        First element of the twist's covariance, which tells whether it is absent.
-    x, y : float
-        Of its linear velocity, m/s.
+    The stamp is in seconds, `world` and `child` are its frames. `mark` is the first element of the
+    twist's covariance, -1 if it is absent. `x` and `y` are the linear velocity, m/s, in the child
+    frame (REP-105), which is the vehicle's own.
     """
     if child and child == world:
         return (
@@ -139,7 +119,7 @@ def speed_from(
 def velocity_of(message: Any) -> VelocitySample | str:
     """Return the velocity of a TwistStamped in ENU, or why it has none.
 
-    A geometry_msgs/TwistWithCovarianceStamped may tell its sigma, too.
+    A geometry_msgs/TwistWithCovarianceStamped has its variance, too.
     """
     twist, variances = message.twist, (0.0, 0.0)
     if hasattr(twist, "covariance"):
@@ -152,16 +132,10 @@ def velocity_of(message: Any) -> VelocitySample | str:
 def velocity_from(
     stamp: float, east: float, north: float, of_east: float = 0.0, of_north: float = 0.0
 ) -> VelocitySample | str:
-    """Return the velocity that a twist tells, or why it has none.
+    """Return the velocity of a twist's numbers, or why it has none.
 
-    Parameters
-    ----------
-    stamp : float
-        Seconds.
-    east, north : float
-        m/s.
-    of_east, of_north : float
-        Variance of each, (m/s)²; zero where it is unknown.
+    Stamp in seconds, velocity in m/s, variances `of_east` and `of_north` in (m/s)², zero if they
+    are unknown.
     """
     if of_east == ABSENT:
         return "its velocity is marked absent (covariance -1)"
@@ -174,9 +148,9 @@ def velocity_from(
 
 
 HEADING_SIGMA = math.radians(1.0)
-"""Of a heading whose orientation covariance is zero, which says that nobody knows it."""
+"""Sigma of a heading whose orientation covariance is zero, which means unknown."""
 NO_HEADING = math.radians(30.0)
-"""Sigma from which a driver says that it has no heading at the moment."""
+"""Sigma from which a heading counts as unknown."""
 
 
 def heading_of(message: Any) -> HeadingSample | str:

@@ -11,6 +11,8 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
 from magcal_ros.core.samples.units import Z_NOT_UP
 
+FULL_ARC_DEG = 300.0
+"""Degrees of a turn from which it counts as a full circle."""
 INSTALLATION = Bound(
     Figure.INSTALLATION_ANGLE,
     15.0,
@@ -160,7 +162,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         90.0,
         "the turn covers",
         "turn the full circle",
-        excellent=300.0,
+        excellent=FULL_ARC_DEG,
         aspect=Aspect.CONFIDENCE,
         at_least=True,
     ),

@@ -167,7 +167,6 @@ class DoubtTuning:
     noticeable: float = 0.4
     """Strengths of the field; a smaller one is what robots have, whatever the other sign gives."""
     several: float = 3.0  # times that it must be larger than with the other sign of the inclination
-    field: float = 1.0  # strengths of the field from which it is doubtful in any case
     shown: float = 10.0
     """Sigmas by which the wobble of the turn must contradict the other sign to exclude it."""
 
@@ -195,7 +194,7 @@ def check_reference(
             "turn on ramps; of a simulator, whether it publishes the field in north-east-down axes "
             "(NED; Gazebo: use_earth_frame_ned false)"
         )
-    elif own > TUNING.field * estimate.strength:
+    elif own > estimate.strength:
         found = Grade.WARN
         words += (
             f", more than the field itself ({_microtesla(estimate.strength)}): check "

@@ -12,7 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.bounds import DRIVE_BOUNDS, HEADING_BOUNDS, bounds_of
+from magcal_ros.core.assessment.bounds import (
+    DRIVE_BOUNDS,
+    FULL_ARC_DEG,
+    HEADING_BOUNDS,
+    UPRIGHT,
+    bounds_of,
+)
 from magcal_ros.core.assessment.grading import (
     DEGREES,
     Aspect,
@@ -48,19 +54,12 @@ class VerdictTuning:
     rough: float = math.radians(5.0)
     """Radians of heading sigma from which a calibration is called rough. In a car full of steel it
     may be the best possible, and the first words of the summary should say so."""
-    nearly_full: float = math.radians(300.0)
-    """Radians of arc from which a steady sideways acceleration can be separated from a slope."""
-    mostly_acceleration: float = 0.5
-    """Share of the heading's variance from which an acceleration that nothing shows is the main
-    cause."""
     weighed_acceleration_deg: float = 5.0
     """Degrees of sideways acceleration that are no warning where the fit has weighed what it may
     be, and the heading's sigma includes what it could not determine."""
     one_axis: float = 0.7
     """Share of the gyro's squares about one axis from which a turn has one; a sensor that is turned
     over by hand has none, and what counts is how it usually lies."""
-    on_its_side: float = math.radians(45.0)
-    """Radians that a turn's axis leans from the body's z, from which that is the cause."""
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
     """Radians of heading on a slope, and times the level's, from which an axial hard iron that was
     not shown is mentioned."""
@@ -166,7 +165,8 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     if window is not None and has_gyro:
         if axis_share(window) < TUNING.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
-        elif estimate.arc > TUNING.nearly_full:
+        elif _is_full(estimate.arc):
+            # Only there a steady sideways acceleration can be separated from a slope.
             figures.setdefault(Figure.SIDEWAYS_ACCELERATION, sideways_acceleration(window))
     bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in figures else bounds_of(estimate)
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
@@ -187,6 +187,10 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     return replace(verdict, summary=_summary(verdict, estimate, figures))
 
 
+def _is_full(arc: float) -> bool:
+    return arc * DEGREES > FULL_ARC_DEG
+
+
 def judged_figures(estimate: Estimate) -> dict[Figure, float]:
     """Return every figure that can be graded; SI units."""
     figures = {
@@ -200,13 +204,13 @@ def judged_figures(estimate: Estimate) -> dict[Figure, float]:
 def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) -> Check:
     """Grade one figure, less what the reference's own uncertainty explains."""
     figure = figures[bound.figure]
-    if bound.after_full and figures[Figure.AXIS_LEAN] > TUNING.on_its_side:
+    if bound.after_full and figures[Figure.AXIS_LEAN] * DEGREES > UPRIGHT.good:
         bound = replace(bound, remedy=Z_NOT_UP)
-    elif bound.after_full and figures[Figure.ARC] > TUNING.nearly_full:
+    elif bound.after_full and _is_full(figures[Figure.ARC]):
         bound = replace(bound, remedy=bound.after_full)
     if bound.figure is Figure.HEADING_SIGMA:
         hidden = figures.get(Figure.POSSIBLE_ACCELERATION, 0.0)
-        if hidden**2 > TUNING.mostly_acceleration * figure**2:
+        if hidden**2 > 0.5 * figure**2:
             bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
         if Figure.LOCAL_SIGMA in figures:
             # No calibration takes away what the field along the way adds.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.assessment.bounds import FULL_ARC_DEG
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -92,8 +93,6 @@ class Screening:
     least_arc: float = math.radians(45.0)
     least_arc_alone: float = math.radians(90.0)
     """Radians; the latter without a known field or a gyro."""
-    full_arc: float = math.radians(300.0)
-    """Radians from which a full circle is not asked for again."""
     arc_tolerance: float = math.radians(1.5)
     """Radians: the ends of an arc are known to no better."""
     smallest_radius: float = 0.1
@@ -206,7 +205,7 @@ def check_shape(
     if rival_gap <= SCREENING.widest_rival:
         return
     remedy = "turn a full circle on level ground"
-    if estimate.arc >= SCREENING.full_arc:
+    if math.degrees(estimate.arc) >= FULL_ARC_DEG:
         remedy = "turn once more on other ground, more slowly, with the robot upright"
     raise Refusal(
         Reason.AMBIGUOUS,
