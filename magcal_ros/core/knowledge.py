@@ -16,8 +16,6 @@ INCLINATION_SIGMA_DEG = 1.0
 DECLINATION_SIGMA_DEG = 0.5
 """Local deviation of the field outdoors (1 σ); indoors it is about 7 µT, 5° and 5°."""
 
-MOUNTING_YAW_SIGMA = math.radians(5.0)
-
 
 @dataclass(frozen=True)
 class Belief:
@@ -108,7 +106,7 @@ class Mounting:
     pose: FloatArray = field(default_factory=lambda: np.eye(3))
     """Nominal pose of the magnetometer in the IMU's frame, sensor axes to body axes
     (`rotation_from_rpy` of the URDF's origin). Shape (3, 3)."""
-    yaw_sigma: float = MOUNTING_YAW_SIGMA
+    yaw_sigma: float = math.radians(5.0)
     """Radians, how far the true pose may be from it in yaw (1 sigma). Gravity shows roll and pitch
     in one turn; yaw shows in turns on different tilts only."""
 

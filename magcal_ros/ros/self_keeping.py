@@ -86,7 +86,7 @@ class SelfKeeping:
         """Put what is proposed in force; there must be something."""
         proposal = self._machine.proposal
         assert proposal is not None
-        self._magnetometer.use(proposal.on_users_word(), tell)
+        self._magnetometer.use(proposal.accepted_by_person(), tell)
 
     def facts(self) -> dict[str, Any]:
         """Return the part of `~/status` on self-calibration."""

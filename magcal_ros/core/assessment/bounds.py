@@ -1,4 +1,4 @@
-"""The bounds that a turn and a drive are graded by."""
+"""The bounds of the figures of turns, drives and known headings."""
 
 from __future__ import annotations
 
@@ -194,12 +194,12 @@ MOTORS_TAKEN_OFF = (
     "it is taken off while the robot moves; a magnetometer further away from motors and power "
     "wires is the better cure"
 )
-ARC_SIGMAS = 2.0
-"""Sigmas by which a turn must exceed the least arc to be known to reach it."""
+ALLOWED_SIGMAS = 2.0
+"""Sigmas that a bound allows for: of the reference's level field, and of the arc."""
 
 
 def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
-    """Return the bounds of a turn: what the motors add may be known, and its arc may not be."""
+    """Return the bounds of a turn, adapted to its motors' field and the sigma of its arc."""
     return tuple(_adapted(bound, estimate) for bound in TURN_BOUNDS)
 
 
@@ -207,7 +207,7 @@ def _adapted(bound: Bound, estimate: Estimate) -> Bound:
     if bound.figure is Figure.MOTOR_FIELD and estimate.motors is not None:
         return replace(bound, warn=50.0, remedy=MOTORS_TAKEN_OFF)
     if bound.figure is Figure.ARC and math.degrees(estimate.arc) > bound.warn:
-        doubt = ARC_SIGMAS * math.degrees(arc_sigma(estimate))
+        doubt = ALLOWED_SIGMAS * math.degrees(arc_sigma(estimate))
         least = round(min(bound.warn + doubt, bound.good), 1)
         unsure = f"the arc is known to ±{shown(doubt)}°, and may be less than {bound.warn:g}°; "
         return replace(bound, warn=least, when_refused=unsure + bound.remedy)

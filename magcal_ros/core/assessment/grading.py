@@ -74,7 +74,7 @@ class Bound:
 
     @property
     def scale(self) -> float:
-        """What a figure (SI) is multiplied by for the unit people see."""
+        """Factor from SI to the unit that people see."""
         return SCALES.get(self.unit, 1.0)
 
     def check(

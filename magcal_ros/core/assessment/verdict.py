@@ -1,4 +1,4 @@
-"""How good and how certain a calibration is, in grades and in words.
+"""Verdicts: the quality and the confidence of a calibration, in grades and in words.
 
 Quality asks whether the samples agree with the model; confidence asks whether enough was seen.
 The two are separate: a clean circle does not prove the heading, nor a good heading the circle.
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.bounds import (
+    ALLOWED_SIGMAS,
     DRIVE_BOUNDS,
     FULL_ARC_DEG,
     HEADING_BOUNDS,
@@ -49,8 +50,6 @@ from magcal_ros.core.samples.window import Window
 class VerdictTuning:
     """Limits and allowances of a verdict, from simulation and about ten recordings."""
 
-    allowed_sigmas: float = 2.0
-    """Sigmas of the reference field by which its radius may be off before that counts."""
     rough: float = math.radians(5.0)
     """Radians of heading sigma from which a calibration is called rough. In a car full of steel it
     may be the best possible, and the first words of the summary should say so."""
@@ -78,7 +77,7 @@ TUNING = VerdictTuning()
 
 @dataclass(frozen=True)
 class Verdict:
-    """The judgement on one estimate."""
+    """The checks of one estimate, with its two grades."""
 
     checks: tuple[Check, ...]  # everything that was looked at
     not_shown: tuple[str, ...]  # what this turn could not show
@@ -109,7 +108,7 @@ class Verdict:
         return worst(grades)
 
     def evidence(self, estimate: Estimate) -> Evidence:
-        """Return what is stored of the verdict beside the numbers that it is on."""
+        """Return the verdict in the form that is stored with a calibration."""
         return Evidence(
             estimate.method,
             self.quality.value,
@@ -159,7 +158,7 @@ NO_REFERENCE = "the size of the field: the reference field is not known"
 
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
-    """Judge an estimate."""
+    """Return the verdict on an estimate; `window` holds its samples, if there are any."""
     figures = judged_figures(estimate)
     has_gyro = window is not None and window.angular_rate is not None
     if window is not None and has_gyro:
@@ -202,7 +201,7 @@ def judged_figures(estimate: Estimate) -> dict[Figure, float]:
 
 
 def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) -> Check:
-    """Grade one figure, less what the reference's own uncertainty explains."""
+    """Grade one figure, allowing for the uncertainty of the reference."""
     figure = figures[bound.figure]
     if bound.after_full and figures[Figure.AXIS_LEAN] * DEGREES > UPRIGHT.good:
         bound = replace(bound, remedy=Z_NOT_UP)
@@ -223,19 +222,19 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
     if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
         bound = replace(bound, good=TUNING.weighed_acceleration_deg)
     if bound.figure is Figure.RADIUS_MISFIT:
-        allowed = TUNING.allowed_sigmas * level_field_sigma(knowledge)
+        allowed = ALLOWED_SIGMAS * level_field_sigma(knowledge)
         note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
         return bound.check(figure, excess=max(figure - allowed, 0.0), note=note)
     return bound.check(figure)
 
 
 def _by_gyro(figures: Mapping[Figure, float]) -> bool:
-    """Return whether the fit had a gyro: it has weighed what accelerates the robot then."""
+    """Return whether the fit had a gyro, by which it estimates the robot's acceleration."""
     return Figure.ON_THE_SPOT in figures
 
 
 def refuse(refusal: Refusal) -> Verdict:
-    """Turn a method's refusal into a verdict."""
+    """Return the verdict of a refusal."""
     words = str(refusal)
     checks = tuple(Check(refusal.reason, aspect, Grade.REFUSED, words) for aspect in Aspect)
     return Verdict(checks, (), f"Refused: {words.rstrip('.')}.")
@@ -325,7 +324,7 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, floa
 
 
 def _drive_in_words(figures: Mapping[Figure, float]) -> str:
-    """Say what was driven, or at how many headings the robot stood; empty for a turn."""
+    """Return the length of a drive, or the number of known headings; empty for a turn."""
     if count := int(figures.get(Figure.KNOWN_HEADINGS, 0)):
         return f" from {count} known headings" if count > 1 else " from one known heading"
     if Figure.HEADINGS_DRIVEN not in figures:
@@ -338,7 +337,7 @@ def _drive_in_words(figures: Mapping[Figure, float]) -> str:
 
 
 def _reasons(verdict: Verdict, grade: Grade) -> str:
-    """Return the first reasons for a grade; the table has the most important first."""
+    """Return the first reasons for a grade, in the order of the bounds."""
     words = [check.words for check in verdict.checks if check.grade is grade]
     more = len(words) - TUNING.reasons
     return "; ".join(words[: TUNING.reasons]) + (f"; and {more} more" if more > 0 else "")

@@ -1,4 +1,4 @@
-"""The names of everything that is measured of a calibration: one name, one definition."""
+"""Names and definitions of all figures of a calibration."""
 
 from __future__ import annotations
 

@@ -64,12 +64,12 @@ def field_in_enu(strength: float, inclination: float, declination: float = 0.0) 
 
 
 def wrap_angle(angle: FloatArray | float) -> FloatArray:
-    """Bring radians into (-pi, pi]."""
+    """Return angles in radians, wrapped into (-pi, pi]."""
     return np.asarray(np.pi - np.mod(np.pi - np.asarray(angle), 2.0 * np.pi))
 
 
 def wrapped(angle: float) -> float:
-    """Bring one angle in radians into [-pi, pi], in plain floats for the path of every message."""
+    """Return one angle in radians, wrapped into [-pi, pi]; plain floats are fast."""
     return math.remainder(angle, math.tau)
 
 

@@ -165,7 +165,7 @@ def _fit_eigen(points: FloatArray) -> Plane:
 
 
 class PlaneFit(str, Enum):
-    """The plane fits by name; the two by eigenvalues are one here."""
+    """The plane fits by name; the two by eigenvalues are the same here."""
 
     LEAST_SQUARES = "least_squares"
     EIGEN = "eigen"

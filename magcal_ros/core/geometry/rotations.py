@@ -215,7 +215,7 @@ def signed_permutations() -> FloatArray:
         for order in itertools.permutations(range(3))
         for signs in itertools.product((1.0, -1.0), repeat=3)
     ]
-    return frozen_array(sorted(found, key=_strangeness), (48, 3, 3), "axes")
+    return frozen_array(sorted(found, key=_sort_key), (48, 3, 3), "axes")
 
 
 def rank_of(axes: FloatArray) -> int:
@@ -251,11 +251,11 @@ def likely_slip(axes: FloatArray) -> str:
     if exchanged := swapped(axes):
         return f"{exchanged} in the driver"
     turned = [np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ axes for axis in range(3)]
-    likely = "xyz"[min(range(3), key=lambda axis: _strangeness(turned[axis]))]
+    likely = "xyz"[min(range(3), key=lambda axis: _sort_key(turned[axis]))]
     return f"one axis has the wrong sign in the driver, most likely {likely}"
 
 
-def _strangeness(axes: FloatArray) -> tuple[int, float, int, int]:
+def _sort_key(axes: FloatArray) -> tuple[int, float, int, int]:
     """Return the sort key of axes: rotations first, by angle, about x before about y."""
     mirrored = is_mirrored(axes)
     angle = rotation_angle(-axes if mirrored else axes)

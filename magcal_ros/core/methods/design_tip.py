@@ -24,7 +24,7 @@ from magcal_ros.core.geometry.conics import ConicFit
 from magcal_ros.core.geometry.planes import SMALLEST
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
-from magcal_ros.core.methods.checks import check_arc, check_radius, check_window
+from magcal_ros.core.methods.checks import SCREENING, check_arc, check_radius, check_window
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.methods.tip_steps import (
     TUNING,
@@ -44,7 +44,7 @@ from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True)
-class BelievedField:
+class AssumedField:
     """The reference field after the turn."""
 
     strength: float
@@ -67,7 +67,7 @@ class TipSolution:
     axis: TurnAxis
     chosen: Candidate
     rival: Candidate | None
-    believed: BelievedField
+    believed: AssumedField
     correction: Correction
     installation: Installation
 
@@ -131,10 +131,10 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> TipSolution
 
 def _choose(
     samples: TipSamples, axis: TurnAxis, circle: FieldCircle, reference: ReferenceField
-) -> tuple[Candidate, Candidate | None, BelievedField]:
+) -> tuple[Candidate, Candidate | None, AssumedField]:
     """Choose the smallest installation among those that fit the reference field."""
     candidates = find_candidates(samples, axis, circle)
-    believed = [believe(reference, candidate, axis) for candidate in candidates]
+    believed = [assumed_field(reference, candidate, axis) for candidate in candidates]
     misfit = np.array(
         [
             abs(math.hypot(candidate.circle.radius, field.axial) / field.strength - 1.0)
@@ -153,7 +153,7 @@ def _choose(
 def _refuse_rival(chosen: Candidate, rival: Candidate) -> None:
     own, other = (rotation_from_rpy(each.roll, each.pitch) for each in (chosen, rival))
     is_same_size = rival.angle - chosen.angle < TUNING.rival_margin
-    if is_same_size and rotation_angle(own @ other.T) > TUNING.rival_distance:
+    if is_same_size and rotation_angle(own @ other.T) > SCREENING.widest_rival:
         raise Refusal(
             Reason.AMBIGUOUS,
             "Two installations of the magnetometer of the same size explain this turn. Turn about "
@@ -207,7 +207,7 @@ def _spread(cloud: FloatArray, noise: float, least_noise: float) -> float:
     return float(distance / (6.0 * max(noise, least_noise)))
 
 
-def believe(reference: ReferenceField, candidate: Candidate, axis: TurnAxis) -> BelievedField:
+def assumed_field(reference: ReferenceField, candidate: Candidate, axis: TurnAxis) -> AssumedField:
     """Return the reference field with its axial part, from what is known of it.
 
     Gravity times field is the strength times the sine of the inclination, in the world as in
@@ -221,7 +221,7 @@ def believe(reference: ReferenceField, candidate: Candidate, axis: TurnAxis) -> 
     if reference.is_complete:
         axial = _axial(strength.value, inclination.value, candidate, axis)
         basis = "strength and inclination as given"
-        return BelievedField(strength.value, inclination.value, axial, basis)
+        return AssumedField(strength.value, inclination.value, axial, basis)
     if not inclination.is_unknown:
         return _from_inclination(inclination.value, candidate, axis)
     if not strength.is_unknown:
@@ -240,7 +240,7 @@ def _axial(strength: float, inclination: float, candidate: Candidate, axis: Turn
     return (vertical - candidate.gravity_dot_field) / axis.axial_gravity
 
 
-def _from_inclination(inclination: float, candidate: Candidate, axis: TurnAxis) -> BelievedField:
+def _from_inclination(inclination: float, candidate: Candidate, axis: TurnAxis) -> AssumedField:
     sine, cosine = math.sin(inclination), axis.axial_gravity
     across, radius = candidate.gravity_dot_field, candidate.circle.radius
     # (B sin(i) - d)² + c² radius² = c² B², a quadratic in B.
@@ -254,7 +254,7 @@ def _from_inclination(inclination: float, candidate: Candidate, axis: TurnAxis) 
     if not strengths:
         raise _contradiction("inclination")
     fields = [
-        BelievedField(
+        AssumedField(
             strength,
             inclination,
             _axial(strength, inclination, candidate, axis),
@@ -265,9 +265,9 @@ def _from_inclination(inclination: float, candidate: Candidate, axis: TurnAxis) 
     return min(fields, key=lambda field: abs(candidate.circle.height - field.axial))
 
 
-def _from_strength(strength: float, candidate: Candidate, axis: TurnAxis) -> BelievedField:
+def _from_strength(strength: float, candidate: Candidate, axis: TurnAxis) -> AssumedField:
     radius = candidate.circle.radius
-    if radius > TUNING.radius_slack * strength:
+    if radius > (1.0 + TUNING.strength_margin) * strength:
         raise _contradiction("strength")
     size = math.sqrt(max(strength**2 - radius**2, 0.0))
     axial = math.copysign(size, candidate.circle.height)
@@ -277,11 +277,11 @@ def _from_strength(strength: float, candidate: Candidate, axis: TurnAxis) -> Bel
 
 def _with_axial(
     axial: float, candidate: Candidate, axis: TurnAxis, basis: str, *, axial_unknown: bool = False
-) -> BelievedField:
+) -> AssumedField:
     strength = math.hypot(candidate.circle.radius, axial)
     vertical = axis.axial_gravity * axial + candidate.gravity_dot_field
     inclination = math.asin(max(-1.0, min(1.0, vertical / strength)))
-    return BelievedField(strength, inclination, axial, basis, axial_unknown)
+    return AssumedField(strength, inclination, axial, basis, axial_unknown)
 
 
 def _contradiction(known: str) -> Refusal:

@@ -17,11 +17,12 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.conics import Ellipsoid, QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.tumbling import (
+    CLOUD,
     Shape,
     TumblingOptions,
-    believed_samples,
     finish,
     nominal_field,
+    on_unit_sphere,
 )
 from magcal_ros.core.samples.window import Window
 
@@ -34,10 +35,6 @@ class EllipsoidTuning:
     """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
     largest_ratio: float = 3.0
     """Longest over shortest radius; no soft iron that leaves a compass usable does more."""
-    rounds: int = 4
-    """Times that outliers are left out and the rest is fitted again."""
-    least_share: float = 0.5
-    """Of the samples that the ellipsoid must explain."""
 
 
 TUNING = EllipsoidTuning()
@@ -81,10 +78,10 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
     nominal = nominal_field(window, knowledge)
     ellipsoid = fit_quadric(nominal, options.shape)
     kept = np.ones(len(nominal), dtype=np.bool_)
-    for _ in range(TUNING.rounds):
+    for _ in range(CLOUD.rounds):
         points = (nominal - ellipsoid.centre) @ ellipsoid.to_unit_sphere
-        believed = believed_samples(np.linalg.norm(points, axis=1))
-        if (believed == kept).all() or believed.mean() < TUNING.least_share:
+        believed = on_unit_sphere(np.linalg.norm(points, axis=1))
+        if (believed == kept).all() or believed.mean() < 0.5:
             break
         kept = believed
         ellipsoid = fit_quadric(nominal[kept], options.shape)

@@ -41,8 +41,6 @@ class MinMaxTuning:
     """Number of cells along the range of an axis."""
     starting_quantile: float = 0.05
     """Share of the places left out at either end of an axis to begin with."""
-    most_rounds: int = 10
-    """Times that outliers are looked for."""
 
 
 TUNING = MinMaxTuning()
@@ -85,7 +83,9 @@ def fit(
 def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
     """Return offset and scale of each axis. Raises `Refusal` if the range of one is too small."""
     nominal = nominal_field(window, knowledge)
-    kept = believed_on_sphere(nominal) if options.robust else np.ones(len(nominal), dtype=np.bool_)
+    kept = (
+        samples_on_ellipsoid(nominal) if options.robust else np.ones(len(nominal), dtype=np.bool_)
+    )
     low, high = nominal[kept].min(axis=0), nominal[kept].max(axis=0)
     offset, half_range = 0.5 * (low + high), 0.5 * (high - low)
     if half_range.min() < TUNING.smallest_range * half_range.max():
@@ -100,14 +100,14 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
     return Shape(offset, np.diag(1.0 / half_range), float(half_range.mean()), figures)
 
 
-def believed_on_sphere(nominal: FloatArray) -> BoolArray:
+def samples_on_ellipsoid(nominal: FloatArray) -> BoolArray:
     """Return which samples (n,) are on one common, axis-aligned ellipsoid, however they cluster.
 
     The field (n, 3) is in nominal axes, tesla.
     """
     low, high = _starting_range(nominal)
     kept = np.ones(len(nominal), dtype=np.bool_)
-    for _ in range(TUNING.most_rounds):
+    for _ in range(CLOUD.rounds):
         points = (nominal - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-300)
         distance = np.linalg.norm(points, axis=1)
         # Each cell of direction has one vote, however full it is.

@@ -44,13 +44,10 @@ class TipTuning:
     smallest_lever: float = math.sin(math.radians(10.0))
     """Length of the axis across body y; below it the pitch turns about the axis and is not seen."""
     strength_margin: float = 0.1
-    """Share of the strength by which an installation may fit the reference worse than the best."""
+    """Share of the strength by which an installation may fit the reference worse than the best, and
+    by which the radius of the circle may exceed the strength."""
     rival_margin: float = math.radians(2.0)
     """Radians by which a rival's installation may be larger than the chosen one's and as likely."""
-    rival_distance: float = math.radians(5.0)
-    """Rivals nearer than this are one answer."""
-    radius_slack: float = 1.05
-    """A radius up to this many times the strength counts as a field across the axis."""
     axial_sigma: float = 50e-6
     """Tesla, prior of the hard iron along the axis if neither strength nor inclination is known."""
 
@@ -59,7 +56,7 @@ TUNING = TipTuning()
 
 
 class AxisSource(str, Enum):
-    """Where the turn's axis comes from: from both by their variances (auto), or one."""
+    """Source of the turn's axis: mean of gravity, its plane, or both by their variances."""
 
     AUTO = "auto"
     MEAN = "mean"

@@ -29,7 +29,7 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class CloudTuning:
-    """Which clouds of field samples count as those of a tumble."""
+    """Bounds of a cloud of field samples that a tumble can have."""
 
     fewest_samples: int = 40
     thinnest_cloud: float = 0.15
@@ -40,6 +40,8 @@ class CloudTuning:
     """Robust standard deviations from the usual distance beyond which a sample is an outlier."""
     least_gate: float = 0.02
     """Share of the radius within which a sample is never an outlier."""
+    rounds: int = 10
+    """Most times that outliers are left out and the rest is fitted again."""
     least_level_share: float = 0.1
     """Of the field that is taken to be level where it is steeper than a compass can bear."""
 
@@ -73,7 +75,7 @@ class Shape:
     def correction(self, knowledge: Knowledge) -> Correction:
         """Return the correction, scaled to the reference's strength where that is known."""
         mounting = knowledge.mounting.matrix
-        size = believed_strength(self, knowledge)
+        size = strength_of(self, knowledge)
         return Correction(size * self.to_unit @ np.linalg.inv(mounting), mounting @ self.centre)
 
 
@@ -84,15 +86,13 @@ Solve = Callable[[Window, Knowledge], Shape]
 class TumblingOptions:
     """Choices that all methods for tumbled sensors have."""
 
-    jackknife_blocks: int = 16
-    """Pieces of time that the covariance leaves out one by one."""
     installation_sigma: float = math.radians(3.0)
     """Prior of the magnetometer's rotation against the IMU, radians per axis; zero if it is known
     to be aligned."""
 
 
 @dataclass(frozen=True, eq=False)
-class SeenMounting:
+class MountingRotation:
     """A rotation of the corrected field against the IMU, as far as gravity shows it."""
 
     cosine: float
@@ -111,10 +111,7 @@ class SeenMounting:
         return float(np.linalg.norm(self.rotation))
 
     def covariance_of(self, matrix: FloatArray) -> FloatArray:
-        """Return the covariance (12, 12) that the ignored rotation adds to that of `matrix` (3, 3).
-
-        The matrix is A of the correction.
-        """
+        """Return the covariance (12, 12) that the ignored rotation adds to that of A (3, 3)."""
         moment = np.outer(self.rotation, self.rotation) + self.covariance
         turned = np.array([(skew(axis) @ matrix).ravel() for axis in np.eye(3)])
         covariance = np.zeros((PARAMETERS, PARAMETERS))
@@ -122,9 +119,9 @@ class SeenMounting:
         return covariance
 
 
-def look_at_mounting(
+def estimate_mounting(
     direction: FloatArray, up: FloatArray, sigma: float, blocks: int = 16
-) -> SeenMounting:
+) -> MountingRotation:
     """Estimate the rotation of the magnetometer against the IMU from the angle between two vectors.
 
     Field and gravity keep one angle in the world. A correction turned by a small rotation d changes
@@ -144,20 +141,20 @@ def look_at_mounting(
     design = np.column_stack([np.ones(len(up)), -np.cross(direction, up)])
     if sigma == 0.0:
         scatter = float(np.std(cosines))
-        return SeenMounting(float(cosines.mean()), np.zeros(3), np.zeros((3, 3)), scatter)
+        return MountingRotation(float(cosines.mean()), np.zeros(3), np.zeros((3, 3)), scatter)
     prior = np.diag([0.0, *np.full(3, sigma**-2)])
     answer = np.linalg.lstsq(design, cosines, rcond=None)[0]
     residual = cosines - design @ answer
     # Noise-free samples need a floor.
     variance = max(float(np.mean(residual**2)), 1e-10)
-    weight = 1.0 / (variance * _repetition(design, residual, blocks))
+    weight = 1.0 / (variance * _inefficiency(design, residual, blocks))
     inverse = np.linalg.inv(weight * design.T @ design + prior)
     covariance = np.asarray(inverse, dtype=np.float64)
     answer = weight * covariance @ design.T @ cosines
-    return SeenMounting(float(answer[0]), answer[1:], covariance[1:, 1:], variance**0.5)
+    return MountingRotation(float(answer[0]), answer[1:], covariance[1:, 1:], variance**0.5)
 
 
-def _repetition(design: FloatArray, residual: FloatArray, blocks: int) -> float:
+def _inefficiency(design: FloatArray, residual: FloatArray, blocks: int) -> float:
     """Return the inefficiency factor, from the scores of pieces of time; one or more."""
     scores = design * residual[:, None]
     pieces = np.array([piece.sum(axis=0) for piece in np.array_split(scores, blocks)])
@@ -188,13 +185,13 @@ def _refuse_flat(nominal: FloatArray) -> None:
         )
 
 
-def believed_strength(shape: Shape, knowledge: Knowledge) -> float:
+def strength_of(shape: Shape, knowledge: Knowledge) -> float:
     """Return the reference's strength where known, else the shape's own radius, tesla."""
     reference = knowledge.reference.strength
     return shape.radius if reference.is_unknown else reference.value
 
 
-def believed_samples(distance: FloatArray) -> BoolArray:
+def on_unit_sphere(distance: FloatArray) -> BoolArray:
     """Return which samples (n,) are on the sphere, by their distance (n,) from its centre."""
     off = np.abs(distance - float(np.median(distance)))
     gate = CLOUD.outlier_deviations * 1.4826 * float(np.median(off))
@@ -222,18 +219,15 @@ def finish(
     _refuse_flat(nominal)
     shape = solve(window, knowledge)
     points = shape.on_sphere(nominal)
-    inliers = believed_samples(np.linalg.norm(points, axis=1))
+    inliers = on_unit_sphere(np.linalg.norm(points, axis=1))
     extent = _refuse_no_sphere(points[inliers], least_extent, remedy)
     correction = shape.correction(knowledge)
     covariance = jackknife_covariance(
-        lambda part, known: solve(part, known).correction(known),
-        window,
-        knowledge,
-        options.jackknife_blocks,
+        lambda part, known: solve(part, known).correction(known), window, knowledge
     )
     up = unit(window.specific_force[inliers])
-    mounting = look_at_mounting(unit(points[inliers]), up, options.installation_sigma)
-    strength = believed_strength(shape, knowledge)
+    mounting = estimate_mounting(unit(points[inliers]), up, options.installation_sigma)
+    strength = strength_of(shape, knowledge)
     inclination = -math.asin(max(-1.0, min(1.0, mounting.cosine)))
     residual = window.field - correction.undo(strength * unit(points))
     noise = math.sqrt(float((residual[inliers] ** 2).sum()) / max(int(inliers.sum()) - 9, 1))
@@ -259,7 +253,7 @@ def finish(
 def _figures(
     shape: Shape,
     extent: float,
-    mounting: SeenMounting,
+    mounting: MountingRotation,
     knowledge: Knowledge,
     options: TumblingOptions,
 ) -> dict[Figure, float]:
@@ -268,7 +262,7 @@ def _figures(
     if options.installation_sigma > 0.0:
         figures[Figure.MISALIGNMENT] = mounting.angle
     if not knowledge.reference.strength.is_unknown:
-        figures[Figure.RADIUS_RATIO] = shape.radius / believed_strength(shape, knowledge)
+        figures[Figure.RADIUS_RATIO] = shape.radius / strength_of(shape, knowledge)
     return figures
 
 

@@ -1,4 +1,4 @@
-"""Whether gyro and corrected compass tell the same turn.
+"""The swing of the corrected compass against the gyro over a turn.
 
 A robot that spins in a distorted room draws a clean circle, and only the gyro shows that the field
 does not stand still. What counts is the swing that lasts: noise of single samples and the gyro's
@@ -19,7 +19,7 @@ from magcal_ros.core.geometry.rotations import turns_about_z
 
 @dataclass(frozen=True)
 class SwingTuning:
-    """How what is the gyro's own is told from a swing of the compass."""
+    """How errors of the gyro are separated from a swing of the compass."""
 
     sector: float = math.radians(12.0)
     """Radians of the turn over which the deviation is averaged."""
@@ -38,7 +38,7 @@ SWING = SwingTuning()
 
 
 def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatArray) -> GyroSwing:
-    """Return how the compass's turn lastingly deviates from the gyro's.
+    """Return the persistent deviation of the compass from the gyro by sectors of heading.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class _Sectors:
 
 
 def _sample_noise(deviation: FloatArray) -> float:
-    """Return the noise of single samples from second differences, which no slow swing enters."""
+    """Return the noise of single samples, radians, from second differences."""
     bend = np.diff(deviation, 2)
     return 1.4826 * float(np.median(np.abs(bend))) / math.sqrt(6.0) if len(bend) else 0.0
 
@@ -97,7 +97,7 @@ def _sectors(
 
 
 def _without_gyro_errors(sectors: _Sectors) -> FloatArray:
-    """Return the sectors' deviation less what offset, bias and scale of a gyro may cause."""
+    """Return the sectors' deviation (s,) without offset, bias and scale of the gyro, radians."""
     rows = np.column_stack(
         [
             np.ones_like(sectors.deviation),

@@ -1,4 +1,4 @@
-"""Iron that was added on the way: when, and how much.
+"""A change of hard iron during a drive: its time and its size.
 
 A calibration is held. That nothing changed, beyond what the calibration itself is uncertain by, is
 compared with a hard iron that is there from one moment on. The heading goes through that moment by
@@ -42,18 +42,18 @@ LASTING = 0.15
 
 @dataclass(frozen=True, eq=False)
 class IronChange:
-    """Iron that was added."""
+    """A change of hard iron during a drive."""
 
     since: float
     """Clock from which it is there, seconds."""
     gain: float
-    """Logarithm of the evidence for it against no change, as far as it is believed."""
+    """Log evidence ratio of a change against none, times `BELIEVED`."""
     fit: DriveFit
     """Of the raw field since then."""
 
 
 def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) -> IronChange | None:
-    """Find the moment from which iron that was added explains the nodes best.
+    """Return the change of hard iron, at the time that explains the nodes best.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) ->
 
 
 def _moments(same: Fit) -> list[float]:
-    """Return when iron was most likely added, by a score test at each node; often never.
+    """Return the likely times of a change, by a score test at each node; often none.
 
     The cost is quadratic about the optimum without a change: with the gradient g by iron that is
     there since a node and the information I, all other unknowns integrated out, it falls by
@@ -134,7 +134,7 @@ def _moments(same: Fit) -> list[float]:
 
 
 def _begun(same: Fit, nodes: Nodes) -> State:
-    """Return where to start: from the moment on by the gyro, and no local disturbance is known."""
+    """Return the start of the fit: attitude by the gyro after the change, no local disturbance."""
     state = same.state
     shared, local, attitude = state.shared.copy(), state.local.copy(), state.attitude.copy()
     first = int(np.searchsorted(nodes.time, nodes.added_from, side="right"))
