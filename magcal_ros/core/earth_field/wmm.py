@@ -7,11 +7,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
-from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief
 
 EARTH_RADIUS = 6_371_200.0
@@ -22,33 +22,22 @@ FLATTENING = 1.0 / 298.257223563
 """WGS 84, kilometres."""
 
 
-class Term(NamedTuple):
-    """One degree and order: g and h in nT at the epoch, and their change in nT a year."""
-
-    degree: int
-    order: int
-    g: float
-    h: float
-    g_rate: float
-    h_rate: float
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Harmonics:
     """A model of the main field."""
 
     epoch: float
     """Decimal year for which g and h hold."""
-    terms: tuple[Term, ...]
-    """Schmidt semi-normalised."""
+    terms: FloatArray
+    """Degree, order, g and h in nT (Schmidt semi-normalised), and their change in nT a year. Shape
+    (k, 6)."""
 
     @classmethod
     def parse(cls, text: str) -> Harmonics:
         """Read a .COF file: a line with the epoch, a line a term, and rows of nines."""
         head, *lines = text.splitlines()
         rows = [line.split() for line in lines if not line.startswith("9999")]
-        terms = (Term(int(n), int(m), *map(float, numbers)) for n, m, *numbers in rows)
-        return cls(float(head.split()[0]), tuple(terms))
+        return cls(float(head.split()[0]), np.array(rows, dtype=np.float64))
 
     def field(
         self, latitude: float, longitude: float, altitude_km: float, year: float
@@ -75,19 +64,15 @@ class Harmonics:
         self, sine: float, cosine: float, longitude: float, radius: float, years: float
     ) -> tuple[float, float, float]:
         """Return the field along the sphere's north, east and down, nT."""
-        highest = max(term.degree for term in self.terms)
-        legendre = _legendre(highest, sine, cosine)
-        north = east = down = 0.0
-        for n, m, g0, h0, g_rate, h_rate in self.terms:
-            g, h = g0 + years * g_rate, h0 + years * h_rate
-            cos_m, sin_m = math.cos(m * longitude), math.sin(m * longitude)
-            size = (0.001 * EARTH_RADIUS / radius) ** (n + 2)
-            over_cosine, value, slope = legendre[n][m]
-            along = size * (g * cos_m + h * sin_m)
-            north -= along * slope
-            east += size * m * (g * sin_m - h * cos_m) * over_cosine
-            down -= (n + 1) * along * value
-        return north, east, down
+        n, m = self.terms[:, :2].T
+        g, h = (self.terms[:, 2:4] + years * self.terms[:, 4:]).T
+        table = np.array(_legendre(int(n.max()), sine, cosine))
+        over_cosine, value, slope = table[n.astype(int), m.astype(int)].T
+        cos_m, sin_m = np.cos(m * longitude), np.sin(m * longitude)
+        size = (0.001 * EARTH_RADIUS / radius) ** (n + 2)
+        along = size * (g * cos_m + h * sin_m)
+        east = size * m * (g * sin_m - h * cos_m) * over_cosine
+        return -float(along @ slope), float(east.sum()), -float(((n + 1) * along) @ value)
 
 
 def _legendre(highest: int, sine: float, cosine: float) -> list[list[tuple[float, float, float]]]:

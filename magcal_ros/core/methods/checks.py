@@ -173,18 +173,9 @@ def check_shape(
 ) -> None:
     """Raise `Refusal` if the field's circle does not determine the calibration of a turn.
 
-    Parameters
-    ----------
-    estimate : Estimate
-    knowledge : Knowledge
-    deviation : float
-        Deviation of the field from the model, over its strength.
-    wobble : float
-        Median angle of the turn's axis from its median direction, radians.
-    across : float
-        Radius of the circle over the field's strength.
-    rival_gap : float
-        Radians of heading between the two calibrations that explain the turn best.
+    `deviation` is that of the field from the model, over its strength; `wobble` the median angle of
+    the turn's axis from its median, radians. `across` is the radius of the circle over the
+    strength, `rival_gap` the heading between the two best solutions, radians.
     """
     causes = []
     if deviation > SCREENING.worst_field_noise:
@@ -201,7 +192,11 @@ def check_shape(
             " axis, away from iron and running motors",
         )
     check_radius(across, estimate.inclination)
-    check_arc(estimate.arc, solved_by_knowledge=knowledge.reference.is_complete)
+    check_arc(
+        estimate.arc,
+        solved_by_knowledge=knowledge.reference.is_complete,
+        tolerance=SCREENING.arc_tolerance,
+    )
     if rival_gap <= SCREENING.widest_rival:
         return
     remedy = "turn a full circle on level ground"
@@ -238,13 +233,14 @@ def check_radius(across: float, inclination: float, tilt: float = math.inf) -> N
     )
 
 
-def check_arc(arc: float, *, solved_by_knowledge: bool) -> None:
+def check_arc(arc: float, *, solved_by_knowledge: bool, tolerance: float = 0.0) -> None:
     """Raise `Refusal` if a turn of `arc` radians is too short.
 
-    `solved_by_knowledge` says that the reference field or a gyro is known.
+    `solved_by_knowledge` says that the reference field or a gyro is known; the ends of the arc have
+    a tolerance, radians.
     """
     least = SCREENING.least_arc if solved_by_knowledge else SCREENING.least_arc_alone
-    if arc >= least - SCREENING.arc_tolerance:
+    if arc >= least - tolerance:
         return
     remedy = (
         "turn further, at best a full circle"

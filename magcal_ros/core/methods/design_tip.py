@@ -67,7 +67,7 @@ class TipSolution:
     axis: TurnAxis
     chosen: Candidate
     rival: Candidate | None
-    believed: AssumedField
+    assumed: AssumedField
     correction: Correction
     installation: Installation
 
@@ -84,10 +84,10 @@ def fit(
     """
     check_window(window, knowledge)
     solution = solve(window, knowledge, options)
-    circle, believed = solution.circle, solution.believed
+    circle, assumed = solution.circle, solution.assumed
     arc = Coverage.of(np.angle(circle.phasor)).arc
     check_arc(arc, solved_by_knowledge=True)
-    check_radius(circle.radius / believed.strength, believed.inclination, solution.axis.tilt)
+    check_radius(circle.radius / assumed.strength, assumed.inclination, solution.axis.tilt)
     covariance = jackknife_covariance(
         lambda part, known: solve(part, known, options).correction,
         window,
@@ -104,14 +104,14 @@ def fit(
         installation=solution.installation,
         axis=-FRD_FROM_FLU @ solution.axis.direction,
         arc=arc,
-        strength=believed.strength,
-        inclination=believed.inclination,
+        strength=assumed.strength,
+        inclination=assumed.inclination,
         noise_field=noise_field,
         noise_up=solution.axis.noise,
         inliers=np.ones(len(window), dtype=np.bool_),
         residual=residual,
         figures=measure_figures(solution, noise_field),
-        message=f"closed form; {believed.basis}",
+        message=f"closed form; {assumed.basis}",
     )
 
 
@@ -120,13 +120,13 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> TipSolution
     samples = enter(window, knowledge.mounting)
     circle = fit_field_circle(samples, options)
     axis = find_axis(samples, circle, options)
-    chosen, rival, believed = _choose(samples, axis, circle, knowledge.reference)
-    iron = chosen.circle.centre - believed.axial * chosen.circle.normal
+    chosen, rival, assumed = _choose(samples, axis, circle, knowledge.reference)
+    iron = chosen.circle.centre - assumed.axial * chosen.circle.normal
     # The tip's rotation is passive in forward-right-down axes: its pitch has the other sign.
     installation = Installation(chosen.roll, -chosen.pitch)
     matrix = installation.pose @ knowledge.mounting.to_body
     correction = Correction(matrix, samples.mounting @ iron)
-    return TipSolution(samples, circle, axis, chosen, rival, believed, correction, installation)
+    return TipSolution(samples, circle, axis, chosen, rival, assumed, correction, installation)
 
 
 def _choose(
@@ -134,36 +134,33 @@ def _choose(
 ) -> tuple[Candidate, Candidate | None, AssumedField]:
     """Choose the smallest installation among those that fit the reference field."""
     candidates = find_candidates(samples, axis, circle)
-    believed = [assumed_field(reference, candidate, axis) for candidate in candidates]
+    assumed = [assumed_field(reference, candidate, axis) for candidate in candidates]
     misfit = np.array(
         [
             abs(math.hypot(candidate.circle.radius, field.axial) / field.strength - 1.0)
-            for candidate, field in zip(candidates, believed, strict=True)
+            for candidate, field in zip(candidates, assumed, strict=True)
         ]
     )
     fitting = np.flatnonzero(misfit <= misfit.min() + TUNING.strength_margin)
     first = int(fitting[0])
     chosen = candidates[first]
-    others = [candidate for index, candidate in enumerate(candidates) if index != first]
-    for index in fitting[1:]:
-        _refuse_rival(chosen, candidates[int(index)])
-    return chosen, (others[0] if others else None), believed[first]
-
-
-def _refuse_rival(chosen: Candidate, rival: Candidate) -> None:
-    own, other = (rotation_from_rpy(each.roll, each.pitch) for each in (chosen, rival))
-    is_same_size = rival.angle - chosen.angle < TUNING.rival_margin
-    if is_same_size and rotation_angle(own @ other.T) > SCREENING.widest_rival:
-        raise Refusal(
-            Reason.AMBIGUOUS,
-            "Two installations of the magnetometer of the same size explain this turn. Turn about "
-            "an axis nearer to the vertical, or give the nominal mounting.",
-        )
+    others = candidates[:first] + candidates[first + 1 :]
+    own = rotation_from_rpy(chosen.roll, chosen.pitch)
+    for rival in (candidates[int(index)] for index in fitting[1:]):
+        apart = rotation_angle(own @ rotation_from_rpy(rival.roll, rival.pitch).T)
+        is_same_size = rival.angle - chosen.angle < TUNING.rival_margin
+        if is_same_size and apart > SCREENING.widest_rival:
+            raise Refusal(
+                Reason.AMBIGUOUS,
+                "Two installations of the magnetometer of the same size explain this turn. Turn "
+                "about an axis nearer to the vertical, or give the nominal mounting.",
+            )
+    return chosen, (others[0] if others else None), assumed[first]
 
 
 def _axial_unknown(solution: TipSolution) -> FloatArray:
     unknown = np.zeros(PARAMETERS)
-    if solution.believed.axial_unknown:
+    if solution.assumed.axial_unknown:
         along = solution.samples.mounting @ solution.chosen.circle.normal
         unknown[9:] = TUNING.axial_sigma * along
     return unknown
@@ -172,20 +169,20 @@ def _axial_unknown(solution: TipSolution) -> FloatArray:
 def measure_figures(solution: TipSolution, noise_field: float) -> dict[Figure, float]:
     """Return the figures of a solution; `noise_field` is in tesla per axis."""
     samples, axis, chosen = solution.samples, solution.axis, solution.chosen
-    rival, believed, circle = solution.rival, solution.believed, chosen.circle
+    rival, assumed, circle = solution.rival, solution.assumed, chosen.circle
     figures = {
         Figure.ACCELEROMETER_SPREAD: _spread(samples.down, axis.noise, SMALLEST),
-        Figure.FIELD_SPREAD: _spread(samples.field, noise_field, SMALLEST * believed.strength),
+        Figure.FIELD_SPREAD: _spread(samples.field, noise_field, SMALLEST * assumed.strength),
         Figure.CIRCLE_RADIUS: circle.radius,
         Figure.AXIS_TILT: axis.tilt,
-        Figure.AXIAL_FIELD: believed.axial,
-        Figure.AXIAL_HARD_IRON: circle.height - believed.axial,
+        Figure.AXIAL_FIELD: assumed.axial,
+        Figure.AXIAL_HARD_IRON: circle.height - assumed.axial,
         Figure.INSTALLATION_ANGLE: chosen.angle,
     }
     down = samples.down @ derotation(axis.direction)
     figures |= along("accelerometer_range", np.ptp(down, axis=0))
     figures |= along("field_range", np.ptp(samples.field @ circle.basis, axis=0))
-    expected = believed.strength**2 - believed.axial**2
+    expected = assumed.strength**2 - assumed.axial**2
     if expected > 0.0:
         figures[Figure.RADIUS_RATIO] = circle.radius / math.sqrt(expected)
     try:

@@ -14,7 +14,7 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
+from magcal_ros.core.geometry.attitude import FRD_FROM_FLU, unit
 from magcal_ros.core.geometry.conics import Conic, ConicFit
 from magcal_ros.core.geometry.planes import SMALLEST, Plane, PlaneFit
 from magcal_ros.core.geometry.rotations import (
@@ -278,18 +278,11 @@ def _weighed(
     from_plane = plane.normal * (1.0 if plane.normal @ centre >= 0.0 else -1.0)
     if source is AxisSource.PLANE:
         return np.asarray(from_plane)
-    centre_information = float(centre @ centre) / centre_sigma**2
-    plane_information = plane.normal_information(SMALLEST)
-    direction = from_centre
-    # The two are weighed in the tangent plane of the result, which a few rounds find.
-    for _ in range(3):
-        tangent = np.linalg.svd(direction[None, :])[2][1:].T
-        of_plane = tangent.T @ plane_information @ tangent
-        weighed = centre_information * tangent.T @ from_centre + of_plane @ tangent.T @ from_plane
-        step = tangent @ np.linalg.solve(of_plane + centre_information * np.eye(2), weighed)
-        direction = direction + step
-        direction = direction / np.linalg.norm(direction)
-    return np.asarray(direction)
+    # The plane's information has no part along its normal, where the centre decides.
+    of_centre = float(centre @ centre) / centre_sigma**2 * np.eye(3)
+    of_plane = plane.normal_information(SMALLEST)
+    weighted = of_centre @ from_centre + of_plane @ from_plane
+    return unit(np.asarray(np.linalg.solve(of_centre + of_plane, weighted)))
 
 
 def _horizontal() -> Refusal:

@@ -119,23 +119,12 @@ class MountingRotation:
         return covariance
 
 
-def estimate_mounting(
-    direction: FloatArray, up: FloatArray, sigma: float, blocks: int = 16
-) -> MountingRotation:
+def estimate_mounting(direction: FloatArray, up: FloatArray, sigma: float) -> MountingRotation:
     """Estimate the rotation of the magnetometer against the IMU from the angle between two vectors.
 
     Field and gravity keep one angle in the world. A correction turned by a small rotation d changes
-    it: u·m = c - d·(m x u), for unit vectors u up and m of the corrected field. Tumbling shows all
-    three components of d.
-
-    Parameters
-    ----------
-    direction, up : ndarray, shape (n, 3)
-        Unit vectors of the corrected field and of up, in the order of time.
-    sigma : float
-        Prior of the rotation, radians per axis.
-    blocks : int
-        Pieces of time whose sums show how much neighbouring samples correlate.
+    it: u·m = c - d·(m x u), for unit vectors u up and m of the corrected field, both (n, 3) in the
+    order of time. Tumbling shows all three components of d. `sigma` is their prior, radians.
     """
     cosines = np.sum(direction * up, axis=1)
     design = np.column_stack([np.ones(len(up)), -np.cross(direction, up)])
@@ -147,17 +136,17 @@ def estimate_mounting(
     residual = cosines - design @ answer
     # Noise-free samples need a floor.
     variance = max(float(np.mean(residual**2)), 1e-10)
-    weight = 1.0 / (variance * _inefficiency(design, residual, blocks))
+    weight = 1.0 / (variance * _inefficiency(design, residual))
     inverse = np.linalg.inv(weight * design.T @ design + prior)
     covariance = np.asarray(inverse, dtype=np.float64)
     answer = weight * covariance @ design.T @ cosines
     return MountingRotation(float(answer[0]), answer[1:], covariance[1:, 1:], variance**0.5)
 
 
-def _inefficiency(design: FloatArray, residual: FloatArray, blocks: int) -> float:
-    """Return the inefficiency factor, from the scores of pieces of time; one or more."""
+def _inefficiency(design: FloatArray, residual: FloatArray) -> float:
+    """Return the inefficiency factor, from the scores of sixteen pieces of time; one or more."""
     scores = design * residual[:, None]
-    pieces = np.array([piece.sum(axis=0) for piece in np.array_split(scores, blocks)])
+    pieces = np.array([piece.sum(axis=0) for piece in np.array_split(scores, 16)])
     single = np.maximum((scores**2).sum(axis=0), 1e-300)
     return max(1.0, float(np.mean((pieces**2).sum(axis=0) / single)))
 
