@@ -38,15 +38,7 @@ class Reason(str, Enum):
 
 
 class Refusal(MagcalError):
-    """The samples do not determine a calibration.
-
-    Parameters
-    ----------
-    reason : Reason
-        The cause, for programs.
-    message : str
-        The cause and the remedy, for people.
-    """
+    """The samples do not determine a calibration; the reason is for programs."""
 
     def __init__(self, reason: Reason, message: str) -> None:
         super().__init__(message)

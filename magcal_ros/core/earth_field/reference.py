@@ -292,19 +292,19 @@ def _beliefs(field: ReferenceField) -> Iterator[tuple[str, Belief]]:
 
 
 def _filled(given: ReferenceField, local: Local, model: ModelField) -> ReferenceField:
-    field = given
-    if given.strength.is_unknown:
-        field = replace(field, strength=_widened(model.strength, local.strength))
-    if given.inclination.is_unknown:
-        field = replace(field, inclination=_widened(model.inclination, local.inclination))
-    if given.declination is None and model.level >= VALIDITY.blackout:
-        declination = _widened(model.declination, local.declination)
-        field = replace(field, declination=declination.value, declination_sigma=declination.sigma)
-    return field
+    def known(by_hand: Belief, theirs: Belief, sigma: float) -> Belief:
+        widened = Belief(theirs.value, math.hypot(theirs.sigma, sigma))
+        return widened if by_hand.is_unknown else by_hand
 
-
-def _widened(belief: Belief, sigma: float) -> Belief:
-    return Belief(belief.value, math.hypot(belief.sigma, sigma))
+    field = replace(
+        given,
+        strength=known(given.strength, model.strength, local.strength),
+        inclination=known(given.inclination, model.inclination, local.inclination),
+    )
+    if given.declination is not None or model.level < VALIDITY.blackout:
+        return field
+    north = known(Belief.unknown(), model.declination, local.declination)
+    return replace(field, declination=north.value, declination_sigma=north.sigma)
 
 
 def _contradictions(

@@ -8,10 +8,8 @@ inside every ellipse and ellipsoid, never on it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import partial
 
 import numpy as np
 
@@ -129,16 +127,12 @@ class ConicFit(str, Enum):
         points (n, 2) than the curve has parameters, a line, one point, a curve that is no ellipse,
         or numbers that are not finite.
         """
-        return _FITS[self](points)
-
-
-_FITS: dict[ConicFit, Callable[[FloatArray], Conic]] = {
-    ConicFit.TAUBIN: _fit_circle_taubin,
-    ConicFit.CIRCLE: partial(_fit_linearly, quadratic=1),
-    ConicFit.ELLIPSE: partial(_fit_linearly, quadratic=2),
-    ConicFit.ROTATED_ELLIPSE: partial(_fit_linearly, quadratic=3),
-    ConicFit.HALIR_FLUSSER: _fit_ellipse_halir_flusser,
-}
+        if self is ConicFit.TAUBIN:
+            return _fit_circle_taubin(points)
+        if self is ConicFit.HALIR_FLUSSER:
+            return _fit_ellipse_halir_flusser(points)
+        linear = (ConicFit.CIRCLE, ConicFit.ELLIPSE, ConicFit.ROTATED_ELLIPSE)
+        return _fit_linearly(points, linear.index(self) + 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -170,11 +170,11 @@ def _pose(frame: str, parent: str, tree: FrameTree) -> tuple[FloatArray | None, 
     """Return the pose, or why there is none; no reason if a frame is not known yet."""
     if not (frame and parent):
         return None, ()
-    if not tree.frames and frame != parent:
-        words = f"the pose of {frame!r} in {parent!r} is unknown: no robot_description came"
-        return None, (words,)
     if frame == parent:
         return np.eye(3), ()
+    if not tree.frames:
+        words = f"the pose of {frame!r} in {parent!r} is unknown: no robot_description came"
+        return None, (words,)
     try:
         return tree.pose(frame, parent), ()
     except FrameTrouble as trouble:

@@ -5,7 +5,6 @@ The sign of a normal is arbitrary; it depends on the sense of rotation, which th
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -139,31 +138,6 @@ class Plane:
         return float(1.0 / np.sqrt(middle)) if middle > 0.0 else np.inf
 
 
-def _fit_least_squares(points: FloatArray) -> Plane:
-    """Fit by least squares along the axis on which the normal is longest.
-
-    Noise along the other two axes biases the normal of a thin cloud towards that axis (regression
-    dilution).
-    """
-    centre, moved = centred(points, 3, "plane")
-    scatter = moved.T @ moved / len(points)
-    _refuse_degenerate(np.sqrt(np.maximum(np.linalg.eigvalsh(scatter), 0.0)), centre)
-    minors = [np.linalg.det(np.delete(np.delete(scatter, k, 0), k, 1)) for k in range(3)]
-    main = int(np.argmax(minors))
-    others = [k for k in range(3) if k != main]
-    normal = np.ones(3)
-    normal[others] = -np.linalg.solve(scatter[np.ix_(others, others)], scatter[others, main])
-    return Plane(normal / np.linalg.norm(normal), scatter, len(points))
-
-
-def _fit_eigen(points: FloatArray) -> Plane:
-    """Fit by least squares of the distances from the plane (total least squares)."""
-    centre, moved = centred(points, 3, "plane")
-    values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
-    _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
-    return Plane(axes[2], moved.T @ moved / len(points), len(points))
-
-
 class PlaneFit(str, Enum):
     """The plane fits by name; the two by eigenvalues are the same here."""
 
@@ -176,14 +150,26 @@ class PlaneFit(str, Enum):
 
         Raises `Refusal` if the points (n, 3) are not finite, or are one point or a line.
         """
-        return _FITS[self](points)
+        centre, moved = centred(points, 3, "plane")
+        values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
+        _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
+        scatter = moved.T @ moved / len(points)
+        normal = _regressed(scatter) if self is PlaneFit.LEAST_SQUARES else axes[2]
+        return Plane(normal, scatter, len(points))
 
 
-_FITS: dict[PlaneFit, Callable[[FloatArray], Plane]] = {
-    PlaneFit.LEAST_SQUARES: _fit_least_squares,
-    PlaneFit.EIGEN: _fit_eigen,
-    PlaneFit.EIGEN_SIMPLE: _fit_eigen,
-}
+def _regressed(scatter: FloatArray) -> FloatArray:
+    """Return the normal by regression along the axis on which it is longest, unit, shape (3,).
+
+    Noise along the other two axes biases the normal of a thin cloud towards that axis (regression
+    dilution).
+    """
+    minors = [np.linalg.det(np.delete(np.delete(scatter, k, 0), k, 1)) for k in range(3)]
+    main = int(np.argmax(minors))
+    others = [k for k in range(3) if k != main]
+    normal = np.ones(3)
+    normal[others] = -np.linalg.solve(scatter[np.ix_(others, others)], scatter[others, main])
+    return normal / np.linalg.norm(normal)
 
 
 def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:

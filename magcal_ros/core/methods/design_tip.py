@@ -210,75 +210,43 @@ def assumed_field(reference: ReferenceField, candidate: Candidate, axis: TurnAxi
     Gravity times field is the strength times the sine of the inclination, in the world as in
     the body: c k + d = B sin(i), where c is the axis's cosine from the vertical, k the field
     along it and d the product across it. Besides, k² + radius² = B². No start that faces north on
-    level ground is needed.
-
-    Raises `Refusal` if the circle contradicts the only number known.
+    level ground is needed. Raises `Refusal` if the circle contradicts the only number known.
     """
     strength, inclination = reference.strength, reference.inclination
-    if reference.is_complete:
-        axial = _axial(strength.value, inclination.value, candidate, axis)
-        basis = "strength and inclination as given"
-        return AssumedField(strength.value, inclination.value, axial, basis)
+    radius, height = candidate.circle.radius, candidate.circle.height
+    across, cosine = candidate.gravity_dot_field, axis.axial_gravity
     if not inclination.is_unknown:
-        return _from_inclination(inclination.value, candidate, axis)
+        sine, sizes = math.sin(inclination.value), [strength.value]
+        basis = "strength and inclination as given"
+        if strength.is_unknown:
+            sizes = _strengths(sine, cosine, across, radius)
+            basis = "inclination as given, strength from the circle's radius"
+        fields = [(size, (size * sine - across) / cosine) for size in sizes]
+        size, axial = min(fields, key=lambda field: abs(height - field[1]))
+        return AssumedField(size, inclination.value, axial, basis)
+    axial = height
+    basis = "neither strength nor inclination is known: no hard iron along the axis is assumed"
     if not strength.is_unknown:
-        return _from_strength(strength.value, candidate, axis)
-    return _with_axial(
-        candidate.circle.height,
-        candidate,
-        axis,
-        "neither strength nor inclination is known: no hard iron along the axis is assumed",
-        axial_unknown=True,
-    )
+        if radius > (1.0 + TUNING.strength_margin) * strength.value:
+            raise _contradiction("strength")
+        axial = math.copysign(math.sqrt(max(strength.value**2 - radius**2, 0.0)), height)
+        basis = "strength as given, inclination from the circle's radius and the smaller hard iron"
+    size = math.hypot(radius, axial)
+    vertical = max(-1.0, min(1.0, (cosine * axial + across) / size))
+    return AssumedField(size, math.asin(vertical), axial, basis, strength.is_unknown)
 
 
-def _axial(strength: float, inclination: float, candidate: Candidate, axis: TurnAxis) -> float:
-    vertical = strength * math.sin(inclination)
-    return (vertical - candidate.gravity_dot_field) / axis.axial_gravity
-
-
-def _from_inclination(inclination: float, candidate: Candidate, axis: TurnAxis) -> AssumedField:
-    sine, cosine = math.sin(inclination), axis.axial_gravity
-    across, radius = candidate.gravity_dot_field, candidate.circle.radius
-    # (B sin(i) - d)² + c² radius² = c² B², a quadratic in B.
+def _strengths(sine: float, cosine: float, across: float, radius: float) -> list[float]:
+    """Return the solutions B of (B sin(i) - d)² + c² radius² = c² B², one or two."""
     root = across**2 + radius**2 * (cosine**2 - sine**2)
-    if root < 0.0:
-        raise _contradiction("inclination")
-    denominators = [sine * across + sign * cosine * math.sqrt(root) for sign in (1.0, -1.0)]
-    constant = across**2 + cosine**2 * radius**2
+    signs = (1.0, -1.0) if root >= 0.0 else ()
+    denominators = [sine * across + sign * cosine * math.sqrt(root) for sign in signs]
     # The product of the roots is constant/(s² - c²): this form stays finite where s = c.
-    strengths = [constant / value for value in denominators if value > 0.0]
-    if not strengths:
+    constant = across**2 + cosine**2 * radius**2
+    found = [constant / value for value in denominators if value > 0.0]
+    if not found:
         raise _contradiction("inclination")
-    fields = [
-        AssumedField(
-            strength,
-            inclination,
-            _axial(strength, inclination, candidate, axis),
-            "inclination as given, strength from the circle's radius",
-        )
-        for strength in strengths
-    ]
-    return min(fields, key=lambda field: abs(candidate.circle.height - field.axial))
-
-
-def _from_strength(strength: float, candidate: Candidate, axis: TurnAxis) -> AssumedField:
-    radius = candidate.circle.radius
-    if radius > (1.0 + TUNING.strength_margin) * strength:
-        raise _contradiction("strength")
-    size = math.sqrt(max(strength**2 - radius**2, 0.0))
-    axial = math.copysign(size, candidate.circle.height)
-    basis = "strength as given, inclination from the circle's radius and the smaller hard iron"
-    return _with_axial(axial, candidate, axis, basis)
-
-
-def _with_axial(
-    axial: float, candidate: Candidate, axis: TurnAxis, basis: str, *, axial_unknown: bool = False
-) -> AssumedField:
-    strength = math.hypot(candidate.circle.radius, axial)
-    vertical = axis.axial_gravity * axial + candidate.gravity_dot_field
-    inclination = math.asin(max(-1.0, min(1.0, vertical / strength)))
-    return AssumedField(strength, inclination, axial, basis, axial_unknown)
+    return found
 
 
 def _contradiction(known: str) -> Refusal:
