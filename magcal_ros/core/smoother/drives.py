@@ -113,17 +113,8 @@ def drive_nodes(log: DriveLog, to_body: FloatArray) -> Nodes:
 def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     """Return the fit of all twelve numbers to a drive on wheels.
 
-    Parameters
-    ----------
-    log : DriveLog
-        What the nodes are part of.
-    nodes : Nodes
-    knowledge : Knowledge
-
-    Raises
-    ------
-    Refusal
-        `TOO_FEW_SAMPLES` of too short a drive, `NO_SOLUTION` where no fit converges.
+    The nodes are those of the log. Raises `Refusal`: `TOO_FEW_SAMPLES` of too short a drive,
+    `NO_SOLUTION` if no fit converges.
     """
     check_length(nodes)
     if not all(living_axes(log.rate)):
@@ -139,12 +130,7 @@ def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
 
 
 def check_length(nodes: Nodes) -> None:
-    """Raise `Refusal` if a drive is too short, or its gyro is missing for too long.
-
-    Raises
-    ------
-    Refusal
-    """
+    """Raise `Refusal` if a drive is too short, or its gyro is missing for too long."""
     refusal = why_too_little(nodes)
     if refusal is not None:
         raise refusal
@@ -170,13 +156,7 @@ def why_too_little(nodes: Nodes) -> Refusal | None:
 def corrected(nodes: Nodes, correction: Correction, to_sensor: FloatArray) -> Nodes:
     """Return the nodes with their field corrected by a calibration.
 
-    Parameters
-    ----------
-    nodes : Nodes
-        In nominal body axes.
-    correction : Correction
-    to_sensor : ndarray, shape (3, 3)
-        `Mounting.matrix`.
+    The nodes are in nominal body axes; `to_sensor` (3, 3) is `Mounting.matrix`.
     """
     raw = nodes.field @ to_sensor.T / MICROTESLA
     return replace(nodes, field=MICROTESLA * correction.apply(raw))
@@ -185,13 +165,8 @@ def corrected(nodes: Nodes, correction: Correction, to_sensor: FloatArray) -> No
 def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = False) -> Priors:
     """Return the priors of a corrected field: the unknowns of its calibration are held.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-    iron : ndarray, shape (3,)
-        Sigma of the hard iron that is left, µT.
-    may_change : bool
-        Whether installation and soft iron may have changed a little.
+    `iron` (3,) is the sigma of the remaining hard iron, µT. `may_change` allows small changes of
+    installation and soft iron.
     """
     priors = priors_of(knowledge)
     scale = priors.scale.copy()
@@ -220,17 +195,8 @@ def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
 def fit_iron(nodes: Nodes, correction: Correction, knowledge: Knowledge) -> DriveFit | None:
     """Return the fit of the change of hard iron since a calibration was made.
 
-    Parameters
-    ----------
-    nodes : Nodes
-    correction : Correction
-        The calibration; its matrix is kept but for the little that the priors allow.
-    knowledge : Knowledge
-
-    Returns
-    -------
-    DriveFit or None
-        Of the raw field. None where too little was driven.
+    The matrix of the correction is kept, apart from the small changes that the priors allow. The
+    result is that of the raw field; None if the drive is too short.
     """
     if why_too_little(nodes) is not None:
         return None
@@ -303,16 +269,8 @@ class LikelihoodRatio:
 def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> LikelihoodRatio:
     """Return the log likelihood ratio of nodes between a new calibration and an old one.
 
-    Parameters
-    ----------
-    old, new : Nodes
-        Corrected by the one and by the other, which both are held.
-    knowledge : Knowledge
-
-    Returns
-    -------
-    LikelihoodRatio
-        Nothing where one of them cannot be followed.
+    The nodes are corrected by the old and by the new calibration, and both calibrations are held.
+    The ratio is empty if one of the two fits fails.
     """
     priors = held_priors(knowledge, np.zeros(3))
     fits = [held_fit(each, priors) for each in (old, new)]

@@ -240,13 +240,8 @@ def force_at_rest(measured: FloatArray, state: State) -> Linear:
 def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Linear:
     """Return the residuals of known headings at the nodes, radians.
 
-    Parameters
-    ----------
-    heading : ndarray, shape (n,)
-        ENU yaw to magnetic north, radians.
-    forward : ndarray, shape (n, 3)
-        The direction in body axes that points there.
-    state : State
+    `heading` (n,) is the ENU yaw to magnetic north, radians, and `forward` (n, 3) its direction in
+    body axes.
     """
     off, by_attitude = _heading_less(heading, forward, state)
     here = np.zeros((len(heading), 1, LOCAL))
@@ -302,15 +297,8 @@ def gyro(course: Course, state: State) -> Linear:
 def followed(state: State, row: int, keeps: FloatArray, by: tuple[int, int]) -> Linear:
     """Return the residuals of a process of second order, x[k + 1] = keeps x[k] + noise.
 
-    Parameters
-    ----------
-    state : State
-    row : int
-        Which of the nodes' unknowns.
-    keeps : ndarray, shape (2, n - 1)
-        By which two it follows.
-    by : tuple of int
-        Which two.
+    `row` is the index of the unknown at the nodes. `keeps` (2, n - 1) are its factors of the two
+    unknowns `by` at the node before.
     """
     values, count = state.local, len(state.local) - 1
     here, there = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))

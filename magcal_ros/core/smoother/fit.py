@@ -104,23 +104,9 @@ def fit(
 ) -> Fit:
     """Return the fit of a window by Gauss-Newton steps, with the sizes of noises and effects.
 
-    Parameters
-    ----------
-    nodes : Nodes
-    priors : Priors
-        About the start.
-    start : State
-    kind : KindOfMotion
-    tolerances : Tolerances
-    like : Fit, optional
-        Where to begin: an optimum of another kind of motion, or a fit of this one that goes on.
-    told : callable, optional
-        Takes the number of each round.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a matrix is not positive definite.
+    The priors are those about the start. `like` is an optimum of another kind of motion to begin
+    at, or a fit of this one to continue. `told` is called with the number of each round. Raises
+    `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     model = Model.of(nodes, priors, start, kind)
     point, first, fewest = _begin(model, start, kind, tolerances, like)
@@ -156,22 +142,10 @@ def marginal_gradient(
 ) -> FloatArray:
     """Return the gradient of the log determinant of the nodes' information matrix.
 
-    It is taken by the downward field and the height of the accelerometer. Both multiply the lean,
-    and the joint optimum makes the leans too small and both too large (Neyman and Scott,
-    Econometrica 16, 1948).
-
-    Parameters
-    ----------
-    model : Model
-    point : Point
-    weighted : dict of str to Weighted
-        The residuals at the point.
-    solution : Solution
-        The step from there.
-
-    Returns
-    -------
-    ndarray, shape (SHARED,)
+    Shape (SHARED,), by the downward field and the height of the accelerometer. Both multiply the
+    tilt, and the joint optimum makes the tilts too small and both too large (Neyman and Scott,
+    Econometrica 16, 1948). `weighted` are the residuals at the point, `solution` is the step from
+    there.
     """
     prior, out = prior_at(model, point), np.zeros(SHARED)
     for which, step in STEPS.items():

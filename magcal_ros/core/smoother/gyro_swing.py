@@ -40,14 +40,9 @@ SWING = SwingTuning()
 def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatArray) -> GyroSwing:
     """Return the persistent deviation of the compass from the gyro by sectors of heading.
 
-    Parameters
-    ----------
-    relative : ndarray, shape (n, 3, 3)
-        Rotations from the first sample's body axes to each sample's, by the gyro.
-    attitude : ndarray, shape (n, 3, 3)
-        Body axes by up and corrected field, from ENU axes.
-    time : ndarray, shape (n,)
-        Seconds.
+    `relative` (n, 3, 3) are the rotations from the first sample's body axes to each sample's by the
+    gyro. `attitude` (n, 3, 3) are the body axes from ENU axes by up and corrected field, `time`
+    (n,) is in seconds.
     """
     back = np.swapaxes(relative, 1, 2)
     away = back @ attitude

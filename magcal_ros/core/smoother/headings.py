@@ -74,18 +74,8 @@ def fit_headings(
 ) -> HeadingFit:
     """Return the fit of the shared unknowns to standings at known headings.
 
-    Parameters
-    ----------
-    standings : sequence of Standing
-        At least one.
-    knowledge : Knowledge
-    place : Size
-        The local disturbance.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is not positive definite.
+    At least one standing; `place` is the size of the local disturbance. Raises
+    `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     model = Standings.of(standings, knowledge)
     middle = model.optimum(rms_size(place))
@@ -128,14 +118,8 @@ def sigma_with(
 ) -> float:
     """Return the sigma of the heading on the level after one more standing, radians.
 
-    Parameters
-    ----------
-    fit : HeadingFit
-        What the standings so far show.
-    standings : sequence of Standing
-    knowledge : Knowledge
-    heading : float
-        Of the further one, as sure as the last; radians to magnetic north.
+    `fit` is that of the standings so far, `heading` that of the further one, radians to magnetic
+    north, with the sigma of the last one.
     """
     last = replace(standings[-1], heading=heading, turned_sigma=math.inf, way=math.inf)
     more = Standings.of([*standings, last], knowledge)

@@ -55,17 +55,8 @@ class IronChange:
 def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) -> IronChange | None:
     """Return the change of hard iron, at the time that explains the nodes best.
 
-    Parameters
-    ----------
-    nodes : Nodes
-    calibration : Calibration
-        In force before.
-    knowledge : Knowledge
-
-    Returns
-    -------
-    IronChange or None
-        None where too little was driven, or no moment explains anything.
+    The calibration is the one before the change. None if the drive is too short, or if no time of a
+    change explains the nodes better.
     """
     if why_too_little(nodes) is not None:
         return None

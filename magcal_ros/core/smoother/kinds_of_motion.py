@@ -96,10 +96,7 @@ def nodes_of_log(log: DriveLog, to_body: FloatArray, spacing: Spacing) -> Nodes:
 class _Trials:
     """The fits of a window by kind of motion, the best of each as `fits`.
 
-    Parameters
-    ----------
-    told : callable, optional
-        Takes the share of the work that is done, 0 to 1.
+    `told` is called with the share of the work that is done, 0 to 1.
     """
 
     def __init__(
@@ -237,20 +234,9 @@ def smooth(
 ) -> Smoothed:
     """Fit a window for each kind of motion, and weight the fits by their evidence.
 
-    Parameters
-    ----------
-    window : Window or DriveLog
-        With a gyro.
-    knowledge : Knowledge
-    too_slow : Refusal, optional
-        Of samples that do not determine a drive: it is not fitted.
-    told : callable, optional
-        Called with the share of the work that is done, 0 to 1.
-
-    Raises
-    ------
-    Refusal
-        If no fit converges.
+    The window or log has a gyro. `too_slow` is the refusal of samples that do not determine a
+    drive, which is then not fitted. `told` is called with the share of the work that is done, 0 to
+    1. Raises `Refusal` if no fit converges.
     """
     trials = _Trials(window, knowledge, told)
     if (spot := trials.on_the_spot()) is not None:

@@ -335,10 +335,7 @@ def solve_at(
 ) -> tuple[dict[str, Weighted], Solution]:
     """Return the residuals at a point, and the step or the covariance there.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is not positive definite.
+    Raises `numpy.linalg.LinAlgError` if the matrix is not positive definite.
     """
     weighted = weigh(model, point)
     if is_expected:

@@ -138,18 +138,9 @@ def nodes_of(
 ) -> Nodes:
     """Return the nodes of a window with a gyro.
 
-    Parameters
-    ----------
-    window : Window
-    to_body : ndarray, shape (3, 3)
-        From sensor axes to nominal body axes (`Mounting.to_body`).
-    spacing : Spacing
-    speed : ndarray, shape (n,), optional
-        m/s ahead at the samples; NaN where none was measured.
-    may_rest : bool
-        Whether the robot may rest in it.
-    longest_step : float
-        Seconds between samples beyond which the gyro is not followed.
+    `to_body` (3, 3) is `Mounting.to_body`. `speed` (n,) is ahead at the samples, m/s, NaN if not
+    measured. `may_rest` allows rests in the window. `longest_step` is in seconds between samples;
+    across longer gaps the gyro is not integrated.
     """
     rate, time = window.angular_rate, window.time
     assert rate is not None

@@ -56,13 +56,8 @@ class Places:
     def along(cls, course: Course, state: State, length: float) -> Places:
         """Return centres along the dead-reckoned path.
 
-        Parameters
-        ----------
-        course : Course
-        state : State
-            Its attitudes and velocities give the path.
-        length : float
-            Correlation length of the disturbance, metres.
+        Attitudes and velocities of the state give the path; `length` is the correlation length of
+        the disturbance, metres.
         """
         way = reckoned(course, state)
         again = np.flatnonzero(_passed_again(way, length))

@@ -85,11 +85,7 @@ class Posterior:
 def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
     """Return the posterior of a fit: the twelve numbers with their covariance.
 
-    Parameters
-    ----------
-    fit : Fit
-    to_sensor : ndarray, shape (3, 3)
-        From nominal body axes to sensor axes (`Mounting.matrix`).
+    `to_sensor` (3, 3) is `Mounting.matrix`.
     """
     return posterior_at(fit.state, fit.covariance, to_sensor)
 
@@ -138,15 +134,8 @@ def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
 def correction_of(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> Correction:
     """Return the correction of the shared unknowns, SI units.
 
-    It gives the field in the axes in which the accelerometer shows up.
-
-    Parameters
-    ----------
-    shared : ndarray, shape (SHARED,)
-    to_sensor : ndarray, shape (3, 3)
-        From nominal body axes to sensor axes.
-    up : ndarray, shape (3,)
-        Of the level robot, in body axes.
+    It gives the field in the axes in which the accelerometer shows up. `to_sensor` (3, 3) leads
+    from nominal body axes to sensor axes; `up` (3,) is that of the level robot, in body axes.
     """
     matrix = _to_shown(shared, up) @ np.linalg.inv(to_sensor @ distortion(shared))
     return Correction(np.asarray(matrix), to_sensor @ shared[AT["iron"]] / MICROTESLA)

@@ -96,11 +96,7 @@ class Priors:
 def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     """Return the priors from the knowledge of a robot and its place.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-    bias_sigma : float
-        rad/s per axis of the gyro's bias, where a rest has shown it; else infinite.
+    `bias_sigma` is that of the gyro's bias by a rest, rad/s per axis, else infinite.
     """
     mean = np.zeros(SHARED)
     scale = np.concatenate([np.array(each.sigma) for each in UNKNOWNS.values()])

@@ -19,14 +19,8 @@ def rests(
 ) -> BoolArray:
     """Return in which nodes the robot may be at rest, by field, force and rate, shape (n,).
 
-    Parameters
-    ----------
-    mean_field : ndarray, shape (n, 3)
-        Of each node, µT.
-    count : ndarray, shape (n,)
-        Samples in each node.
-    field, shaking, rocking : ndarray, shape (n,)
-        Standard deviations of field (µT), force (m/s²) and rate (rad/s) in each node.
+    Of each node there are the mean field (n, 3) in µT, the number of samples (n,), and the standard
+    deviations (n,) of field (µT), force (m/s²) and rate (rad/s).
     """
     quiet = _as_at_rest(shaking, 0.01) & _as_at_rest(rocking, 0.002)
     return quiet & _field_stays(mean_field, field, count)

@@ -82,10 +82,7 @@ class _Step:
     ) -> _Step:
         """Take a step, or find the covariance (`solve_at`).
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If a matrix is not positive definite.
+        Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
         """
         layout = Layout.of(models, points)
         prior, gradient = np.zeros((layout.count, layout.count)), np.zeros(layout.count)
@@ -142,18 +139,7 @@ def information_of(model: Model, point: Point, solution: Solution) -> FloatArray
 def imagined_information(fit: Fit, body: FloatArray, world: FloatArray) -> FloatArray:
     """Return the expected information of the same turn on another tilt, (SHARED, SHARED).
 
-    Parameters
-    ----------
-    fit : Fit
-    body : ndarray, shape (3, 3)
-        By which the robot is rotated in its own axes.
-    world : ndarray, shape (3, 3)
-        By which it is rotated before that, in world axes.
-
-    Returns
-    -------
-    ndarray, shape (SHARED, SHARED)
-        As of `information_of`.
+    The robot is rotated by `world` (3, 3) in world axes, then by `body` (3, 3) in its own axes.
     """
     state, turned = fit.state, fit.point.course.nodes.in_axes(body)
     model = replace(fit.model, nodes=turned)
@@ -172,17 +158,8 @@ def fit_together(
 ) -> Together:
     """Return the joint fit of windows that share the calibration, from the fits of each.
 
-    Parameters
-    ----------
-    alone : sequence of Fit
-    yaw_sigma : float
-        Radians of the installation's yaw, which several tilts show.
-    tolerances : Tolerances
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a matrix is not positive definite.
+    `yaw_sigma` is the prior of the installation's yaw, radians, which several tilts show. Raises
+    `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     models = _with_one_prior([each.model for each in alone], yaw_sigma)
     points = _from_one_start(models, alone)

@@ -133,18 +133,10 @@ def effect_factors(
 ) -> dict[str, float]:
     """Return the factors of the effects' sigmas: the most likely ones, or root mean squares.
 
-    Each group's factor is chosen with the others at their new values, one after the other: two
-    effects that explain the same samples do not both vanish because the other is there.
-
-    Parameters
-    ----------
-    model : Model
-    point : Point
-        Its shared unknowns are at their posterior mean.
-    solution : Solution
-        The covariance, by the point's factors.
-    expected : frozenset of str
-        Groups of which the root of the mean square is wanted.
+    Each group's factor is chosen with the others at their new values, one after the other, so that
+    of two effects that explain the same samples one remains. The shared unknowns of the point are
+    at their posterior mean, `solution` has the covariance by the point's factors. `expected` are
+    the groups of which the root mean square is returned.
     """
     free, found = model.free, dict(point.groups)
     # By the samples and the fixed priors alone, each unknown over its usual sigma.

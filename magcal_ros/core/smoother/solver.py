@@ -108,17 +108,8 @@ class Prior:
 def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
     """Return a Gauss-Newton step.
 
-    Parameters
-    ----------
-    weighted : list of Weighted
-    prior : Prior
-    free : ndarray of int, shape (s,)
-        Which of the shared unknowns are free.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is not positive definite.
+    `free` (s,) are the indices of the free shared unknowns. Raises `numpy.linalg.LinAlgError` if
+    the matrix is not positive definite.
     """
     nodes, count = len(prior.local_information), len(free)
     information = prior.information.copy()

@@ -160,13 +160,7 @@ class Guess:
 def starts(field: FloatArray, up: FloatArray, reference: ReferenceField) -> list[Guess]:
     """Return first guesses in no particular order.
 
-    Parameters
-    ----------
-    field : ndarray, shape (n, 3)
-        In nominal body axes, µT.
-    up : ndarray, shape (n, 3)
-        Unit vectors in body axes.
-    reference : ReferenceField
+    The field (n, 3) is in nominal body axes, µT, and `up` (n, 3) are unit vectors in body axes.
     """
     circle = fit_circle_robustly(field)
     dips = _Dips(reference)

@@ -54,10 +54,7 @@ BENDS = 10.0
 def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     """Fit a turn without a gyro, from every geometric solution for axis, circle and dip.
 
-    Raises
-    ------
-    Refusal
-        If no fit converges.
+    Raises `Refusal` if no fit converges.
     """
     nodes = nodes_by_field(window, knowledge.mounting.to_body)
     usual = priors_of(knowledge)
