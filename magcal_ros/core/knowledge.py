@@ -22,7 +22,7 @@ class Belief:
     """One number that is known, uncertain or unknown."""
 
     value: float
-    """The expectation; ignored when nothing is known."""
+    """The expectation; ignored if the number is unknown."""
     sigma: float = 0.0
     """Standard deviation in the same unit: zero for known, infinite for unknown."""
 
@@ -87,9 +87,9 @@ class SoftIron:
     sigma_diagonal: float = 0.03
     sigma_cross: float = 0.02
     """Standard deviations of the elements on and off the diagonal, dimensionless. Both zero: there
-    is none."""
+    is none; else the smoother takes the prior of its own table."""
     always: bool = False
-    """Fit it in any case; otherwise only where the samples ask for it."""
+    """Has no effect on the smoother, which always estimates it."""
 
     @classmethod
     def none(cls) -> SoftIron:
@@ -125,7 +125,7 @@ class Mounting:
 
     @property
     def to_body(self) -> FloatArray:
-        """From sensor axes to nominal body axes, gains taken off; the inverse of `matrix`."""
+        """From sensor to nominal body axes, gains removed; the inverse of `matrix`, (3, 3)."""
         return np.asarray(self.pose / self.gains)
 
 
@@ -141,8 +141,8 @@ class Knowledge:
     mounting: Mounting = field(default_factory=Mounting)
     soft_iron: SoftIron = field(default_factory=SoftIron)
     exact_sensors: bool = False
-    """Whether the sensors have no errors but those above and the noise that the samples show, as in
-    a simulation. Real sensors have others, which the smoother estimates."""
+    """Whether the sensors have no errors except those above and white noise, as in a simulation.
+    Real sensors have others, which the smoother estimates."""
 
 
 def knowledge_of(

@@ -22,7 +22,7 @@ INSTALLATION = Bound(
     excellent=5.0,
     when_refused=SITS_OTHERWISE,
 )
-"""How far the magnetometer is from its nominal pose."""
+"""Rotation of the magnetometer from its nominal pose."""
 AGAINST_REFERENCE: tuple[Bound, ...] = (
     Bound(
         Figure.RADIUS_MISFIT,
@@ -191,7 +191,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
 """From simulation and about ten recordings. The most important come first."""
 
 MOTORS_TAKEN_OFF = (
-    "it is taken off while the robot moves; a magnetometer further away from motors and power "
+    "it is subtracted while the robot moves; a magnetometer further away from motors and power "
     "wires is the better cure"
 )
 ALLOWED_SIGMAS = 2.0

@@ -54,21 +54,22 @@ class VerdictTuning:
     """Radians of heading sigma from which a calibration is called rough. In a car full of steel it
     may be the best possible, and the first words of the summary should say so."""
     weighed_acceleration_deg: float = 5.0
-    """Degrees of sideways acceleration that are no warning where the fit has weighed what it may
-    be, and the heading's sigma includes what it could not determine."""
+    """Degrees of sideways acceleration without a warning, if the fit has estimated the acceleration
+    and the heading's sigma includes its uncertainty."""
     one_axis: float = 0.7
-    """Share of the gyro's squares about one axis from which a turn has one; a sensor that is turned
-    over by hand has none, and what counts is how it usually lies."""
+    """Share of the gyro's squared rates about one axis from which a turn has one axis. Of a sensor
+    that is turned over by hand the median orientation counts."""
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
-    """Radians of heading on a slope, and times the level's, from which an axial hard iron that was
-    not shown is mentioned."""
+    """Radians of heading on a slope, and its ratio to the level's, from which an unobserved axial
+    hard iron is mentioned."""
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
-    """Outside of these a strength is no Earth's: a warning that names the likely unit."""
-    guessed: float = 1.5  # times by which a strength may be out of them that only the turn tells
+    """Range of the Earth's field; outside of it there is a warning that names the likely unit."""
+    guessed: float = 1.5  # factor by which that range is wider without a reference field
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
-    """Outside of these it is none that iron on the robot could make of it either: refused."""
+    """Range of the field with iron on the robot; outside of it the calibration is refused."""
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
-    """How far the accelerometer's length may be off gravity: excellent, good; beyond it warns."""
+    """Relative deviation of the accelerometer's length from gravity: excellent, good; beyond it
+    there is a warning."""
     reasons: int = 2  # how many reasons a summary names
 
 
@@ -153,7 +154,7 @@ FLAGS = {
         "turn once more, evenly, away from moving iron",
     ),
 }
-"""What should be, and what is said where it is and where it is not."""
+"""The wanted value of a flag, and the words if it has this value and if not."""
 NO_REFERENCE = "the size of the field: the reference field is not known"
 
 

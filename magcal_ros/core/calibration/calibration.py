@@ -58,10 +58,10 @@ class Estimate:
     method: str
     correction: Correction
     covariance: FloatArray
-    """Of the twelve numbers (A row by row, then h in tesla), what the turn could not show included.
-    It is singular where a direction is fixed by convention. Shape (12, 12)."""
+    """Of the twelve numbers (A row by row, then h in tesla), including what the turn could not
+    show. It is singular where a direction is fixed by convention. Shape (12, 12)."""
     installation: Installation | None
-    """Installation error, where the method knows one."""
+    """Installation error, if the method estimates it."""
     axis: FloatArray
     """The turn's axis in body axes, unit, upwards. Shape (3,)."""
     arc: float
@@ -77,10 +77,10 @@ class Estimate:
     residual: FloatArray
     """Raw field minus the model's, tesla. Shape (n, 3)."""
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    """Everything else the method measured; SI units."""
+    """Other figures of the method; SI units."""
     message: str = ""
     swing: GyroSwing | None = None
-    """What `Figure.GYRO_COMPASS_SWING` was judged by, where gyro and compass were compared."""
+    """The data of `Figure.GYRO_COMPASS_SWING`, if gyro and compass were compared."""
     motors: MotorField | None = None
     """The field of the running motors, if the method finds it."""
 

@@ -106,9 +106,9 @@ class Running(NamedTuple):
     speed: float = 0.0
     """m/s, negative backwards."""
     current: float = 0.0
-    """Amperes, by any sign that stays the same."""
+    """Amperes, of a constant sign convention."""
     side: float = 0.0
-    """One while it turns left, minus one to the right, and between where it hardly turns."""
+    """One while it turns left, minus one to the right, between them at low rates."""
 
 
 AT_REST = Running()
@@ -126,10 +126,9 @@ class MotorField:
     beside: FloatArray
     """Covariance with the twelve numbers of the calibration. Shape (12, 3 n)."""
     ripple: float
-    """Tesla per axis that the field deviates by while the robot moves, beside K u."""
+    """Standard deviation of the field while the robot moves, beside K u, tesla per axis."""
     usual: tuple[float, ...]
-    """Root mean square of each input while the robot moves: what is expected of an input that
-    is not measured."""
+    """Root mean square of each input while the robot moves, for an input that is not measured."""
 
     def __post_init__(self) -> None:
         count = len(self.inputs)

@@ -109,7 +109,7 @@ class Validity:
     altitudes: tuple[float, float] = (-1000.0, 850_000.0)
     """Metres between which the model holds (WMM2025 Technical Report)."""
     first_year: float = 2015.0
-    """Begin of the oldest model that is shipped; a clock that was never set is earlier still."""
+    """Start of the oldest model that is shipped; a clock that was never set is earlier."""
     life: float = 5.0
     """Years for which a model is made."""
     most_years_late: float = 5.0
@@ -124,7 +124,7 @@ class Validity:
     """Tesla of level field below which a compass is of no use (WMM2025 Technical Report, blackout
     zone)."""
     caution: float = 6000e-9
-    """Tesla of level field below which it is to be doubted (caution zone)."""
+    """Tesla of level field below which a compass is unreliable (caution zone)."""
 
 
 VALIDITY = Validity()

@@ -94,15 +94,15 @@ class Screening:
     least_arc_alone: float = math.radians(90.0)
     """Radians; the latter without a known field or a gyro."""
     arc_tolerance: float = math.radians(1.5)
-    """Radians: the ends of an arc are known to no better."""
+    """Radians of uncertainty of the ends of an arc."""
     smallest_radius: float = 0.1
-    """Of the circle, over the field's strength: below it the heading drowns in noise."""
+    """Radius of the circle over the field's strength, below which the heading is mostly noise."""
     steepest: float = math.radians(84.0)
     """Radians of inclination at which too little of the field is level for a compass."""
     worst_field_noise: float = 0.15
     """Over the field's strength."""
     worst_wobble: float = math.radians(30.0)
-    """Radians: such a robot does not turn about an axis."""
+    """Radians beyond which a robot does not turn about one axis."""
     fewest_inliers: float = 0.4
     """Share of the samples."""
     widest_rival: float = math.radians(5.0)

@@ -53,7 +53,7 @@ class AssumedField:
     axial: float
     """Its part along the axis, downwards, tesla."""
     basis: str
-    """What it rests on, for people."""
+    """What it is derived from, in words."""
     axial_unknown: bool = False
     """Whether the hard iron along the axis is an assumption."""
 

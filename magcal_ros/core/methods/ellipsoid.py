@@ -34,7 +34,7 @@ class EllipsoidTuning:
     least_extent: float = 0.9
     """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
     largest_ratio: float = 3.0
-    """Longest over shortest radius; no soft iron that leaves a compass usable does more."""
+    """Longest over shortest radius; larger soft iron makes a compass unusable."""
 
 
 TUNING = EllipsoidTuning()

@@ -40,7 +40,7 @@ class MinMaxTuning:
     space_cells: float = 12.0
     """Number of cells along the range of an axis."""
     starting_quantile: float = 0.05
-    """Share of the places left out at either end of an axis to begin with."""
+    """Share of the cells left out at either end of an axis at the start."""
 
 
 TUNING = MinMaxTuning()

@@ -42,7 +42,8 @@ class TipTuning:
     least_gyro_agreement: float = 0.5
     """Slope of the field's phase against the gyro's angle from which the gyro's sense is used."""
     smallest_lever: float = math.sin(math.radians(10.0))
-    """Length of the axis across body y; below it the pitch turns about the axis and is not seen."""
+    """Length of the axis perpendicular to body y; below it the pitch is a rotation about the axis
+    and not observable."""
     strength_margin: float = 0.1
     """Share of the strength by which an installation may fit the reference worse than the best, and
     by which the radius of the circle may exceed the strength."""
@@ -91,7 +92,7 @@ class TipSamples:
     raw: FloatArray
     """Raw field in the sensor's own axes, tesla. Shape (n, 3)."""
     field: FloatArray
-    """Field with gains and nominal pose taken off, forward-right-down, tesla. Shape (n, 3)."""
+    """Field in nominal body axes, forward-right-down, gains removed, tesla. Shape (n, 3)."""
     mounting: FloatArray
     """Takes `field` back to `raw`. Shape (3, 3)."""
     turned: FloatArray | None
@@ -117,7 +118,7 @@ def enter(window: Window, mounting: Mounting) -> TipSamples:
 
 @dataclass(frozen=True, eq=False)
 class FieldCircle:
-    """The field's circle in sensor axes, gains taken off."""
+    """The field's circle in sensor axes, gains removed."""
 
     basis: FloatArray
     """Columns: two axes in the plane and the normal, right-handed. Shape (3, 3)."""

@@ -43,7 +43,7 @@ class CloudTuning:
     rounds: int = 10
     """Most times that outliers are left out and the rest is fitted again."""
     least_level_share: float = 0.1
-    """Of the field that is taken to be level where it is steeper than a compass can bear."""
+    """Least level share of the field by which the scatter is divided."""
 
 
 CLOUD = CloudTuning()
@@ -52,7 +52,8 @@ CLOUD = CloudTuning()
 PROBES: FloatArray = unit(
     np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if d > (0.0, 0.0, 0.0)])
 )
-"""Thirteen directions, an axis, an edge or a corner of a cube each, in which to ask for samples."""
+"""Thirteen directions (axes, edges and corners of a cube) in which the extent of the samples is
+measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +104,7 @@ class MountingRotation:
     covariance: FloatArray
     """Of `rotation`, rad². Shape (3, 3)."""
     scatter: float
-    """Standard deviation of the cosine that is left."""
+    """Residual standard deviation of the cosine."""
 
     @property
     def angle(self) -> float:
@@ -152,7 +153,7 @@ def _inefficiency(design: FloatArray, residual: FloatArray) -> float:
 
 
 def nominal_field(window: Window, knowledge: Knowledge) -> FloatArray:
-    """Return the field (n, 3) with known gains and the nominal pose taken off, tesla."""
+    """Return the field (n, 3) in nominal body axes, known gains removed, tesla."""
     return np.asarray(window.field @ knowledge.mounting.to_body.T)
 
 

@@ -147,7 +147,7 @@ def why_too_little(nodes: Nodes) -> Refusal | None:
     if np.mean(nodes.is_tied) < 0.5:
         return Refusal(
             Reason.AXES_DISAGREE,
-            "for most of the drive the gyro is not heard: its stamps come in bursts, or too seldom;"
+            "for most of the drive gyro samples are missing: stamps come in bursts, or too seldom;"
             " stamp each sample when it is measured, not when a buffer is read",
         )
     return None

@@ -171,7 +171,7 @@ def _begin(
     if like.kind == kind:
         return like.point, max(tolerances.places_at) + 1, last
     if model.travels and not like.model.travels:
-        # What a robot on the spot did is near enough for the way to be reckoned once.
+        # The optimum on the spot is near enough for the path to be computed once.
         last = min(tolerances.places_at)
     return like.point.moved_to(model), tolerances.gaussian, last
 
@@ -241,9 +241,9 @@ def _covariance(
 ) -> FloatArray:
     """Return the covariance of the shared unknowns, including the uncertainty of the sizes.
 
-    Nothing but the size of the soft iron tells of the yaw that crooked axes turn, so that it
-    counts by its mean square. What motors add may be a step or go with the rate: an even turn does
-    not tell, so that each may be as large as both together.
+    The yaw error of axes out of square is known from the size of the soft iron only, which counts
+    by its mean square. The motors' field may be a step or proportional to the rate. An even turn
+    cannot separate them, so that each may be as large as both together.
     """
     _, shown, _ = noise_sizes(model, point, weighted, solution)
     _, solution = solve_at(model, widened(model, point, solution, shown), is_expected=True)

@@ -1,8 +1,8 @@
 """The swing of the corrected compass against the gyro over a turn.
 
-A robot that spins in a distorted room draws a clean circle, and only the gyro shows that the field
-does not stand still. What counts is the swing that lasts: noise of single samples and the gyro's
-own bias and scale are taken off.
+In a distorted room a robot's field draws a clean circle, and only the gyro shows the distortion.
+The persistent deviation counts: noise of single samples and the gyro's own bias and scale are
+subtracted.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ class SwingTuning:
     """Radians of the turn over which the deviation is averaged."""
     bias: float = 0.003
     scale: float = 0.01
-    """What gyros have of both (rad/s and one). A slope beyond it is taken off only where it leaves
-    little behind: a swing once a turn looks like a slope in part, and must not pass for the
-    gyro's."""
+    """Usual errors of gyros (rad/s and one). A larger slope is subtracted only if it explains
+    nearly all of the deviation: a swing once a turn looks like a slope in part."""
     rounds: int = 10
     """Of Cauchy weights; they settle sooner."""
     spike: float = 6.0

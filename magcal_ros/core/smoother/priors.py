@@ -104,7 +104,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if math.isfinite(bias_sigma):
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
-    # The gyro tells what the lever arm and the place do; only several turns what sets them apart.
+    # With a gyro these are not needed, or only several turns separate them.
     for name in ("height", "axis", "upright", "gradient", "turned", "place", "added"):
         scale[AT[name]] = 0.0
     mean[EARTH], earth = _earth(knowledge)

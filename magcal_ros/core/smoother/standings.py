@@ -66,8 +66,8 @@ class Standing:
     """Direction in body axes whose heading it is; body x unless given. Shape (3,)."""
     turned: float = 0.0
     turned_sigma: float = math.inf
-    """Radians to the left since the standing before, by the gyro; an infinite sigma where nothing
-    tells."""
+    """Radians to the left since the standing before, by the gyro; the sigma is infinite without
+    one."""
     way: float = math.inf
     """Metres from the standing before, for the correlation of the local disturbance; infinite if it
     is another place."""

@@ -89,7 +89,7 @@ UNKNOWNS: dict[str, Unknown] = {
         "the bodies of cars leave a third to all of it; no heading depends on it",
     ),
     "turned": Unknown(
-        (0.09,), 0.0, 1.0, "rad", "yaw of the installation", "boards: 5°; only several tilts tell"
+        (0.09,), 0.0, 1.0, "rad", "yaw of the installation", "boards: 5°; shown by several tilts"
     ),
     "earth": Unknown((20.0, 30.0), 0.0, 1.0, "µT", "level and downward field", "the reference"),
     "gyro_bias": Unknown((0.003,) * 3, 0.8, 30.0, "rad/s", "gyro bias", "MEMS: .1 to 5 °/s"),
