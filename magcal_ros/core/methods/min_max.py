@@ -23,6 +23,7 @@ from magcal_ros.core.methods.tumbling import (
     TumblingOptions,
     finish,
     nominal_field,
+    on_unit_sphere,
 )
 from magcal_ros.core.samples.window import Window
 
@@ -35,10 +36,8 @@ class MinMaxTuning:
     """Smallest over largest range of an axis; below it one axis was never along the field."""
     least_extent: float = 1.6
     """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
-    direction_cells: float = 4.0
-    """Half the number of cells along an edge of the cube on which directions are sorted."""
-    space_cells: float = 12.0
-    """Number of cells along the range of an axis."""
+    cells: float = 12.0
+    """Number of cells along the longest range of an axis."""
     starting_quantile: float = 0.05
     """Share of the cells left out at either end of an axis at the start."""
 
@@ -53,7 +52,7 @@ class Options(TumblingOptions):
     robust: bool = False
     """Whether to leave out samples that are not on a common sphere. Quantiles of the samples would
     move towards the orientation in which the sensor rested longest; so samples are sorted into
-    cells of direction, each of which counts once."""
+    cells, each of which counts once."""
 
 
 def fit(
@@ -105,44 +104,18 @@ def samples_on_ellipsoid(nominal: FloatArray) -> BoolArray:
 
     The field (n, 3) is in nominal axes, tesla.
     """
-    low, high = _starting_range(nominal)
-    kept = np.ones(len(nominal), dtype=np.bool_)
+    size = np.maximum(np.ptp(nominal, axis=0).max(), 1e-300) / TUNING.cells
+    # One sample of each cell: an orientation in which the sensor rested counts once.
+    single = nominal[np.unique(np.round(nominal / size), axis=0, return_index=True)[1]]
+    share = TUNING.starting_quantile
+    low, high = np.quantile(single, [share, 1.0 - share], axis=0)
+    kept = np.ones(len(single), dtype=np.bool_)
     for _ in range(CLOUD.rounds):
-        points = (nominal - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-300)
-        distance = np.linalg.norm(points, axis=1)
-        # Each cell of direction has one vote, however full it is.
-        on_cube = points / np.maximum(np.abs(points).max(axis=1, keepdims=True), 1e-300)
-        believed = _near_the_usual(distance, _one_vote_each(TUNING.direction_cells * on_cube))
-        if not believed.any() or (believed == kept).all():
+        centre, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-300)
+        distance = np.linalg.norm((single - centre) / half, axis=1)
+        near = on_unit_sphere(distance)
+        if not near.any() or (near == kept).all():
             break
-        kept = believed
-        low, high = nominal[kept].min(axis=0), nominal[kept].max(axis=0)
-    return kept
-
-
-def _starting_range(nominal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    size = np.maximum(np.ptp(nominal, axis=0).max(), 1e-300) / TUNING.space_cells
-    weights = _one_vote_each(nominal / size)
-    ends = [
-        [_weighted_quantile(axis, weights, share) for axis in nominal.T]
-        for share in (TUNING.starting_quantile, 1.0 - TUNING.starting_quantile)
-    ]
-    return np.array(ends[0]), np.array(ends[1])
-
-
-def _one_vote_each(coordinates: FloatArray) -> FloatArray:
-    cells = np.unique(np.round(coordinates), axis=0, return_inverse=True)[1].ravel()
-    return np.asarray(1.0 / np.bincount(cells)[cells])
-
-
-def _near_the_usual(distance: FloatArray, weights: FloatArray) -> BoolArray:
-    usual = _weighted_quantile(distance, weights, 0.5)
-    off = np.abs(distance - usual)
-    gate = CLOUD.outlier_deviations * 1.4826 * _weighted_quantile(off, weights, 0.5)
-    return np.asarray(off <= max(gate, CLOUD.least_gate * usual))
-
-
-def _weighted_quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
-    order = np.argsort(values)
-    reached = np.cumsum(weights[order])
-    return float(values[order][int(np.searchsorted(reached, share * reached[-1]))])
+        kept = near
+        low, high = single[kept].min(axis=0), single[kept].max(axis=0)
+    return on_unit_sphere(np.linalg.norm((nominal - centre) / half, axis=1), distance)

@@ -181,11 +181,15 @@ def strength_of(shape: Shape, knowledge: Knowledge) -> float:
     return shape.radius if reference.is_unknown else reference.value
 
 
-def on_unit_sphere(distance: FloatArray) -> BoolArray:
-    """Return which samples (n,) are on the sphere, by their distance (n,) from its centre."""
-    off = np.abs(distance - float(np.median(distance)))
-    gate = CLOUD.outlier_deviations * 1.4826 * float(np.median(off))
-    return np.asarray(off <= max(gate, CLOUD.least_gate))
+def on_unit_sphere(distance: FloatArray, among: FloatArray | None = None) -> BoolArray:
+    """Return which samples (n,) are on the sphere, by their distance (n,) from its centre.
+
+    The usual distance and its spread are those of `among` (k,), by default of all samples.
+    """
+    others = distance if among is None else among
+    usual = float(np.median(others))
+    gate = CLOUD.outlier_deviations * 1.4826 * float(np.median(np.abs(others - usual)))
+    return np.asarray(np.abs(distance - usual) <= max(gate, CLOUD.least_gate))
 
 
 def finish(
