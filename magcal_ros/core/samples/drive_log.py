@@ -9,7 +9,7 @@ from operator import add
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, block_means, interpolated
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, block_means, interpolated
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS
@@ -57,8 +57,9 @@ class DriveLog:
     bias_sigma: float = math.inf
     """rad/s per axis by which `rate` may still be biased, where a rest has shown the gyro's bias
     and it was taken off; infinite where none has."""
-    has_rests: bool = True
-    """Whether the robot may rest in it; a recorder cuts rests out."""
+    rested: BoolArray | None = None
+    """Where the robot certainly stood: a recorder has seen it, and cut the rest out. None where
+    nobody has looked. Shape (m,)."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -72,8 +73,9 @@ class DriveLog:
     def between(self, start: float, end: float) -> DriveLog:
         """Return the rows of a span of stamps, both ends included, seconds."""
         rows = slice(*np.searchsorted(self.time, [start, np.nextafter(end, np.inf)]))
-        columns = ("time", "field", "force", "rate", "speed")
-        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
+        columns = ("time", "field", "force", "rate", "speed", "rested")
+        found = {name: getattr(self, name) for name in columns}
+        return replace(self, **{n: each[rows] for n, each in found.items() if each is not None})
 
 
 def log_of(window: Window, speed: FloatArray | None = None) -> DriveLog:
@@ -98,8 +100,8 @@ def log_of(window: Window, speed: FloatArray | None = None) -> DriveLog:
     )
 
 
-COLUMNS = 11
-FIELD, FORCE, RATE, SPEED = slice(1, 4), slice(4, 7), slice(7, 10), 10
+COLUMNS = 12
+FIELD, FORCE, RATE, SPEED, RESTED = slice(1, 4), slice(4, 7), slice(7, 10), 10, 11
 
 CHUNKS_OF_REST = 5
 """Chunks over which a rest is looked for."""
@@ -161,6 +163,7 @@ class DriveRecorder:
         )
         self._recent: deque[FloatArray] = deque(maxlen=CHUNKS_OF_REST)
         self._rested: deque[_Rest] = deque(maxlen=TUNING.rests)
+        self._held: deque[FloatArray] = deque()
         self.begin_anew()
         self._gyro = gyro
 
@@ -176,6 +179,7 @@ class DriveRecorder:
         self._row = self._newest = -math.inf
         self._pause = 0.0
         self._rests = False
+        self._held.clear()
         self.begun = math.nan
 
     @property
@@ -231,7 +235,7 @@ class DriveRecorder:
             grown = self._close()
             self._row = stamp
         self._count += 1
-        self._sums = list(map(add, self._sums, (stamp, *field, *force, *rate, speed)))
+        self._sums = list(map(add, self._sums, (stamp, *field, *force, *rate, speed, 0.0)))
         return grown
 
     def _end_piece(self) -> None:
@@ -259,7 +263,8 @@ class DriveRecorder:
         if gyro is not None:
             rate = rate - (self._bias_at(time) if self._rested else gyro.rate)
         sigma = math.inf if gyro is None else gyro.later_sigma
-        return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma, False)
+        rested = rows[:, RESTED] > 0.0
+        return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma, rested)
 
     def _bias_at(self, time: FloatArray) -> FloatArray:
         """Return what rests say of the gyro's bias at moments (n,) of the drive's clock, (n, 3)."""
@@ -277,15 +282,34 @@ class DriveRecorder:
         chunk = np.array(self._rows)
         self._rows.clear()
         self._recent.append(chunk)
-        rested, self._rests = self._rests, self._stands()
+        rested, self._rests = self._rests, self._is_quiet and (self._rests or self._field_stays)
         if self._rests:
-            if rested:
-                self._rested[-1].add(chunk[:, RATE].mean(axis=0), TUNING.rest_chunks)
-            else:
-                means = np.array([each[:, RATE].mean(axis=0) for each in self._recent])
-                self._rested.append(_Rest.of(self.clock, means))
-            self._pause += float(chunk[-1, 0] - chunk[0, 0]) + TUNING.row
+            self._note_rest(chunk, begins=not rested)
             return False
+        for each in self._held:
+            self._keep(each)
+        self._held.clear()
+        self._keep(chunk)
+        return True
+
+    def _note_rest(self, chunk: FloatArray, *, begins: bool) -> None:
+        """Take a chunk at rest: of a rest its beginning and its end are kept."""
+        if begins:
+            means = np.array([each[:, RATE].mean(axis=0) for each in self._recent])
+            self._rested.append(_Rest.of(self.clock, means))
+            for each in self._recent:
+                each[:, RESTED] = 1.0
+        else:
+            self._rested[-1].add(chunk[:, RATE].mean(axis=0), TUNING.rest_chunks)
+            # Something switches there, or iron comes.
+            chunk[:, RESTED] = (_changes(chunk[:, FIELD]) < TUNING.rest_field).all()
+        self._held.append(chunk)
+        if len(self._held) >= CHUNKS_OF_REST:
+            gone = self._held.popleft()
+            self._pause += float(gone[-1, 0] - gone[0, 0]) + TUNING.row
+
+    def _keep(self, chunk: FloatArray) -> None:
+        """Write a chunk by the drive's own clock."""
         stamps = chunk[:, 0] - self._pause
         if self._chunks:
             last = float(self._chunks[-1][-1, 0])
@@ -298,22 +322,33 @@ class DriveRecorder:
         if math.isnan(self.begun):
             self.begun = float(stamps[0])
         self._chunks.append(chunk)
-        return True
 
-    def _stands(self) -> bool:
-        """Whether nothing has changed over the last seconds: neither field, turn rate nor force."""
+    @property
+    def _is_quiet(self) -> bool:
+        """Whether turn rate, force and speed were those of a rest over the last seconds."""
         if not self._is_long_enough:
             return False
         rows = np.concatenate(list(self._recent))
         speed = np.abs(rows[-TUNING.chunk :, SPEED])
         if (speed > TUNING.rest_speed).any():
             return False
-        half = len(rows) // 2
-        gap = np.abs(rows[:half].mean(axis=0) - rows[half:].mean(axis=0))
-        spread = rows.std(axis=0)
-        field = gap[FIELD] + TUNING.rest_noise * spread[FIELD]
         return bool(
-            (field < TUNING.rest_field).all()
-            and (gap[RATE] + TUNING.rest_noise * spread[RATE] < TUNING.rest_rate).all()
-            and (spread[FORCE] < TUNING.rest_force).all()
+            (_changes(rows[:, RATE]) < TUNING.rest_rate).all()
+            and (rows[:, FORCE].std(axis=0) < TUNING.rest_force).all()
         )
+
+    @property
+    def _field_stays(self) -> bool:
+        """Whether the field stayed what it was over the last seconds.
+
+        A rest begins with that; once it has, iron may come to a robot that stands.
+        """
+        field = np.concatenate(list(self._recent))[:, FIELD]
+        return bool((_changes(field) < TUNING.rest_field).all())
+
+
+def _changes(values: FloatArray) -> FloatArray:
+    """Return by how much values (n, 3) change from half to half and beside that, shape (3,)."""
+    half = len(values) // 2
+    gap = np.abs(values[:half].mean(axis=0) - values[half:].mean(axis=0))
+    return np.asarray(gap + TUNING.rest_noise * values.std(axis=0))

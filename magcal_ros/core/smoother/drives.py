@@ -44,7 +44,7 @@ FEWEST = 16
 """Nodes of the shortest drive that is fitted."""
 FIXED = 0.01
 """Spread of the logarithm of a size that is known."""
-TOLERANCES = Tolerances(rounds=60, step=0.2, evidence=2.0)
+TOLERANCES = Tolerances(rounds=60, step=0.2)
 HELD = (
     "installation",
     "axes",

@@ -123,23 +123,25 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     earth = attitude @ state.earth
     ahead, gradient = state.attitude[:, 0, :2], shared[AT["gradient"]].reshape(3, 2)
     disturbance = places.disturbance(state) + ahead @ gradient.T + shared[AT["place"]]
+    comes = course.added == 0.5
+    added = (course.added + comes * shared[AT["came"]])[:, None]
+    disturbance += added * shared[AT["entered"]]
     street = np.einsum("nij,nj->ni", attitude, disturbance)
     turn, bend = installation(shared), soft_iron(shared)
     full = bend @ turn
     by_earth, by_street = full @ nodes.inside, turn @ nodes.inside
     inside_earth = np.einsum("nij,nj->ni", nodes.inside, earth)
     inside_street = np.einsum("nij,nj->ni", nodes.inside, street)
-    predicted = (
-        shared[AT["iron"]]
-        + inside_earth @ full.T
-        + inside_street @ turn.T
-        + state.local[:, BODY_FIELD]
-        + course.moving[:, None] * shared[AT["motors_moving"]]
-        + nodes.rate[:, 2:] * shared[AT["motors_rate"]]
-        + course.span[:, None] * shared[AT["drift"]]
-        + course.added[:, None] * shared[AT["added"]]
-    )
     count = len(nodes)
+    of_the_body = {
+        "iron": np.ones((count, 1)),
+        "motors_moving": course.moving[:, None],
+        "motors_rate": nodes.rate[:, 2:],
+        "drift": course.span[:, None],
+        "added": added,
+    }
+    predicted = inside_earth @ full.T + inside_street @ turn.T + state.local[:, BODY_FIELD]
+    predicted += sum(share * shared[AT[name]] for name, share in of_the_body.items())
     here = np.zeros((count, 3, LOCAL))
     here[:, :, ATTITUDE] = -(by_earth @ skews(earth) + by_street @ skews(street)) @ late
     by_place = by_street @ attitude
@@ -152,7 +154,11 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     on_the_way = by_place[:, :, :, None] * ahead[:, None, None, :]
     by[:, :, AT["gradient"]] = on_the_way.reshape(count, 3, 6)
     by[:, :, AT["place"]] = by_place
-    by[:, :, AT["iron"]] = np.eye(3)
+    by[:, :, AT["entered"]] = added[:, :, None] * by_place
+    step = shared[AT["added"]] + by_place @ shared[AT["entered"]]
+    by[:, :, AT["came"].start] = comes[:, None] * step
+    for name, share in of_the_body.items():
+        by[:, :, AT[name]] = share[:, :, None] * np.eye(3)
     by[:, :, EARTH] = (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0]
     turned = inside_earth @ turn.T
     for k in range(6):
@@ -167,10 +173,6 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     by[:, :, AT["latency"].start] = np.einsum(
         "nij,nj->ni", by_earth, np.cross(nodes.rate, earth)
     ) + np.einsum("nij,nj->ni", by_street, np.cross(nodes.rate, street))
-    by[:, :, AT["motors_moving"]] = course.moving[:, None, None] * np.eye(3)
-    by[:, :, AT["motors_rate"]] = nodes.rate[:, 2, None, None] * np.eye(3)
-    by[:, :, AT["added"]] = course.added[:, None, None] * np.eye(3)
-    by[:, :, AT["drift"]] = course.span[:, None, None] * np.eye(3)
     return Linear(nodes.field - predicted, here, None, by)
 
 

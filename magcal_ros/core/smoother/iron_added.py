@@ -8,11 +8,13 @@ does.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import chained
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother.drives import (
@@ -27,15 +29,18 @@ from magcal_ros.core.smoother.drives import (
 from magcal_ros.core.smoother.factors import magnetic, turned_by
 from magcal_ros.core.smoother.fit import Fit, fit
 from magcal_ros.core.smoother.kinds_of_motion import BELIEVED
-from magcal_ros.core.smoother.model import course_at, solve_at
+from magcal_ros.core.smoother.model import solve_at, way_between
 from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.priors import Priors
+from magcal_ros.core.smoother.solver import Weighted
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import AT, KINDS, MICROTESLA, ON_WHEELS, STREET, UNKNOWNS
 
 FEWEST_SINCE = 4
 """Nodes before and after the moment at which iron was added."""
-TRIED = 2
-"""Moments at which it is tried, the most likely ones."""
+SELDOM, STEEL = 300.0, 100.0
+"""How many times as often a robot that moves comes to steel as iron comes to it, and the mean
+length of what disturbs the field on the way, metres: bridges, tunnels, garages."""
 LASTING = 0.15
 """µT that sensors and a place err by all along a stretch in which nothing moves."""
 
@@ -68,30 +73,50 @@ def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) ->
     same = held_fit(inside, priors)
     if same is None:
         return None
-    scale = priors.scale.copy()
-    scale[AT["added"]] = UNKNOWNS["added"].sigma
-    free, best = replace(priors, scale=scale), None
-    for since in _moments(same):
-        changed = replace(inside, added_from=since)
-        try:
-            found = fit(changed, free, _begun(same, changed), KINDS[ON_WHEELS], TOLERANCES)
-        except np.linalg.LinAlgError:
-            continue
-        if best is None or found.evidence < best.evidence:
-            best = found
-    if best is None:
+    # It comes within the first node that it is in, or within the one before.
+    within = {first - back for first in _moments(same) for back in (0, 1)}
+    trials = [_changed(same, priors, "added", node) for node in sorted(within)]
+    fits = [each for each in trials if each is not None]
+    if not fits:
         return None
-    gain = BELIEVED * (same.evidence - best.evidence)
-    fitted = added_to(correction, best, AT["added"])
-    return IronChange(best.model.nodes.added_from, gain, fitted)
+    best = min(fits, key=lambda each: each.evidence)
+    node = int(np.searchsorted(inside.time, best.model.nodes.added_from))
+    least = same.evidence
+    # What disturbs a robot at rest does not follow it when it leaves.
+    quiet = inside.quiet
+    rests = quiet[node - 2 : node].any() and quiet[node + 1 : node + 3].any()
+    if best.evidence < least and not rests:
+        other = _changed(same, priors, "entered", node)
+        if other is not None:
+            way = float(np.sum(way_between(other.model, other.point)[node:]))
+            least = min(least, other.evidence - 2.0 * (math.log(SELDOM) - way / STEEL))
+    since = float(0.5 * (inside.time[node] + inside.time[node + 1]))
+    gain = BELIEVED * (least - best.evidence)
+    return IronChange(since, gain, added_to(correction, best, AT["added"]))
 
 
-def _moments(same: Fit) -> list[float]:
-    """Return the likely times of a change, by a score test at each node; often none.
+def _changed(same: Fit, priors: Priors, name: str, node: int) -> Fit | None:
+    """Return the fit with an effect that starts within a node and stays; None if it fails."""
+    scale = priors.scale.copy()
+    for each in (name, "came"):
+        scale[AT[each]] = UNKNOWNS[each].sigma
+    nodes = replace(same.model.nodes, added_from=float(same.model.nodes.time[node]))
+    state = _begun(same, name, node)
+    like = replace(same, point=replace(same.point, state=state))
+    free = replace(priors, scale=scale)
+    try:
+        return fit(nodes, free, state, KINDS[ON_WHEELS], TOLERANCES, like)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _moments(same: Fit) -> set[int]:
+    """Return the likely first nodes of a change, by a score test; often none.
 
     The cost is quadratic about the optimum without a change: with the gradient g by iron that is
     there since a node and the information I, all other unknowns integrated out, it falls by
-    g^T I^-1 g. The evidence has the determinant of I besides.
+    g^T I^-1 g. The evidence has the determinant of I besides. A jump that passes for an outlier of
+    the local disturbance leaves no gradient; what it costs there is another reason to try.
     """
     weighted, solution = solve_at(same.model, same.point)
     part, count = weighted["field"], len(same.model.nodes)
@@ -113,32 +138,32 @@ def _moments(same: Fit) -> list[float]:
     own += np.diag(np.array(UNKNOWNS["added"].sigma) ** -2.0)
     gradient = np.einsum("n,ni,nk->ki", part.weight, part.linear.residual, later)
     gain = np.einsum("ki,ki->k", gradient, np.linalg.solve(own, gradient[:, :, None])[:, :, 0])
-    gain -= np.linalg.slogdet(own * np.square(UNKNOWNS["added"].sigma))[1]
-    chosen: list[int] = []
-    for row in np.argsort(-gain)[: np.count_nonzero(gain > 0.0)]:
-        if all(abs(row - other) >= FEWEST_SINCE for other in chosen):
-            chosen.append(int(row))
-        if len(chosen) == TRIED:
-            break
-    time = same.model.nodes.time
-    return [float(0.5 * (time[since[row] - 1] + time[since[row]])) for row in chosen]
+    jump = _outlier_cost(weighted["street"])[since - 1]
+    narrower = np.linalg.slogdet(own * np.square(UNKNOWNS["added"].sigma))[1]
+    gains = gain - narrower, jump - narrower
+    return {int(since[np.argmax(each)]) for each in gains if each.max() > 0.0}
 
 
-def _begun(same: Fit, nodes: Nodes) -> State:
+def _outlier_cost(part: Weighted) -> FloatArray:
+    """Return the cost of each residual minus its expectation, shape (n - 1,)."""
+    width = part.linear.residual.shape[1]
+    return np.asarray((part.freedom + width) * np.log1p(part.chi2 / part.freedom) - width)
+
+
+def _begun(same: Fit, name: str, node: int) -> State:
     """Return the start of the fit: attitude by the gyro after the change, no local disturbance."""
-    state = same.state
+    state, nodes = same.state, same.model.nodes
     shared, local, attitude = state.shared.copy(), state.local.copy(), state.attitude.copy()
-    first = int(np.searchsorted(nodes.time, nodes.added_from, side="right"))
     steps = np.where(
         nodes.is_tied[:, None, None],
         turned_by(nodes, shared),
         attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2),
     )
-    attitude[first - 1 :] = chained(steps[None, first - 1 :])[0] @ attitude[first - 1]
-    local[first:, STREET] = 0.0
-    places = same.model.no_places
-    begun = State(attitude, local, shared)
-    course = course_at(same.model, begun)
-    residual = magnetic(replace(course, nodes=nodes), begun, places).residual
-    shared[AT["added"]] = np.median(residual[first:], axis=0)
-    return State(attitude, local, shared)
+    attitude[node:] = chained(steps[None, node:])[0] @ attitude[node]
+    local[node:, STREET] = 0.0
+    begun = replace(state, attitude=attitude, local=local, shared=shared)
+    residual = magnetic(same.point.course, begun, same.point.places).residual
+    if name == "entered":
+        residual = np.einsum("nji,nj->ni", attitude, residual)
+    shared[AT[name]] = np.median(residual[node + 1 :], axis=0)
+    return replace(begun, shared=shared)

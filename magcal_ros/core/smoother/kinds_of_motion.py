@@ -88,7 +88,7 @@ def nodes_of_log(log: DriveLog, to_body: FloatArray, spacing: Spacing) -> Nodes:
         to_body,
         spacing,
         log.speed if np.isfinite(log.speed).any() else None,
-        may_rest=log.has_rests,
+        rested=log.rested,
         longest_step=STREAMS.longest_gyro_step,
     )
 
@@ -205,7 +205,8 @@ class _Trials:
     def _without_false_rests(self) -> None:
         """Drop the rests if that is more likely: driving on a smooth road may look like a rest."""
         self.add(ON_WHEELS, tolerances=ROUGHLY)
-        if not self.nodes.quiet.any():
+        is_certain = isinstance(self._samples, DriveLog) and self._samples.rested is not None
+        if is_certain or not self.nodes.quiet.any():
             return
         resting, rested = self.nodes, self.fits.pop(ON_WHEELS, None)
         self.nodes = replace(resting, quiet=np.zeros(len(resting), dtype=np.bool_))

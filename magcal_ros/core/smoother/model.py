@@ -57,6 +57,8 @@ class Model:
     """m/s per axis, ahead and sideways, that are usual for the kind of motion. Shape (2,)."""
     travels: bool
     """Whether the kind of motion leaves the spot."""
+    traffic: float
+    """m/s, as of the kind of motion."""
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -76,6 +78,7 @@ class Model:
             replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, **begins}),
             kind.velocity,
             travels,
+            kind.traffic,
         )
 
     @property
@@ -289,7 +292,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
 
 
 def way_between(model: Model, point: Point) -> FloatArray:
-    """Return the distance of the magnetometer between nodes, metres, shape (n - 1,).
+    """Return the path of the magnetometer, or of traffic beside it, between nodes, m, (n - 1,).
 
     By the expected square of the velocity.
     """
@@ -298,7 +301,8 @@ def way_between(model: Model, point: Point) -> FloatArray:
     square = np.sum(mean**2, axis=1) + 0.5 * (point.doubt[1:] + point.doubt[:-1])
     around = model.priors.lengths.beside * np.linalg.norm(nodes.link_rate, axis=1)
     share = 0.5 * (moving[1:] + moving[:-1])
-    return np.asarray(nodes.seconds * np.sqrt(square + around**2) * share + 1e-6)
+    pace = np.sqrt(square + around**2) * share + model.traffic * (1.0 - share)
+    return np.asarray(nodes.seconds * pace + 1e-6)
 
 
 def prior_at(model: Model, point: Point) -> Prior:

@@ -133,14 +133,14 @@ def nodes_of(
     spacing: Spacing = Spacing(),
     speed: FloatArray | None = None,
     *,
-    may_rest: bool = True,
+    rested: BoolArray | None = None,
     longest_step: float = math.inf,
 ) -> Nodes:
     """Return the nodes of a window with a gyro.
 
     `to_body` (3, 3) is `Mounting.to_body`. `speed` (n,) is ahead at the samples, m/s, NaN if not
-    measured. `may_rest` allows rests in the window. `longest_step` is in seconds between samples;
-    across longer gaps the gyro is not integrated.
+    measured. `rested` (n,) says where the robot rested, if that is known. `longest_step` is in
+    seconds between samples; across longer gaps the gyro is not integrated.
     """
     rate, time = window.angular_rate, window.time
     assert rate is not None
@@ -155,15 +155,13 @@ def nodes_of(
     from_middle = attitude @ np.swapaxes(np.repeat(attitude[middle], last - first, axis=0), 1, 2)
     mean_rate = block_means(rate, first)
     links = _Links.of(window, attitude, middle, steps, unseen)
-    spreads = (_spread(each, first, count) for each in (field, window.specific_force, rate))
-    mean_field = block_means(field, first)
     nodes = Nodes(
         time[middle],
-        mean_field,
+        block_means(field, first),
         block_means(from_middle, first),
         mean_rate,
         count,
-        may_rest & rests(mean_field, count, *spreads),
+        _quiet(window, field, first) if rested is None else np.logical_and.reduceat(rested, first),
         np.diff(time[middle]),
         attitude[middle[1:]] @ np.swapaxes(attitude[middle[:-1]], 1, 2),
         links.angle,
@@ -251,6 +249,15 @@ def _first_rows(
     first = np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
     # What is left over at the end is no node of its own, which would look quiet.
     return first[:-1] if len(first) > 1 and clock[-1] - clock[first[-1]] < 0.5 else first
+
+
+def _quiet(window: Window, field: FloatArray, first: IntArray) -> BoolArray:
+    """Return in which nodes the robot may rest, by its samples, shape (n,)."""
+    assert window.angular_rate is not None
+    count = np.diff(first, append=len(window)).astype(float)
+    sensors = field, window.specific_force, window.angular_rate
+    spreads = (_spread(each, first, count) for each in sensors)
+    return rests(block_means(field, first), count, *spreads)
 
 
 def _spread(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:

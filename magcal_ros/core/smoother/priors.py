@@ -105,7 +105,17 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
     # With a gyro these are not needed, or only several turns separate them.
-    for name in ("height", "axis", "upright", "gradient", "turned", "place", "added"):
+    for name in (
+        "height",
+        "axis",
+        "upright",
+        "gradient",
+        "turned",
+        "place",
+        "added",
+        "entered",
+        "came",
+    ):
         scale[AT[name]] = 0.0
     mean[EARTH], earth = _earth(knowledge)
     most = {name: each.most for name, each in UNKNOWNS.items()}

@@ -93,7 +93,8 @@ class Course:
     still: BoolArray
     """Whether the robot rests there. Shape (n,)."""
     added: FloatArray
-    """One where iron that was added is there, else zero. Shape (n,)."""
+    """Expected share of the node in which iron that was added is there: zero, one, and a half where
+    it comes. Shape (n,)."""
     span: FloatArray
     """Time over the window's length, its middle at zero. Shape (n,)."""
 
@@ -108,5 +109,5 @@ class Course:
         span = (nodes.time - nodes.time.mean()) / max(np.ptp(nodes.time), 1e-9)
         edge = ~still & (np.append(still[1:], False) | np.insert(still[:-1], 0, False))
         moving = np.where(edge, 0.5, (~still).astype(float))
-        added = (nodes.time > nodes.added_from).astype(float)
+        added = np.heaviside(nodes.time - nodes.added_from, 0.5)
         return cls(nodes, axes, moving, edge, still, added, span)

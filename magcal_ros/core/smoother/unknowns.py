@@ -110,7 +110,28 @@ UNKNOWNS: dict[str, Unknown] = {
         (0.15,) * 3, 0.7, 30.0, "µT", "drift of hard iron over the window", ".2 to 1 µT"
     ),
     "added": Unknown(
-        (30.0,) * 3, 0.0, 1.0, "µT", "hard iron that is there from one moment on", "a load"
+        (10.0,) * 3,
+        1.0,
+        10.0,
+        "µT",
+        "hard iron that is there from one moment on",
+        "a load: 3 to 30",
+    ),
+    "entered": Unknown(
+        (10.0,) * 3,
+        1.0,
+        10.0,
+        "µT",
+        "local disturbance that a drive meets at one moment and does not leave, world axes",
+        "bridges, garages: 5 to 20",
+    ),
+    "came": Unknown(
+        (0.3,),
+        0.0,
+        1.0,
+        "-",
+        "share of its node in which a change is there, less a half",
+        "uniform",
     ),
     "force_moving": Unknown(
         (0.01,) * 3,
@@ -222,6 +243,8 @@ class KindOfMotion(NamedTuple):
     differs between its rest and its way is the place."""
     soft_iron: float = 1.0
     """Factor of the usual soft iron: a vehicle's body is of steel."""
+    traffic: float = 0.0
+    """m/s at which what disturbs the field passes a robot that stands: other vehicles do."""
 
     @property
     def velocity(self) -> FloatArray:
@@ -240,8 +263,8 @@ DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08, 0.01),
     SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15, 0.01),
-    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0),
-    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0),
+    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0, 1.0),
+    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0, 1.0),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 LATE = f"{ON_THE_SPOT}, field late"

@@ -20,13 +20,15 @@ class Ride:
         self.recorder, self.noise = recorder, noise
         self.rng = np.random.default_rng(seed)
         self.stamp = self.yaw = 0.0
+        self.iron, self.switching = np.zeros(3), 0.0
 
     def go(self, seconds, rate=0.0, bias=BIAS):
         for _ in range(round(seconds / STEP)):
             self.stamp += STEP
             self.yaw += rate * STEP
             field = 1e-6 * np.array([20.0 * math.cos(self.yaw), -20.0 * math.sin(self.yaw), -40.0])
-            field += self.rng.normal(0.0, 1e-7, 3)
+            field += self.rng.normal(0.0, 1e-7, 3) + self.iron
+            field += self.switching * self.rng.normal(0.0, 1.0, 3)
             force = np.array([0.0, 0.0, 9.81]) + self.rng.normal(0.0, 0.02, 3)
             spin = bias + np.array([0.0, 0.0, rate]) + self.rng.normal(0.0, self.noise, 3)
             self.recorder.add(self.stamp, tuple(field), tuple(force), tuple(spin))
@@ -142,3 +144,40 @@ def test_where_time_jumps_all_the_while_nothing_is_remembered(ride):
         ride.go(2.0, rate=0.4)
         ride.stamp += 100.0
     assert ride.recorder.seconds < 4.0
+
+
+def test_of_a_rest_the_beginning_and_the_end_are_kept(ride):
+    ride.go(20.0, rate=0.4)
+    ride.go(60.0)
+    ride.go(20.0, rate=0.4)
+    log = ride.recorder.log()
+    assert 6.0 < 0.1 * np.count_nonzero(log.rested) < 10.0
+    moving = np.abs(log.rate[:, 2]) > 0.2
+    assert not (log.rested & moving).any()
+    assert np.diff(log.time) == pytest.approx(np.full(len(log) - 1, 0.1), abs=0.03)
+
+
+def test_iron_that_comes_to_a_robot_at_rest_ends_no_rest(ride):
+    ride.go(20.0, rate=0.4)
+    ride.go(30.0)
+    ride.iron = np.array([10e-6, 0.0, 0.0])
+    ride.go(2.5)
+    ride.go(20.0, rate=0.4)
+    log = ride.recorder.log()
+    strength = np.linalg.norm(log.field[:, :2], axis=1)[log.rested]
+    assert strength.min() == pytest.approx(20e-6, abs=1e-6)
+    field = log.field[log.rested]
+    assert np.linalg.norm(field[-1] - field[0]) == pytest.approx(10e-6, abs=1e-6)
+
+
+def test_where_something_switches_the_robot_may_do_more_than_rest(ride):
+    ride.go(20.0, rate=0.4)
+    ride.go(12.0)
+    ride.switching = 4e-6
+    ride.go(4.0)
+    ride.switching = 0.0
+    ride.go(20.0, rate=0.4)
+    log = ride.recorder.log()
+    spread = log.field[log.rested].std(axis=0)
+    assert spread.max() < 0.5e-6
+    assert log.rested.sum() < 60

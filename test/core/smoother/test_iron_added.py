@@ -5,10 +5,12 @@ import math
 import numpy as np
 import pytest
 from simulated.drive import Iron
+from simulated.legs import Leg, city, standing
 from streets import BOSTON, driven, heading_error, log_from
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.keeping.candidates import KEEPING
+from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.smoother.drives import drive_nodes
 from magcal_ros.core.smoother.iron_added import find_change
 
@@ -62,3 +64,40 @@ def test_what_the_calibration_itself_is_uncertain_by_is_no_change():
     off = {"iron": (6e-6, 0.0, 0.0)}
     rough, sure = (gain(drive, sigma=math.radians(sigma), **off) for sigma in (10.0, 0.3))
     assert rough < KEEPING.notice_proof < sure
+
+
+def recorded(drive, added):
+    """What a recorder keeps of a drive to whose field something is added, tesla."""
+    recorder = DriveRecorder()
+    rows = zip(drive.time, drive.field + added, drive.force, drive.rate, strict=True)
+    for stamp, *sensors in rows:
+        recorder.add(stamp, *(tuple(each) for each in sensors))
+    return recorder.log()
+
+
+def from_a_stop(seed):
+    """A drive that stops, and then goes straight on for half a minute; when it starts to do so."""
+    town = city(np.random.default_rng(seed), 100.0)
+    legs = [*town, *standing(12.0), Leg(4.0, 10.0), Leg(26.0, 10.0)]
+    drive = driven(seed, legs=legs)
+    return drive, drive.time[-1] - 30.0
+
+
+@pytest.mark.parametrize("quarter", range(4))
+def test_iron_that_comes_to_a_robot_at_rest_is_told_before_it_turns(quarter):
+    drive, start = from_a_stop(5)
+    way = 0.5 * math.pi * quarter
+    iron = 10e-6 * np.array([math.cos(way), math.sin(way), 0.0])
+    log = recorded(drive, np.outer(drive.time > start - 4.0, iron))
+    found = find_change(drive_nodes(log, NOBODY), in_force(drive), BOSTON)
+    assert found.gain > KEEPING.notice_proof
+    came = found.fit.posterior.correction.hard_iron - in_force(drive).correction.hard_iron
+    assert came == pytest.approx(iron, abs=3e-6)
+
+
+def test_steel_that_a_drive_comes_to_is_no_iron():
+    drive, start = from_a_stop(5)
+    steel = (drive.time > start + 15.0)[:, None] * (drive.truth.attitude @ [0.0, 12e-6, -9e-6])
+    nodes = drive_nodes(recorded(drive, steel), NOBODY)
+    found = find_change(nodes, in_force(drive), BOSTON)
+    assert found is None or found.gain < KEEPING.notice_proof
