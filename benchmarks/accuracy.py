@@ -20,7 +20,7 @@ from simulated.turns import Trouble, measure, smooth_wobble, turn
 from magcal_ros.core.calibration.calibration import Estimate, yaw_jacobian
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import (
     DEGREE,

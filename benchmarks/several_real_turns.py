@@ -46,7 +46,7 @@ from simulated.turns import measure, slope_rpy, smooth_wobble
 from magcal_ros.core.calibrate import calibrate_turns
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian
 from magcal_ros.core.geometry.attitude import field_in_enu
-from magcal_ros.core.knowledge import MOUNTING_YAW_SIGMA, Belief, Knowledge, ReferenceField
+from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.simulation import DEGREE, Robot
 
 OF_THE_ROBOT: Spoil = together(
@@ -85,7 +85,7 @@ def drawn(
         inclination=rng.uniform(50.0, 70.0) * DEGREE,
         roll=rng.normal(0.0, 3.0) * DEGREE,
         pitch=rng.normal(0.0, 3.0) * DEGREE,
-        yaw=rng.normal(0.0, MOUNTING_YAW_SIGMA),
+        yaw=rng.normal(0.0, Mounting.yaw_sigma),
         hard_iron=rng.normal(0.0, 20e-6, 3),
         noise_field=0.3e-6,
         noise_force=0.05,

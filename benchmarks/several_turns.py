@@ -16,7 +16,7 @@ from limit import Scene, covariance_limit, heading_rms
 from simulated.turns import measure, slope_rpy, turn
 
 from magcal_ros.core.calibrate import calibrate_turns
-from magcal_ros.core.knowledge import MOUNTING_YAW_SIGMA
+from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.simulation import LEVEL_TILT, UP_ENU, Robot, heading_errors
 
 TILT = math.radians(10.0)
@@ -52,7 +52,7 @@ def draw(slopes: Sequence[float | None], soft_iron: float, rng: np.random.Genera
     robot = replace(
         Robot(),
         hard_iron=Robot().strength * np.array([0.6, -0.4, 0.5]),
-        yaw=float(MOUNTING_YAW_SIGMA * rng.standard_normal()),
+        yaw=float(Mounting.yaw_sigma * rng.standard_normal()),
         soft_iron=upper + np.triu(upper, 1).T,
     )
     first, made = rng.uniform(0.0, math.tau), []

@@ -12,7 +12,7 @@ import time
 import numpy as np
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, Robot
 

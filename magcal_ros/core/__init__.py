@@ -76,7 +76,7 @@ def __dir__() -> list[str]:
 
 
 class _Face(ModuleType):
-    """Keeps `calibrate` the function: importing the module of that name would put it here."""
+    """Keeps the function `calibrate`, which the import of the module of that name would replace."""
 
     @property
     def calibrate(self) -> Any:
@@ -84,7 +84,7 @@ class _Face(ModuleType):
 
     @calibrate.setter
     def calibrate(self, module: ModuleType) -> None:
-        """Leave the import system's binding aside; the module stays in `sys.modules`."""
+        """Ignore the import system's binding; the module stays in `sys.modules`."""
 
 
 sys.modules[__name__].__class__ = _Face

@@ -1,4 +1,4 @@
-"""From a window, or several, to a judged calibration: the way that node and command line go."""
+"""Fit one window or several, and grade the result; used by the node and the command line."""
 
 from __future__ import annotations
 
@@ -29,92 +29,77 @@ if TYPE_CHECKING:
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
-METHODS = ("maximum_likelihood", "smoother", "smoother_one", "design_tip", "ellipsoid", "min_max")
-"""Names that `find_method` knows, the recommended one first."""
-DRIVES = METHODS[1]
-"""The method that takes a drive without a turn."""
-ONE_SMOOTHER = METHODS[0], METHODS[2]
+_FITS = {
+    "maximum_likelihood": "smoother.fit",
+    "smoother": "smoother.fit_drive",
+    "smoother_one": "smoother.fit",
+    "design_tip": "design_tip.fit",
+    "ellipsoid": "ellipsoid.fit",
+    "min_max": "min_max.fit",
+}
+METHODS = tuple(_FITS)
+"""Names of the methods, the recommended one first."""
+JOINS, DRIVES, *_ = METHODS
+"""The method that joins turns, and the one that takes a drive without a turn."""
+ONE_SMOOTHER = JOINS, METHODS[2]
 """Two names of one method (doc/smoother.md)."""
-JOINS = METHODS[0]
-"""The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
 """Methods that take all samples for one tumble."""
-PAUSE = 1.0
-"""Seconds between turns whose samples are pooled."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a window.
-
-    Parameters
-    ----------
-    verdict : Verdict
-        How it is judged.
-    calibration : Calibration or None
-        What was found, whatever the verdict; None if nothing could be found.
-    estimate : Estimate or None
-        The method's own result.
-    reason : Reason or None
-        Why nothing could be found.
-    several : Several or None
-        Where turns were put together: what became of each, what is shown, and what comes next.
-    window : Window or None
-        The samples that were looked at: the estimate's residuals are of its rows.
-    """
+    """The result of fitting a window."""
 
     verdict: Verdict
     calibration: Calibration | None = None
+    """Whatever the verdict says; None if nothing was found, as of the estimate."""
     estimate: Estimate | None = None
     reason: Reason | None = None
+    """Why nothing was found."""
     several: Several | None = None
+    """What each turn adds and which turn comes next, if several were joined."""
     window: Window | None = None
+    """The samples; the estimate's residuals are of its rows."""
 
     @classmethod
     def refused(cls, refusal: Refusal, window: Window | None = None) -> Outcome:
-        """Return what comes of samples that cannot carry a calibration."""
+        """Return the outcome of samples that do not determine a calibration."""
         return cls(refuse(refusal), reason=refusal.reason, window=window)
 
 
 def find_method(name: str) -> Fit:
-    """Return the method of a name, imported when it is asked for.
-
-    Raises
-    ------
-    ValueError
-        If there is none of that name.
-    """
+    """Return the function of a method; its module is imported now. ValueError if it is unknown."""
     if name not in METHODS:
         raise ValueError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
-    name = METHODS[0] if name in ONE_SMOOTHER else name
-    module = importlib.import_module(f"magcal_ros.core.methods.{name}")
-    return cast("Fit", module.fit)
+    module, function = _FITS[name].split(".")
+    found = getattr(importlib.import_module(f"magcal_ros.core.methods.{module}"), function)
+    return cast("Fit", found)
 
 
 def calibrate(
     window: Window,
     knowledge: Knowledge,
-    method: str = METHODS[0],
-    told: Callable[[float], object] | None = None,
+    method: str = JOINS,
+    progress: Callable[[float], object] | None = None,
 ) -> Outcome:
-    """Fit a window as a turn, or as the drive that it was, and judge the result.
+    """Fit the window of a turn or a drive, and grade the result.
+
+    Bad data raise nothing: a refusal is a verdict.
 
     Parameters
     ----------
     window : Window
-        The samples of one turn.
     knowledge : Knowledge
-        What is known beforehand.
+        What is known before the turn.
     method : str
-        One of `METHODS`. By the first the smoother answers, with a gyro or without, whether the
-        robot turned on the spot or drove.
-    told : callable, optional
-        Takes the share of the work that is done, 0 to 1, of a fit that takes long.
+        One of `METHODS`. The first takes turns and drives, with a gyro or without.
+    progress : callable, optional
+        Called with the share of the work that is done, 0 to 1, if the fit takes long.
 
     Returns
     -------
     Outcome
-        Never raises for bad data: a refusal is a verdict.
     """
     from magcal_ros.core.doctor.page import blamed_on_axes, wrong_reading
 
@@ -122,8 +107,8 @@ def calibrate(
     if wrong is not None:
         return Outcome.refused(wrong, window)
     fit = find_method(method)
-    if told is not None and method in ONE_SMOOTHER:
-        fit = partial(cast("Callable[..., Estimate]", fit), told=told)
+    if progress is not None and method in ONE_SMOOTHER:
+        fit = partial(cast("Callable[..., Estimate]", fit), progress=progress)
     try:
         estimate = fit(window, knowledge)
     except Refusal as refusal:
@@ -132,10 +117,10 @@ def calibrate(
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Judge an estimate unless the samples say that axes or stamps are wrong.
+    """Grade an estimate, and refuse it if the samples show wrong axes or stamps.
 
-    Looking for wrong axes takes time, and with them the smoother's sigma is not good. A z axis that
-    points down explains the rest.
+    The search for wrong axes takes time. It is left out for a good result of the smoother, and for
+    a z axis that points down, which explains the rest.
     """
     from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
 
@@ -151,14 +136,14 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
 
 
 def judged(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Outcome:
-    """Judge an estimate; `window` holds the samples that its residuals are of, if of any."""
+    """Grade an estimate; its residuals are of the rows of `window`."""
     verdict = judge(estimate, knowledge, window)
     calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
     return Outcome(verdict, calibration, estimate, window=window)
 
 
 def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
-    """Fit the log of a drive and judge the result; its samples are the rows of the log."""
+    """Fit the log of a drive and grade the result; the samples are the rows of the log."""
     from magcal_ros.core.doctor.page import wrong_reading
     from magcal_ros.core.methods.smoother import fit_log
 
@@ -182,30 +167,25 @@ def calibrate_turns(
     method: str = JOINS,
     names: Sequence[str] | None = None,
 ) -> Outcome:
-    """Join turns into one estimate and judge it.
+    """Join turns into one estimate and grade it.
+
+    A turn that contradicts the others is left out, with the reason. Bad data raise nothing.
 
     Parameters
     ----------
     windows : sequence of Window
         One for each turn; at least one.
     knowledge : Knowledge
-        What is known beforehand, of all turns alike: they are made in one place.
+        What is known beforehand of all turns alike: they are made in one place.
     method : str
-        `maximum_likelihood` joins turns; `ellipsoid` and `min_max` take their samples as one
-        tumble.
+        `maximum_likelihood` joins turns; `ellipsoid` and `min_max` take all samples as one tumble.
+        Another raises `Misuse` for several turns.
     names : sequence of str, optional
-        What to call the turns.
+        Names of the turns.
 
     Returns
     -------
     Outcome
-        Never raises for bad data. A turn that does not belong to the others is left out, with
-        the reason, and the rest stands. One turn alone gives what `calibrate` makes of a turn.
-
-    Raises
-    ------
-    Misuse
-        If the method can make nothing of several turns.
     """
     called = [f"turn {k + 1}" for k in range(len(windows))] if names is None else names
     if method in POOL:
@@ -233,11 +213,11 @@ def calibrate_turns(
 
 
 def pooled(windows: Sequence[Window]) -> Window:
-    """Put the samples of several windows one after another, with a short pause between."""
+    """Return one window with the samples of all, with a pause of one second between them."""
     times, end = [], 0.0
     for window in windows:
         times.append(window.time - window.time[0] + end)
-        end = float(times[-1][-1]) + PAUSE
+        end = float(times[-1][-1]) + 1.0
     rates = [window.angular_rate for window in windows]
     known = [rate for rate in rates if rate is not None]
     return Window(
@@ -255,25 +235,11 @@ def take_turn(
     method: str,
     accumulate: bool,
 ) -> tuple[Outcome, Kept]:
-    """Fit a turn, together with those that are kept if turns are accumulated.
+    """Fit a turn, jointly with the turns kept before it if `accumulate` is set.
 
-    Parameters
-    ----------
-    kept : Kept
-        The turns before.
-    window : Window
-        The new turn.
-    knowledge : Knowledge
-        Of this moment; it holds for the turns before too.
-    method : str
-        Name of the method; only `maximum_likelihood` accumulates.
-    accumulate : bool
-        Whether turns are put together; such a turn is never fitted as a drive.
-
-    Returns
-    -------
-    Outcome, Kept
-        A turn that is refused does not join: the others stay as they are.
+    Only `maximum_likelihood` accumulates, and it does not fit such a turn as a drive. The knowledge
+    of this moment is used for all turns. Returns the outcome and the turns to keep; a refused turn
+    is not among them.
     """
     if not accumulate:
         return calibrate(window, knowledge, method), Kept()
@@ -286,7 +252,7 @@ def take_turn(
 
 
 def _refused(outcome: Outcome, kept: Kept) -> Outcome:
-    """Say why the new turn did not join; what the turns before show is no news."""
+    """Return the refusal of a new turn that did not join those before it."""
     if not kept.windows:
         return outcome
     why = outcome.verdict.summary if outcome.several is None else outcome.several.fates[-1].words
@@ -299,10 +265,10 @@ def _refused(outcome: Outcome, kept: Kept) -> Outcome:
     return replace(Outcome.refused(refusal), several=outcome.several)
 
 
-def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[0]) -> float:
-    """Return the heading sigma on the level that a fit of this window would have, radians.
+def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -> float:
+    """Return the sigma of the heading on the level by a fit of this window, radians.
 
-    Infinite where there is no fit.
+    It is infinite where no fit is found.
     """
     from magcal_ros.core.smoother.without_gyro import living_axes
 

@@ -10,7 +10,7 @@ class MagcalError(Exception):
 
 
 class Misuse(MagcalError):
-    """What was asked for cannot be, or is not clear; the text lists what can be asked for."""
+    """A request is impossible or unclear; the text lists what can be requested."""
 
 
 class Reason(str, Enum):
@@ -38,25 +38,17 @@ class Reason(str, Enum):
 
 
 class Refusal(MagcalError):
-    """The samples cannot carry a calibration.
-
-    Parameters
-    ----------
-    reason : Reason
-        The cause, for programs.
-    message : str
-        The cause and the remedy, for people.
-    """
+    """The samples do not determine a calibration; the reason is for programs."""
 
     def __init__(self, reason: Reason, message: str) -> None:
         super().__init__(message)
         self.reason = reason
 
     def __reduce__(self) -> tuple[type[Refusal], tuple[Reason, str]]:
-        """Let it pass from process to process."""
+        """Return the parts that pickle needs."""
         return type(self), (self.reason, str(self))
 
 
 def in_words(error: Exception) -> str:
-    """Return what an error says: a known one its words, another also what it is."""
+    """Return the text of an error of this package; of another error also its type."""
     return str(error) if isinstance(error, MagcalError) else repr(error)

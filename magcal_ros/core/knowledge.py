@@ -1,4 +1,4 @@
-"""What is known before the turn: the reference field and how the sensor is built in."""
+"""Prior knowledge: the reference field, the mounting of the sensor, soft iron."""
 
 from __future__ import annotations
 
@@ -14,12 +14,7 @@ from magcal_ros.core.geometry.rotations import rotation_from_rpy
 STRENGTH_SIGMA_UT = 1.5
 INCLINATION_SIGMA_DEG = 1.0
 DECLINATION_SIGMA_DEG = 0.5
-"""What crust and iron near by add outdoors; indoors rather 7 µT, 5° and 5°."""
-
-SOFT_IRON_SIGMA_DIAGONAL = 0.03
-SOFT_IRON_SIGMA_CROSS = 0.02
-
-MOUNTING_YAW_SIGMA = math.radians(5.0)
+"""Local deviation of the field outdoors (1 σ); indoors it is about 7 µT, 5° and 5°."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +22,7 @@ class Belief:
     """One number that is known, uncertain or unknown."""
 
     value: float
-    """The expectation; ignored when nothing is known."""
+    """The expectation; ignored if the number is unknown."""
     sigma: float = 0.0
     """Standard deviation in the same unit: zero for known, infinite for unknown."""
 
@@ -37,17 +32,17 @@ class Belief:
 
     @classmethod
     def unknown(cls) -> Belief:
-        """Return the belief of someone who knows nothing."""
+        """Return a belief of infinite sigma."""
         return cls(0.0, math.inf)
 
     @property
     def is_unknown(self) -> bool:
-        """Whether the value says nothing."""
+        """Whether the sigma is infinite."""
         return math.isinf(self.sigma)
 
     @property
     def is_exact(self) -> bool:
-        """Whether the value is to be taken as it stands."""
+        """Whether the sigma is zero."""
         return self.sigma == 0.0
 
 
@@ -66,7 +61,7 @@ class ReferenceField:
 
     @property
     def is_complete(self) -> bool:
-        """Whether both strength and inclination say something."""
+        """Whether both strength and inclination are known."""
         return not (self.strength.is_unknown or self.inclination.is_unknown)
 
     @property
@@ -84,34 +79,34 @@ class ReferenceField:
 
 @dataclass(frozen=True)
 class SoftIron:
-    """What is believed about soft iron beyond the known gains.
+    """Prior of the soft iron beyond the known gains.
 
     The residual soft iron is a symmetric 3 x 3 matrix E in body axes, `m = K R_n (I + E) ...`.
     """
 
-    sigma_diagonal: float = SOFT_IRON_SIGMA_DIAGONAL
-    sigma_cross: float = SOFT_IRON_SIGMA_CROSS
+    sigma_diagonal: float = 0.03
+    sigma_cross: float = 0.02
     """Standard deviations of the elements on and off the diagonal, dimensionless. Both zero: there
-    is none."""
+    is none; else the smoother takes the prior of its own table."""
     always: bool = False
-    """Fit it in any case; otherwise only where the samples ask for it."""
+    """Has no effect on the smoother, which always estimates it."""
 
     @classmethod
     def none(cls) -> SoftIron:
-        """Return the belief that the known gains are the whole truth."""
+        """Return the belief that there is no soft iron beyond the known gains."""
         return cls(0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """How the magnetometer is meant to sit: known gains and nominal pose."""
+    """Nominal mounting of the magnetometer: known gains and pose."""
 
     gains: FloatArray = field(default_factory=lambda: np.ones(3))
     """Known soft-iron gains K along the sensor's own axes, dimensionless, positive. Shape (3,)."""
     pose: FloatArray = field(default_factory=lambda: np.eye(3))
     """Nominal pose of the magnetometer in the IMU's frame, sensor axes to body axes
     (`rotation_from_rpy` of the URDF's origin). Shape (3, 3)."""
-    yaw_sigma: float = MOUNTING_YAW_SIGMA
+    yaw_sigma: float = math.radians(5.0)
     """Radians, how far the true pose may be from it in yaw (1 sigma). Gravity shows roll and pitch
     in one turn; yaw shows in turns on different tilts only."""
 
@@ -130,7 +125,7 @@ class Mounting:
 
     @property
     def to_body(self) -> FloatArray:
-        """From sensor axes to nominal body axes, gains taken off; the inverse of `matrix`."""
+        """From sensor to nominal body axes, gains removed; the inverse of `matrix`, (3, 3)."""
         return np.asarray(self.pose / self.gains)
 
 
@@ -146,8 +141,8 @@ class Knowledge:
     mounting: Mounting = field(default_factory=Mounting)
     soft_iron: SoftIron = field(default_factory=SoftIron)
     exact_sensors: bool = False
-    """Whether the sensors have no errors but those above and the noise that the samples show, as in
-    a simulation. Real sensors have others, which the smoother estimates."""
+    """Whether the sensors have no errors except those above and white noise, as in a simulation.
+    Real sensors have others, which the smoother estimates."""
 
 
 def knowledge_of(
@@ -160,20 +155,10 @@ def knowledge_of(
     mount_rpy_deg: Sequence[float] = (0.0, 0.0, 0.0),
     declination_sigma_deg: float = DECLINATION_SIGMA_DEG,
 ) -> Knowledge:
-    """Build from the numbers that people write; NaN stands for what is not known.
+    """Return the knowledge in numbers with the suffixes' units; NaN where one is not known.
 
-    Parameters
-    ----------
-    strength_ut, strength_sigma_ut : float
-        Microtesla.
-    inclination_deg, inclination_sigma_deg, declination_deg : float
-        Degrees.
-    soft_iron_gains : sequence of three float
-        Known gains of the magnetometer's axes.
-    mount_rpy_deg : sequence of three float
-        Nominal roll, pitch and yaw of the magnetometer in the IMU's frame, degrees.
-    declination_sigma_deg : float
-        Degrees.
+    `soft_iron_gains` are the known gains of the magnetometer's axes, `mount_rpy_deg` is its nominal
+    roll, pitch and yaw in the IMU's frame.
     """
     strength, inclination = Belief.unknown(), Belief.unknown()
     if not math.isnan(strength_ut):

@@ -19,10 +19,6 @@ ABSENT = -1.0
 """First element of a covariance whose measurement is absent (sensor_msgs/Imu)."""
 
 
-STATUS_FIX = 0
-"""Lowest status of a sensor_msgs/NavSatStatus that has a fix."""
-
-
 def seconds(stamp: Any) -> float:
     """Return a builtin_interfaces/Time in seconds."""
     return float(stamp.sec + stamp.nanosec * 1e-9)
@@ -39,8 +35,8 @@ def imu_of(
 ) -> ImuSample | None:
     """Return the sample of an Imu's numbers; None if its acceleration is marked absent.
 
-    The stamp is in seconds, force in m/s², rate in rad/s, and the orientation x, y, z, w. Each mark
-    is the first element of the covariance.
+    The stamp is in seconds, force in m/s², rate in rad/s, orientation as quaternion x, y, z, w. The
+    marks are the first elements of covariances; -1 there means that the measurement is absent.
     """
     if force_mark == ABSENT:
         return None
@@ -54,7 +50,8 @@ def imu_of(
 
 def fix_from(stamp: float, status: int, latitude: float, longitude: float, altitude: float) -> Fix:
     """Return the fix of a NavSatFix, from seconds, its status, degrees and metres."""
-    return Fix(status >= STATUS_FIX, latitude, longitude, altitude, stamp)
+    # STATUS_FIX of sensor_msgs/NavSatStatus is 0; only STATUS_NO_FIX is below.
+    return Fix(status >= 0, latitude, longitude, altitude, stamp)
 
 
 RECEIVER_SPEED_SIGMA = 0.1
@@ -102,9 +99,9 @@ def velocity_from(
 
 
 HEADING_SIGMA = math.radians(1.0)
-"""Of a heading whose orientation covariance is zero, which says that nobody knows it."""
+"""Sigma of a heading whose orientation covariance is zero, which means unknown."""
 NO_HEADING = math.radians(30.0)
-"""Sigma from which a driver says that it has no heading at the moment."""
+"""Sigma from which a heading counts as unknown."""
 
 
 def heading_from(

@@ -128,7 +128,7 @@ class Magnetometer:
             tell(ev.Conclusion(False, "the last fit is of other sensors than the present ones"))
             return
         self._reporter.put_in_force()
-        self.use(outcome.calibration.on_users_word(), tell)
+        self.use(outcome.calibration.accepted_by_person(), tell)
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Apply a calibration and store it; only what is stored as well is a success."""

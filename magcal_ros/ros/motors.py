@@ -147,7 +147,7 @@ class Motors:
         self._waited += 1
         if mode is not Mode.APPLY or self._waited < PAUSE:
             return None
-        if not motors.tells_more_than(self._kept, BETTER):
+        if not motors.improves_on(self._kept, BETTER):
             return None
         self._kept, self._waited = motors, 0
         return motors

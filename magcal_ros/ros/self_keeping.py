@@ -81,7 +81,7 @@ class SelfKeeping:
         proposal = self.machine.proposal
         if proposal is None:
             return None
-        return partial(self._magnetometer.use, proposal.on_users_word())
+        return partial(self._magnetometer.use, proposal.accepted_by_person())
 
     def facts(self) -> dict[str, Any]:
         """Return the part of `~/status` on self-calibration."""

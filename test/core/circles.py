@@ -8,7 +8,7 @@ from simulated.turns import Motion, measure
 
 from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.geometry import rotation_about
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 

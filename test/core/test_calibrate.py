@@ -140,7 +140,7 @@ def test_only_methods_of_the_list_are_found(name):
 class TestCalibration:
     def test_the_users_word_changes_nothing_but_the_mark(self):
         one = outcome_of(METHODS[0]).calibration
-        told = one.on_users_word()
+        told = one.accepted_by_person()
         assert told.evidence.accepted_by_user
         assert not one.evidence.accepted_by_user
         assert told.correction is one.correction

@@ -171,7 +171,7 @@ def test_pictures_are_drawn_even_of_zeros(tmp_path):
 
 def test_a_calibration_accepted_by_a_person_says_so(tmp_path):
     subject = good()
-    calibration = subject.outcome.calibration.on_users_word()
+    calibration = subject.outcome.calibration.accepted_by_person()
     outcome = replace(subject.outcome, calibration=calibration)
     words = words_of(text_of(tmp_path, replace(subject, outcome=outcome)))
     assert "A person put it in force against this verdict." in words

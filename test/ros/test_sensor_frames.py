@@ -62,7 +62,7 @@ def test_the_description_tells_the_mounting_and_whose_attitude_it_is(stage):
 
 def test_a_base_that_nothing_describes_has_no_attitude_and_that_is_said(loaded):
     actor = loaded(ROBOT, DESCRIBED)
-    assert "how 'imu_link' sits in 'base_link'" in complaints(actor, "sits in")
+    assert "pose of 'imu_link' in 'base_link' is unknown" in complaints(actor, "is unknown")
     assert not actor.yaws
     out = describe(actor, "0 0 0", "0 0 0")
     actor.run(PATIENCE, stop=lambda: actor.yaws)

@@ -1,1 +1,1 @@
-"""How figures are graded and put into words."""
+"""Grades of figures, bounds and verdicts."""

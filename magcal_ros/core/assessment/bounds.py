@@ -1,4 +1,4 @@
-"""The bounds that a turn and a drive are graded by."""
+"""The bounds of the figures of turns, drives and known headings."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
 from magcal_ros.core.samples.units import Z_NOT_UP
 
+FULL_ARC_DEG = 300.0
+"""Degrees of a turn from which it counts as a full circle."""
 INSTALLATION = Bound(
     Figure.INSTALLATION_ANGLE,
     15.0,
@@ -20,7 +22,7 @@ INSTALLATION = Bound(
     excellent=5.0,
     when_refused=SITS_OTHERWISE,
 )
-"""How far the magnetometer is from its nominal pose."""
+"""Rotation of the magnetometer from its nominal pose."""
 AGAINST_REFERENCE: tuple[Bound, ...] = (
     Bound(
         Figure.RADIUS_MISFIT,
@@ -160,7 +162,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         90.0,
         "the turn covers",
         "turn the full circle",
-        excellent=300.0,
+        excellent=FULL_ARC_DEG,
         aspect=Aspect.CONFIDENCE,
         at_least=True,
     ),
@@ -189,15 +191,15 @@ TURN_BOUNDS: tuple[Bound, ...] = (
 """From simulation and about ten recordings. The most important come first."""
 
 MOTORS_TAKEN_OFF = (
-    "it is taken off while the robot moves; a magnetometer further away from motors and power "
+    "it is subtracted while the robot moves; a magnetometer further away from motors and power "
     "wires is the better cure"
 )
-ARC_SIGMAS = 2.0
-"""Sigmas by which a turn must exceed the least arc to be known to reach it."""
+ALLOWED_SIGMAS = 2.0
+"""Sigmas that a bound allows for: of the reference's level field, and of the arc."""
 
 
 def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
-    """Return the bounds of a turn: what the motors add may be known, and its arc may not be."""
+    """Return the bounds of a turn, adapted to its motors' field and the sigma of its arc."""
     return tuple(_adapted(bound, estimate) for bound in TURN_BOUNDS)
 
 
@@ -205,7 +207,7 @@ def _adapted(bound: Bound, estimate: Estimate) -> Bound:
     if bound.figure is Figure.MOTOR_FIELD and estimate.motors is not None:
         return replace(bound, warn=50.0, remedy=MOTORS_TAKEN_OFF)
     if bound.figure is Figure.ARC and math.degrees(estimate.arc) > bound.warn:
-        doubt = ARC_SIGMAS * math.degrees(arc_sigma(estimate))
+        doubt = ALLOWED_SIGMAS * math.degrees(arc_sigma(estimate))
         least = round(min(bound.warn + doubt, bound.good), 1)
         unsure = f"the arc is known to ±{shown(doubt)}°, and may be less than {bound.warn:g}°; "
         return replace(bound, warn=least, when_refused=unsure + bound.remedy)

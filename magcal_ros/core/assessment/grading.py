@@ -50,7 +50,7 @@ SITS_OTHERWISE = (
     "does the sensor sit so? Then give its pose with mount_rpy_deg; if not, the axes are shown"
     " wrongly: turn again on the spot, with a gyro"
 )
-"""What to ask where the installation error is too large."""
+"""Question and remedy for a large installation error."""
 
 
 @dataclass(frozen=True)
@@ -69,12 +69,12 @@ class Bound:
     aspect: Aspect = Aspect.QUALITY  # quality or confidence
     at_least: bool = False  # whether more is better; usually less is
     after_full: str = ""
-    """What to do instead where the full circle was seen already; empty where that is the same."""
+    """Remedy after a full circle; empty if it is the same."""
     when_refused: str = ""  # what to do instead beyond `warn`; empty where that is the same
 
     @property
     def scale(self) -> float:
-        """What a figure (SI) is multiplied by for the unit people see."""
+        """Factor from SI to the unit that people see."""
         return SCALES.get(self.unit, 1.0)
 
     def check(
@@ -136,7 +136,7 @@ class Check:
     words: str  # the same in words, with what to do if it is not good enough
     value: float | None = None
     before: float | None = None
-    """The figure in the unit people see, and what it was in the raw field."""
+    """The figure in the unit people see, and that of the raw field."""
     bound: Bound | None = None  # what it was graded by
 
     @property
@@ -165,9 +165,8 @@ class DoubtTuning:
     """When a hard iron along the axis makes the reference doubtful."""
 
     noticeable: float = 0.4
-    """Strengths of the field; a smaller one is what robots have, whatever the other sign gives."""
+    """Strengths of the field; smaller hard iron is usual on robots."""
     several: float = 3.0  # times that it must be larger than with the other sign of the inclination
-    field: float = 1.0  # strengths of the field from which it is doubtful in any case
     shown: float = 10.0
     """Sigmas by which the wobble of the turn must contradict the other sign to exclude it."""
 
@@ -195,7 +194,7 @@ def check_reference(
             "turn on ramps; of a simulator, whether it publishes the field in north-east-down axes "
             "(NED; Gazebo: use_earth_frame_ned false)"
         )
-    elif own > TUNING.field * estimate.strength:
+    elif own > estimate.strength:
         found = Grade.WARN
         words += (
             f", more than the field itself ({_microtesla(estimate.strength)}): check "

@@ -1,4 +1,4 @@
-"""How good and how certain a calibration is, in grades and in words.
+"""Verdicts: the quality and the confidence of a calibration, in grades and in words.
 
 Quality asks whether the samples agree with the model; confidence asks whether enough was seen.
 The two are separate: a clean circle does not prove the heading, nor a good heading the circle.
@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.bounds import DRIVE_BOUNDS, HEADING_BOUNDS, bounds_of
+from magcal_ros.core.assessment.bounds import (
+    ALLOWED_SIGMAS,
+    DRIVE_BOUNDS,
+    FULL_ARC_DEG,
+    HEADING_BOUNDS,
+    UPRIGHT,
+    bounds_of,
+)
 from magcal_ros.core.assessment.grading import (
     DEGREES,
     Aspect,
@@ -43,34 +50,26 @@ from magcal_ros.core.samples.window import Window
 class VerdictTuning:
     """Limits and allowances of a verdict, from simulation and about ten recordings."""
 
-    allowed_sigmas: float = 2.0
-    """Sigmas of the reference field by which its radius may be off before that counts."""
     rough: float = math.radians(5.0)
     """Radians of heading sigma from which a calibration is called rough. In a car full of steel it
     may be the best possible, and the first words of the summary should say so."""
-    nearly_full: float = math.radians(300.0)
-    """Radians of arc from which a steady sideways acceleration can be separated from a slope."""
-    mostly_acceleration: float = 0.5
-    """Share of the heading's variance from which an acceleration that nothing shows is the main
-    cause."""
     weighed_acceleration_deg: float = 5.0
-    """Degrees of sideways acceleration that are no warning where the fit has weighed what it may
-    be, and the heading's sigma includes what it could not determine."""
+    """Degrees of sideways acceleration without a warning, if the fit has estimated the acceleration
+    and the heading's sigma includes its uncertainty."""
     one_axis: float = 0.7
-    """Share of the gyro's squares about one axis from which a turn has one; a sensor that is turned
-    over by hand has none, and what counts is how it usually lies."""
-    on_its_side: float = math.radians(45.0)
-    """Radians that a turn's axis leans from the body's z, from which that is the cause."""
+    """Share of the gyro's squared rates about one axis from which a turn has one axis. Of a sensor
+    that is turned over by hand the median orientation counts."""
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
-    """Radians of heading on a slope, and times the level's, from which an axial hard iron that was
-    not shown is mentioned."""
+    """Radians of heading on a slope, and its ratio to the level's, from which an unobserved axial
+    hard iron is mentioned."""
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
-    """Outside of these a strength is no Earth's: a warning that names the likely unit."""
-    guessed: float = 1.5  # times by which a strength may be out of them that only the turn tells
+    """Range of the Earth's field; outside of it there is a warning that names the likely unit."""
+    guessed: float = 1.5  # factor by which that range is wider without a reference field
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
-    """Outside of these it is none that iron on the robot could make of it either: refused."""
+    """Range of the field with iron on the robot; outside of it the calibration is refused."""
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
-    """How far the accelerometer's length may be off gravity: excellent, good; beyond it warns."""
+    """Relative deviation of the accelerometer's length from gravity: excellent, good; beyond it
+    there is a warning."""
     reasons: int = 2  # how many reasons a summary names
 
 
@@ -79,7 +78,7 @@ TUNING = VerdictTuning()
 
 @dataclass(frozen=True)
 class Verdict:
-    """The judgement on one estimate."""
+    """The checks of one estimate, with its two grades."""
 
     checks: tuple[Check, ...]  # everything that was looked at
     not_shown: tuple[str, ...]  # what this turn could not show
@@ -110,7 +109,7 @@ class Verdict:
         return worst(grades)
 
     def evidence(self, estimate: Estimate) -> Evidence:
-        """Return what is stored of the verdict beside the numbers that it is on."""
+        """Return the verdict in the form that is stored with a calibration."""
         return Evidence(
             estimate.method,
             self.quality.value,
@@ -155,18 +154,19 @@ FLAGS = {
         "turn once more, evenly, away from moving iron",
     ),
 }
-"""What should be, and what is said where it is and where it is not."""
+"""The wanted value of a flag, and the words if it has this value and if not."""
 NO_REFERENCE = "the size of the field: the reference field is not known"
 
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
-    """Judge an estimate."""
+    """Return the verdict on an estimate; `window` holds its samples, if there are any."""
     figures = judged_figures(estimate)
     has_gyro = window is not None and window.angular_rate is not None
     if window is not None and has_gyro:
         if axis_share(window) < TUNING.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
-        elif estimate.arc > TUNING.nearly_full:
+        elif _is_full(estimate.arc):
+            # Only there a steady sideways acceleration can be separated from a slope.
             figures.setdefault(Figure.SIDEWAYS_ACCELERATION, sideways_acceleration(window))
     bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in figures else bounds_of(estimate)
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
@@ -187,6 +187,10 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     return replace(verdict, summary=_summary(verdict, estimate, figures))
 
 
+def _is_full(arc: float) -> bool:
+    return arc * DEGREES > FULL_ARC_DEG
+
+
 def judged_figures(estimate: Estimate) -> dict[Figure, float]:
     """Return every figure that can be graded; SI units."""
     figures = {
@@ -198,15 +202,15 @@ def judged_figures(estimate: Estimate) -> dict[Figure, float]:
 
 
 def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) -> Check:
-    """Grade one figure, less what the reference's own uncertainty explains."""
+    """Grade one figure, allowing for the uncertainty of the reference."""
     figure = figures[bound.figure]
-    if bound.after_full and figures[Figure.AXIS_LEAN] > TUNING.on_its_side:
+    if bound.after_full and figures[Figure.AXIS_LEAN] * DEGREES > UPRIGHT.good:
         bound = replace(bound, remedy=Z_NOT_UP)
-    elif bound.after_full and figures[Figure.ARC] > TUNING.nearly_full:
+    elif bound.after_full and _is_full(figures[Figure.ARC]):
         bound = replace(bound, remedy=bound.after_full)
     if bound.figure is Figure.HEADING_SIGMA:
         hidden = figures.get(Figure.POSSIBLE_ACCELERATION, 0.0)
-        if hidden**2 > TUNING.mostly_acceleration * figure**2:
+        if hidden**2 > 0.5 * figure**2:
             bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
         if Figure.LOCAL_SIGMA in figures:
             # No calibration takes away what the field along the way adds.
@@ -219,19 +223,19 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
     if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
         bound = replace(bound, good=TUNING.weighed_acceleration_deg)
     if bound.figure is Figure.RADIUS_MISFIT:
-        allowed = TUNING.allowed_sigmas * level_field_sigma(knowledge)
+        allowed = ALLOWED_SIGMAS * level_field_sigma(knowledge)
         note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
         return bound.check(figure, excess=max(figure - allowed, 0.0), note=note)
     return bound.check(figure)
 
 
 def _by_gyro(figures: Mapping[Figure, float]) -> bool:
-    """Return whether the fit had a gyro: it has weighed what accelerates the robot then."""
+    """Return whether the fit had a gyro, by which it estimates the robot's acceleration."""
     return Figure.ON_THE_SPOT in figures
 
 
 def refuse(refusal: Refusal) -> Verdict:
-    """Turn a method's refusal into a verdict."""
+    """Return the verdict of a refusal."""
     words = str(refusal)
     checks = tuple(Check(refusal.reason, aspect, Grade.REFUSED, words) for aspect in Aspect)
     return Verdict(checks, (), f"Refused: {words.rstrip('.')}.")
@@ -321,7 +325,7 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, floa
 
 
 def _drive_in_words(figures: Mapping[Figure, float]) -> str:
-    """Say what was driven, or at how many headings the robot stood; empty for a turn."""
+    """Return the length of a drive, or the number of known headings; empty for a turn."""
     if count := int(figures.get(Figure.KNOWN_HEADINGS, 0)):
         return f" from {count} known headings" if count > 1 else " from one known heading"
     if Figure.HEADINGS_DRIVEN not in figures:
@@ -334,7 +338,7 @@ def _drive_in_words(figures: Mapping[Figure, float]) -> str:
 
 
 def _reasons(verdict: Verdict, grade: Grade) -> str:
-    """Return the first reasons for a grade; the table has the most important first."""
+    """Return the first reasons for a grade, in the order of the bounds."""
     words = [check.words for check in verdict.checks if check.grade is grade]
     more = len(words) - TUNING.reasons
     return "; ".join(words[: TUNING.reasons]) + (f"; and {more} more" if more > 0 else "")

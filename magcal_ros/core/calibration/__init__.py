@@ -1,4 +1,4 @@
-"""What a calibration is: the correction, its covariance, the evidence for it."""
+"""A calibration: the correction, its covariance, the evidence for it."""
 
 from magcal_ros.core.calibration.calibration import (
     Calibration,

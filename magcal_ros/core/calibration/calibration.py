@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
 
 @dataclass(frozen=True)
 class Installation:
-    """How far the magnetometer is turned from its nominal pose in the IMU's frame.
+    """The rotation of the magnetometer from its nominal pose in the IMU's frame.
 
     Radians as in a URDF origin. After one turn the yaw is zero by convention, because one
     rotation cannot show it; turns on different tilts do.
@@ -40,15 +40,15 @@ class Installation:
 
 @dataclass(frozen=True, eq=False)
 class GyroSwing:
-    """How the compass swings against the gyro over a turn: what is judged, and what is drawn."""
+    """The persistent deviation of the compass from the gyro over a turn."""
 
     heading: FloatArray
     """ENU yaw to magnetic north of the sectors of a turn, or of single samples, radians. Shape
     (s,)."""
     deviation: FloatArray
-    """Compass less gyro there, radians; what is the gyro's own taken off. Shape (s,)."""
+    """Compass less gyro there, without the gyro's own errors, radians. Shape (s,)."""
     rms: float
-    """Of the deviation, less what the noise of single samples leaves in means, radians."""
+    """RMS of the deviation without the noise of the means, radians."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +58,10 @@ class Estimate:
     method: str
     correction: Correction
     covariance: FloatArray
-    """Of the twelve numbers (A row by row, then h in tesla), what the turn could not show included.
-    It is singular where a direction is fixed by convention. Shape (12, 12)."""
+    """Of the twelve numbers (A row by row, then h in tesla), including what the turn could not
+    show. It is singular where a direction is fixed by convention. Shape (12, 12)."""
     installation: Installation | None
-    """Installation error, where the method knows one."""
+    """Installation error, if the method estimates it."""
     axis: FloatArray
     """The turn's axis in body axes, unit, upwards. Shape (3,)."""
     arc: float
@@ -77,12 +77,12 @@ class Estimate:
     residual: FloatArray
     """Raw field minus the model's, tesla. Shape (n, 3)."""
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    """Everything else the method measured; SI units."""
+    """Other figures of the method; SI units."""
     message: str = ""
     swing: GyroSwing | None = None
-    """What `Figure.GYRO_COMPASS_SWING` was judged by, where gyro and compass were compared."""
+    """The data of `Figure.GYRO_COMPASS_SWING`, if gyro and compass were compared."""
     motors: MotorField | None = None
-    """What the motors add while they run, where the method finds it."""
+    """The field of the running motors, if the method finds it."""
 
     def __post_init__(self) -> None:
         shape = (PARAMETERS, PARAMETERS)
@@ -142,8 +142,8 @@ class Evidence:
     accepted_by_user: bool = False
     """Whether a person put it in force against the verdict."""
     figures: Mapping[str, float] = field(default_factory=dict)
-    """What the method measured, SI units, by the names of `Figure`; a file of another version of
-    the package may hold others."""
+    """Figures of the method, SI units, by the names of `Figure`; a file of another version of the
+    package may have others."""
 
     def figure(self, name: Figure, default: float) -> float:
         """Return a figure, or `default` where it was not measured."""
@@ -166,7 +166,7 @@ class Calibration:
     """The reference field as found, tesla and radians."""
     evidence: Evidence
     motors: MotorField | None = None
-    """What the motors add while they run; None where nothing has shown it."""
+    """The field of the running motors; None if it was not observed."""
 
     def __post_init__(self) -> None:
         shape = (PARAMETERS, PARAMETERS)
@@ -177,7 +177,7 @@ class Calibration:
 
     @classmethod
     def from_estimate(cls, estimate: Estimate, evidence: Evidence) -> Calibration:
-        """Bring a method's estimate and its evidence into the form that is applied."""
+        """Return the calibration of a method's estimate, with its evidence."""
         return cls(
             estimate.correction,
             estimate.covariance,
@@ -189,6 +189,6 @@ class Calibration:
             estimate.motors,
         )
 
-    def on_users_word(self) -> Calibration:
+    def accepted_by_person(self) -> Calibration:
         """Return the same calibration, marked as accepted by a person."""
         return replace(self, evidence=replace(self.evidence, accepted_by_user=True))

@@ -1,4 +1,4 @@
-"""The twelve numbers of a calibration, and the field that a robot's motors add while they run.
+"""The twelve numbers of a calibration, and the field of a robot's running motors.
 
 Every calibration has one form: `m_body = A (m_raw - h)`. The motors add a field in proportion to
 speed, turn rate and current.
@@ -67,7 +67,7 @@ class Correction:
         return np.asarray(field_body @ np.linalg.inv(self.matrix).T + self.hard_iron)
 
     def covariance(self, sigma: FloatArray) -> FloatArray:
-        """Carry the covariance (3, 3) of one raw field sample into body axes, `A S A^T`."""
+        """Return the covariance (3, 3) of a raw field sample in body axes, `A S A^T`."""
         return np.asarray(self.matrix @ sigma @ self.matrix.T)
 
     def after(self, first: Correction) -> Correction:
@@ -77,7 +77,7 @@ class Correction:
 
 
 class MotorInput(str, Enum):
-    """What the field of motors may be in proportion to, in the order of `Running`."""
+    """Inputs that the field of motors may be proportional to, in the order of `Running`."""
 
     MOVING = "moving"
     TURN_RATE = "turn_rate"
@@ -87,7 +87,7 @@ class MotorInput(str, Enum):
 
     @property
     def unit(self) -> str:
-        """The unit that the field is given per."""
+        """The unit of the input."""
         units = {"turn_rate": "rad/s", "speed": "m/s", "current": "A"}
         words = {"moving": "while it moves", "side": "while it turns left, less right"}
         return {**units, **words}[self.value]
@@ -97,7 +97,7 @@ INPUTS = tuple(MotorInput)
 
 
 class Running(NamedTuple):
-    """What a robot does at a moment, as far as its motors are concerned."""
+    """Values of the motors' inputs at a moment."""
 
     moving: float = 0.0
     """Probability that it moves."""
@@ -106,9 +106,9 @@ class Running(NamedTuple):
     speed: float = 0.0
     """m/s, negative backwards."""
     current: float = 0.0
-    """Amperes, by any sign that stays the same."""
+    """Amperes, of a constant sign convention."""
     side: float = 0.0
-    """One while it turns left, minus one to the right, and between where it hardly turns."""
+    """One while it turns left, minus one to the right, between them at low rates."""
 
 
 AT_REST = Running()
@@ -126,10 +126,9 @@ class MotorField:
     beside: FloatArray
     """Covariance with the twelve numbers of the calibration. Shape (12, 3 n)."""
     ripple: float
-    """Tesla per axis that the field deviates by while the robot moves, beside K u."""
+    """Standard deviation of the field while the robot moves, beside K u, tesla per axis."""
     usual: tuple[float, ...]
-    """Root mean square of each input while the robot moves: what is expected of an input that
-    is not measured."""
+    """Root mean square of each input while the robot moves, for an input that is not measured."""
 
     def __post_init__(self) -> None:
         count = len(self.inputs)
@@ -172,11 +171,11 @@ class MotorField:
         return math.sqrt(float(np.trace(self.covariance[at, at])))
 
     def size(self, which: int) -> float:
-        """Return the field that an input usually makes, tesla."""
+        """Return the field by the usual size of an input, tesla."""
         return float(np.linalg.norm(self.gain[which])) * self.usual[which]
 
     def with_another_calibration(self) -> MotorField:
-        """Return the same motors beside twelve numbers that were found otherwise."""
+        """Return the same field, uncorrelated with the twelve numbers."""
         return replace(self, beside=np.zeros_like(self.beside))
 
     def with_side(self, side: float) -> MotorField:
@@ -201,7 +200,7 @@ class MotorField:
         )
 
     def and_of(self, older: MotorField) -> MotorField:
-        """Return the same with the inputs that only an older field has."""
+        """Return this field, with the inputs that only an older one has."""
         rows = [k for k, each in enumerate(older.inputs) if each not in self.inputs]
         numbers = [3 * k + axis for k in rows for axis in range(3)]
         count = len(numbers)
@@ -216,7 +215,7 @@ class MotorField:
             (*self.usual, *(older.usual[k] for k in rows)),
         )
 
-    def tells_more_than(self, other: MotorField | None, share: float) -> bool:
+    def improves_on(self, other: MotorField | None, share: float) -> bool:
         """Whether an input is new, is known better by a share of its sigma, or has changed."""
         if other is None or set(self.inputs) - set(other.inputs):
             return True

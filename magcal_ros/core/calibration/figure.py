@@ -1,4 +1,4 @@
-"""The names of everything that is measured of a calibration: one name, one definition."""
+"""Names and definitions of all figures of a calibration."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ class Figure(str, Enum):
     __str__ = str.__str__
 
     HEADING_SIGMA = "heading_sigma"
-    """Predicted standard deviation of the heading on the level, radians; after a drive with what
-    local magnetic disturbances along such a way add."""
+    """Predicted standard deviation of the heading on the level, radians; of a drive including local
+    magnetic disturbances."""
     LOCAL_SIGMA = "local_sigma"
-    """The part of it that the local disturbances make; only of drives."""
+    """The part of it due to local disturbances; only of drives."""
     HEADING_SIGMA_TILTED = "heading_sigma_tilted"
-    """The same on slopes of 10 degrees to all sides."""
+    """The heading sigma on slopes of 10 degrees to all sides."""
     RESIDUAL_RATIO = "residual_ratio"
     """RMS of the inliers' field residual over the level field."""
     OUTLIER_SHARE = "outlier_share"
@@ -28,24 +28,24 @@ class Figure(str, Enum):
     ARC = "arc"
     """Radians of the turn that were seen."""
     RADIUS_RATIO = "radius_ratio"
-    """Radius of the turn's circle over the one that the known strength and inclination ask for;
-    absent where one of them is unknown."""
+    """Radius of the turn's circle over the one expected by strength and inclination; absent if one
+    of them is unknown."""
     LEVEL_SHARE = "level_share"
-    """The same where the body weakens the level field so much that it was taken for a gain; then
-    there is no `RADIUS_RATIO`."""
+    """The radius ratio of a body that weakens the level field so much that it is modelled as a
+    gain; then there is no `RADIUS_RATIO`."""
     RADIUS_MISFIT = "radius_misfit"
-    """How far the radius ratio is off one, beyond what the reference's own uncertainty allows."""
+    """Absolute difference of the radius ratio from one."""
     ELLIPSE_RATIO = "ellipse_ratio"
     """Longer over shorter axis of the ellipse in the turn's plane, after the known gains."""
     ELLIPSE_EXCESS = "ellipse_excess"
-    """The same less one, where it was not taken for soft iron."""
+    """The ellipse ratio minus one, if it was not modelled as soft iron."""
     STRENGTH_DEVIATION = "strength_pull"
-    """Strength found minus believed, in sigmas of the belief; absent where that is exact or
+    """Estimated minus given strength, in sigmas of the given one; absent if that is exact or
     unknown."""
     INCLINATION_DEVIATION = "inclination_pull"
-    """The same for the inclination."""
+    """Estimated minus given inclination, likewise."""
     WOBBLE = "wobble"
-    """RMS lean of the turn's axis, radians per axis; zero for a rigid axis."""
+    """RMS tilt of the turn's axis, radians per axis; zero for a rigid axis."""
     SOFT_IRON = "soft_iron"
     """One where soft iron was fitted, else zero."""
     NOT_CONVERGED = "not_converged"
@@ -62,36 +62,36 @@ class Figure(str, Enum):
     """Radians between the corrected field's axes and the IMU's as gravity shows it."""
     AXIS_LEAN = "axis_lean"
     """Radians between the turn's axis and the body's z; of a robot that turned about all axes,
-    between its usual up and the body's z."""
+    between its median up and the body's z."""
 
     GYRO_CARRIED = "gyro_carried"
     """One where the gyro's turning explains the samples, else zero; absent without a gyro."""
     STEADY_ACCELERATION = "steady_pull"
-    """Lean of the accelerometer's up that was found to turn with the robot and was subtracted,
-    radians; zero without one; absent without a gyro."""
+    """Tilt of the accelerometer's up by a steady linear acceleration, which was subtracted,
+    radians; absent without a gyro."""
     POSSIBLE_ACCELERATION = "possible_pull"
-    """What a linear acceleration that nothing shows may do to the heading, radians, one sigma; zero
-    where samples or a rest beside the turn exclude it; absent without a gyro."""
+    """Sigma of the heading by an unobserved linear acceleration, radians; zero if samples or a rest
+    exclude it; absent without a gyro."""
     MOTOR_FIELD = "motor_field"
-    """Field that is there while the robot turns and not while it rests beside its turn, or that
-    switched on the way, tesla; zero where chance explains it, absent where nothing shows it."""
+    """Change of the field between rest and turn, or during the turn, tesla; zero if it is not
+    significant, absent if it was not observed."""
     ON_THE_SPOT = "on_the_spot"
     """Probability that the robot turned on the spot and did not drive, by the smoother."""
     LATENCY = "latency"
-    """By how much the field comes later than the gyro, seconds, taken off; absent where the turn
-    does not show any."""
+    """Delay of the field against the gyro, seconds, which was corrected; absent if the turn does
+    not show it."""
     SIDEWAYS_ACCELERATION = "sideways_pull"
     """Radians between the gyro's mean axis and the mean specific force of a full turn."""
     GYRO_COMPASS_SWING = "gyro_compass_rms"
-    """RMS of a turn's lasting swing of the compass against the gyro by sectors of the turn:
-    offset, bias, scale and the noise of single samples taken off; radians."""
+    """RMS of the compass less the gyro by sectors of a turn, without offset, bias, scale and the
+    noise of single samples; radians."""
     GYRO_COMPASS_DIFFERENCE = "gyro_compass_difference"
-    """RMS of compass less gyro over all samples of a recheck, noise included: one offset a
-    stretch and one steady bias taken off; radians."""
+    """RMS of compass less gyro over all samples of a recheck, noise included, without one offset
+    per part and one steady bias; radians."""
     GYRO_COMPASS_HARMONIC = "gyro_compass_harmonic"
-    """RMS of the first harmonic of compass less gyro over the headings of a drive, zero unless
-    it stands out of its noise; of a compass that has hardly come round the median size of all of
-    it, where it is lost; radians."""
+    """RMS of the first harmonic of compass less gyro over the headings of a drive, radians; zero if
+    it is not significant. Of a compass that covers few headings it is the median size of the
+    difference, if that is large."""
 
     HEADING_SWING = "heading_swing"
     """RMS over headings by which the level field varies, over its mean."""
@@ -100,19 +100,19 @@ class Figure(str, Enum):
     DIP_SPREAD = "dip_spread"
     """RMS over headings by which the dip varies, radians."""
     STRENGTH_OFFSET = "strength_offset"
-    """How far the mean strength is off the calibrated one, over it."""
+    """Mean strength minus the calibrated one, over the latter."""
     DIP_OFFSET = "dip_offset"
-    """How far the mean dip is off the calibrated inclination, radians."""
+    """Mean dip minus the calibrated inclination, radians."""
     HARD_IRON_CHANGE = "hard_iron_change"
     """Change of the level hard iron over the level field, as a drive shows it."""
     SOFT_IRON_CHANGE = "soft_iron_change"
     """Swing of the strength twice a turn over the level field's share of it."""
     MOUNTING_CHANGE = "mounting_change"
-    """Radians by which the field has tilted against gravity."""
+    """Change of the angle between field and gravity, radians."""
     STRENGTH_SHIFT = "strength_shift"
-    """How far the strength at all headings of a drive is off the calibrated one, over it."""
+    """Deviation of the strength common to all headings of a drive, over the calibrated strength."""
     DIP_SHIFT = "dip_shift"
-    """How far the dip at all headings of a drive is off the calibrated inclination, radians."""
+    """Deviation of the dip common to all headings of a drive, radians."""
 
     COURSE_SWING_ONCE = "course_swing_once"
     """Amplitude by which compass less course swings once around, radians: hard iron."""
@@ -127,10 +127,10 @@ class Figure(str, Enum):
     TURNS = "turns"
     """Turns that were joined."""
     TURN_MISFIT = "turn_misfit"
-    """Worst turn off the others, as many times as noise explains."""
+    """Largest deviation of a turn from the others, over its expected size."""
 
     HEADINGS_DRIVEN = "headings_driven"
-    """How many of twelve sectors of heading a drive went through."""
+    """Number of the twelve sectors of heading in a drive."""
     DRIVING_TIME = "driving_time"
     """Seconds of a drive, standing included."""
     METRES = "metres"
@@ -138,14 +138,14 @@ class Figure(str, Enum):
     STREET = "street"
     """Disturbance of the field along a drive that changes with the place, tesla per axis."""
     LOCAL_FIELD = "local_field"
-    """By how much the field deviates along a drive, with what motors add unsteadily: tesla per
-    axis, standard deviation."""
+    """Standard deviation of the field along a drive, including unsteady fields of the motors, tesla
+    per axis."""
 
     KNOWN_HEADINGS = "known_headings"
-    """At how many known headings a robot stood."""
+    """Number of known headings."""
     HEADING_MISFIT = "heading_misfit"
-    """How far known headings, field and gyro are apart, as many times as their sigmas explain;
-    absent of one known heading alone, which nothing contradicts."""
+    """Deviation of known headings, field and gyro from one another, over its expected size; absent
+    for a single heading."""
 
     CIRCLE_RADIUS = "circle_radius"
     """Radius of the turn's circle, tesla."""

@@ -1,4 +1,4 @@
-"""Figures that every method's estimate has, whatever the method measured besides."""
+"""Predicted sigma of the heading, and other figures that every estimate has."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HEADINGS = 24
 
 
 def common_figures(estimate: Estimate) -> dict[Figure, float]:
-    """Return the figures that every estimate has, and those that follow from its own."""
+    """Return the figures of every estimate, and those that follow from its own figures."""
     residual = estimate.residual[estimate.inliers]
     rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else math.inf
     figures = {
@@ -49,14 +49,14 @@ def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0)
 
 
 def calibration_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
-    """Return the same by the covariance of the twelve numbers alone."""
+    """Return the yaw's sigma by the covariance of the twelve numbers alone, radians."""
     reference = field_in_enu(estimate.strength, estimate.inclination)
     jacobian = heading_jacobian(estimate.correction, reference, tilt)
     return rms_sigma(jacobian, estimate.covariance)
 
 
 def known_sigma(calibration: Calibration) -> float:
-    """Return the radians of heading to which a calibration says that it is known."""
+    """Return the sigma of the heading on the level by a calibration's evidence, radians."""
     said = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
     if said is None:
         return calibration_sigma(calibration)
@@ -64,7 +64,7 @@ def known_sigma(calibration: Calibration) -> float:
 
 
 def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
-    """Return the same by local magnetic disturbances along the drive; zero where none was found."""
+    """Return the yaw's sigma by local magnetic disturbances along the drive, radians."""
     size = local_field(estimate)
     if size == 0.0:
         return 0.0
@@ -81,10 +81,10 @@ def local_field(estimate: Estimate | Calibration) -> float:
 
 
 def arc_sigma(estimate: Estimate) -> float:
-    """Return the sigma of the arc that the compass saw, on the level, radians.
+    """Return the sigma of the arc by the compass, on the level, radians.
 
-    It is that of the arc whose first and last heading differ most uncertainly: a partial turn shows
-    the circle's centre least along its middle, and that is the direction that changes the arc.
+    It is the largest over all starts: a partial turn shows the circle's centre least along the
+    middle of the arc, and an error in that direction changes the arc.
     """
     reference = field_in_enu(estimate.strength, estimate.inclination)
     jacobian = heading_jacobian(estimate.correction, reference, 0.0)

@@ -1,4 +1,4 @@
-"""The reference field in use: the position from fixes, what was given by hand, and the model."""
+"""The reference field: from what is given by hand, and from the model at a place."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from typing import Any, NamedTuple
 
 from magcal_ros.core.assessment.verdict import NO_REFERENCE
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.earth_field.wmm import VALIDITY, ModelField, NoModel, Place, model_field
+from magcal_ros.core.earth_field.wmm import (
+    EARTH_RADIUS,
+    VALIDITY,
+    ModelField,
+    NoModel,
+    Place,
+    model_field,
+)
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
@@ -24,17 +31,15 @@ from magcal_ros.core.samples.streams import PositionSample
 
 @dataclass(frozen=True)
 class PositionTuning:
-    """When a place counts as another."""
+    """When the robot counts as moved to another place."""
 
     moved: float = 10_000.0
-    """Metres after which the field is looked up again: in that way it changes by less than 0.1° and
+    """Metres after which the field is computed again; over them it changes by less than 0.1° and
     0.1 µT at most places."""
     confirmed: int = 3
-    """Fixes in a row that must agree on a new place: one alone may be wild."""
+    """Fixes in a row that must agree on a new place: one alone may be an outlier."""
     far: float = 50_000.0
-    """Metres from where the robot is said to be, or was at first, that are worth a word."""
-    altitude_unknown: float = 0.0
-    """Metres that are taken for it: a hundred change the strength by 0.005%."""
+    """Metres from the given place, or from the first fix, beyond which a warning is given."""
 
 
 TUNING = PositionTuning()
@@ -48,10 +53,10 @@ NOWHERE = "lie at 0° N 0° E, where receivers without a fix are"
 
 @dataclass(frozen=True)
 class Fix:
-    """What a receiver says."""
+    """One message of a receiver."""
 
     has_fix: bool
-    """Its own word on it."""
+    """Its own status."""
     latitude_deg: float
     longitude_deg: float
     altitude: float
@@ -61,10 +66,11 @@ class Fix:
 
 
 def place_of(fix: Fix) -> Place | str:
-    """Return the place of a fix, or what is wrong with it."""
+    """Return the place of a fix, or why it has none."""
     spot = (fix.latitude_deg, fix.longitude_deg)
     low, high = VALIDITY.altitudes
-    altitude = fix.altitude if math.isfinite(fix.altitude) else TUNING.altitude_unknown
+    # A hundred metres change the strength by 0.005%.
+    altitude = fix.altitude if math.isfinite(fix.altitude) else 0.0
     if not fix.has_fix:
         return NO_FIX
     if not all(math.isfinite(value) for value in spot):
@@ -109,42 +115,35 @@ class Fixes:
         if self.place.distance(place) <= TUNING.moved:
             self._candidates = []
             return False
-        self._candidates = [c for c in self._candidates if c.distance(place) <= TUNING.moved] + [
-            place
-        ]
+        near = [c for c in self._candidates if c.distance(place) <= TUNING.moved]
+        self._candidates = [*near, place]
         return len(self._candidates) >= TUNING.confirmed
 
     def complaints(self, given: Place | None) -> list[str]:
-        """Say what is wrong with the fixes; empty if nothing is."""
-        if self.place is None:
-            return [
-                f"gps/fix: no place yet, its messages {fault}" for fault in sorted(self._faults)
-            ]
-        if given is not None:
-            away = given.distance(self.place)
-            if away > TUNING.far:
-                return [
-                    f"gps/fix says {self.place.words}, {away / 1000.0:.0f} km from the given place "
-                    f"{given.words}, which is used: correct reference.latitude_deg and "
-                    "reference.longitude_deg, or leave them out"
-                ]
+        """Return the warnings on the fixes; empty if there are none."""
+        place, first = self.place, self._first
+        if place is None or first is None:
+            return [f"gps/fix: no place yet, its messages {each}" for each in sorted(self._faults)]
+        away = (given or first).distance(place)
+        if away <= TUNING.far:
             return []
-        assert self._first is not None
-        away = self._first.distance(self.place)
-        if away > TUNING.far:
+        if given is None:
             return [
-                f"gps/fix has moved by {away / 1000.0:.0f} km, from {self._first.words} to "
-                f"{self.place.words}: the reference field has followed"
+                f"gps/fix has moved by {away / 1000.0:.0f} km, from {first.words} to "
+                f"{place.words}: the reference field has followed"
             ]
-        return []
-
-
-RADIUS = 6_371_000.0
-"""Metres, mean radius of the Earth: the plane's scale is right to 0.4%, its angles near it."""
+        return [
+            f"gps/fix says {place.words}, {away / 1000.0:.0f} km from the given place "
+            f"{given.words}, which is used: correct reference.latitude_deg and "
+            "reference.longitude_deg, or leave them out"
+        ]
 
 
 class LocalPlane:
-    """The plane that touches the Earth at the first good fix (equirectangular)."""
+    """The plane that touches the Earth at the first good fix (equirectangular).
+
+    Its scale is right to 0.4%.
+    """
 
     def __init__(self) -> None:
         self._origin: Place | None = None
@@ -158,15 +157,15 @@ class LocalPlane:
         north = math.radians(place.latitude_deg - origin.latitude_deg)
         east = math.radians(math.remainder(place.longitude_deg - origin.longitude_deg, 360.0))
         shrink = math.cos(math.radians(origin.latitude_deg))
-        return PositionSample(fix.stamp, RADIUS * east * shrink, RADIUS * north)
+        return PositionSample(fix.stamp, EARTH_RADIUS * east * shrink, EARTH_RADIUS * north)
 
 
 DOUBTFUL = 3.0
-"""Sigmas by which what is given, or calibrated, may differ from the model before it is said."""
+"""Sigmas from the model beyond which a given or calibrated number is warned of."""
 
 
 class Unit(NamedTuple):
-    """How a number is shown: the end of its key, the factor from SI, and the sign behind it."""
+    """How a number is shown: suffix of its key, factor from SI, and symbol."""
 
     suffix: str
     scale: float
@@ -182,7 +181,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Local:
-    """What crust, buildings and iron near by add to the Earth's field (1 σ)."""
+    """Local deviation from the Earth's main field by crust, buildings and iron (1 σ)."""
 
     strength: float = STRENGTH_SIGMA_UT * 1e-6
     """Tesla."""
@@ -193,7 +192,7 @@ class Local:
 
 @dataclass(frozen=True)
 class Given:
-    """What a person has given of the Earth's field and of the place."""
+    """The Earth's field and the place as given by a person."""
 
     field: ReferenceField
     local: Local
@@ -204,7 +203,7 @@ class Given:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Given:
-        """Build from numbers by the names of the parameters `reference.*`; NaN is not given."""
+        """Build from the values of the parameters `reference.*`; NaN where one is not given."""
         names = ("strength_sigma_ut", "inclination_sigma_deg", "declination_sigma_deg")
         strength, inclination, declination = (values[name] for name in names)
         known = knowledge_of(
@@ -228,17 +227,17 @@ class Reference:
 
     field: ReferenceField
     source: str
-    """Where they come from, in words."""
+    """Where its numbers come from, in words."""
     complaints: tuple[str, ...] = ()
 
     @property
     def north(self) -> str:
-        """Which north a yaw is counted from: true or magnetic."""
+        """The zero of a yaw: "true" or "magnetic" north."""
         return "magnetic" if self.field.declination is None else "true"
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """Everything in people's units, with stable keys; None for what is not known."""
+        """Numbers, source and complaints for JSON, in µT and degrees; None if unknown."""
         facts: dict[str, Any] = {"source": self.source}
         for name, belief in _beliefs(self.field):
             suffix, scale, _ = UNITS[name]
@@ -262,10 +261,10 @@ class Reference:
 def resolve(
     given: ReferenceField, local: Local, place: Place | None, year: float | None
 ) -> Reference:
-    """Take what was given by hand, number by number, and the rest from the model.
+    """Return the reference field: given numbers as they are, the others from the model.
 
-    The local part adds to the model's own uncertainty, in quadrature. `place` and `year` (decimal)
-    are None where unknown. Nothing is raised: what the model cannot give is a complaint.
+    Local deviation and the model's own uncertainty add in quadrature. `place` and `year` (decimal)
+    are None where unknown. Nothing is raised: a missing model is a complaint.
     """
     lacking = [name for name, belief in _beliefs(given) if belief.is_unknown]
     source = "unknown" if len(lacking) == len(UNITS) else "given"
@@ -293,32 +292,31 @@ def _beliefs(field: ReferenceField) -> Iterator[tuple[str, Belief]]:
 
 
 def _filled(given: ReferenceField, local: Local, model: ModelField) -> ReferenceField:
-    field = given
-    if given.strength.is_unknown:
-        field = replace(field, strength=_widened(model.strength, local.strength))
-    if given.inclination.is_unknown:
-        field = replace(field, inclination=_widened(model.inclination, local.inclination))
-    if given.declination is None and model.level >= VALIDITY.blackout:
-        declination = _widened(model.declination, local.declination)
-        field = replace(field, declination=declination.value, declination_sigma=declination.sigma)
-    return field
+    def known(by_hand: Belief, theirs: Belief, sigma: float) -> Belief:
+        widened = Belief(theirs.value, math.hypot(theirs.sigma, sigma))
+        return widened if by_hand.is_unknown else by_hand
 
-
-def _widened(belief: Belief, sigma: float) -> Belief:
-    return Belief(belief.value, math.hypot(belief.sigma, sigma))
+    field = replace(
+        given,
+        strength=known(given.strength, model.strength, local.strength),
+        inclination=known(given.inclination, model.inclination, local.inclination),
+    )
+    if given.declination is not None or model.level < VALIDITY.blackout:
+        return field
+    north = known(Belief.unknown(), model.declination, local.declination)
+    return replace(field, declination=north.value, declination_sigma=north.sigma)
 
 
 def _contradictions(
     given: ReferenceField, local: Local, model: ModelField, spot: str
 ) -> Iterator[str]:
-    """Say which number given by hand contradicts the model: a wrong sign is easily given."""
+    """Yield a warning for each number given by hand that contradicts the model."""
     by_model = (model.strength, model.inclination, model.declination)
     around = (local.strength, local.inclination, local.declination)
     for (name, by_hand), theirs, sigma in zip(_beliefs(given), by_model, around, strict=True):
         unit = UNITS[name]
-        off = by_hand.value - theirs.value
-        if name == "declination":
-            off = float(wrap_angle(off))
+        # The strength in tesla is far below pi.
+        off = float(wrap_angle(by_hand.value - theirs.value))
         if not by_hand.is_unknown and abs(off) > DOUBTFUL * math.hypot(theirs.sigma, sigma):
             yield (
                 f"the {name} is given as {by_hand.value * unit.scale:.1f}"
@@ -348,9 +346,9 @@ def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
 
 
 def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
-    """Say that a calibration was made in another field than here; empty if not.
+    """Return the warning that a calibration was made in another field; empty if it was not.
 
-    A calibration that was made without a reference says nothing about its place.
+    It is empty for a calibration that was made without a reference.
     """
     if NO_REFERENCE in calibration.evidence.not_shown or not reference.is_complete:
         return ""

@@ -7,59 +7,47 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
-from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief
 
-MODEL_RADIUS = 6371.2
-"""Kilometres: the sphere to which the coefficients belong."""
+EARTH_RADIUS = 6_371_200.0
+"""Metres: the sphere to which the coefficients belong."""
 
 SEMI_MAJOR = 6378.137
 FLATTENING = 1.0 / 298.257223563
 """WGS 84, kilometres."""
 
-ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
 
-
-class Term(NamedTuple):
-    """One degree and order: g and h in nT at the epoch, and their change in nT a year."""
-
-    degree: int
-    order: int
-    g: float
-    h: float
-    g_rate: float
-    h_rate: float
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Harmonics:
     """A model of the main field."""
 
     epoch: float
     """Decimal year for which g and h hold."""
-    terms: tuple[Term, ...]
-    """Schmidt semi-normalised."""
+    terms: FloatArray
+    """Degree, order, g and h in nT (Schmidt semi-normalised), and their change in nT a year. Shape
+    (k, 6)."""
 
     @classmethod
     def parse(cls, text: str) -> Harmonics:
         """Read a .COF file: a line with the epoch, a line a term, and rows of nines."""
         head, *lines = text.splitlines()
         rows = [line.split() for line in lines if not line.startswith("9999")]
-        terms = (Term(int(n), int(m), *map(float, numbers)) for n, m, *numbers in rows)
-        return cls(float(head.split()[0]), tuple(terms))
+        return cls(float(head.split()[0]), np.array(rows, dtype=np.float64))
 
     def field(
         self, latitude: float, longitude: float, altitude_km: float, year: float
     ) -> tuple[float, float, float]:
         """Return the field north, east and down, tesla, at geodetic radians and a decimal year."""
         sin_lat, cos_lat = math.sin(latitude), math.cos(latitude)
-        normal = SEMI_MAJOR / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin_lat**2)
+        polar = (1.0 - FLATTENING) ** 2
+        normal = SEMI_MAJOR / math.sqrt(cos_lat**2 + polar * sin_lat**2)
         outward = (normal + altitude_km) * cos_lat
-        upward = (normal * (1.0 - ECCENTRICITY_SQUARED) + altitude_km) * sin_lat
+        upward = (polar * normal + altitude_km) * sin_lat
         radius = math.hypot(outward, upward)
         sine, cosine = upward / radius, outward / radius
         north, east, down = self._on_sphere(sine, cosine, longitude, radius, year - self.epoch)
@@ -76,19 +64,15 @@ class Harmonics:
         self, sine: float, cosine: float, longitude: float, radius: float, years: float
     ) -> tuple[float, float, float]:
         """Return the field along the sphere's north, east and down, nT."""
-        highest = max(term.degree for term in self.terms)
-        legendre = _legendre(highest, sine, cosine)
-        north = east = down = 0.0
-        for n, m, g0, h0, g_rate, h_rate in self.terms:
-            g, h = g0 + years * g_rate, h0 + years * h_rate
-            cos_m, sin_m = math.cos(m * longitude), math.sin(m * longitude)
-            size = (MODEL_RADIUS / radius) ** (n + 2)
-            over_cosine, value, slope = legendre[n][m]
-            along = size * (g * cos_m + h * sin_m)
-            north -= along * slope
-            east += size * m * (g * sin_m - h * cos_m) * over_cosine
-            down -= (n + 1) * along * value
-        return north, east, down
+        n, m = self.terms[:, :2].T
+        g, h = (self.terms[:, 2:4] + years * self.terms[:, 4:]).T
+        table = np.array(_legendre(int(n.max()), sine, cosine))
+        over_cosine, value, slope = table[n.astype(int), m.astype(int)].T
+        cos_m, sin_m = np.cos(m * longitude), np.sin(m * longitude)
+        size = (0.001 * EARTH_RADIUS / radius) ** (n + 2)
+        along = size * (g * cos_m + h * sin_m)
+        east = size * m * (g * sin_m - h * cos_m) * over_cosine
+        return -float(along @ slope), float(east.sum()), -float(((n + 1) * along) @ value)
 
 
 def _legendre(highest: int, sine: float, cosine: float) -> list[list[tuple[float, float, float]]]:
@@ -125,29 +109,25 @@ class Validity:
     altitudes: tuple[float, float] = (-1000.0, 850_000.0)
     """Metres between which the model holds (WMM2025 Technical Report)."""
     first_year: float = 2015.0
-    """Begin of the oldest model that is shipped; a clock that was never set is earlier still."""
+    """Start of the oldest model that is shipped; a clock that was never set is earlier."""
     life: float = 5.0
     """Years for which a model is made."""
     most_years_late: float = 5.0
     """Years after the end of its life during which a model is still used, with grown sigmas."""
     drift_strength: float = 30e-9
-    """Tesla that a model loses each year after its life, per component: WMM2010, 2015 and 2020
-    carried on for five to ten years differ from their successors by 24 to 28 nT and 0.03 to 0.05° a
-    year (RMS over the globe)."""
+    """Tesla a year, growth of a component's error after the model's life: WMM2010, 2015 and 2020
+    extrapolated for five to ten years differ from their successors by 24 to 28 nT and 0.03 to 0.05°
+    a year (RMS over the globe)."""
     drift_inclination: float = math.radians(0.05)
     """Radians of the same."""
     blackout: float = 2000e-9
     """Tesla of level field below which a compass is of no use (WMM2025 Technical Report, blackout
     zone)."""
     caution: float = 6000e-9
-    """Tesla of level field below which it is to be doubted (caution zone)."""
+    """Tesla of level field below which a compass is unreliable (caution zone)."""
 
 
 VALIDITY = Validity()
-
-
-EARTH_RADIUS = 6_371_200.0
-NANO = 1e-9
 
 
 @dataclass(frozen=True)
@@ -171,7 +151,7 @@ ERRORS = {
 
 
 class NoModel(MagcalError):
-    """The World Magnetic Model cannot be asked; the text says why and what to do."""
+    """There is no World Magnetic Model for a date; the text says what to do."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +162,7 @@ class Place:
     longitude_deg: float
     """Degrees, positive north and east."""
     altitude: float = 0.0
-    """Metres above the ellipsoid or the sea, which is all the same to the field."""
+    """Metres above the ellipsoid or the sea; the difference does not matter here."""
 
     def __post_init__(self) -> None:
         low, high = VALIDITY.altitudes
@@ -192,7 +172,7 @@ class Place:
 
     @property
     def words(self) -> str:
-        """The place as people write it."""
+        """The place in degrees, as 48.10°N 11.60°E."""
         north, east = self.latitude_deg, self.longitude_deg
         return (
             f"{abs(north):.2f}°{'N' if north >= 0.0 else 'S'} "
@@ -200,7 +180,7 @@ class Place:
         )
 
     def distance(self, other: Place) -> float:
-        """Return the way to another place along the ground, metres (haversine)."""
+        """Return the distance to another place along the ground, metres (haversine)."""
         a, b = math.radians(self.latitude_deg), math.radians(other.latitude_deg)
         east = math.radians(other.longitude_deg - self.longitude_deg)
         share = math.sin((b - a) / 2.0) ** 2 + math.cos(a) * math.cos(b) * math.sin(east / 2.0) ** 2
@@ -209,17 +189,17 @@ class Place:
 
 @dataclass(frozen=True)
 class ModelField:
-    """What the model says, with its own uncertainty."""
+    """The field of the model, with its own uncertainty."""
 
     strength: Belief
     inclination: Belief
     declination: Belief
-    """Tesla and radians, signs as everywhere in this package. The sigmas are those of the model's
-    published error model, which holds for the open air anywhere on Earth."""
+    """Tesla and radians, signs as everywhere in this package. The sigmas are those of the published
+    error model, which holds outdoors anywhere on Earth."""
     model: str
-    """Which one, in words."""
+    """Its name."""
     years_late: float = 0.0
-    """By how much the date lies after the model's life, years; zero inside it."""
+    """Years from the end of the model's life to the date; zero inside it."""
 
     @property
     def level(self) -> float:
@@ -236,11 +216,10 @@ def decimal_year(stamp: float) -> float:
 
 
 def year_of(stamps: Iterable[float], clock: float) -> float:
-    """Return the date as a decimal year, by stamps and a clock in seconds since 1970.
+    """Return the earliest plausible date of stamps as a decimal year; without one, of a clock.
 
-    A stamp is right in a replayed drive, and where the clock was never set; the clock is right
-    where a stamp lies in the future. Stamps since the start of a simulation or a machine do not
-    count.
+    All are in seconds since 1970. Stamps that count from the start of a simulation or a machine are
+    left out.
     """
     years = [decimal_year(stamp) for stamp in stamps if math.isfinite(stamp)]
     return min((year for year in years if year >= VALIDITY.first_year), default=decimal_year(clock))
@@ -249,7 +228,7 @@ def year_of(stamps: Iterable[float], clock: float) -> float:
 def model_field(place: Place, year: float) -> ModelField:
     """Return the field of the World Magnetic Model for a place and a decimal year.
 
-    After the newest model's life its sigmas grow year by year. NoModel if none comes near the date.
+    After the newest model's life its sigmas grow each year. Raises `NoModel` years after that.
     """
     base = _newest_model(year)
     late = max(year - (base + VALIDITY.life), 0.0)
@@ -257,14 +236,14 @@ def model_field(place: Place, year: float) -> ModelField:
     north, east, down = _load(base).field(*angles, place.altitude / 1000.0, year)
     level = math.hypot(north, east)
     errors = ERRORS[base]
-    by_place = errors.declination_nt_deg * NANO / max(level, NANO)
-    by_drift = late * VALIDITY.drift_strength / max(level, NANO)
+    by_place = errors.declination_nt_deg * 1e-9 / max(level, 1e-9)
+    by_drift = late * VALIDITY.drift_strength / max(level, 1e-9)
     declination = math.radians(math.hypot(errors.declination_deg, by_place))
     inclination = math.radians(errors.inclination_deg)
     return ModelField(
         Belief(
             math.hypot(level, down),
-            math.hypot(errors.strength_nt * NANO, late * VALIDITY.drift_strength),
+            math.hypot(errors.strength_nt * 1e-9, late * VALIDITY.drift_strength),
         ),
         Belief(math.atan2(down, level), math.hypot(inclination, late * VALIDITY.drift_inclination)),
         Belief(math.atan2(east, north), min(math.hypot(declination, by_drift), math.pi)),
@@ -274,14 +253,14 @@ def model_field(place: Place, year: float) -> ModelField:
 
 
 def _newest_model(year: float) -> int:
-    """Return the model of the date, or the newest one that came before, by its first year."""
-    begun = [base for base in ERRORS if base <= year]
-    if not begun or not year <= max(begun) + VALIDITY.life + VALIDITY.most_years_late:
+    """Return the first year of the newest model that started before a date."""
+    started = [base for base in ERRORS if base <= year]
+    if not started or not year <= max(started) + VALIDITY.life + VALIDITY.most_years_late:
         raise NoModel(
             f"no World Magnetic Model is at hand for the year {year:.1f}: set the clock, or bring "
             "magcal_ros up to date"
         )
-    return max(begun)
+    return max(started)
 
 
 @lru_cache(maxsize=len(ERRORS))

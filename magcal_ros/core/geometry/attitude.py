@@ -9,7 +9,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 
 STANDARD_GRAVITY = 9.80665
-"""m/s², what an accelerometer at rest reads upwards."""
+"""m/s², the specific force of an accelerometer at rest, upwards."""
 
 FRD_FROM_FLU: FloatArray = np.diag([1.0, -1.0, -1.0])
 """Body axes forward-right-down from forward-left-up, and the other way round."""
@@ -22,27 +22,17 @@ def unit(vectors: FloatArray) -> FloatArray:
 
 
 def level_part(vectors: FloatArray, up: FloatArray) -> FloatArray:
-    """Return what of vectors (n, 3) is across up, unit vectors (n, 3)."""
+    """Return the components of vectors (n, 3) perpendicular to up, unit vectors (n, 3)."""
     return np.asarray(vectors - np.sum(vectors * up, axis=1, keepdims=True) * up)
 
 
 def yaw_from_up_and_field(up: FloatArray, field: FloatArray) -> FloatArray:
     """Return the ENU yaw to magnetic north.
 
-    East is the field crossed with up, north is up crossed with east (Vitali, ST design tip
-    DT0103, computes the same in NED); the yaw is the angle of body x in that plane.
-
-    Parameters
-    ----------
-    up : ndarray, shape (..., 3)
-        Up in body axes, of any positive length.
-    field : ndarray, shape (..., 3)
-        Field in body axes, of any positive length.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Radians in (-pi, pi]; zero where body x points to magnetic east, counter-clockwise positive.
+    Up and field (..., 3) are in body axes, of any positive length. East is the field crossed with
+    up, north is up crossed with east (Vitali, ST design tip DT0103, computes the same in NED). The
+    yaw (...) is in radians in (-pi, pi]: zero where body x points to magnetic east,
+    counter-clockwise positive.
     """
     up = unit(up)
     east = np.cross(field, up)
@@ -74,12 +64,12 @@ def field_in_enu(strength: float, inclination: float, declination: float = 0.0) 
 
 
 def wrap_angle(angle: FloatArray | float) -> FloatArray:
-    """Bring radians into (-pi, pi]."""
+    """Return angles in radians, wrapped into (-pi, pi]."""
     return np.asarray(np.pi - np.mod(np.pi - np.asarray(angle), 2.0 * np.pi))
 
 
 def wrapped(angle: float) -> float:
-    """Bring one angle in radians into [-pi, pi], in plain floats for the path of every message."""
+    """Return one angle in radians, wrapped into [-pi, pi]; plain floats are fast."""
     return math.remainder(angle, math.tau)
 
 

@@ -8,10 +8,8 @@ inside every ellipse and ellipsoid, never on it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import partial
 
 import numpy as np
 
@@ -19,9 +17,9 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 
 THINNEST = 1e-6
-"""Points narrower than this share of their length lie on a line, or in space on a plane."""
+"""Width over length of points below which they are a line, or in space a plane."""
 LARGEST_RADIUS = 1e4
-"""Radii beyond this many times the points' own size are a line, too."""
+"""Radii beyond this many times the points' own size are a line or a plane, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,24 +86,29 @@ def _fit_ellipse_halir_flusser(points: FloatArray) -> Conic:
 
 
 def _fit_circle_taubin(points: FloatArray) -> Conic:
-    """Fit a circle with Taubin's normalisation, nearly unbiased on short arcs.
-
-    Taubin (1991) divides the algebraic distance by its mean gradient; solved here by singular
-    values after Chernov, Circular and Linear Regression (2010).
-    """
     frame = _Frame.of(points, least=3)
-    mean_square = float(np.mean(np.sum(frame.points**2, axis=1)))
-    a, b, c = (
-        float(value) for value in np.linalg.svd(taubin_rows(frame.points, mean_square))[2][2]
-    )
-    a /= 2.0 * math.sqrt(mean_square)
-    return frame.conic(a, a, 0.0, 0.5 * b, 0.5 * c, -mean_square * a)
+    centre, radius = taubin_circle(frame.points, np.full(len(points), 1.0 / len(points)))
+    if radius > LARGEST_RADIUS:
+        raise _too_straight()
+    return Conic(frame.centroid + frame.size * centre, np.full(2, frame.size * radius), 0.0)
 
 
-def taubin_rows(points: FloatArray, mean_square: float) -> FloatArray:
-    """Return the rows (n, 3) whose right singular vector is Taubin's circle, of centred points."""
-    squares = np.sum(points**2, axis=1, keepdims=True)
-    return np.hstack([(squares - mean_square) / (2.0 * math.sqrt(mean_square)), points])
+def taubin_circle(points: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
+    """Fit a circle to centred points (n, 2); returns its centre (2,) and radius.
+
+    Taubin (1991) divides the algebraic distance by its mean gradient, so that it is nearly unbiased
+    on short arcs; by singular values after Chernov, Circular and Linear Regression (2010). The
+    weights (n,) sum to one. The radius is zero for a single point.
+    """
+    squares = np.sum(points**2, axis=1)
+    mean = float(weight @ squares)
+    if mean <= 0.0:
+        return np.zeros(2), 0.0
+    rows = np.column_stack([(squares - mean) / (2.0 * math.sqrt(mean)), points])
+    a, b, c = np.linalg.svd(np.sqrt(weight)[:, None] * rows, full_matrices=False)[2][2]
+    a = math.copysign(max(abs(a), 1e-12), a) / (2.0 * math.sqrt(mean))
+    centre = np.array([-b, -c]) / (2.0 * a)
+    return centre, math.sqrt(float(centre @ centre) + mean)
 
 
 class ConicFit(str, Enum):
@@ -124,16 +127,12 @@ class ConicFit(str, Enum):
         points (n, 2) than the curve has parameters, a line, one point, a curve that is no ellipse,
         or numbers that are not finite.
         """
-        return _FITS[self](points)
-
-
-_FITS: dict[ConicFit, Callable[[FloatArray], Conic]] = {
-    ConicFit.TAUBIN: _fit_circle_taubin,
-    ConicFit.CIRCLE: partial(_fit_linearly, quadratic=1),
-    ConicFit.ELLIPSE: partial(_fit_linearly, quadratic=2),
-    ConicFit.ROTATED_ELLIPSE: partial(_fit_linearly, quadratic=3),
-    ConicFit.HALIR_FLUSSER: _fit_ellipse_halir_flusser,
-}
+        if self is ConicFit.TAUBIN:
+            return _fit_circle_taubin(points)
+        if self is ConicFit.HALIR_FLUSSER:
+            return _fit_ellipse_halir_flusser(points)
+        linear = (ConicFit.CIRCLE, ConicFit.ELLIPSE, ConicFit.ROTATED_ELLIPSE)
+        return _fit_linearly(points, linear.index(self) + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,10 +167,7 @@ class _Frame:
         if not (squares > 0.0).all():
             raise _not_an_ellipse()
         if squares.max() > LARGEST_RADIUS**2:
-            raise Refusal(
-                Reason.FIELD_ON_A_LINE,
-                "The samples bend too little to show a circle. Turn further round.",
-            )
+            raise _too_straight()
         radii, angle = np.sqrt(squares), math.atan2(float(axes[1, 0]), float(axes[0, 0]))
         if c == 0.0:
             radii, angle = np.sqrt(level / np.array([a, b])), 0.0
@@ -192,6 +188,12 @@ def _least_squares(columns: list[FloatArray]) -> list[float]:
     return [float(value) for value in solution]
 
 
+def _too_straight() -> Refusal:
+    return Refusal(
+        Reason.FIELD_ON_A_LINE, "The samples bend too little to show a circle. Turn further round."
+    )
+
+
 def _not_an_ellipse() -> Refusal:
     return Refusal(
         Reason.CIRCLE_TOO_SMALL,
@@ -200,16 +202,20 @@ def _not_an_ellipse() -> Refusal:
     )
 
 
-LARGEST_QUADRIC_RADIUS = 1e3
-"""Radii beyond this many times the cloud's own size are a plane."""
-
-
 class QuadricFit(str, Enum):
     """The shapes by name."""
 
     ROTATED = "rotated"
     ALIGNED = "aligned"
     SPHERE = "sphere"
+
+
+_FREE = {
+    QuadricFit.ROTATED: np.eye(6),
+    QuadricFit.ALIGNED: np.eye(6, 3),
+    QuadricFit.SPHERE: np.eye(6, 3).sum(axis=1, keepdims=True),
+}
+"""Takes the free elements of each shape's form to xx, yy, zz, xy, xz, yz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,52 +246,36 @@ class Ellipsoid:
 def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> Ellipsoid:
     """Fit an ellipsoid by linear least squares, pᵀQp + 2bᵀp = 1.
 
-    By `shape`, Q has six free elements, is diagonal, or a multiple of one. Raises `Refusal` for too
-    few points (n, 3), a plane, numbers not finite, or a surface that is no ellipsoid.
+    By `shape`, Q has six free elements, is diagonal, or a multiple of the identity. Raises
+    `Refusal` for too few points (n, 3), a plane, numbers not finite, or another surface.
     """
-    least = {QuadricFit.ROTATED: 9, QuadricFit.ALIGNED: 6, QuadricFit.SPHERE: 4}[shape]
-    centroid, moved = centred(points, least, "surface")
+    free = _FREE[shape]
+    centroid, moved = centred(points, free.shape[1] + 3, "surface")
     spread = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
     if spread[2] <= THINNEST * spread[0]:
         raise _planar()
     size = float(np.linalg.norm(spread))
     moved /= size
-    design = np.column_stack([_quadratic_columns(moved, shape), 2.0 * moved])
+    x, y, z = moved.T
+    products = np.column_stack([moved**2, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z])
+    design = np.column_stack([products @ free, 2.0 * moved])
     solution, _, rank, _ = np.linalg.lstsq(design, np.ones(len(points)), rcond=1e-10)
     if rank < design.shape[1]:
         raise _planar()
-    form, linear = _form([float(v) for v in solution[:-3]], shape), solution[-3:]
+    xx, yy, zz, xy, xz, yz = free @ solution[:-3]
+    form, linear = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), solution[-3:]
     values, axes = np.linalg.eigh(form)
     if shape is not QuadricFit.ROTATED:
         values, axes = np.diag(form), np.eye(3)
-    if np.abs(values).min() <= LARGEST_QUADRIC_RADIUS**-2:
+    if np.abs(values).min() <= LARGEST_RADIUS**-2:
         raise _no_ellipsoid()
     centre = -np.linalg.solve(form, linear)
     squares = (1.0 + float(centre @ form @ centre)) / values
-    if not (squares > 0.0).all() or squares.max() > LARGEST_QUADRIC_RADIUS**2:
+    if not (squares > 0.0).all() or squares.max() > LARGEST_RADIUS**2:
         raise _no_ellipsoid()
     if np.linalg.det(axes) < 0.0:
         axes = -axes
     return Ellipsoid(centroid + size * centre, size * np.sqrt(squares), axes)
-
-
-def _quadratic_columns(points: FloatArray, shape: QuadricFit) -> FloatArray:
-    squares = points**2
-    if shape is QuadricFit.SPHERE:
-        return np.asarray(squares.sum(axis=1, keepdims=True))
-    if shape is QuadricFit.ALIGNED:
-        return np.asarray(squares)
-    x, y, z = points.T
-    return np.column_stack([squares, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z])
-
-
-def _form(coefficients: list[float], shape: QuadricFit) -> FloatArray:
-    if shape is QuadricFit.SPHERE:
-        return np.asarray(coefficients[0] * np.eye(3))
-    if shape is QuadricFit.ALIGNED:
-        return np.asarray(np.diag(np.array(coefficients)))
-    xx, yy, zz, xy, xz, yz = coefficients
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def _planar() -> Refusal:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +17,7 @@ FIXED = "fixed"
 
 
 class FrameTrouble(MagcalError):
-    """Frames whose pose in one another is not told; the text says what to do next."""
+    """Frames whose pose in one another is unknown; the text says what to do next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +37,14 @@ class FrameJoint:
 
 
 class FrameTree:
-    """Frames joined to one another; the newest word about a frame counts."""
+    """Frames and the joints between them; of two joints for one frame the later counts."""
 
     def __init__(self, joints: Iterable[FrameJoint] = ()) -> None:
         self._above = {joint.child: joint for joint in joints}
 
     @property
     def frames(self) -> frozenset[str]:
-        """Every frame that is named."""
+        """Names of all frames."""
         return frozenset(self._above) | {joint.parent for joint in self._above.values()}
 
     def with_joints(self, joints: Iterable[FrameJoint]) -> FrameTree:
@@ -52,48 +52,43 @@ class FrameTree:
         return FrameTree([*self._above.values(), *joints])
 
     def pose(self, frame: str, parent: str) -> FloatArray:
-        """Return how one frame sits in another, which need not be above it.
+        """Return the rotation (3, 3) from the axes of `frame` to those of `parent`.
 
-        The matrix (3, 3) takes vectors from the axes of `frame` to those of `parent`. Raises
-        `FrameTrouble` if one of them is missing, if nothing joins them, or if a joint between them
-        moves.
+        `parent` need not be above `frame`. Raises `FrameTrouble` if one of them is missing, if
+        nothing joins them, or if a joint between them moves.
         """
         for name in (frame, parent):
             if name not in self.frames:
                 raise FrameTrouble(
                     f"the robot's description has no frame {name!r}; it has {_some(self.frames)}"
                 )
-        below, above = list(self._upwards(frame)), list(self._upwards(parent))
-        if _root(frame, below) != _root(parent, above):
+        below, above = self._upwards(frame), self._upwards(parent)
+        if not {frame, *(j.parent for j in below)} & {parent, *(j.parent for j in above)}:
             raise FrameTrouble(
                 f"nothing joins the frames {frame!r} and {parent!r} in the robot's description"
             )
-        shared = {joint.child for joint in below} & {joint.child for joint in above}
-        return np.asarray(_climbed(above, shared).T @ _climbed(below, shared))
+        while below and above and below[-1] is above[-1]:
+            del below[-1], above[-1]
+        return np.asarray(_climbed(above).T @ _climbed(below))
 
-    def _upwards(self, frame: str) -> Iterator[FrameJoint]:
-        """Walk from a frame towards its root; a walk that comes back to where it was is refused."""
-        seen = {frame}
+    def _upwards(self, frame: str) -> list[FrameJoint]:
+        """Return the joints from a frame to its root; a cycle is refused."""
+        joints, seen = [], {frame}
         while (joint := self._above.get(frame)) is not None:
-            yield joint
+            joints.append(joint)
             frame = joint.parent
             if frame in seen:
                 raise FrameTrouble(
                     f"the robot's description goes in a circle through the frame {frame!r}"
                 )
             seen.add(frame)
+        return joints
 
 
-def _root(frame: str, joints: list[FrameJoint]) -> str:
-    return joints[-1].parent if joints else frame
-
-
-def _climbed(joints: list[FrameJoint], shared: set[str]) -> FloatArray:
-    """Return the pose of the first joint's child in the first frame that both walks reach."""
+def _climbed(joints: list[FrameJoint]) -> FloatArray:
+    """Return the pose (3, 3) of the first joint's child in the last joint's parent."""
     pose: FloatArray = np.eye(3)
     for joint in joints:
-        if joint.child in shared:
-            break
         if joint.kind != FIXED:
             raise FrameTrouble(
                 f"the joint {joint.name!r} between {joint.parent!r} and {joint.child!r} moves "
@@ -104,16 +99,13 @@ def _climbed(joints: list[FrameJoint], shared: set[str]) -> FloatArray:
 
 
 def _some(frames: frozenset[str], most: int = 12) -> str:
-    """Return names for a person to compare a misspelt one with."""
-    names = sorted(frames)
-    if not names:
-        return "none"
-    rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+    """Return the first names, and how many more there are."""
+    rest = len(frames) - most
+    return ", ".join(sorted(frames)[:most] or ["none"]) + (f" and {rest} more" if rest > 0 else "")
 
 
 STEEPEST_GROUND = math.radians(35.0)
-"""A base that leans by more at rest does not sit as its description says."""
+"""Radians of tilt at rest beyond which gravity contradicts the description."""
 
 
 @dataclass(frozen=True)
@@ -127,22 +119,22 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class SensorPoses:
-    """How the sensors sit."""
+    """Poses of the sensors."""
 
     magnetometer: FloatArray
     """Nominal pose of the magnetometer in the IMU's frame, sensor axes to IMU axes. Shape (3,
     3)."""
     is_described: bool
-    """Whether the robot's description tells it; otherwise it was given by hand, or is nothing."""
+    """Whether it is from the robot's description; else given by hand, or the identity."""
     imu: FloatArray | None
     """Pose of the IMU in the base, IMU axes to base axes; None while it is not known. Shape (3,
     3)."""
-    complaints: tuple[str, ...] = ()  # what is missing, in words
+    complaints: tuple[str, ...] = ()  # what is missing
 
     def contradiction(self, up: FloatArray, frames: Frames) -> str:
-        """Say that gravity contradicts the description; empty if it does not.
+        """Return the warning that gravity contradicts the description; empty if it does not.
 
-        `up` (3,) is that of a robot that stands, unit, IMU axes; `frames` are for the words.
+        `up` (3,) is that of a robot at rest, unit, IMU axes; `frames` are for the text.
         """
         if self.imu is None:
             return ""
@@ -157,10 +149,10 @@ class SensorPoses:
 
 
 def sensor_poses(frames: Frames, tree: FrameTree, given: FloatArray | None) -> SensorPoses:
-    """Return how the sensors sit.
+    """Return the poses of the sensors.
 
-    With an empty base the robot's description is not asked, and the base is the IMU. `given` (3, 3)
-    is the magnetometer's pose as given by hand, which replaces the described one.
+    With an empty base the robot's description is not used, and the base is the IMU. `given` (3, 3)
+    is the magnetometer's pose as given by hand; it replaces the described one.
     """
     nothing: FloatArray = np.eye(3)
     if not frames.base:
@@ -175,14 +167,14 @@ def sensor_poses(frames: Frames, tree: FrameTree, given: FloatArray | None) -> S
 
 
 def _pose(frame: str, parent: str, tree: FrameTree) -> tuple[FloatArray | None, tuple[str, ...]]:
-    """Return the pose, or why there is none; a sensor that has not been heard needs no words."""
+    """Return the pose, or why there is none; no reason if a frame is not known yet."""
     if not (frame and parent):
         return None, ()
-    if not tree.frames and frame != parent:
-        words = f"nothing has told yet how {frame!r} sits in {parent!r}: no robot_description came"
-        return None, (words,)
     if frame == parent:
         return np.eye(3), ()
+    if not tree.frames:
+        words = f"the pose of {frame!r} in {parent!r} is unknown: no robot_description came"
+        return None, (words,)
     try:
         return tree.pose(frame, parent), ()
     except FrameTrouble as trouble:

@@ -1,24 +1,21 @@
 """Planes (the three fits of the ST design tip DT0103) and circles through points of space.
 
-A normal keeps whatever sign the arithmetic gave it. Which of the two is meant is a question of
-the sense of rotation, and only the caller knows that.
+The sign of a normal is arbitrary; it depends on the sense of rotation, which the caller knows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
-from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.conics import THINNEST, ConicFit, taubin_rows
+from magcal_ros.core.geometry.conics import THINNEST, taubin_circle
 
 ROBUST_ROUNDS = 4
-"""Of reweighting; what is left of an outlier after them steers nothing."""
+"""Rounds of reweighting."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,27 +45,23 @@ class Circle:
 
 
 def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
-    """Fit the plane of least spread and Taubin's circle in it.
+    """Return `fit_circle_robustly` with the normal on the side of `upwards` (3,).
 
-    The normal points to the side of `upwards` (3,). Raises `Refusal` if the points (n, 3) are too
-    few, on a line, or one point.
+    Raises `Refusal` if the points (n, 3) are too few, on a line, or one point.
     """
-    middle = points.mean(axis=0)
-    centred = points - middle
-    axes = np.linalg.eigh(centred.T @ centred)[1]
-    normal = axes[:, 0] if axes[:, 0] @ upwards >= 0.0 else -axes[:, 0]
-    first = unit(np.cross(normal, axes[:, 1]))
-    basis = np.stack([first, np.cross(normal, first), normal])
-    flat = ConicFit.TAUBIN(centred @ basis[:2].T)
-    return Circle(middle + flat.centre @ basis[:2], basis, flat.radius)
+    away = centred(points, 3, "circle")[1]
+    spread = np.linalg.svd(away, compute_uv=False)
+    _refuse_degenerate(np.asarray(spread[::-1]), points.mean(axis=0))
+    circle = fit_circle_robustly(points)
+    # Turned by half a turn about the first axis: the basis stays right-handed.
+    flipped = circle.basis * np.array([[1.0], [-1.0], [-1.0]])
+    return circle if circle.normal @ upwards >= 0.0 else replace(circle, basis=flipped)
 
 
 def fit_circle_robustly(points: FloatArray) -> Circle:
-    """Fit the plane of least spread and Taubin's circle in it; the normal's sign is open.
+    """Fit the plane of least spread and Taubin's circle in it, by Cauchy weights.
 
-    A few rounds of Cauchy weights keep outliers from steering it.
-
-    The points (n, 3) are in any unit; the radius is zero where they are one.
+    The points (n, 3) are in any unit; the normal has either sign. The radius is zero for one point.
     """
     weight = np.ones(len(points))
     circle = _weighted_circle(points, weight)
@@ -84,29 +77,13 @@ def fit_circle_robustly(points: FloatArray) -> Circle:
 
 
 def _weighted_circle(points: FloatArray, weight: FloatArray) -> Circle:
-    total = weight.sum()
-    mean = weight @ points / total
-    centred = points - mean
-    _, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred / total)
-    plane = vectors[:, 1:]
-    centre, radius = _taubin(centred @ plane, weight / total)
-    normal, first = vectors[:, 0], vectors[:, 1]
+    share = weight / weight.sum()
+    mean = share @ points
+    away = points - mean
+    normal, first, second = np.linalg.eigh((away * share[:, None]).T @ away)[1].T
+    plane = np.stack([first, second], axis=1)
+    centre, radius = taubin_circle(away @ plane, share)
     return Circle(mean + plane @ centre, np.stack([first, np.cross(normal, first), normal]), radius)
-
-
-def _taubin(xy: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
-    """Fit a circle to centred points (Taubin 1991, in Chernov's SVD form); weights sum to one."""
-    mean = float(weight @ np.sum(xy**2, axis=1))
-    if mean <= 0.0:
-        return np.zeros(2), 0.0
-    rows = taubin_rows(xy, mean)
-    _, vectors = np.linalg.eigh((rows * weight[:, None]).T @ rows)
-    a, b, c = vectors[:, 0]
-    a /= 2.0 * np.sqrt(mean)
-    if abs(a) < 1e-12:
-        a = 1e-12
-    centre = np.array([-b, -c]) / (2.0 * a)
-    return centre, float(np.sqrt(centre @ centre + mean))
 
 
 SMALLEST = 1e-9
@@ -161,37 +138,8 @@ class Plane:
         return float(1.0 / np.sqrt(middle)) if middle > 0.0 else np.inf
 
 
-def _fit_least_squares(points: FloatArray) -> Plane:
-    """Fit by least squares along the axis on which the normal is longest.
-
-    Noise across the other two axes is taken for signal, so a thin cloud pulls the normal towards
-    that axis (regression dilution).
-    """
-    centre, moved = centred(points, 3, "plane")
-    scatter = moved.T @ moved / len(points)
-    _refuse_degenerate(np.sqrt(np.maximum(np.linalg.eigvalsh(scatter), 0.0)), centre)
-    minors = [np.linalg.det(np.delete(np.delete(scatter, k, 0), k, 1)) for k in range(3)]
-    main = int(np.argmax(minors))
-    others = [k for k in range(3) if k != main]
-    normal = np.ones(3)
-    normal[others] = -np.linalg.solve(scatter[np.ix_(others, others)], scatter[others, main])
-    return Plane(normal / np.linalg.norm(normal), scatter, len(points))
-
-
-def _fit_eigen(points: FloatArray) -> Plane:
-    """Fit by least squares of the distances from the plane.
-
-    The singular vectors of the centred points are the eigenvectors of their scatter, found
-    without squaring the numbers.
-    """
-    centre, moved = centred(points, 3, "plane")
-    values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
-    _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
-    return Plane(axes[2], moved.T @ moved / len(points), len(points))
-
-
 class PlaneFit(str, Enum):
-    """The plane fits by name; the simple eigenvalues differ from the others by rounding alone."""
+    """The plane fits by name; the two by eigenvalues are the same here."""
 
     LEAST_SQUARES = "least_squares"
     EIGEN = "eigen"
@@ -202,14 +150,26 @@ class PlaneFit(str, Enum):
 
         Raises `Refusal` if the points (n, 3) are not finite, or are one point or a line.
         """
-        return _FITS[self](points)
+        centre, moved = centred(points, 3, "plane")
+        values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
+        _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
+        scatter = moved.T @ moved / len(points)
+        normal = _regressed(scatter) if self is PlaneFit.LEAST_SQUARES else axes[2]
+        return Plane(normal, scatter, len(points))
 
 
-_FITS: dict[PlaneFit, Callable[[FloatArray], Plane]] = {
-    PlaneFit.LEAST_SQUARES: _fit_least_squares,
-    PlaneFit.EIGEN: _fit_eigen,
-    PlaneFit.EIGEN_SIMPLE: _fit_eigen,
-}
+def _regressed(scatter: FloatArray) -> FloatArray:
+    """Return the normal by regression along the axis on which it is longest, unit, shape (3,).
+
+    Noise along the other two axes biases the normal of a thin cloud towards that axis (regression
+    dilution).
+    """
+    minors = [np.linalg.det(np.delete(np.delete(scatter, k, 0), k, 1)) for k in range(3)]
+    main = int(np.argmax(minors))
+    others = [k for k in range(3) if k != main]
+    normal = np.ones(3)
+    normal[others] = -np.linalg.solve(scatter[np.ix_(others, others)], scatter[others, main])
+    return normal / np.linalg.norm(normal)
 
 
 def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:

@@ -1,4 +1,4 @@
-"""Rotation matrices: the few that calibration needs, without singularities.
+"""Rotation matrices, and axes that are swapped or have a wrong sign.
 
 Every matrix here is *active*: `R @ v` turns the vector `v`. A frame change "from body to sensor"
 is the inverse of the sensor's pose in the body.
@@ -146,17 +146,8 @@ def roll_pitch_between(
     With the pose Ry(pitch) Rx(roll), Rx(roll) normal = Ry(pitch)^T axis: roll keeps the
     x component, which gives pitch, and then turns what is left about x.
 
-    Parameters
-    ----------
-    axis, normal : ndarray, shape (3,)
-        Unit, in parent and in child.
-    or_nearest : bool
-        Where noise leaves no solution, return the nearest instead of none.
-
-    Returns
-    -------
-    list of (float, float)
-        None, one or two pairs in radians, |pitch| at most 90°.
+    Both are unit vectors (3,), in parent and in child. The result has none, one or two pairs in
+    radians, |pitch| at most 90°. If noise leaves no solution, `or_nearest` gives the nearest one.
     """
     reach = float(normal[0]) / max(math.hypot(axis[0], axis[2]), 1e-9)
     if abs(reach) > 1.0 + 1e-9 and not or_nearest:
@@ -192,14 +183,10 @@ def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
     middle = start + end
     if np.linalg.norm(middle) < 1e-8:
         middle = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
-    # Two half turns; dividing by one plus the cosine would lose its digits near opposite vectors.
+    # Two half turns; dividing by one plus the cosine would be inaccurate near opposite vectors.
     middle = middle / np.linalg.norm(middle)
-    return half_turn(middle) @ half_turn(start)
-
-
-def half_turn(axis: FloatArray) -> FloatArray:
-    """Return the turn by 180 degrees about a unit vector, shape (3, 3)."""
-    return np.asarray(2.0 * np.outer(axis, axis) - np.eye(3))
+    first, second = (2.0 * np.outer(axis, axis) - np.eye(3) for axis in (start, middle))
+    return np.asarray(second @ first)
 
 
 def rotation_angle(rotation: FloatArray) -> float:
@@ -220,29 +207,29 @@ DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 def signed_permutations() -> FloatArray:
     """Return all matrices that only swap axes and turn their signs, shape (48, 3, 3).
 
-    Rows are the sensor's axes in the body's. Those that a mounting can make come first, from the
-    one that changes least; then the mirrored ones, from those that differ by one sign.
+    Rows are the sensor's axes in the body's. The rotations come first, by their angle; then the
+    mirrored ones, first those that differ by one sign.
     """
     found = [
         np.diag(signs) @ np.eye(3)[list(order)]
         for order in itertools.permutations(range(3))
         for signs in itertools.product((1.0, -1.0), repeat=3)
     ]
-    return frozen_array(sorted(found, key=_strangeness), (48, 3, 3), "axes")
+    return frozen_array(sorted(found, key=_sort_key), (48, 3, 3), "axes")
 
 
 def rank_of(axes: FloatArray) -> int:
-    """Return the place of axes (3, 3) among the signed permutations."""
+    """Return the index of axes (3, 3) in `signed_permutations`."""
     return int(np.flatnonzero((signed_permutations() == axes).all(axis=(1, 2)))[0])
 
 
 def is_mirrored(axes: FloatArray) -> bool:
-    """Return whether no rotation makes these axes (3, 3) of the body's."""
+    """Return whether axes (3, 3) are left-handed."""
     return bool(np.linalg.det(axes) < 0.0)
 
 
 def spoken(axes: FloatArray) -> str:
-    """Return where the axes (3, 3) point, as "x forward, y left, z up"."""
+    """Return the directions of the axes (3, 3) in words, as "x forward, y left, z up"."""
     words = []
     for name, row in zip("xyz", axes, strict=True):
         along = int(np.argmax(np.abs(row)))
@@ -251,7 +238,7 @@ def spoken(axes: FloatArray) -> str:
 
 
 def swapped(axes: FloatArray) -> str:
-    """Say which of the axes (3, 3) are swapped and else right; empty where that is not all."""
+    """Return which two axes (3, 3) are swapped, in words; empty if more than that is wrong."""
     pairs = [(i, j) for i, j in itertools.combinations(range(3), 2) if axes[i, j] and axes[j, i]]
     if not pairs or np.any(axes < 0.0):
         return ""
@@ -260,16 +247,16 @@ def swapped(axes: FloatArray) -> str:
 
 
 def likely_slip(axes: FloatArray) -> str:
-    """Return what a driver most likely did to make axes (3, 3) that are mirrored."""
+    """Return the most likely fault of a driver whose axes (3, 3) are mirrored, in words."""
     if exchanged := swapped(axes):
         return f"{exchanged} in the driver"
     turned = [np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ axes for axis in range(3)]
-    likely = "xyz"[min(range(3), key=lambda axis: _strangeness(turned[axis]))]
+    likely = "xyz"[min(range(3), key=lambda axis: _sort_key(turned[axis]))]
     return f"one axis has the wrong sign in the driver, most likely {likely}"
 
 
-def _strangeness(axes: FloatArray) -> tuple[int, float, int, int]:
-    """Order by what people do: mountings, then few degrees, then upside down about x first."""
+def _sort_key(axes: FloatArray) -> tuple[int, float, int, int]:
+    """Return the sort key of axes: rotations first, by angle, about x before about y."""
     mirrored = is_mirrored(axes)
     angle = rotation_angle(-axes if mirrored else axes)
     upside_down = int(axes[2, 2] == -1.0 and axes[0, 0] == 1.0)

@@ -1,4 +1,4 @@
-"""Three numbers at a time, in plain floats: on the path of every message faster than arrays."""
+"""Vectors of three plain floats, for the path of every message: faster than arrays."""
 
 from __future__ import annotations
 
@@ -24,13 +24,7 @@ def length(a: Triple) -> float:
 
 
 def unit_triple(a: Triple) -> Triple:
-    """Scale to length one.
-
-    Raises
-    ------
-    ZeroDivisionError
-        For a zero vector.
-    """
+    """Return the vector scaled to length one; ZeroDivisionError for a zero vector."""
     size = length(a)
     return (a[0] / size, a[1] / size, a[2] / size)
 
@@ -65,14 +59,10 @@ def between(a: Triple, b: Triple, share: float) -> Triple:
 
 
 def propagated(a: Triple, turn: Triple) -> Triple:
-    """Return a direction fixed in the world after the body turned, in body axes.
+    """Return a direction fixed in the world, in body axes after the body turned.
 
-    Parameters
-    ----------
-    a : tuple of float
-        In the body axes before.
-    turn : tuple of float
-        Rotation vector of the body, radians (Rodrigues' formula for exp(-[turn]x) a).
+    `a` is in the body axes before, `turn` the rotation vector of the body in radians: Rodrigues'
+    formula for exp(-[turn]x) a.
     """
     p, q, r = turn
     x, y, z = a

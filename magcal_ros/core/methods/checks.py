@@ -1,4 +1,4 @@
-"""What no method can work without, and what cannot carry a calibration."""
+"""Checks that refuse unusable windows, and turns that do not determine a calibration."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.assessment.bounds import FULL_ARC_DEG
+from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
@@ -23,14 +25,10 @@ NO_UNIT_EXPLAINS = {"magnetometer": 1e7, "accelerometer": 1e7, "gyro": 1e6}
 micro-g and millidegrees published as these."""
 
 
-def refuse_empty(window: Window, min_samples: int) -> None:
-    """Refuse a window that says too little to begin with.
+def refuse_empty(window: Window, min_samples: int = 20) -> None:
+    """Raise `Refusal` for a window that no method can use.
 
-    Raises
-    ------
-    Refusal
-        For numbers that no unit explains, too few samples, an accelerometer without gravity, or
-        a field of zero.
+    It has impossible numbers, too few samples, an accelerometer without gravity, or no field.
     """
     _refuse_nonsense(window)
     if len(window) < min_samples:
@@ -52,7 +50,7 @@ def refuse_empty(window: Window, min_samples: int) -> None:
 
 
 def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return why samples come too slowly for any fit that believes their gyro; None if not."""
+    """Return the refusal of samples too slow to integrate the gyro; None if they are not."""
     if window.angular_rate is None or len(window) < 2 or knowledge.exact_sensors:
         return None
     step = float(np.median(np.diff(window.time)))
@@ -71,7 +69,7 @@ def _usual_size(vectors: FloatArray) -> float:
 
 
 def _refuse_nonsense(window: Window) -> None:
-    """Refuse numbers so large that their squares and fourth powers would leave the floats."""
+    """Refuse numbers so large that their fourth powers overflow."""
     rate = np.zeros(3) if window.angular_rate is None else window.angular_rate
     readings = (window.field, window.specific_force, rate)
     for (sensor, limit), values in zip(NO_UNIT_EXPLAINS.items(), readings, strict=True):
@@ -88,7 +86,6 @@ def _refuse_nonsense(window: Window) -> None:
 class Screening:
     """Bounds beyond which a turn is refused."""
 
-    fewest_samples: int = 20
     least_motion: float = 2.5
     """The raw field must move by this many times its own noise."""
     smallest_motion: float = 0.005
@@ -96,19 +93,16 @@ class Screening:
     least_arc: float = math.radians(45.0)
     least_arc_alone: float = math.radians(90.0)
     """Radians; the latter without a known field or a gyro."""
-    full_arc: float = math.radians(300.0)
-    """Radians from which a full circle is not asked for again."""
     arc_tolerance: float = math.radians(1.5)
-    """Radians: the ends of an arc are known to no better."""
+    """Radians of uncertainty of the ends of an arc."""
     smallest_radius: float = 0.1
-    """Of the circle, over the field's strength: below it the heading drowns in noise."""
+    """Radius of the circle over the field's strength, below which the heading is mostly noise."""
     steepest: float = math.radians(84.0)
-    """Radians of inclination at which too little of the field is level. Up to there the heading's
-    sigma tells what the steepness costs."""
+    """Radians of inclination at which too little of the field is level for a compass."""
     worst_field_noise: float = 0.15
     """Over the field's strength."""
     worst_wobble: float = math.radians(30.0)
-    """Radians: such a robot does not turn about an axis."""
+    """Radians beyond which a robot does not turn about one axis."""
     fewest_inliers: float = 0.4
     """Share of the samples."""
     widest_rival: float = math.radians(5.0)
@@ -119,14 +113,8 @@ SCREENING = Screening()
 
 
 def check_window(window: Window, knowledge: Knowledge) -> None:
-    """Refuse what no fit can help.
-
-    Raises
-    ------
-    Refusal
-        As of `refuse_empty`, and `FIELD_TOO_STEEP`, `NO_MOTION` or `AXIS_ALONG_FIELD`.
-    """
-    refuse_empty(window, SCREENING.fewest_samples)
+    """Raise `Refusal` for an unusable window, a field too steep, or one that did not move."""
+    refuse_empty(window)
     dip = knowledge.reference.inclination
     if not dip.is_unknown and abs(dip.value) > SCREENING.steepest:
         raise _too_steep(dip.value)
@@ -156,7 +144,7 @@ def _check_motion(window: Window) -> None:
 
 
 def _turned_by_gyro(window: Window) -> float:
-    """Return how far the gyro says the robot turned, radians; zero without one."""
+    """Return the range of the gyro's angle about up, radians; zero without a gyro."""
     if window.angular_rate is None or len(window) < 2:
         return 0.0
     steps = 0.5 * (window.angular_rate[1:] + window.angular_rate[:-1])
@@ -167,7 +155,7 @@ def _turned_by_gyro(window: Window) -> float:
 def visible_motion(values: FloatArray) -> bool:
     """Return whether vectors (n, 3) spread by more than their sample-to-sample noise."""
     clean = values[without_spikes(values)]
-    if len(clean) < SCREENING.fewest_samples // 2:
+    if len(clean) < len(values) // 2:
         clean = values
     noise = float(np.median(np.abs(np.diff(clean, axis=0)))) / 0.954
     spread = math.sqrt(max(float(plane_normal(clean)[1][-1]), 0.0))
@@ -175,53 +163,26 @@ def visible_motion(values: FloatArray) -> bool:
     return spread > max(SCREENING.smallest_motion * size, SCREENING.least_motion * noise)
 
 
-def check_rival(rival_gap: float, knowledge: Knowledge, arc: float) -> None:
-    """Refuse a turn that two calibrations explain; `rival_gap` is radians of heading between them.
+def check_shape(
+    estimate: Estimate,
+    knowledge: Knowledge,
+    deviation: float,
+    wobble: float,
+    across: float,
+    rival_gap: float,
+) -> None:
+    """Raise `Refusal` if the field's circle does not determine the calibration of a turn.
 
-    Raises
-    ------
-    Refusal
-        `AMBIGUOUS`.
-    """
-    if rival_gap <= SCREENING.widest_rival:
-        return
-    raise Refusal(
-        Reason.AMBIGUOUS,
-        f"two calibrations explain this turn equally well and differ by"
-        f" {math.degrees(rival_gap):.0f} degrees of heading; {_other_turn(arc)}"
-        f"{'' if knowledge.reference.is_complete else ', or give the reference field'}",
-    )
-
-
-def _other_turn(arc: float) -> str:
-    """Say which turn would tell two calibrations apart: another than the one that was made."""
-    if arc < SCREENING.full_arc:
-        return "turn a full circle on level ground"
-    return "turn once more on other ground, more slowly, with the robot upright"
-
-
-def check_agreement(deviation: float, wobble: float, inliers: float) -> None:
-    """Refuse a field that follows no turn.
-
-    Parameters
-    ----------
-    deviation : float
-        What the field deviates by, over its strength.
-    wobble : float
-        Radians.
-    inliers : float
-        Share of the samples.
-
-    Raises
-    ------
-    Refusal
-        `FIELD_NOT_ON_A_PLANE`.
+    `deviation` is that of the field from the model, over its strength; `wobble` the median angle of
+    the turn's axis from its median, radians. `across` is the radius of the circle over the
+    strength, `rival_gap` the heading between the two best solutions, radians.
     """
     causes = []
     if deviation > SCREENING.worst_field_noise:
         causes.append(f"the field deviates by {deviation:.0%} of its strength")
     if wobble > SCREENING.worst_wobble:
         causes.append(f"the turn's axis wobbles by {math.degrees(wobble):.0f} degrees")
+    inliers = float(np.mean(estimate.inliers))
     if inliers < SCREENING.fewest_inliers:
         causes.append(f"only {inliers:.0%} of the samples fit")
     if causes:
@@ -230,21 +191,36 @@ def check_agreement(deviation: float, wobble: float, inliers: float) -> None:
             f"the field does not follow one turn of the robot ({', '.join(causes)}); turn about one"
             " axis, away from iron and running motors",
         )
+    check_radius(across, estimate.inclination)
+    check_arc(
+        estimate.arc,
+        solved_by_knowledge=knowledge.reference.is_complete,
+        tolerance=SCREENING.arc_tolerance,
+    )
+    if rival_gap <= SCREENING.widest_rival:
+        return
+    remedy = "turn a full circle on level ground"
+    if math.degrees(estimate.arc) >= FULL_ARC_DEG:
+        remedy = "turn once more on other ground, more slowly, with the robot upright"
+    raise Refusal(
+        Reason.AMBIGUOUS,
+        f"two calibrations explain this turn equally well and differ by"
+        f" {math.degrees(rival_gap):.0f} degrees of heading; {remedy}"
+        f"{'' if knowledge.reference.is_complete else ', or give the reference field'}",
+    )
 
 
-def check_radius(across: float, inclination: float) -> None:
-    """Refuse a circle of which too little is level; `across` is its radius over the strength.
+def check_radius(across: float, inclination: float, tilt: float = math.inf) -> None:
+    """Raise `Refusal` if the circle's radius over the field's strength, `across`, is too small.
 
-    Raises
-    ------
-    Refusal
-        `FIELD_TOO_STEEP`, `AXIS_ALONG_FIELD` or `CIRCLE_TOO_SMALL`.
+    The inclination, and how far the turn's axis may be from the vertical, are in radians.
     """
     if abs(inclination) > SCREENING.steepest:
         raise _too_steep(inclination)
     if across >= SCREENING.smallest_radius:
         return
-    if math.cos(inclination) > 2.0 * SCREENING.smallest_radius:
+    steep = 0.5 * math.pi - abs(inclination)
+    if 2.0 * SCREENING.smallest_radius < math.sin(steep) and tilt > 0.5 * steep:
         raise Refusal(
             Reason.AXIS_ALONG_FIELD,
             "the robot turned about an axis along the field, which shows nothing of the heading;"
@@ -253,20 +229,18 @@ def check_radius(across: float, inclination: float) -> None:
     raise Refusal(
         Reason.CIRCLE_TOO_SMALL,
         f"the field drew a circle of only {across:.0%} of its strength; turn about an axis further"
-        " away from the field, or check the field's strength",
+        " away from the field, or check the field's strength and unit (tesla)",
     )
 
 
-def check_arc(arc: float, *, solved_by_knowledge: bool) -> None:
-    """Refuse a turn that is too short; `solved_by_knowledge` says that a field or a gyro is known.
+def check_arc(arc: float, *, solved_by_knowledge: bool, tolerance: float = 0.0) -> None:
+    """Raise `Refusal` if a turn of `arc` radians is too short.
 
-    Raises
-    ------
-    Refusal
-        `ARC_TOO_SHORT`.
+    `solved_by_knowledge` says that the reference field or a gyro is known; the ends of the arc have
+    a tolerance, radians.
     """
     least = SCREENING.least_arc if solved_by_knowledge else SCREENING.least_arc_alone
-    if arc >= least - SCREENING.arc_tolerance:
+    if arc >= least - tolerance:
         return
     remedy = (
         "turn further, at best a full circle"
@@ -275,12 +249,12 @@ def check_arc(arc: float, *, solved_by_knowledge: bool) -> None:
     )
     raise Refusal(
         Reason.ARC_TOO_SHORT,
-        f"the robot turned by {math.degrees(arc):.0f} degrees, which is too little; {remedy}",
+        f"the robot turned by {math.degrees(arc):.0f}°, which is too little; {remedy}",
     )
 
 
 def _too_steep(inclination: float) -> Refusal:
-    # A search may leave the quarter circle in which inclinations are told.
+    # A search may leave the quarter circle of inclinations.
     steep = math.degrees(math.asin(math.sin(inclination)))
     return Refusal(
         Reason.FIELD_TOO_STEEP,

@@ -1,8 +1,8 @@
 """The ellipsoid through a tumbled sensor's samples, by least squares.
 
-Centre v, radii and axes of the ellipsoid give the correction S (x - v) that makes it a sphere: S
-scales along the ellipsoid's axes and turns nothing. Of all matrices that do so it is the symmetric
-one; whether the magnetometer sits turned in the IMU's frame it cannot say.
+Centre v, radii and axes of the ellipsoid give the correction S (x - v) that makes it a sphere. S is
+symmetric: it scales along the axes and does not rotate, because the field alone does not show
+whether the magnetometer is turned in the IMU's frame.
 """
 
 from __future__ import annotations
@@ -17,28 +17,24 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.conics import Ellipsoid, QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.tumbling import (
-    Settings,
+    CLOUD,
     Shape,
     TumblingOptions,
-    believed_samples,
     finish,
     nominal_field,
+    on_unit_sphere,
 )
 from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True)
 class EllipsoidTuning:
-    """Which clouds are an ellipsoid."""
+    """Which clouds count as an ellipsoid."""
 
     least_extent: float = 0.9
     """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
     largest_ratio: float = 3.0
-    """Longest over shortest radius; no soft iron that leaves a compass usable does more."""
-    rounds: int = 4
-    """Times that outliers are left out and the rest is fitted again."""
-    least_share: float = 0.5
-    """Of the samples that the ellipsoid must explain."""
+    """Longest over shortest radius; larger soft iron makes a compass unusable."""
 
 
 TUNING = EllipsoidTuning()
@@ -46,13 +42,7 @@ TUNING = EllipsoidTuning()
 
 @dataclass(frozen=True)
 class Options(TumblingOptions):
-    """Choices of the ellipsoid method, besides those of `TumblingOptions`.
-
-    Raises
-    ------
-    ValueError
-        For a shape that is none of the choices.
-    """
+    """Choices of the ellipsoid method, besides the common ones; ValueError for another shape."""
 
     shape: QuadricFit = QuadricFit.ROTATED
     """"rotated" for any ellipsoid, "aligned" for one along the axes, "sphere" for no soft iron."""
@@ -64,51 +54,34 @@ class Options(TumblingOptions):
 def fit(
     window: Window, knowledge: Knowledge = Knowledge(), *, options: Options = Options()
 ) -> Estimate:
-    """Calibrate by an ellipsoid.
+    """Calibrate by the ellipsoid through the samples.
 
-    Parameters
-    ----------
-    window : Window
-        Samples of a sensor tumbled through most orientations.
-    knowledge : Knowledge
-        Strength of the field, if known, and mounting. Without the strength the correction keeps
-        the geometric mean of the radii.
-    options : Options
-        The shape.
-
-    Returns
-    -------
-    Estimate
-        With the figures of `tumbling.finish` and `centre_x`, `_y`, `_z`, `radius_1`, `_2`, `_3`
-        (tesla, nominal axes), the directions `axis_1_x` ... `axis_3_z` of the radii, and
-        `radii_ratio`, longest over shortest. Its covariance comes from leaving out pieces of time
-        and from the mounting as far as gravity shows it.
-
-    Raises
-    ------
-    Refusal
-        If the samples cannot carry an answer; its text says why and what to do.
+    The sensor has to be tumbled through most orientations. Without a known strength the correction
+    keeps the geometric mean of the radii. Figures are in nominal body axes. The covariance comes
+    from leaving out pieces of time, and from the mounting as far as gravity shows it. Raises
+    `Refusal` if the samples do not determine an answer.
     """
     remedy = "Tumble again away from iron and moving loads."
-    settings = Settings("ellipsoid", TUNING.least_extent, remedy, options)
-    return finish(lambda part, known: solve(part, known, options), window, knowledge, settings)
+    return finish(
+        lambda part, known: solve(part, known, options),
+        window,
+        knowledge,
+        options,
+        method="ellipsoid",
+        least_extent=TUNING.least_extent,
+        remedy=remedy,
+    )
 
 
 def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
-    """Fit the ellipsoid on whatever samples there are, leaving out those that lie off it.
-
-    Raises
-    ------
-    Refusal
-        If there is no ellipsoid, or none that soft iron could make.
-    """
+    """Fit the ellipsoid without outliers. Raises `Refusal` if there is none of a possible shape."""
     nominal = nominal_field(window, knowledge)
     ellipsoid = fit_quadric(nominal, options.shape)
     kept = np.ones(len(nominal), dtype=np.bool_)
-    for _ in range(TUNING.rounds):
+    for _ in range(CLOUD.rounds):
         points = (nominal - ellipsoid.centre) @ ellipsoid.to_unit_sphere
-        believed = believed_samples(np.linalg.norm(points, axis=1))
-        if (believed == kept).all() or believed.mean() < TUNING.least_share:
+        believed = on_unit_sphere(np.linalg.norm(points, axis=1))
+        if (believed == kept).all() or believed.mean() < 0.5:
             break
         kept = believed
         ellipsoid = fit_quadric(nominal[kept], options.shape)

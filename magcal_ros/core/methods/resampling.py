@@ -1,4 +1,4 @@
-"""How uncertain a correction is, by fitting again without parts of the turn."""
+"""The covariance of a correction, by fits without parts of the turn (jackknife)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
@@ -26,41 +26,31 @@ def jackknife_covariance(
     blocks: int = 16,
     unknown: FloatArray | None = None,
 ) -> FloatArray:
-    """Return the covariance of a method's twelve numbers.
+    """Return the covariance (12, 12) of a method's twelve numbers, A row by row, then h in tesla.
 
-    Sum of three parts: the spread of the fits that each leave out one piece of time,
-    (g - 1)/g Σ (p_k - mean)(p_k - mean)ᵀ over g pieces (Tukey's jackknife, in blocks so that
-    neighbours' common errors count, Künsch 1989); the shift of the fit when the strength or the
-    inclination of the reference moves by its own sigma; and what the caller knows to be unseen.
+    It is the sum of three parts. The first is the spread of fits that each leave out one of g
+    pieces of time, (g - 1)/g Σ (p_k - mean)(p_k - mean)ᵀ (Tukey's jackknife; in blocks, so that
+    correlated neighbours count, Künsch 1989). The second is the shift of the fit when strength or
+    inclination of the reference move by their own sigma. The third is `unknown` (12,), one sigma
+    along a direction that the turn does not show.
 
-    Parameters
-    ----------
-    fit_correction : callable
-        The method, from a window and the knowledge to a correction.
-    window : Window
-        The turn.
-    knowledge : Knowledge
-        What the method was given.
-    blocks : int
-        Number of pieces; fewer are taken when there are fewer samples.
-    unknown : array_like, shape (12,), optional
-        One standard deviation along a direction that the turn does not show.
-
-    Returns
-    -------
-    ndarray, shape (12, 12)
-        A row by row (dimensionless), then h (tesla).
-
-    Raises
-    ------
-    Refusal
-        If the whole window, a moved reference, or more than half of the shortened windows have
-        no answer.
+    Raises `Refusal` if the whole window, a moved reference, or more than half of the shortened
+    windows have no answer.
     """
     covariance = _blocks_covariance(fit_correction, window, knowledge, blocks)
-    covariance = covariance + _reference_covariance(fit_correction, window, knowledge)
     if unknown is not None:
-        covariance = covariance + np.outer(unknown, unknown)
+        covariance += np.outer(unknown, unknown)
+    reference = knowledge.reference
+    moved = [
+        replace(reference, strength=_one_sigma_up(reference.strength)),
+        replace(reference, inclination=_one_sigma_up(reference.inclination)),
+    ]
+    centre = fit_correction(window, knowledge).parameters
+    for other in moved:
+        if other != reference:
+            known = replace(knowledge, reference=other)
+            shift = fit_correction(window, known).parameters - centre
+            covariance += np.outer(shift, shift)
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
@@ -76,36 +66,12 @@ def _blocks_covariance(
     if len(answers) <= len(pieces) // 2 or len(answers) < FEWEST_BLOCKS:
         raise Refusal(
             Reason.NO_SOLUTION,
-            "The answer hangs on single pieces of the turn: without them there is none. Turn "
-            "further round, or again.",
+            "Without single pieces of the turn there is no answer. Turn further round, or again.",
         )
     deviations = np.array(answers) - np.mean(answers, axis=0)
-    # A piece without an answer is worth at least an average one.
+    # A piece without an answer counts as an average one.
     scale = (len(answers) - 1) / len(answers) * len(pieces) / len(answers)
     return np.asarray(scale * deviations.T @ deviations)
-
-
-def _reference_covariance(
-    fit_correction: FitCorrection, window: Window, knowledge: Knowledge
-) -> FloatArray:
-    covariance = np.zeros((PARAMETERS, PARAMETERS))
-    moved = _moved_references(knowledge)
-    if not moved:
-        return covariance
-    centre = fit_correction(window, knowledge).parameters
-    for other in moved:
-        shift = fit_correction(window, other).parameters - centre
-        covariance += np.outer(shift, shift)
-    return covariance
-
-
-def _moved_references(knowledge: Knowledge) -> list[Knowledge]:
-    reference = knowledge.reference
-    moved = (
-        replace(reference, strength=_one_sigma_up(reference.strength)),
-        replace(reference, inclination=_one_sigma_up(reference.inclination)),
-    )
-    return [replace(knowledge, reference=other) for other in moved if other != reference]
 
 
 def _one_sigma_up(belief: Belief) -> Belief:

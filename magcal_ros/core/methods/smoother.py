@@ -1,45 +1,80 @@
-"""A calibration from a drive as it is remembered, by the smoother (doc/smoother.md, "Drives")."""
+"""Calibration by the smoother (doc/smoother.md): of a window with a turn, and of a drive."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Estimate
+from magcal_ros.core.calibration.calibration import Estimate, GyroSwing, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
+from magcal_ros.core.geometry.rotations import chained, rotation_vectors
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.checks import refuse_empty
-from magcal_ros.core.methods.maximum_likelihood import check, estimate_of
+from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
 from magcal_ros.core.samples.drive_log import DriveLog, log_of
+from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import MIRRORED, check_length, drive_nodes
-from magcal_ros.core.smoother.kinds_of_motion import smooth
+from magcal_ros.core.smoother.factors import QUARTER, distortion, soft_iron, turned_by
+from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth
+from magcal_ros.core.smoother.posterior import motors_of
+from magcal_ros.core.smoother.turn_by_field import rival_gap, smooth_by_field
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    BODY_FIELD,
+    DRIVES,
+    MICROTESLA,
+    ON_THE_SPOT,
+    ROLL_PITCH,
+    SHIELDING,
+    TURNED,
+    VELOCITY,
+    YAW,
+)
+from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
 
-METHOD = "smoother"
-FEWEST_SAMPLES = 20
+METHOD, DRIVE_METHOD = "maximum_likelihood", "smoother"
+"""Names of `fit` and of `fit_drive` in files and in the parameter `method`."""
+FEWEST_SECTORS = 4
+"""Sectors of heading, of twelve, that a drive has to reach."""
+LARGEST_STREET = 12.0
+"""µT of local disturbance beyond which the axes of the sensors do not belong together."""
+INLIER_WEIGHT = 0.3
+"""Student weight above which a node counts as an inlier."""
+SIGMAS = 3.0
+"""Significance from which the motors' field and a weakened level field are reported."""
+WEAKENED = 0.1
+"""Share of the level field by which no gain of a sensor is too low."""
 
 
-def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
-    """Find all twelve numbers from the samples of a drive.
+def fit(
+    window: Window,
+    knowledge: Knowledge = Knowledge(),
+    progress: Callable[[float], object] | None = None,
+) -> Estimate:
+    """Return the estimate of a turn or a drive, with a gyro or (turns only) without one.
 
-    Parameters
-    ----------
-    window : Window
-        Paired samples of a drive, with a gyro.
-    knowledge : Knowledge
-
-    Returns
-    -------
-    Estimate
-
-    Raises
-    ------
-    Refusal
-        If the drive cannot carry a calibration; the message says what to do next.
+    `progress` is called with the share of the work that is done, 0 to 1. Raises `Refusal` if the
+    samples do not determine a calibration.
     """
-    refuse_empty(window, FEWEST_SAMPLES)
+    found = smoothed(window, knowledge, progress)
+    estimate = estimate_of(found, window, knowledge)
+    check(found, estimate, window, knowledge)
+    return estimate
+
+
+def fit_drive(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
+    """Return the estimate of a drive with a gyro, its samples averaged as in a drive's log.
+
+    Raises `Refusal` if the drive does not determine a calibration.
+    """
+    refuse_empty(window)
     if window.angular_rate is None:
         raise Refusal(
             Reason.NO_SOLUTION,
@@ -49,19 +84,10 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
 
 
 def fit_log(log: DriveLog, knowledge: Knowledge, window: Window | None = None) -> Estimate:
-    """Find all twelve numbers from the log of a drive.
+    """Return the estimate of a drive's log.
 
-    Parameters
-    ----------
-    log : DriveLog
-    knowledge : Knowledge
-    window : Window, optional
-        The samples that residuals are told of; by default the rows of the log.
-
-    Raises
-    ------
-    Refusal
-        As `fit`.
+    The estimate's residuals are those of the rows of `window`, by default of the log. Raises
+    `Refusal` if the drive does not determine a calibration.
     """
     check_length(drive_nodes(log, knowledge.mounting.to_body))
     window = log.window if window is None else window
@@ -75,4 +101,190 @@ def fit_log(log: DriveLog, knowledge: Knowledge, window: Window | None = None) -
     speed = found.nodes.speed
     if speed is not None:
         figures[Figure.METRES] = float(np.nansum(np.abs(speed[:-1]) * found.nodes.seconds))
-    return replace(estimate, method=METHOD, figures=figures)
+    return replace(estimate, method=DRIVE_METHOD, figures=figures)
+
+
+def smoothed(
+    window: Window, knowledge: Knowledge, progress: Callable[[float], object] | None = None
+) -> Smoothed:
+    """Return the smoother's fit of a window that `check` has not seen yet.
+
+    Raises `Refusal` if the window is unusable (`check_window`), or if no fit is found.
+    """
+    check_window(window, knowledge)
+    hint = likely_field_unit(float(np.median(np.linalg.norm(window.field, axis=1))))
+    if hint:
+        raise Refusal(Reason.NO_SOLUTION, hint)
+    if living_axes(window.angular_rate)[2]:
+        return smooth(window, knowledge, too_slow(window, knowledge), progress)
+    return smooth_by_field(window, knowledge)
+
+
+def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowledge) -> None:
+    """Raise `Refusal` if a fit does not determine a calibration."""
+    if found.nodes.tied_to is not None:
+        _check_turn_without_gyro(found, estimate, knowledge)
+        return
+    is_turn = found.mode not in DRIVES and gyro_is_usual(found.fit)
+    slow = None if is_turn else too_slow(window, knowledge)
+    if slow is not None:
+        raise slow
+    if found.mode in DRIVES:
+        _check_drive(found, estimate, all(living_axes(window.angular_rate)))
+
+
+def _check_drive(found: Smoothed, estimate: Estimate, all_axes: bool) -> None:
+    """Refuse a drive with too few headings, a silent axis of the gyro, or too large residuals."""
+    if not all_axes:
+        raise Refusal(Reason.AXES_DISAGREE, DEAD_AXES)
+    street = found.fit.point.sizes["street"]
+    if street > LARGEST_STREET:
+        raise Refusal(
+            Reason.AXES_DISAGREE,
+            f"along the drive the field deviates by {street:.0f} µT from where gyro and gravity"
+            " turn it; check that the axes of both sensors belong together, and drive away from"
+            " iron",
+        )
+    sectors = estimate.figures[Figure.HEADINGS_DRIVEN]
+    if sectors < FEWEST_SECTORS:
+        raise Refusal(
+            Reason.ARC_TOO_SHORT,
+            f"the drive went to {sectors:.0f} of 12 headings only; drive on, round a block",
+        )
+
+
+def _check_turn_without_gyro(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
+    """Refuse a turn without a gyro of which the model fits the samples by chance."""
+    sizes, state = found.fit.point.sizes, found.fit.state
+    deviation = math.hypot(sizes["field"], sizes["body_field"], sizes["motors_noise"]) / MICROTESLA
+    axes = np.einsum("nji,j->ni", state.attitude, estimate.axis)
+    axis = unit(np.median(axes, axis=0))
+    wobble = float(np.median(np.arccos(np.clip(axes @ axis, -1.0, 1.0))))
+    across = float(np.linalg.norm(np.cross(axis, unit(state.earth))))
+    share = deviation / estimate.strength
+    check_shape(estimate, knowledge, share, wobble, across, rival_gap(found))
+
+
+def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
+    """Return a fit in the form that every method returns; residuals are of the window's rows."""
+    best, nodes = found.fit, found.nodes
+    shared, posterior = best.state.shared, found.posterior
+    part = best.weighted["field"]
+    residual = part.linear.residual @ knowledge.mounting.matrix.T / MICROTESLA
+    belongs = np.searchsorted(nodes.time, window.time).clip(0, len(nodes) - 1)
+    up = best.state.attitude[:, :, 2]
+    steps = np.median(np.abs(np.diff(window.field, axis=0))) / 0.954
+    tilts = np.median(np.abs(np.diff(unit(window.specific_force), axis=0))) / 0.954
+    roll, pitch = shared[ROLL_PITCH]
+    figures = _figures(found)
+    swing = _swing(found) if nodes.tied_to is None else None
+    if swing is None:
+        del figures[Figure.GYRO_CARRIED]
+        figures[Figure.WOBBLE] = _wobble(best)
+    else:
+        figures[Figure.GYRO_COMPASS_SWING] = swing.rms
+    return Estimate(
+        method=METHOD,
+        correction=posterior.correction,
+        covariance=posterior.covariance,
+        installation=Installation(float(roll), float(pitch), float(shared[YAW] + shared[TURNED])),
+        axis=unit(up.mean(axis=0)) if nodes.tied_to is None else nodes.tied_to[:, 2],
+        arc=_arc(found, window),
+        strength=posterior.strength,
+        inclination=posterior.inclination,
+        noise_field=max(float(steps), 1e-9),
+        noise_up=float(tilts),
+        inliers=(part.weight * part.variance > INLIER_WEIGHT)[belongs],
+        residual=residual[belongs],
+        figures=figures,
+        message=best.message,
+        swing=swing,
+        motors=motors_of(posterior, best),
+    )
+
+
+def _wobble(best: Fit) -> float:
+    """Return the RMS lean of the turn's axis in the body, radians per axis."""
+    up = best.state.attitude[:, :, 2]
+    across = np.cross(unit(up.mean(axis=0)), up)
+    # On a slope the axis goes round in the body as the robot turns: what stays in world axes.
+    world = np.einsum("nji,nj->ni", best.state.attitude, across)
+    return math.sqrt(float(np.mean(np.sum((world - world.mean(axis=0)) ** 2, axis=1))) / 2.0)
+
+
+def _swing(found: Smoothed) -> GyroSwing:
+    """Return compass less corrected gyro by sectors of heading, while the robot moves."""
+    best, nodes = found.fit, found.nodes
+    shared, course = best.state.shared, best.point.course
+    motors = course.moving[:, None] * shared[AT["motors_moving"]]
+    motors = motors + nodes.rate[:, 2:] * shared[AT["motors_rate"]]
+    motors = motors + best.state.local[:, BODY_FIELD]
+    back = np.linalg.inv(distortion(shared))
+    body = (nodes.field - shared[AT["iron"]] - motors) @ back.T
+    attitude = body_from_enu(best.state.attitude[:, :, 2], body)
+    moves = course.moving > 0.0
+    relative = chained(turned_by(nodes, shared)[None])[0]
+    return gyro_compass_swing(relative[moves], attitude[moves], nodes.time[moves])
+
+
+def _arc(found: Smoothed, window: Window) -> float:
+    """Return the range of the heading, or of the angle about the axis; radians, at most 2 pi."""
+    attitude, nodes = found.fit.state.attitude, found.nodes
+    if nodes.tied_to is None:
+        angle = np.unwrap(found.fit.state.yaw)
+    else:
+        steps = rotation_vectors(attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2))
+        angle = np.append(0.0, np.cumsum(steps @ nodes.tied_to[:, 2]))
+    # The first and the last samples lie half a node beyond the middles.
+    pace = np.diff(angle) / nodes.seconds
+    first = angle[0] - pace[0] * (nodes.time[0] - window.time[0])
+    last = angle[-1] + pace[-1] * (window.time[-1] - nodes.time[-1])
+    return min(float(np.ptp(np.concatenate([[first], angle, [last]]))), math.tau)
+
+
+def _level_acceleration(best: Fit) -> float:
+    """Return the mean level acceleration of a robot that moves, in its own axes, m/s²."""
+    state, course = best.state, best.point.course
+    rate = course.nodes.rate @ course.axes[:, 2]
+    level = (rate * course.moving)[:, None] * state.local[:, VELOCITY] @ QUARTER.T
+    mean = level.sum(axis=0) / max(float(course.moving.sum()), 1.0)
+    return float(np.linalg.norm(mean + course.axes[:, :2].T @ state.shared[AT["force_moving"]]))
+
+
+def _figures(found: Smoothed) -> dict[Figure, float]:
+    best = found.fit
+    shared, sigma = best.state.shared, np.sqrt(np.diag(best.covariance))
+    turning = float(np.median(found.nodes.rate[:, 2]))
+    at_rate = np.zeros((3, len(shared)))
+    at_rate[:, AT["motors_moving"]] = np.eye(3)
+    at_rate[:, AT["motors_rate"]] = turning * np.eye(3)
+    size = float(np.linalg.norm(at_rate @ shared))
+    doubt = math.sqrt(float(np.trace(at_rate @ best.covariance @ at_rate.T)))
+    share = float(np.trace(soft_iron(shared)[:2, :2])) / 2.0
+    weakened = 1.0 - share > max(WEAKENED, SIGMAS * sigma[SHIELDING])
+    return {
+        **(_of_a_drive(found) if found.mode in DRIVES else {}),
+        Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: share,
+        Figure.STEADY_ACCELERATION: _level_acceleration(best) / STANDARD_GRAVITY,
+        Figure.POSSIBLE_ACCELERATION: found.by_pull,
+        Figure.GYRO_CARRIED: float(gyro_is_usual(best)),
+        Figure.NOT_CONVERGED: float(not best.converged),
+        Figure.ITERATIONS: float(best.rounds),
+        Figure.SOFT_IRON: float(best.model.priors.scale[AT["soft_iron"]].any()),
+        Figure.LATENCY: float(shared[AT["latency"]][0]),
+        Figure.MOTOR_FIELD: size / MICROTESLA if size > SIGMAS * doubt else 0.0,
+        Figure.ON_THE_SPOT: sum(
+            share for name, share in found.weights.items() if name.startswith(ON_THE_SPOT)
+        ),
+    }
+
+
+def _of_a_drive(found: Smoothed) -> dict[Figure, float]:
+    nodes, course = found.nodes, found.fit.point.course
+    sectors = np.unique(found.fit.state.sector[course.moving > 0.0])
+    return {
+        Figure.HEADINGS_DRIVEN: float(len(sectors)),
+        Figure.DRIVING_TIME: float(np.ptp(nodes.time)),
+        Figure.STREET: found.fit.point.sizes["street"] / MICROTESLA,
+        Figure.LOCAL_FIELD: found.fit.local_field / MICROTESLA,
+    }

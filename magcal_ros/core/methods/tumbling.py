@@ -1,8 +1,8 @@
-"""What the methods for tumbled sensors share: from a fitted shape to an estimate.
+"""Common part of the methods for tumbled sensors: from a fitted shape to an estimate.
 
-They look at the field alone. The symmetric matrix that takes an ellipsoid to a sphere leaves a
-rotation open, so these methods take the magnetometer's axes for the IMU's (after the nominal
-mounting); what gravity shows of the contrary enters the covariance.
+They use the field alone. The symmetric matrix that takes an ellipsoid to a sphere leaves a rotation
+undetermined, so these methods take the magnetometer's axes (after the nominal mounting) for the
+IMU's. The rotation that gravity shows is not corrected; it enters the covariance.
 """
 
 from __future__ import annotations
@@ -15,34 +15,35 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Estimate
-from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import skew
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.checks import refuse_empty
-from magcal_ros.core.methods.mounting import SeenMounting, look_at_mounting
+from magcal_ros.core.methods.checks import SCREENING, refuse_empty
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True)
 class CloudTuning:
-    """Which clouds of field samples a tumble can have left."""
+    """Bounds of a cloud of field samples that a tumble can have."""
 
+    fewest_samples: int = 40
     thinnest_cloud: float = 0.15
     """Smallest over largest standard deviation of a cloud; below it is a plane with noise."""
-    least_motion: float = 0.02
-    """Standard deviation of the field over its size; below it nothing moved."""
     largest_residual: float = 0.15
     """Root mean square of the distance from the sphere over its radius; beyond it is no sphere."""
     outlier_deviations: float = 5.0
     """Robust standard deviations from the usual distance beyond which a sample is an outlier."""
     least_gate: float = 0.02
-    """Share of the radius within which a sample is always believed."""
+    """Share of the radius within which a sample is never an outlier."""
+    rounds: int = 10
+    """Most times that outliers are left out and the rest is fitted again."""
     least_level_share: float = 0.1
-    """Of the field that is taken to be level where it is steeper than a compass can bear."""
+    """Least level share of the field by which the scatter is divided."""
 
 
 CLOUD = CloudTuning()
@@ -51,12 +52,13 @@ CLOUD = CloudTuning()
 PROBES: FloatArray = unit(
     np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if d > (0.0, 0.0, 0.0)])
 )
-"""Thirteen directions, an axis, an edge or a corner of a cube each, in which to ask for samples."""
+"""Thirteen directions (axes, edges and corners of a cube) in which the extent of the samples is
+measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What a method found: where the cloud's centre is, and what makes it a sphere."""
+    """Centre of a cloud, and the matrix that makes it a sphere."""
 
     centre: FloatArray
     """Tesla, in nominal body axes. Shape (3,)."""
@@ -65,7 +67,7 @@ class Shape:
     radius: float
     """Tesla, the mean radius as the sensor reads it."""
     figures: Mapping[Figure, float]
-    """What the method measured besides."""
+    """Other figures of the method."""
 
     def on_sphere(self, nominal: FloatArray) -> FloatArray:
         """Return fields (n, 3) in nominal axes as points that should lie on the unit sphere."""
@@ -74,7 +76,7 @@ class Shape:
     def correction(self, knowledge: Knowledge) -> Correction:
         """Return the correction, scaled to the reference's strength where that is known."""
         mounting = knowledge.mounting.matrix
-        size = believed_strength(self, knowledge)
+        size = strength_of(self, knowledge)
         return Correction(size * self.to_unit @ np.linalg.inv(mounting), mounting @ self.centre)
 
 
@@ -85,31 +87,73 @@ Solve = Callable[[Window, Knowledge], Shape]
 class TumblingOptions:
     """Choices that all methods for tumbled sensors have."""
 
-    min_samples: int = 40
-    """Fewer are refused."""
-    jackknife_blocks: int = 16
-    """Pieces of time that the covariance leaves out one by one."""
     installation_sigma: float = math.radians(3.0)
-    """Radians per axis that the magnetometer may be turned against the IMU, before gravity is
-    asked. Zero: it is known to be square."""
+    """Prior of the magnetometer's rotation against the IMU, radians per axis; zero if it is known
+    to be aligned."""
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What a method wants done by what all share."""
+@dataclass(frozen=True, eq=False)
+class MountingRotation:
+    """A rotation of the corrected field against the IMU, as far as gravity shows it."""
 
-    method: str
-    """Its name."""
-    least_extent: float
-    """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
-    remedy: str
-    """What to do when the samples lie on no sphere."""
-    options: TumblingOptions
-    """The user's."""
+    cosine: float
+    """Of the angle between the field and up."""
+    rotation: FloatArray
+    """Expectation of the rotation vector from the corrected field to the true one, radians. Shape
+    (3,)."""
+    covariance: FloatArray
+    """Of `rotation`, rad². Shape (3, 3)."""
+    scatter: float
+    """Residual standard deviation of the cosine."""
+
+    @property
+    def angle(self) -> float:
+        """Radians of the whole rotation."""
+        return float(np.linalg.norm(self.rotation))
+
+    def covariance_of(self, matrix: FloatArray) -> FloatArray:
+        """Return the covariance (12, 12) that the ignored rotation adds to that of A (3, 3)."""
+        moment = np.outer(self.rotation, self.rotation) + self.covariance
+        turned = np.array([(skew(axis) @ matrix).ravel() for axis in np.eye(3)])
+        covariance = np.zeros((PARAMETERS, PARAMETERS))
+        covariance[:9, :9] = turned.T @ moment @ turned
+        return covariance
+
+
+def estimate_mounting(direction: FloatArray, up: FloatArray, sigma: float) -> MountingRotation:
+    """Estimate the rotation of the magnetometer against the IMU from the angle between two vectors.
+
+    Field and gravity keep one angle in the world. A correction turned by a small rotation d changes
+    it: u·m = c - d·(m x u), for unit vectors u up and m of the corrected field, both (n, 3) in the
+    order of time. Tumbling shows all three components of d. `sigma` is their prior, radians.
+    """
+    cosines = np.sum(direction * up, axis=1)
+    design = np.column_stack([np.ones(len(up)), -np.cross(direction, up)])
+    if sigma == 0.0:
+        scatter = float(np.std(cosines))
+        return MountingRotation(float(cosines.mean()), np.zeros(3), np.zeros((3, 3)), scatter)
+    prior = np.diag([0.0, *np.full(3, sigma**-2)])
+    answer = np.linalg.lstsq(design, cosines, rcond=None)[0]
+    residual = cosines - design @ answer
+    # Noise-free samples need a floor.
+    variance = max(float(np.mean(residual**2)), 1e-10)
+    weight = 1.0 / (variance * _inefficiency(design, residual))
+    inverse = np.linalg.inv(weight * design.T @ design + prior)
+    covariance = np.asarray(inverse, dtype=np.float64)
+    answer = weight * covariance @ design.T @ cosines
+    return MountingRotation(float(answer[0]), answer[1:], covariance[1:, 1:], variance**0.5)
+
+
+def _inefficiency(design: FloatArray, residual: FloatArray) -> float:
+    """Return the inefficiency factor, from the scores of sixteen pieces of time; one or more."""
+    scores = design * residual[:, None]
+    pieces = np.array([piece.sum(axis=0) for piece in np.array_split(scores, 16)])
+    single = np.maximum((scores**2).sum(axis=0), 1e-300)
+    return max(1.0, float(np.mean((pieces**2).sum(axis=0) / single)))
 
 
 def nominal_field(window: Window, knowledge: Knowledge) -> FloatArray:
-    """Return the field (n, 3) with known gains and the nominal pose taken off, tesla."""
+    """Return the field (n, 3) in nominal body axes, known gains removed, tesla."""
     return np.asarray(window.field @ knowledge.mounting.to_body.T)
 
 
@@ -117,7 +161,7 @@ def _refuse_flat(nominal: FloatArray) -> None:
     """Refuse a cloud that did not move, or that lies on a plane."""
     spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     spread = spread / math.sqrt(len(nominal))
-    if spread[0] < CLOUD.least_motion * float(np.median(np.linalg.norm(nominal, axis=1))):
+    if spread[0] < SCREENING.smallest_motion * float(np.median(np.linalg.norm(nominal, axis=1))):
         raise Refusal(
             Reason.NO_MOTION,
             "The field hardly changed. Tumble the sensor through all orientations.",
@@ -131,68 +175,58 @@ def _refuse_flat(nominal: FloatArray) -> None:
         )
 
 
-def believed_strength(shape: Shape, knowledge: Knowledge) -> float:
+def strength_of(shape: Shape, knowledge: Knowledge) -> float:
     """Return the reference's strength where known, else the shape's own radius, tesla."""
     reference = knowledge.reference.strength
     return shape.radius if reference.is_unknown else reference.value
 
 
-def believed_samples(distance: FloatArray) -> BoolArray:
-    """Return which samples belong to the sphere.
+def on_unit_sphere(distance: FloatArray, among: FloatArray | None = None) -> BoolArray:
+    """Return which samples (n,) are on the sphere, by their distance (n,) from its centre.
 
-    Parameters
-    ----------
-    distance : ndarray, shape (n,)
-        From the unit sphere's centre.
+    The usual distance and its spread are those of `among` (k,), by default of all samples.
     """
-    off = np.abs(distance - float(np.median(distance)))
-    gate = CLOUD.outlier_deviations * 1.4826 * float(np.median(off))
-    return np.asarray(off <= max(gate, CLOUD.least_gate))
+    others = distance if among is None else among
+    usual = float(np.median(others))
+    gate = CLOUD.outlier_deviations * 1.4826 * float(np.median(np.abs(others - usual)))
+    return np.asarray(np.abs(distance - usual) <= max(gate, CLOUD.least_gate))
 
 
-def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Settings) -> Estimate:
-    """Judge a method's shape by its samples and put it into the common form.
+def finish(
+    solve: Solve,
+    window: Window,
+    knowledge: Knowledge,
+    options: TumblingOptions,
+    *,
+    method: str,
+    least_extent: float,
+    remedy: str,
+) -> Estimate:
+    """Fit a shape, check it, and bring it into the form that every method returns.
 
-    Parameters
-    ----------
-    solve : callable
-        The method, from window and knowledge to a shape.
-    window : Window
-        The tumbling.
-    knowledge : Knowledge
-        Reference field and mounting.
-    settings : Settings
-        The method's own.
-
-    Returns
-    -------
-    Estimate
-        Without an installation. Besides the method's own figures: `misalignment` (rad, between
-        the corrected field's axes and the IMU's as gravity shows it), `sphere_extent` (diameters
-        seen in the least seen direction), `radius_ratio` where the strength is known.
-
-    Raises
-    ------
-    Refusal
-        If the samples cannot carry an answer.
+    The estimate of `method` has no installation. The unit sphere, of extent 2, must be seen to
+    `least_extent` in every direction; `remedy` is what to do if the samples are not on a sphere.
+    Raises `Refusal` if the samples do not determine one.
     """
-    options, nominal = settings.options, nominal_field(window, knowledge)
-    refuse_empty(window, options.min_samples)
+    nominal = nominal_field(window, knowledge)
+    refuse_empty(window, CLOUD.fewest_samples)
     _refuse_flat(nominal)
     shape = solve(window, knowledge)
     points = shape.on_sphere(nominal)
-    inliers = believed_samples(np.linalg.norm(points, axis=1))
-    extent = _refuse_no_sphere(points[inliers], settings)
+    inliers = on_unit_sphere(np.linalg.norm(points, axis=1))
+    extent = _refuse_no_sphere(points[inliers], least_extent, remedy)
     correction = shape.correction(knowledge)
-    covariance = _covariance(solve, window, knowledge, options.jackknife_blocks)
+    covariance = jackknife_covariance(
+        lambda part, known: solve(part, known).correction(known), window, knowledge
+    )
     up = unit(window.specific_force[inliers])
-    mounting = look_at_mounting(unit(points[inliers]), up, options.installation_sigma)
-    strength = believed_strength(shape, knowledge)
+    mounting = estimate_mounting(unit(points[inliers]), up, options.installation_sigma)
+    strength = strength_of(shape, knowledge)
     inclination = -math.asin(max(-1.0, min(1.0, mounting.cosine)))
     residual = window.field - correction.undo(strength * unit(points))
     noise = math.sqrt(float((residual[inliers] ** 2).sum()) / max(int(inliers.sum()) - 9, 1))
     return Estimate(
-        method=settings.method,
+        method=method,
         correction=correction,
         covariance=covariance + mounting.covariance_of(correction.matrix),
         installation=None,
@@ -210,44 +244,36 @@ def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Setting
     )
 
 
-def _covariance(solve: Solve, window: Window, knowledge: Knowledge, blocks: int) -> FloatArray:
-    def fit_correction(part: Window, known: Knowledge) -> Correction:
-        return solve(part, known).correction(known)
-
-    return jackknife_covariance(fit_correction, window, knowledge, blocks)
-
-
 def _figures(
     shape: Shape,
     extent: float,
-    mounting: SeenMounting,
+    mounting: MountingRotation,
     knowledge: Knowledge,
     options: TumblingOptions,
 ) -> dict[Figure, float]:
-    """Return the method's figures, and those that hold the result against what is known besides."""
+    """Return the method's figures, the extent seen, and deviations from reference and gravity."""
     figures = {**shape.figures, Figure.SPHERE_EXTENT: 0.5 * extent}
     if options.installation_sigma > 0.0:
         figures[Figure.MISALIGNMENT] = mounting.angle
     if not knowledge.reference.strength.is_unknown:
-        figures[Figure.RADIUS_RATIO] = shape.radius / believed_strength(shape, knowledge)
+        figures[Figure.RADIUS_RATIO] = shape.radius / strength_of(shape, knowledge)
     return figures
 
 
-def _refuse_no_sphere(points: FloatArray, settings: Settings) -> float:
-    """Refuse what is no sphere; returns how far it reaches where it reaches least."""
+def _refuse_no_sphere(points: FloatArray, least: float, remedy: str) -> float:
+    """Refuse points that are not on a sphere; returns their least extent in any direction."""
     extent = float(np.ptp(unit(points) @ PROBES.T, axis=0).min())
-    if extent < settings.least_extent:
+    if extent < least:
         raise Refusal(
             Reason.ARC_TOO_SHORT,
             f"In one direction only {50.0 * extent:.0f}% of the sphere of orientations was seen; "
-            f"at least {50.0 * settings.least_extent:.0f}% are needed. Tumble the sensor through "
+            f"at least {50.0 * least:.0f}% are needed. Tumble the sensor through "
             "all orientations, upside down included.",
         )
     rms = float(np.sqrt(np.mean((np.linalg.norm(points, axis=1) - 1.0) ** 2)))
     if rms > CLOUD.largest_residual:
         raise Refusal(
             Reason.NO_SOLUTION,
-            f"The corrected samples miss the sphere by {100.0 * rms:.0f}% of its radius. "
-            + settings.remedy,
+            f"The corrected samples miss the sphere by {100.0 * rms:.0f}% of its radius. " + remedy,
         )
     return extent

@@ -21,7 +21,7 @@ from magcal_ros.core.doctor.page import blamed_on_axes, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry import FloatArray, field_in_enu, minimal_rotation, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.maximum_likelihood import check, estimate_of, smoothed
+from magcal_ros.core.methods.smoother import check, estimate_of, smoothed
 from magcal_ros.core.multi_turn.result import Advice, Several, Shown, TurnFate
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit

@@ -1,4 +1,4 @@
-"""Drives as they are remembered: a calibration, its hard iron anew, two calibrations compared.
+"""Fits of a drive: all numbers, the hard iron alone, and the likelihood ratio of two calibrations.
 
 All are fits of a drive on wheels by the same model. Where a calibration is held, the field is
 corrected by it, and of the twelve numbers only those that are sought are free.
@@ -56,18 +56,18 @@ HELD = (
     "force_moving",
     "force_offset",
 )
-"""The unknowns that a calibration holds: it leads to axes in which the accelerometer shows up."""
+"""The unknowns that are zero after correction by a calibration."""
 MIRRORED = (
     "along the drive the field does not turn as the gyro does; check that the axes of both sensors"
     " belong together"
 )
 KEPT_TILT, KEPT_SOFT_IRON = math.radians(0.5), 0.002
-"""Sigmas by which installation and soft iron may have changed where hard iron is sought anew."""
+"""Sigmas of a change of installation and soft iron beside that of the hard iron."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveFit:
-    """What a drive shows."""
+    """The fit of a change of hard iron to a drive."""
 
     fit: Fit
     posterior: Posterior
@@ -75,12 +75,12 @@ class DriveFit:
 
     @property
     def sectors(self) -> int:
-        """How many of twelve sectors of 30° were driven with the iron that is sought."""
+        """Number of the twelve sectors of 30° that were driven with the changed hard iron."""
         return len(np.unique(self.fit.state.sector[self._counted]))
 
     @property
     def seconds(self) -> float:
-        """How long the drive took with the hard iron that is sought."""
+        """Duration of the drive with the changed hard iron, seconds."""
         return float(np.ptp(self.fit.model.nodes.time[self._counted]))
 
     @property
@@ -90,7 +90,7 @@ class DriveFit:
 
     @property
     def local_field(self) -> float:
-        """The same with what motors add unsteadily."""
+        """The local disturbance with the unsteady field of the motors, tesla per axis."""
         return self.fit.local_field / MICROTESLA
 
     @property
@@ -111,19 +111,10 @@ def drive_nodes(log: DriveLog, to_body: FloatArray) -> Nodes:
 
 
 def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
-    """Find all twelve numbers from a drive on wheels.
+    """Return the fit of all twelve numbers to a drive on wheels.
 
-    Parameters
-    ----------
-    log : DriveLog
-        What the nodes are part of.
-    nodes : Nodes
-    knowledge : Knowledge
-
-    Raises
-    ------
-    Refusal
-        `TOO_FEW_SAMPLES` of too short a drive, `NO_SOLUTION` where no fit converges.
+    The nodes are those of the log. Raises `Refusal`: `TOO_FEW_SAMPLES` of too short a drive,
+    `NO_SOLUTION` if no fit converges.
     """
     check_length(nodes)
     if not all(living_axes(log.rate)):
@@ -139,19 +130,14 @@ def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
 
 
 def check_length(nodes: Nodes) -> None:
-    """Refuse a drive that is too short, or of which the gyro is not heard.
-
-    Raises
-    ------
-    Refusal
-    """
+    """Raise `Refusal` if a drive is too short, or its gyro is missing for too long."""
     refusal = why_too_little(nodes)
     if refusal is not None:
         raise refusal
 
 
 def why_too_little(nodes: Nodes) -> Refusal | None:
-    """Return the refusal of a drive that is too short, or of which the gyro is not heard."""
+    """Return the refusal of a drive too short or without gyro; None if it is usable."""
     if len(nodes) < FEWEST:
         return Refusal(
             Reason.TOO_FEW_SAMPLES,
@@ -161,7 +147,7 @@ def why_too_little(nodes: Nodes) -> Refusal | None:
     if np.mean(nodes.is_tied) < 0.5:
         return Refusal(
             Reason.AXES_DISAGREE,
-            "for most of the drive the gyro is not heard: its stamps come in bursts, or too seldom;"
+            "for most of the drive gyro samples are missing: stamps come in bursts, or too seldom;"
             " stamp each sample when it is measured, not when a buffer is read",
         )
     return None
@@ -170,28 +156,17 @@ def why_too_little(nodes: Nodes) -> Refusal | None:
 def corrected(nodes: Nodes, correction: Correction, to_sensor: FloatArray) -> Nodes:
     """Return the nodes with their field corrected by a calibration.
 
-    Parameters
-    ----------
-    nodes : Nodes
-        In nominal body axes.
-    correction : Correction
-    to_sensor : ndarray, shape (3, 3)
-        `Mounting.matrix`.
+    The nodes are in nominal body axes; `to_sensor` (3, 3) is `Mounting.matrix`.
     """
     raw = nodes.field @ to_sensor.T / MICROTESLA
     return replace(nodes, field=MICROTESLA * correction.apply(raw))
 
 
 def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = False) -> Priors:
-    """Return the priors for a field that is corrected already.
+    """Return the priors of a corrected field: the unknowns of its calibration are held.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-    iron : ndarray, shape (3,)
-        Sigma of the hard iron that is left, µT.
-    may_change : bool
-        Whether installation and soft iron may have changed a little.
+    `iron` (3,) is the sigma of the remaining hard iron, µT. `may_change` allows small changes of
+    installation and soft iron.
     """
     priors = priors_of(knowledge)
     scale = priors.scale.copy()
@@ -205,7 +180,7 @@ def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = Fa
 
 
 def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
-    """Fit corrected nodes; None where that fails."""
+    """Return the fit of corrected nodes; None if it fails."""
     try:
         state, about = start(inside, priors)
         shared = priors.mean.copy()
@@ -218,19 +193,10 @@ def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
 
 
 def fit_iron(nodes: Nodes, correction: Correction, knowledge: Knowledge) -> DriveFit | None:
-    """Find what was added to the hard iron since a calibration was made.
+    """Return the fit of the change of hard iron since a calibration was made.
 
-    Parameters
-    ----------
-    nodes : Nodes
-    correction : Correction
-        The calibration; its matrix is kept but for the little that the priors allow.
-    knowledge : Knowledge
-
-    Returns
-    -------
-    DriveFit or None
-        Of the raw field. None where too little was driven.
+    The matrix of the correction is kept, apart from the small changes that the priors allow. The
+    result is that of the raw field; None if the drive is too short.
     """
     if why_too_little(nodes) is not None:
         return None
@@ -241,7 +207,7 @@ def fit_iron(nodes: Nodes, correction: Correction, knowledge: Knowledge) -> Driv
 
 
 def added_to(correction: Correction, found: Fit, iron: slice) -> DriveFit:
-    """Return the calibration of the raw field, from a fit to a field corrected before."""
+    """Return the posterior of the raw field's calibration, from a fit to the corrected field."""
     moved = replace(found, point=replace(found.point, state=_with_iron(found.state, iron)))
     swapped = np.arange(SHARED)
     swapped[AT["iron"]], swapped[iron] = swapped[iron].copy(), swapped[AT["iron"]].copy()
@@ -268,51 +234,43 @@ class LikelihoodRatio:
     """The log likelihood ratio of nodes between a new calibration and an old one."""
 
     by_node: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """Fall of minus the log likelihood, as far as it is believed. Shape (n,)."""
+    """Log likelihood ratio of each node, times `BELIEVED`. Shape (n,)."""
     sector: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     """Of twelve headings, by the new one. Shape (n,)."""
 
     @property
     def gain(self) -> float:
-        """All of it."""
+        """The ratio over all nodes."""
         return float(self.by_node.sum())
 
     @property
     def halves(self) -> tuple[float, float]:
-        """What the first and the second half of the nodes add to it."""
+        """The ratio over the first and over the second half of the nodes."""
         middle = len(self.by_node) // 2
         return float(self.by_node[:middle].sum()), float(self.by_node[middle:].sum())
 
     @property
     def by_sector(self) -> FloatArray:
-        """What each of twelve headings adds to it, shape (12,)."""
+        """The ratio over the nodes of each of twelve sectors of heading, shape (12,)."""
         return np.bincount(self.sector, self.by_node, SECTORS).astype(np.float64)
 
     @property
     def elsewhere(self) -> float:
-        """What is left without the quarter of headings that speaks most for the new one."""
+        """The ratio without the three sectors that favour the new calibration most."""
         quarters = sum(np.roll(self.by_sector, -shift) for shift in range(SECTORS // 4))
         return float(self.gain - np.max(quarters))
 
     @property
     def against(self) -> float:
-        """What the headings that speak for the old one add up to, as a positive number."""
+        """The sum over the sectors that favour the old calibration, as a positive number."""
         return float(-np.sum(np.minimum(self.by_sector, 0.0)))
 
 
 def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> LikelihoodRatio:
     """Return the log likelihood ratio of nodes between a new calibration and an old one.
 
-    Parameters
-    ----------
-    old, new : Nodes
-        Corrected by the one and by the other, which both are held.
-    knowledge : Knowledge
-
-    Returns
-    -------
-    LikelihoodRatio
-        Nothing where one of them cannot be followed.
+    The nodes are corrected by the old and by the new calibration, and both calibrations are held.
+    The ratio is empty if one of the two fits fails.
     """
     priors = held_priors(knowledge, np.zeros(3))
     fits = [held_fit(each, priors) for each in (old, new)]
@@ -333,7 +291,7 @@ def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> Likelih
 
 
 def _costs(found: Fit) -> FloatArray:
-    """Return minus twice the log likelihood of each node, and of the link that leads to it."""
+    """Return minus twice the log likelihood of each node and of the link before it, shape (n,)."""
     count = len(found.model.nodes)
     total = np.zeros(count)
     for part in found.weighted.values():

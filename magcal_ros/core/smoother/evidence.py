@@ -1,4 +1,4 @@
-"""How likely the samples are under a model: the evidence, by Laplace's approximation."""
+"""The evidence of a model, by Laplace's approximation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def evidence(
 
 
 def cost_of_nodes(model: Model, point: Point, weighted: dict[str, Weighted]) -> float:
-    """Return minus twice the logarithm of likelihood and priors but for the shared unknowns'."""
+    """Return minus twice the log of likelihood and priors, except those of shared unknowns."""
     state, sizes, places = point.state, point.sizes, point.places
     cost = sum(part.cost for part in weighted.values())
     levels = (
@@ -48,7 +48,7 @@ def cost_of_nodes(model: Model, point: Point, weighted: dict[str, Weighted]) -> 
 
 
 def cost_of_shared(model: Model, point: Point, names: Iterable[str] = tuple(AT)) -> float:
-    """Return minus twice the logarithm of the prior of some groups of shared unknowns."""
+    """Return minus twice the log prior of some groups of shared unknowns."""
     off, scales, cost = point.state.shared - model.priors.mean, model.scales(point.groups), 0.0
     known: dict[str, float] = {}
     for name in names:

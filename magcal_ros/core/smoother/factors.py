@@ -1,4 +1,4 @@
-"""What the measurements say of the unknowns: residuals with their derivatives.
+"""Factors: residuals of the measurements, with their derivatives by the unknowns.
 
 Each residual is a measurement less its prediction. Attitudes change on the body's side,
 R <- exp(phi) R; all derivatives are of the prediction.
@@ -100,7 +100,7 @@ def gyro_matrix(shared: FloatArray) -> FloatArray:
 
 
 def gyro_error(nodes: Nodes, shared: FloatArray) -> FloatArray:
-    """Return the rotation between nodes that bias and matrix add, radians, shape (n - 1, 3)."""
+    """Return the gyro's rotation between nodes by bias and matrix, radians, shape (n - 1, 3)."""
     bias = nodes.seconds[:, None] * shared[AT["gyro_bias"]]
     return np.asarray(bias + nodes.angle @ gyro_matrix(shared).T)
 
@@ -116,7 +116,7 @@ def distortion(shared: FloatArray) -> FloatArray:
 
 
 def magnetic(course: Course, state: State, places: Places) -> Linear:
-    """Return what the field says at the nodes (doc/smoother.md, the model)."""
+    """Return the residuals of the field at the nodes, µT (doc/smoother.md, the model)."""
     nodes, shared = course.nodes, state.shared
     late = exp_rotations(nodes.rate * shared[AT["latency"]][0])
     attitude = late @ state.attitude
@@ -185,9 +185,9 @@ QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 def force(course: Course, state: State) -> Linear:
-    """Return what the specific force says between nodes.
+    """Return the residuals of the specific force between nodes, m/s².
 
-    A vehicle's velocity stays level while its body sways, so that its acceleration is reckoned in
+    A vehicle's velocity stays level while its body sways, so that its acceleration is computed in
     level axes; the lever arm turns with the body.
     """
     nodes, shared = course.nodes, state.shared
@@ -230,7 +230,7 @@ def force(course: Course, state: State) -> Linear:
 
 
 def force_at_rest(measured: FloatArray, state: State) -> Linear:
-    """Return what the specific force says at nodes that stand, (n, 3) in m/s²."""
+    """Return the residuals of the specific force at nodes at rest, (n, 3) in m/s²."""
     gravity = STANDARD_GRAVITY * state.attitude[:, :, 2]
     here = np.zeros((len(measured), 3, LOCAL))
     here[:, :, ATTITUDE] = -skews(gravity)
@@ -240,15 +240,10 @@ def force_at_rest(measured: FloatArray, state: State) -> Linear:
 
 
 def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Linear:
-    """Return what is known of the nodes' headings.
+    """Return the residuals of known headings at the nodes, radians.
 
-    Parameters
-    ----------
-    heading : ndarray, shape (n,)
-        ENU yaw to magnetic north, radians.
-    forward : ndarray, shape (n, 3)
-        The direction in body axes that points there.
-    state : State
+    `heading` (n,) is the ENU yaw to magnetic north, radians, and `forward` (n, 3) its direction in
+    body axes.
     """
     off, by_attitude = _heading_less(heading, forward, state)
     here = np.zeros((len(heading), 1, LOCAL))
@@ -257,7 +252,7 @@ def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Lin
 
 
 def known_turn(turned: FloatArray, forward: FloatArray, state: State) -> Linear:
-    """Return what is known of the turns between nodes, (n - 1,) radians to the left."""
+    """Return the residuals of known turns between nodes, (n - 1,) radians to the left."""
     ahead, by_attitude = _heading_less(np.zeros(len(forward)), forward, state)
     here, there = (np.zeros((len(turned), 1, LOCAL)) for _ in range(2))
     here[:, 0, ATTITUDE], there[:, 0, ATTITUDE] = -by_attitude[:-1], by_attitude[1:]
@@ -268,7 +263,7 @@ def known_turn(turned: FloatArray, forward: FloatArray, state: State) -> Linear:
 def _heading_less(
     heading: FloatArray, forward: FloatArray, state: State
 ) -> tuple[FloatArray, FloatArray]:
-    """Return headings less those of a state, and the derivative of the latter by the attitudes."""
+    """Return headings less those of a state, and the derivative of a state's by the attitudes."""
     east, north = state.attitude[:, :, 0], state.attitude[:, :, 1]
     x, y = np.sum(east * forward, axis=1), np.sum(north * forward, axis=1)
     turned = x[:, None] * np.cross(north, forward) - y[:, None] * np.cross(east, forward)
@@ -276,7 +271,7 @@ def _heading_less(
 
 
 def speed(measured: FloatArray, state: State) -> Linear:
-    """Return what wheels say of the velocity ahead, (n,) in m/s."""
+    """Return the residuals of the wheels' velocity ahead, (n,) in m/s."""
     here = np.zeros((len(measured), 1, LOCAL))
     here[:, 0, VELOCITY.start] = 1.0
     ahead = state.local[:, VELOCITY.start]
@@ -284,7 +279,7 @@ def speed(measured: FloatArray, state: State) -> Linear:
 
 
 def gyro(course: Course, state: State) -> Linear:
-    """Return what the gyro says of the rotation between nodes, radians."""
+    """Return the residuals of the gyro's rotation between nodes, radians."""
     nodes, shared = course.nodes, state.shared
     error = gyro_error(nodes, shared)
     between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
@@ -302,17 +297,10 @@ def gyro(course: Course, state: State) -> Linear:
 
 
 def followed(state: State, row: int, keeps: FloatArray, by: tuple[int, int]) -> Linear:
-    """Return what a process of second order says of one unknown, x[k + 1] = keeps x[k] + noise.
+    """Return the residuals of a process of second order, x[k + 1] = keeps x[k] + noise.
 
-    Parameters
-    ----------
-    state : State
-    row : int
-        Which of the nodes' unknowns.
-    keeps : ndarray, shape (2, n - 1)
-        By which two it follows.
-    by : tuple of int
-        Which two.
+    `row` is the index of the unknown at the nodes. `keeps` (2, n - 1) are its factors of the two
+    unknowns `by` at the node before.
     """
     values, count = state.local, len(state.local) - 1
     here, there = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))
@@ -325,7 +313,7 @@ def followed(state: State, row: int, keeps: FloatArray, by: tuple[int, int]) -> 
 
 
 def process(state: State, which: slice, keeps: FloatArray) -> Linear:
-    """Return what a process says that forgets, x[k + 1] = keeps[k] x[k] + noise."""
+    """Return the residuals of a Gauss-Markov process, x[k + 1] = keeps[k] x[k] + noise."""
     values = state.local[:, which]
     residual = keeps[:, None] * values[:-1] - values[1:]
     width = which.stop - which.start

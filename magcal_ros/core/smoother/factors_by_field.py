@@ -1,4 +1,4 @@
-"""What the measurements of a turn without a gyro say of the unknowns, as in `factors`."""
+"""Factors of a turn without a gyro, in the form of `factors`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, LOCAL, RATE, SHARED,
 
 
 def force_at_nodes(course: Course, state: State) -> Linear:
-    """Return what the specific force says at the nodes, where no gyro tells the turning between.
+    """Return the residuals of the specific force at the nodes of a turn without a gyro.
 
     It is the mean of the same samples as the field's, so that a lean within a node is no error. The
     velocity of node k is that of the accelerometer between nodes k - 1 and k. The last node, whose
@@ -52,7 +52,7 @@ def force_at_nodes(course: Course, state: State) -> Linear:
 
 
 def sway(course: Course, state: State) -> Linear:
-    """Return what is left of the accelerometer's velocity beside the sway of its body, m/s.
+    """Return the residuals of the accelerometer's velocity against the sway of its body, m/s.
 
     An accelerometer above the pivot is moved by every change of lean. The velocity of node k is
     that between nodes k - 1 and k.
@@ -77,7 +77,7 @@ def sway(course: Course, state: State) -> Linear:
 
 
 def turning(course: Course, state: State, axes: FloatArray) -> Linear:
-    """Return what is left of the rotation about the turn's axis between nodes, (n - 1, 1) radians.
+    """Return the residuals of steady rotation about the turn's axis, (n - 1, 1) radians.
 
     The last one of the axes is near the turn's.
     """
@@ -96,7 +96,7 @@ def turning(course: Course, state: State, axes: FloatArray) -> Linear:
 
 
 def lean(state: State, axes: FloatArray, keeps: FloatArray) -> Linear:
-    """Return what a process that forgets says of the axis' lean in the world, (n - 1, 2) radians.
+    """Return the residuals of a Gauss-Markov process of the axis' tilt, (n - 1, 2) radians.
 
     The body turns about an axis that is fixed in the body and in the world, and sways around it.
     """

@@ -50,7 +50,7 @@ class Tolerances:
     largest_turn: float = 0.4
     """Radians that a step may turn any node; longer steps are shortened."""
     places_at: tuple[int, ...] = (7, 11)
-    """Rounds in which the places passed are reckoned anew."""
+    """Rounds in which the places passed are computed again."""
     held: int = 3
     """Rounds in which the sigmas of effects keep their usual sizes, until the rest fits."""
     gaussian: int = 5
@@ -87,7 +87,7 @@ class Fit:
 
     @property
     def message(self) -> str:
-        """Why it stopped."""
+        """Why the iterations stopped, in words."""
         # Velocities may alternate between two sets of outliers, on which no answer depends.
         settled = self.converged or self.moved < SETTLED
         return "converged" if settled else f"no convergence in {self.rounds} rounds"
@@ -102,25 +102,11 @@ def fit(
     like: Fit | None = None,
     told: Callable[[int], object] | None = None,
 ) -> Fit:
-    """Fit a window by Gauss-Newton steps; the sizes of noises and effects follow.
+    """Return the fit of a window by Gauss-Newton steps, with the sizes of noises and effects.
 
-    Parameters
-    ----------
-    nodes : Nodes
-    priors : Priors
-        About the start.
-    start : State
-    kind : KindOfMotion
-    tolerances : Tolerances
-    like : Fit, optional
-        Where to begin: an optimum of another kind of motion, or a fit of this one that goes on.
-    told : callable, optional
-        Takes the number of each round.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a matrix is not positive definite.
+    The priors are those about the start. `like` is an optimum of another kind of motion to begin
+    at, or a fit of this one to continue. `told` is called with the number of each round. Raises
+    `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     model = Model.of(nodes, priors, start, kind)
     point, first, fewest = _begin(model, start, kind, tolerances, like)
@@ -154,24 +140,12 @@ def fit(
 def marginal_gradient(
     model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
 ) -> FloatArray:
-    """Return the gradient of the logarithm of the determinant of the nodes' information matrix.
+    """Return the gradient of the log determinant of the nodes' information matrix.
 
-    It is taken by the downward field and the height of the accelerometer. Both multiply the lean,
-    and the joint optimum makes the leans too small and both too large (Neyman and Scott,
-    Econometrica 16, 1948).
-
-    Parameters
-    ----------
-    model : Model
-    point : Point
-    weighted : dict of str to Weighted
-        The residuals at the point.
-    solution : Solution
-        The step from there.
-
-    Returns
-    -------
-    ndarray, shape (SHARED,)
+    Shape (SHARED,), by the downward field and the height of the accelerometer. Both multiply the
+    tilt, and the joint optimum makes the tilts too small and both too large (Neyman and Scott,
+    Econometrica 16, 1948). `weighted` are the residuals at the point, `solution` is the step from
+    there.
     """
     prior, out = prior_at(model, point), np.zeros(SHARED)
     for which, step in STEPS.items():
@@ -190,20 +164,20 @@ def marginal_gradient(
 def _begin(
     model: Model, start: State, kind: KindOfMotion, tolerances: Tolerances, like: Fit | None
 ) -> tuple[Point, int, int]:
-    """Return where the iterations begin, the first round, and the last that has to be made."""
+    """Return the first point, the first round, and the least number of rounds."""
     last = max(tolerances.places_at) if model.travels else tolerances.fewest
     if like is None:
         return Point.begin(model, start), 0, last
     if like.kind == kind:
         return like.point, max(tolerances.places_at) + 1, last
     if model.travels and not like.model.travels:
-        # What a robot on the spot did is near enough for the way to be reckoned once.
+        # The optimum on the spot is near enough for the path to be computed once.
         last = min(tolerances.places_at)
     return like.point.moved_to(model), tolerances.gaussian, last
 
 
 def share_of(solution: Solution, tolerances: Tolerances) -> float:
-    """Return how much of a step is taken."""
+    """Return the share of a step that is taken, 0 to 1."""
     largest = float(np.abs(solution.local[:, ATTITUDE]).max())
     return min(1.0, tolerances.largest_turn / max(largest, 1e-9))
 
@@ -216,7 +190,7 @@ def moved_by(model: Model, solution: Solution) -> float:
 
 
 def stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:
-    """Return the point after a step."""
+    """Return the point after a Gauss-Newton step."""
     shared = np.zeros(SHARED + 3 * len(point.places))
     free = len(model.free)
     shared[model.free] = solution.shared[:free]
@@ -226,7 +200,7 @@ def stepped(model: Model, point: Point, solution: Solution, share: float) -> Poi
 
 
 def with_places(model: Model, point: Point) -> Point:
-    """Return the same point with places along the way as it is reckoned now."""
+    """Return the same point with centres of places along the current estimate of the path."""
     places = Places.along(point.course, point.state, model.priors.lengths.street)
     state = places.retold(point.state, point.places.disturbance(point.state))
     return replace(point, places=places, state=state)
@@ -234,7 +208,7 @@ def with_places(model: Model, point: Point) -> Point:
 
 @dataclass(frozen=True)
 class SizeSteps:
-    """How the sizes of the noises have changed."""
+    """The last change of the noises' sizes, to shorten alternating steps."""
 
     pace: dict[str, float] | None = None
     steps: dict[str, float] | None = None
@@ -247,7 +221,7 @@ class SizeSteps:
         solution: Solution,
         counted: bool,
     ) -> tuple[SizeSteps, Point]:
-        """Return the change and the point after it; where steps alternate, they get shorter."""
+        """Return the change and the point after it; alternating steps are shortened."""
         if not counted:
             return self, point
         wanted, _, doubt = noise_sizes(model, point, weighted, solution)
@@ -265,11 +239,11 @@ class SizeSteps:
 def _covariance(
     model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
 ) -> FloatArray:
-    """Return the covariance of the shared unknowns, that of the sizes included.
+    """Return the covariance of the shared unknowns, including the uncertainty of the sizes.
 
-    Nothing but the size of the soft iron tells of the yaw that crooked axes turn, so that it
-    counts by its mean square. What motors add may be a step or go with the rate: an even turn does
-    not tell, so that each may be as large as both together.
+    The yaw error of axes out of square is known from the size of the soft iron only, which counts
+    by its mean square. The motors' field may be a step or proportional to the rate. An even turn
+    cannot separate them, so that each may be as large as both together.
     """
     _, shown, _ = noise_sizes(model, point, weighted, solution)
     _, solution = solve_at(model, widened(model, point, solution, shown), is_expected=True)
@@ -279,7 +253,7 @@ def _covariance(
 
 
 def widened(model: Model, point: Point, solution: Solution, shown: dict[str, float]) -> Point:
-    """Return the point with the sizes' mean squares, at which the covariance is that of all."""
+    """Return the point with the sizes' posterior mean squares, for the covariance."""
     beliefs = model.priors.sizes
     wide = {
         name: expected_square(size, shown.get(name, 0.0), beliefs[name])
@@ -292,7 +266,7 @@ def widened(model: Model, point: Point, solution: Solution, shown: dict[str, flo
 
 
 def _as_large_as_both(point: Point) -> dict[str, float]:
-    """Return the factors of the motors' priors (`Unknown`) that allow each to be all of it."""
+    """Return the factors of the motors' priors (`Unknown`) by which each may be the whole field."""
     shared, course = point.state.shared, point.course
     rate = course.nodes.rate[course.moving > 0.0, 2]
     usual = {"motors_moving": 1.0, "motors_rate": float(np.sqrt(np.mean(rate**2))) + 1e-3}

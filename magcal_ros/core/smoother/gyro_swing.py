@@ -1,8 +1,8 @@
-"""Whether gyro and corrected compass tell the same turn.
+"""The swing of the corrected compass against the gyro over a turn.
 
-A robot that spins in a distorted room draws a clean circle, and only the gyro shows that the field
-does not stand still. What counts is the swing that lasts: noise of single samples and the gyro's
-own bias and scale are taken off.
+In a distorted room a robot's field draws a clean circle, and only the gyro shows the distortion.
+The persistent deviation counts: noise of single samples and the gyro's own bias and scale are
+subtracted.
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ from magcal_ros.core.geometry.rotations import turns_about_z
 
 @dataclass(frozen=True)
 class SwingTuning:
-    """How what is the gyro's own is told from a swing of the compass."""
+    """How errors of the gyro are separated from a swing of the compass."""
 
     sector: float = math.radians(12.0)
     """Radians of the turn over which the deviation is averaged."""
     bias: float = 0.003
     scale: float = 0.01
-    """What gyros have of both (rad/s and one). A slope beyond it is taken off only where it leaves
-    little behind: a swing once a turn looks like a slope in part, and must not pass for the
-    gyro's."""
+    """Usual errors of gyros (rad/s and one). A larger slope is subtracted only if it explains
+    nearly all of the deviation: a swing once a turn looks like a slope in part."""
     rounds: int = 10
     """Of Cauchy weights; they settle sooner."""
     spike: float = 6.0
@@ -38,16 +37,11 @@ SWING = SwingTuning()
 
 
 def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatArray) -> GyroSwing:
-    """Return how the compass's turn lastingly deviates from the gyro's.
+    """Return the persistent deviation of the compass from the gyro by sectors of heading.
 
-    Parameters
-    ----------
-    relative : ndarray, shape (n, 3, 3)
-        Rotations from the first sample's body axes to each sample's, by the gyro.
-    attitude : ndarray, shape (n, 3, 3)
-        Body axes by up and corrected field, from ENU axes.
-    time : ndarray, shape (n,)
-        Seconds.
+    `relative` (n, 3, 3) are the rotations from the first sample's body axes to each sample's by the
+    gyro. `attitude` (n, 3, 3) are the body axes from ENU axes by up and corrected field, `time`
+    (n,) is in seconds.
     """
     back = np.swapaxes(relative, 1, 2)
     away = back @ attitude
@@ -74,7 +68,7 @@ class _Sectors:
 
 
 def _sample_noise(deviation: FloatArray) -> float:
-    """Return the noise of single samples from second differences, which no slow swing enters."""
+    """Return the noise of single samples, radians, from second differences."""
     bend = np.diff(deviation, 2)
     return 1.4826 * float(np.median(np.abs(bend))) / math.sqrt(6.0) if len(bend) else 0.0
 
@@ -97,7 +91,7 @@ def _sectors(
 
 
 def _without_gyro_errors(sectors: _Sectors) -> FloatArray:
-    """Return the sectors' deviation less what offset, bias and scale of a gyro may cause."""
+    """Return the sectors' deviation (s,) without offset, bias and scale of the gyro, radians."""
     rows = np.column_stack(
         [
             np.ones_like(sectors.deviation),

@@ -1,4 +1,4 @@
-"""A calibration from known headings: what the field shows where a robot stands and is told how."""
+"""Calibration from the field at standings of known heading."""
 
 from __future__ import annotations
 
@@ -37,26 +37,26 @@ class HeadingAgreement:
     misfit: float
     """Squared deviations over their variances at the usual size of the local disturbance."""
     least: float
-    """The same at the largest size that is believed."""
+    """The same at the largest plausible size."""
     freedom: int
     """How many deviations that adds up: those of the field but for the hard iron."""
 
     @property
     def chance(self) -> float:
-        """The probability that chance alone makes a larger misfit."""
+        """The probability of a larger misfit by chance (p-value)."""
         from scipy.special import gammaincc
 
         return float(gammaincc(0.5 * self.freedom, 0.5 * self.least)) if self.freedom else 1.0
 
     @property
     def times(self) -> float:
-        """How far they are apart, as many times as their sigmas explain."""
+        """The misfit over its expectation, as a root mean square."""
         return math.sqrt(self.misfit / self.freedom) if self.freedom else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class HeadingFit:
-    """What known headings show."""
+    """The fit of standings at known headings."""
 
     state: State
     covariance: FloatArray
@@ -72,20 +72,10 @@ class HeadingFit:
 def fit_headings(
     standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
 ) -> HeadingFit:
-    """Find the shared unknowns from standings at known headings.
+    """Return the fit of the shared unknowns to standings at known headings.
 
-    Parameters
-    ----------
-    standings : sequence of Standing
-        At least one.
-    knowledge : Knowledge
-    place : Size
-        The local disturbance.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is not positive definite.
+    At least one standing; `place` is the size of the local disturbance. Raises
+    `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     model = Standings.of(standings, knowledge)
     middle = model.optimum(rms_size(place))
@@ -112,7 +102,7 @@ def fit_headings(
 def agreement_of(
     standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
 ) -> HeadingAgreement:
-    """Return how well standings agree; parameters and errors as of `fit_headings`."""
+    """Return the agreement of standings; parameters and errors as of `fit_headings`."""
     model = Standings.of(standings, knowledge)
     middle = model.optimum(rms_size(place))
     size = place.usual * math.exp(place.spread * SPREADS[BELIEVED])
@@ -126,16 +116,10 @@ def _agreement(usual: StandingOptimum, large: StandingOptimum, count: int) -> He
 def sigma_with(
     fit: HeadingFit, standings: Sequence[Standing], knowledge: Knowledge, heading: float
 ) -> float:
-    """Return the heading's sigma on the level, radians, that a further standing would leave.
+    """Return the sigma of the heading on the level after one more standing, radians.
 
-    Parameters
-    ----------
-    fit : HeadingFit
-        What the standings so far show.
-    standings : sequence of Standing
-    knowledge : Knowledge
-    heading : float
-        Of the further one, as sure as the last; radians to magnetic north.
+    `fit` is that of the standings so far, `heading` that of the further one, radians to magnetic
+    north, with the sigma of the last one.
     """
     last = replace(standings[-1], heading=heading, turned_sigma=math.inf, way=math.inf)
     more = Standings.of([*standings, last], knowledge)

@@ -1,4 +1,4 @@
-"""Iron that was added on the way: when, and how much.
+"""A change of hard iron during a drive: its time and its size.
 
 A calibration is held. That nothing changed, beyond what the calibration itself is uncertain by, is
 compared with a hard iron that is there from one moment on. The heading goes through that moment by
@@ -47,30 +47,21 @@ LASTING = 0.15
 
 @dataclass(frozen=True, eq=False)
 class IronChange:
-    """Iron that was added."""
+    """A change of hard iron during a drive."""
 
     since: float
     """Clock from which it is there, seconds."""
     gain: float
-    """Logarithm of the evidence for it against no change, as far as it is believed."""
+    """Log evidence ratio of a change against none, times `BELIEVED`."""
     fit: DriveFit
     """Of the raw field since then."""
 
 
 def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) -> IronChange | None:
-    """Find the moment from which iron that was added explains the nodes best.
+    """Return the change of hard iron, at the time that explains the nodes best.
 
-    Parameters
-    ----------
-    nodes : Nodes
-    calibration : Calibration
-        In force before.
-    knowledge : Knowledge
-
-    Returns
-    -------
-    IronChange or None
-        None where too little was driven, or no moment explains anything.
+    The calibration is the one before the change. None if the drive is too short, or if no time of a
+    change explains the nodes better.
     """
     if why_too_little(nodes) is not None:
         return None
@@ -105,7 +96,7 @@ def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) ->
 
 
 def _changed(same: Fit, priors: Priors, name: str, node: int) -> Fit | None:
-    """Fit with an effect besides that comes within a node and stays."""
+    """Return the fit with an effect that starts within a node and stays; None if it fails."""
     scale = priors.scale.copy()
     for each in (name, "came"):
         scale[AT[each]] = UNKNOWNS[each].sigma
@@ -120,7 +111,7 @@ def _changed(same: Fit, priors: Priors, name: str, node: int) -> Fit | None:
 
 
 def _moments(same: Fit) -> set[int]:
-    """Return from which nodes on iron was most likely added, by a score test; often none.
+    """Return the likely first nodes of a change, by a score test; often none.
 
     The cost is quadratic about the optimum without a change: with the gradient g by iron that is
     there since a node and the information I, all other unknowns integrated out, it falls by
@@ -154,13 +145,13 @@ def _moments(same: Fit) -> set[int]:
 
 
 def _outlier_cost(part: Weighted) -> FloatArray:
-    """Return by how much each residual costs more than is expected, shape (n - 1,)."""
+    """Return the cost of each residual minus its expectation, shape (n - 1,)."""
     width = part.linear.residual.shape[1]
     return np.asarray((part.freedom + width) * np.log1p(part.chi2 / part.freedom) - width)
 
 
 def _begun(same: Fit, name: str, node: int) -> State:
-    """Return where to start: from the change on by the gyro, with no local disturbance known."""
+    """Return the start of the fit: attitude by the gyro after the change, no local disturbance."""
     state, nodes = same.state, same.model.nodes
     shared, local, attitude = state.shared.copy(), state.local.copy(), state.attitude.copy()
     steps = np.where(

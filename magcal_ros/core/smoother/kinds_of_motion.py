@@ -51,7 +51,7 @@ ROLLS = 0.2
 MOST_FITS = 3 * len(KINDS)
 """Of a drive: each kind of motion roughly, to the end, and from the best of the others."""
 LATE_BY = 0.1
-"""Seconds by which the field is late where the iterations of `LATE` begin."""
+"""Initial delay of the field, seconds, of the iterations of `LATE`."""
 MOTORS, BEYOND_USUAL = ("motors_moving", "motors_rate"), 2.0
 """The field of the motors, and the factor of their usual size from which a late field is tried."""
 NEARLY = 0.95
@@ -60,7 +60,7 @@ NEARLY = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """What a window came to."""
+    """The result of `smooth`: fits by kind of motion, weights and posterior."""
 
     nodes: Nodes
     mode: str
@@ -82,7 +82,7 @@ class Smoothed:
 
 
 def nodes_of_log(log: DriveLog, to_body: FloatArray, spacing: Spacing) -> Nodes:
-    """Average a drive as it is remembered; parameters as of `nodes_of`."""
+    """Return the nodes of a drive's log; parameters as of `nodes_of`."""
     return nodes_of(
         log.window,
         to_body,
@@ -96,10 +96,7 @@ def nodes_of_log(log: DriveLog, to_body: FloatArray, spacing: Spacing) -> Nodes:
 class _Trials:
     """The fits of a window by kind of motion, the best of each as `fits`.
 
-    Parameters
-    ----------
-    told : callable, optional
-        Takes the share of the work that is done, 0 to 1.
+    `told` is called with the share of the work that is done, 0 to 1.
     """
 
     def __init__(
@@ -126,11 +123,11 @@ class _Trials:
 
     @property
     def others(self) -> list[str]:
-        """The kinds of motion that are not fitted yet, always in one order."""
+        """The kinds of motion that are not fitted yet, in a fixed order."""
         return [name for name in KINDS if name not in self.fits]
 
     def on_the_spot(self) -> Fit | None:
-        """Fit a turn on the spot roughly, and return it if it explains the samples."""
+        """Return a coarse fit of a turn on the spot if it explains the samples, else None."""
         if self._rolls:
             return None
         self._begin(Spacing())
@@ -140,7 +137,7 @@ class _Trials:
 
     @property
     def _rolls(self) -> bool:
-        """Whether wheels say that the robot drives."""
+        """Whether the wheels' speed shows that the robot drives."""
         if not isinstance(self._samples, DriveLog) or np.isnan(self._samples.speed).all():
             return False
         return bool(np.nanmedian(np.abs(self._samples.speed)) > ROLLS)
@@ -165,10 +162,10 @@ class _Trials:
             self.fits[name] = found
 
     def field_late(self) -> Fit:
-        """Fit a turn on the spot with a field that is late, and return the better fit of it.
+        """Return the better fit of a turn on the spot, with or without a delayed field.
 
-        From rest to rest at one heading, a late field and that of motors look alike, so that each
-        is an optimum of its own. The motors' is found first.
+        From rest to rest at one heading, a delayed field and that of motors look alike. Each is an
+        optimum of its own, and the motors' is found first.
         """
         spot = self.fits[ON_THE_SPOT]
         groups = spot.point.groups
@@ -186,7 +183,7 @@ class _Trials:
         return min(self.fits.values(), key=lambda each: each.evidence)
 
     def drives(self) -> None:
-        """Fit all kinds of motion anew, where the robot did certainly not turn on the spot."""
+        """Fit all kinds of drives, for a robot that certainly did not turn on the spot."""
         self._begin(WHILE_DRIVING)
         self._without_false_rests()
         fits = self.fits
@@ -206,7 +203,7 @@ class _Trials:
                 self.add(name, best)
 
     def _without_false_rests(self) -> None:
-        """Let nothing rest if that is more likely: smooth road may look like a rest."""
+        """Drop the rests if that is more likely: driving on a smooth road may look like a rest."""
         self.add(ON_WHEELS, tolerances=ROUGHLY)
         is_certain = isinstance(self._samples, DriveLog) and self._samples.rested is not None
         if is_certain or not self.nodes.quiet.any():
@@ -219,12 +216,12 @@ class _Trials:
             self.nodes, self.fits[ON_WHEELS] = resting, rested
 
     def drives_roughly(self) -> None:
-        """Fit the most usual kind of drive alone, and not to the end."""
+        """Fit only the most usual kind of drive, with few iterations."""
         self._begin(WHILE_DRIVING)
         self._without_false_rests()
 
     def mixed(self) -> Smoothed:
-        """Weigh the fits."""
+        """Return the weighted result of the fits."""
         if not self.fits:
             raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
         return mixed(self.fits, self.nodes, self._knowledge)
@@ -236,22 +233,11 @@ def smooth(
     too_slow: Refusal | None = None,
     told: Callable[[float], object] | None = None,
 ) -> Smoothed:
-    """Fit a window for each kind of motion and weigh the answers by their evidence.
+    """Fit a window for each kind of motion, and weight the fits by their evidence.
 
-    Parameters
-    ----------
-    window : Window or DriveLog
-        With a gyro.
-    knowledge : Knowledge
-    too_slow : Refusal, optional
-        Of samples that do not carry a drive: its fits are not begun.
-    told : callable, optional
-        Takes the share of the work that is done, 0 to 1.
-
-    Raises
-    ------
-    Refusal
-        If no fit could be had.
+    The window or log has a gyro. `too_slow` is the refusal of samples that do not determine a
+    drive, which is then not fitted. `told` is called with the share of the work that is done, 0 to
+    1. Raises `Refusal` if no fit converges.
     """
     trials = _Trials(window, knowledge, told)
     if (spot := trials.on_the_spot()) is not None:
@@ -269,7 +255,7 @@ def smooth(
 
 
 def promised_sigma(window: Window, knowledge: Knowledge) -> float:
-    """Return about what sigma of the level heading `smooth` would come to, radians.
+    """Return an approximate sigma of the heading on the level by `smooth`, radians.
 
     Parameters and errors as of `smooth`. It takes less time, of a drive two fifths: two fits are
     made, and not to the end.
@@ -283,7 +269,7 @@ def promised_sigma(window: Window, knowledge: Knowledge) -> float:
 
 
 def gyro_is_usual(fit: Fit) -> bool:
-    """Return whether the gyro's noise is one that gyros have, on axes that live."""
+    """Return whether the estimated noise of the gyro is plausible, and its axes are not silent."""
     believed = fit.model.priors.sizes
     return all(
         fit.point.sizes[name] < NEARLY * SIZES[name].most
@@ -295,7 +281,7 @@ def gyro_is_usual(fit: Fit) -> bool:
 def mixed(
     fits: dict[str, Fit], nodes: Nodes, knowledge: Knowledge, usual: Mapping[str, float] = USUAL
 ) -> Smoothed:
-    """Weigh fits by their evidence, and by how usual their kinds of motion are."""
+    """Return the weights of fits, by their evidence and the prior of their kinds of motion."""
     least = min(each.evidence for each in fits.values())
     odds = {
         n: usual.get(n, 1.0) * math.exp(-BELIEVED * min(f.evidence - least, 700.0))
@@ -314,12 +300,12 @@ def mixed(
 
 
 def is_upright(fit: Fit) -> bool:
-    """Return whether the soft iron of a fit mirrors nothing, nor turns the level field round."""
+    """Return whether the soft iron of a fit neither mirrors nor reverses the level field."""
     return bool(np.linalg.eigvalsh(soft_iron(fit.state.shared)).min() > 0.0)
 
 
 def mixture(found: dict[str, Posterior], weights: dict[str, float], mode: str) -> Posterior:
-    """Return the mean of the numbers under all answers, with its covariance."""
+    """Return the mean of the twelve numbers over all fits, with its covariance."""
     mean = np.sum([weights[name] * each.numbers for name, each in found.items()], axis=0)
     joint = np.zeros((len(mean), len(mean)))
     for name, each in found.items():

@@ -47,7 +47,7 @@ LARGEST_MOTORS = UNKNOWNS["motors_moving"].sigma[0] * UNKNOWNS["motors_moving"].
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What does not change while the smoother iterates."""
+    """Constants of the iterations."""
 
     nodes: Nodes
     axes: FloatArray
@@ -62,7 +62,7 @@ class Model:
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
-        """Return the model of one kind of motion."""
+        """Return the model of a window for one kind of motion."""
         scale = priors.scale.copy()
         scale[AT["lever_arm"]] *= kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0]
         scale[AT["soft_iron"]] *= kind.soft_iron
@@ -96,7 +96,7 @@ class Model:
 
     @property
     def lean_has_no_scale(self) -> bool:
-        """Whether neither a gyro shows how far the body leans, nor a reference the field."""
+        """Whether neither a gyro shows the tilt of the body, nor a reference the field."""
         return self.nodes.tied_to is not None and self.priors.strength is not None
 
     @property
@@ -127,7 +127,7 @@ class Point:
 
     @classmethod
     def begin(cls, model: Model, state: State) -> Point:
-        """Return the point where the iterations begin."""
+        """Return the initial point of the iterations."""
         return cls(
             state,
             course_at(model, state),
@@ -150,7 +150,7 @@ class Point:
         return model.priors.sizes[name].freedom if self.is_robust else GAUSSIAN
 
     def moved_to(self, model: Model) -> Point:
-        """Return the same value of the unknowns as a beginning for another kind of motion."""
+        """Return the same values as an initial point for another kind of motion."""
         places = model.no_places
         if model.nodes.tied_to is not None:
             return self
@@ -163,7 +163,7 @@ class Point:
 
 
 def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
-    """Return the factors of the groups' sigmas at a start: larger where it is beyond the usual."""
+    """Return the initial factors of the groups' sigmas: larger where a start exceeds them."""
     found = dict.fromkeys(AT, 1.0)
     for name, at in AT.items():
         scale = priors.scale[at]
@@ -174,7 +174,7 @@ def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
 
 
 def course_at(model: Model, state: State) -> Course:
-    """Return where the robot rests, by the bias at a state."""
+    """Return where the robot rests, by the gyro's bias at a state."""
     bias = state.shared[AT["gyro_bias"]]
     axes = model.axes @ rotation_about(factors.Z, state.shared[AT["mounting_yaw"]])[0]
     return Course.of(model.nodes, axes, bias, model.priors.lengths)
@@ -240,7 +240,7 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
 
 
 def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
-    """Return what is believed of velocity and acceleration along one of the level axes.
+    """Return the prior residuals of velocity and acceleration along one level axis.
 
     The velocity v and its change a follow dv/dt = a, da/dt = -a / T - (A / V)^2 v + noise, in
     which V and A are their usual sizes.
@@ -264,7 +264,7 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
 
 
 def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
-    """Return what force, steady turning and sway say where no gyro measured the turning."""
+    """Return the residuals of force, steady turning and sway of a turn without a gyro."""
     nodes, course, state = model.nodes, point.course, point.state
     assert nodes.tied_to is not None
     per_node = np.median(nodes.count) / nodes.count[:-1]
@@ -292,7 +292,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
 
 
 def way_between(model: Model, point: Point) -> FloatArray:
-    """Return the metres that the magnetometer, or traffic beside it, goes between nodes, (n - 1,).
+    """Return the path of the magnetometer, or of traffic beside it, between nodes, m, (n - 1,).
 
     By the expected square of the velocity.
     """
@@ -330,19 +330,16 @@ def prior_at(model: Model, point: Point) -> Prior:
 
 
 def counted_unknowns(model: Model, places: Places) -> IntArray:
-    """Return which shared unknowns are solved for: the free ones, then those of the centres."""
+    """Return the indices of the solved shared unknowns: the free ones, then the centres'."""
     return np.concatenate([model.free, np.arange(SHARED, SHARED + 3 * len(places))])
 
 
 def solve_at(
     model: Model, point: Point, *, is_expected: bool = False
 ) -> tuple[dict[str, Weighted], Solution]:
-    """Return the residuals at a point and the step from there, or the covariance there.
+    """Return the residuals at a point, and the step or the covariance there.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is not positive definite.
+    Raises `numpy.linalg.LinAlgError` if the matrix is not positive definite.
     """
     weighted = weigh(model, point)
     if is_expected:

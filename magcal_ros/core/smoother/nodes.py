@@ -1,4 +1,4 @@
-"""From samples to nodes: means of the samples, with the rotation that the gyro measured between."""
+"""Nodes: means of the samples, with the gyro's rotation between neighbours."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magcal_ros.core.up import unseen_angles
 LINKS = ("seconds", "turned", "angle", "force", "along", "swing", "samples", "unseen")
 """What the nodes hold of the links between them."""
 UNTIED, APART = 10.0, 1000.0
-"""Variance of the turn, radians², and seconds between nodes where the gyro was not heard."""
+"""Variance of the turn, radians², and seconds between nodes without gyro samples."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +101,11 @@ class Nodes:
 
     @property
     def is_tied(self) -> BoolArray:
-        """Whether the gyro was heard all the way between neighbours, shape (n - 1,)."""
+        """Whether the gyro has samples all the way between neighbours, shape (n - 1,)."""
         return np.asarray(self.unseen.max(axis=1) < UNTIED)
 
     def in_axes(self, rotation: FloatArray) -> Nodes:
-        """Return nodes that turn as these do, in body axes that a rotation (3, 3) leads to.
+        """Return the nodes in other body axes, by a rotation (3, 3).
 
         Field and force stay what they are.
         """
@@ -136,20 +136,11 @@ def nodes_of(
     rested: BoolArray | None = None,
     longest_step: float = math.inf,
 ) -> Nodes:
-    """Average a window that has a gyro.
+    """Return the nodes of a window with a gyro.
 
-    Parameters
-    ----------
-    window : Window
-    to_body : ndarray, shape (3, 3)
-        From sensor axes to nominal body axes (`Mounting.to_body`).
-    spacing : Spacing
-    speed : ndarray, shape (n,), optional
-        m/s ahead at the samples; NaN where none was measured.
-    rested : ndarray of bool, shape (n,), optional
-        Where the robot rested, if that is known.
-    longest_step : float
-        Seconds between samples beyond which the gyro is not followed.
+    `to_body` (3, 3) is `Mounting.to_body`. `speed` (n,) is ahead at the samples, m/s, NaN if not
+    measured. `rested` (n,) says where the robot rested, if that is known. `longest_step` is in
+    seconds between samples; across longer gaps the gyro is not integrated.
     """
     rate, time = window.angular_rate, window.time
     assert rate is not None
@@ -188,7 +179,7 @@ def nodes_of(
 
 
 def _untied(nodes: Nodes, lost: BoolArray) -> Nodes:
-    """Return the nodes without the links (n - 1,) along which the gyro was lost."""
+    """Return the nodes without the links (n - 1,) in which gyro samples are missing."""
     if not lost.any():
         return nodes
     rows, empty = lost[:, None], np.zeros(3)
@@ -205,7 +196,7 @@ def _untied(nodes: Nodes, lost: BoolArray) -> Nodes:
 
 
 def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the angles between samples, radians, and the variances of what they miss, (n - 1, 3).
+    """Return the angles between samples, radians, and the variances of their errors, (n - 1, 3).
 
     A polynomial through six samples underrates the sway where samples come at hardly more than
     twice its frequency, and the fit would take that for a stronger field. There it is interpolated
@@ -223,7 +214,7 @@ def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def _band_limited(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Integrate rates as a Gaussian process: a level, and equal power up to the fastest sway."""
+    """Integrate rates as a Gaussian process: a constant, and equal power up to the fastest sway."""
     size, level, noise = min(12, len(time)), 30.0, 1e-3
     row = np.arange(len(time) - 1)
     rows = np.clip(row - size // 2 + 1, 0, len(time) - size)[:, None] + np.arange(size)
@@ -319,7 +310,7 @@ class _Links:
 def _with_rests(
     nodes: Nodes, window: Window, attitude: FloatArray, middle: IntArray, to_body: FloatArray
 ) -> Nodes:
-    """Add the rests beside a window, to which the gyro's attitudes (n, 3, 3) lead."""
+    """Add the rests before and after a window, linked by the gyro's attitudes (n, 3, 3)."""
     time = window.time
     for rest in window.rests:
         beside = int(np.searchsorted(time, rest.beside).clip(0, len(time) - 1))
@@ -330,7 +321,7 @@ def _with_rests(
 
 
 def _with_rest(nodes: Nodes, rest: RestBeside, to_rest: FloatArray, to_body: FloatArray) -> Nodes:
-    """Add a rest before or after a window as two nodes, its beginning and its end.
+    """Add a rest before or after a window as two nodes, its start and its end.
 
     `to_rest` is the rotation from the body axes of the nearest node to those at rest.
     """

@@ -1,4 +1,4 @@
-"""The local disturbance as a field over places: what is passed again brings nothing new.
+"""The local disturbance as a field over places; passing a place again adds no information.
 
 The disturbance is a Gaussian process over the plane with covariance `s^2 exp(-distance / L)`. Its
 values at a few centres on the way are shared unknowns. What these leave open at a node is an
@@ -21,14 +21,14 @@ MOST = 32
 CLOSEST = 5.0
 """Metres between centres at least."""
 AGAIN = 3.0
-"""A place is passed again where the way between is so many times as long as the straight line."""
+"""Path over straight line between two nodes from which a place is passed again."""
 SMALL = 0.03
 """Share of the disturbance's variance that is of small extent, as of a manhole cover."""
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Centres of the disturbance's field, and what they say at the nodes."""
+    """Centres of the disturbance's field, and their weights at the nodes."""
 
     weights: FloatArray
     """The expected disturbance at the nodes is `weights @ values at the centres`. Shape (n, k)."""
@@ -41,7 +41,7 @@ class Places:
     log_determinant: float
     """Of the correlation."""
     length: float
-    """Metres over which what is left is alike."""
+    """Correlation length of the residual, metres."""
 
     @classmethod
     def none(cls, count: int, length: float) -> Places:
@@ -54,15 +54,10 @@ class Places:
 
     @classmethod
     def along(cls, course: Course, state: State, length: float) -> Places:
-        """Choose centres along the reckoned way.
+        """Return centres along the dead-reckoned path.
 
-        Parameters
-        ----------
-        course : Course
-        state : State
-            Its attitudes and velocities tell the way.
-        length : float
-            Metres over which the disturbance is alike.
+        Attitudes and velocities of the state give the path; `length` is the correlation length of
+        the disturbance, metres.
         """
         way = reckoned(course, state)
         again = np.flatnonzero(_passed_again(way, length))
@@ -98,7 +93,7 @@ class Places:
 
 
 def reckoned(course: Course, state: State) -> FloatArray:
-    """Return the places of the nodes, east and north from the first, metres, shape (n, 2)."""
+    """Return the nodes' positions by dead reckoning, east and north, metres, shape (n, 2)."""
     in_body = state.local[:, VELOCITY] @ course.axes[:, :2].T * course.moving[:, None]
     velocity = np.einsum("nji,nj->ni", state.attitude, in_body)[:, :2]
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * course.nodes.seconds[:, None]
@@ -106,7 +101,7 @@ def reckoned(course: Course, state: State) -> FloatArray:
 
 
 def _passed_again(way: FloatArray, length: float) -> BoolArray:
-    """Return which nodes lie beside a part of the way that is far from them along it."""
+    """Return which nodes (n,) are near another part of the path, far from them along it."""
     steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
     metres = np.concatenate([[0.0], np.cumsum(steps)])
     along = np.abs(metres[:, None] - metres)
@@ -120,7 +115,7 @@ def _distances(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _spread_out(way: FloatArray, closest: float) -> tuple[list[int], float]:
-    """Return rows as far from one another as can be, and the distance that is left to them.
+    """Return rows far from one another (greedily), and the largest distance of any row to them.
 
     At most `MOST` rows (farthest-point sampling).
     """

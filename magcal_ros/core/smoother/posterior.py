@@ -36,9 +36,9 @@ from magcal_ros.core.smoother.unknowns import (
 )
 
 MOTORS = {MotorInput.MOVING: "motors_moving", MotorInput.TURN_RATE: "motors_rate"}
-"""The unknowns of what the motors' field goes with."""
+"""The unknowns of the motors' field by input."""
 ONE_WAY = 0.8
-"""Mean side of the turn rate beyond which a turn went one way."""
+"""Mean sign of the turn rate beyond which a turn went one way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Posterior:
 
     @property
     def correction(self) -> Correction:
-        """The twelve numbers."""
+        """The correction."""
         return Correction.from_parameters(self.numbers[:PARAMETERS])
 
     @property
@@ -83,19 +83,15 @@ class Posterior:
 
 
 def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
-    """Return the calibration of a fit.
+    """Return the posterior of a fit: the twelve numbers with their covariance.
 
-    Parameters
-    ----------
-    fit : Fit
-    to_sensor : ndarray, shape (3, 3)
-        From nominal body axes to sensor axes (`Mounting.matrix`).
+    `to_sensor` (3, 3) is `Mounting.matrix`.
     """
     return posterior_at(fit.state, fit.covariance, to_sensor)
 
 
 def posterior_at(state: State, known: FloatArray, to_sensor: FloatArray) -> Posterior:
-    """Return the calibration at a state, by the covariance (SHARED, SHARED) of what is shared."""
+    """Return the posterior at a state, by the covariance (SHARED, SHARED) of shared unknowns."""
     shared = state.shared
     up = unit(np.median(state.attitude[:, :, 2], axis=0))
     correction = correction_of(shared, to_sensor, up)
@@ -118,7 +114,7 @@ def posterior_at(state: State, known: FloatArray, to_sensor: FloatArray) -> Post
 
 
 def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
-    """Return the motors' field of a fit; None where no motors were thought of."""
+    """Return the motors' field of a fit; None if the model had no motors."""
     if not (np.diag(found.joint)[PARAMETERS:] > 0.0).all():
         return None
     moves = fit.point.course.moving > 0.0
@@ -138,15 +134,8 @@ def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
 def correction_of(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> Correction:
     """Return the correction of the shared unknowns, SI units.
 
-    It leads to the axes in which the accelerometer shows up, as these are what its users know.
-
-    Parameters
-    ----------
-    shared : ndarray, shape (SHARED,)
-    to_sensor : ndarray, shape (3, 3)
-        From nominal body axes to sensor axes.
-    up : ndarray, shape (3,)
-        Of the level robot, in body axes.
+    It gives the field in the axes in which the accelerometer shows up. `to_sensor` (3, 3) leads
+    from nominal body axes to sensor axes; `up` (3,) is that of the level robot, in body axes.
     """
     matrix = _to_shown(shared, up) @ np.linalg.inv(to_sensor @ distortion(shared))
     return Correction(np.asarray(matrix), to_sensor @ shared[AT["iron"]] / MICROTESLA)

@@ -1,4 +1,4 @@
-"""What is believed of the unknowns of a robot before the samples."""
+"""The priors of a robot's unknowns."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from magcal_ros.core.smoother.unknowns import (
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is believed of the unknowns before the samples."""
+    """Means and sigmas of the unknowns' priors."""
 
     mean: FloatArray
     """Shape (SHARED,)."""
@@ -38,7 +38,7 @@ class Priors:
     earth: FloatArray
     """Covariance of level and downward field, µT². Shape (2, 2)."""
     strength: tuple[float, float] | None = None
-    """Strength of the Earth's field and its sigma, µT, where no reference tells it."""
+    """Strength of the Earth's field and its sigma, µT, without a reference."""
     spread: Mapping[str, float] = field(
         default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
     )
@@ -59,7 +59,7 @@ class Priors:
         return replace(self, mean=mean)
 
     def of_earth(self, earth: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the information on level and downward field, and their expectation less `earth`.
+        """Return the information on level and downward field, and their expectation minus `earth`.
 
         The strength is not linear in them: its limit counts as at that value.
         """
@@ -72,7 +72,7 @@ class Priors:
         return np.asarray(information), np.asarray(np.linalg.solve(information, drawn))
 
     def log_factor(self, name: str, known: Mapping[str, float]) -> tuple[float, float]:
-        """Return mean and variance of the logarithm of a group's factor by those that are known."""
+        """Return mean and variance of the log of a group's factor, from the known factors."""
         others = [
             math.log(known[each]) / self.spread[each]
             for each in MODULE
@@ -83,7 +83,7 @@ class Priors:
         return self.spread[name] * share * sum(others), self.spread[name] ** 2 * left
 
     def _varies(self, name: str) -> bool:
-        """Whether a group is estimated, and the factor of its sigma with it."""
+        """Whether a group and the factor of its sigma are estimated."""
         return self.spread[name] > 0.0 and bool(self.scale[AT[name]].any())
 
     def beyond_strongest(self, earth: FloatArray) -> tuple[float, float, FloatArray]:
@@ -94,13 +94,9 @@ class Priors:
 
 
 def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
-    """Return the priors that go with what is known of a robot and its place.
+    """Return the priors from the knowledge of a robot and its place.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-    bias_sigma : float
-        rad/s per axis of the gyro's bias, where a rest has shown it; else infinite.
+    `bias_sigma` is that of the gyro's bias by a rest, rad/s per axis, else infinite.
     """
     mean = np.zeros(SHARED)
     scale = np.concatenate([np.array(each.sigma) for each in UNKNOWNS.values()])
@@ -108,7 +104,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if math.isfinite(bias_sigma):
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
-    # The gyro tells what the lever arm and the place do; only several turns what sets them apart.
+    # With a gyro these are not needed, or only several turns separate them.
     for name in (
         "height",
         "axis",

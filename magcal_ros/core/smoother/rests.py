@@ -1,4 +1,4 @@
-"""Where a robot rests: nodes as quiet as any, in which the field stays what it was."""
+"""Detection of rests: quiet nodes with a constant field."""
 
 from __future__ import annotations
 
@@ -17,23 +17,17 @@ def rests(
     shaking: FloatArray,
     rocking: FloatArray,
 ) -> BoolArray:
-    """Return in which nodes the robot may rest, by field, force and rate, shape (n,).
+    """Return in which nodes the robot may be at rest, by field, force and rate, shape (n,).
 
-    Parameters
-    ----------
-    mean_field : ndarray, shape (n, 3)
-        Of each node, µT.
-    count : ndarray, shape (n,)
-        Samples in each node.
-    field, shaking, rocking : ndarray, shape (n,)
-        Standard deviations of field (µT), force (m/s²) and rate (rad/s) in each node.
+    Of each node there are the mean field (n, 3) in µT, the number of samples (n,), and the standard
+    deviations (n,) of field (µT), force (m/s²) and rate (rad/s).
     """
     quiet = _as_at_rest(shaking, 0.01) & _as_at_rest(rocking, 0.002)
     return quiet & _field_stays(mean_field, field, count)
 
 
 def _as_at_rest(spread: FloatArray, least: float) -> BoolArray:
-    """Return where nothing shakes more than it does in the most quiet nodes, a tenth or ten."""
+    """Return which nodes (n,) shake no more than the quietest tenth of them, ten at least."""
     return np.asarray(spread < 1.6 * _most_quiet(spread) + least)
 
 
@@ -42,7 +36,7 @@ def _most_quiet(spread: FloatArray) -> float:
 
 
 def _field_stays(mean: FloatArray, spread: FloatArray, count: FloatArray) -> BoolArray:
-    """Return where the field is that of the node before or after, but for the noise at rest."""
+    """Return which nodes (n,) have the field of a neighbour, within the noise at rest."""
     noise = _most_quiet(spread) / np.sqrt(count)
     limit = STILL_FIELD + 3.0 * np.hypot(noise[1:], noise[:-1])
     stays = np.abs(np.diff(mean, axis=0)).max(axis=1) < limit

@@ -55,9 +55,9 @@ class Together:
     """The optimum of several windows."""
 
     fits: list[Fit]
-    """Of each window, with what all of them say; its own evidence is that of all."""
+    """Of each window, with the information of all; its evidence is that of all."""
     informations: list[FloatArray]
-    """What each window says of the unknowns that all share. Shape (SHARED, SHARED)."""
+    """Information of each window on the common unknowns. Shape (SHARED, SHARED)."""
     prior: FloatArray
     """What is known of these beforehand. Shape (SHARED, SHARED)."""
     evidence: float
@@ -70,7 +70,7 @@ class _Step:
 
     weighted: list[dict[str, Weighted]]
     solutions: list[Solution]
-    """Each with what all windows say of the shared unknowns."""
+    """Of each window, with the information of all on the shared unknowns."""
     layout: Layout
     prior: FloatArray
     """Information on all shared unknowns before the samples. Shape (s, s)."""
@@ -82,10 +82,7 @@ class _Step:
     ) -> _Step:
         """Take a step, or find the covariance (`solve_at`).
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If a matrix is not positive definite.
+        Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
         """
         layout = Layout.of(models, points)
         prior, gradient = np.zeros((layout.count, layout.count)), np.zeros(layout.count)
@@ -121,14 +118,14 @@ class _Step:
 
     @property
     def prior_of_common(self) -> FloatArray:
-        """Information beforehand on what all windows share, (SHARED, SHARED)."""
+        """Prior information on the common unknowns, (SHARED, SHARED)."""
         common, out = self.layout.common, np.zeros((SHARED, SHARED))
         out[np.ix_(common, common)] = self.prior[: len(common), : len(common)]
         return out
 
 
 def information_of(model: Model, point: Point, solution: Solution) -> FloatArray:
-    """Return what a window says of the unknowns that windows share, (SHARED, SHARED)."""
+    """Return a window's information on the shared unknowns, (SHARED, SHARED)."""
     counted = counted_unknowns(model, point.places)
     own = is_own(model, counted)
     inside, cross, out = np.ix_(~own, ~own), np.ix_(~own, own), np.zeros((SHARED, SHARED))
@@ -140,20 +137,9 @@ def information_of(model: Model, point: Point, solution: Solution) -> FloatArray
 
 
 def imagined_information(fit: Fit, body: FloatArray, world: FloatArray) -> FloatArray:
-    """Return what a window is expected to say if it were made once more on another tilt.
+    """Return the expected information of the same turn on another tilt, (SHARED, SHARED).
 
-    Parameters
-    ----------
-    fit : Fit
-    body : ndarray, shape (3, 3)
-        By which the robot is rotated in its own axes.
-    world : ndarray, shape (3, 3)
-        By which it is rotated before that, in world axes.
-
-    Returns
-    -------
-    ndarray, shape (SHARED, SHARED)
-        As of `information_of`.
+    The robot is rotated by `world` (3, 3) in world axes, then by `body` (3, 3) in its own axes.
     """
     state, turned = fit.state, fit.point.course.nodes.in_axes(body)
     model = replace(fit.model, nodes=turned)
@@ -170,19 +156,10 @@ def imagined_information(fit: Fit, body: FloatArray, world: FloatArray) -> Float
 def fit_together(
     alone: Sequence[Fit], yaw_sigma: float, tolerances: Tolerances = Tolerances()
 ) -> Together:
-    """Fit several windows that share the calibration, from the fits of each.
+    """Return the joint fit of windows that share the calibration, from the fits of each.
 
-    Parameters
-    ----------
-    alone : sequence of Fit
-    yaw_sigma : float
-        Radians of the installation's yaw, which several tilts show.
-    tolerances : Tolerances
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If a matrix is not positive definite.
+    `yaw_sigma` is the prior of the installation's yaw, radians, which several tilts show. Raises
+    `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     models = _with_one_prior([each.model for each in alone], yaw_sigma)
     points = _from_one_start(models, alone)
@@ -229,7 +206,7 @@ def fit_together(
 
 
 def _evidence(models: list[Model], points: list[Point], found: _Step) -> float:
-    """Return minus twice the logarithm of the evidence of all windows, but for a constant."""
+    """Return minus twice the log evidence of all windows, up to a constant."""
     common, out = common_groups(models), found.log_determinant
     for k, (model, point) in enumerate(zip(models, points, strict=True)):
         names = [name for name in AT if common.get(name, k) == k]
@@ -239,14 +216,14 @@ def _evidence(models: list[Model], points: list[Point], found: _Step) -> float:
 
 
 def _widened(model: Model, point: Point, found: _Step, which: int) -> Point:
-    """Return a window's point with the sizes' mean squares."""
+    """Return a window's point with the sizes' posterior mean squares."""
     weighted, solution = found.weighted[which], found.solutions[which]
     _, shown, _ = noise_sizes(model, point, weighted, solution)
     return widened(model, point, solution, shown)
 
 
 def _with_one_prior(models: Sequence[Model], yaw_sigma: float) -> list[Model]:
-    """Return models that believe the same of what they share: the widest of their priors."""
+    """Return models with common priors of the shared unknowns: the widest of each."""
     scale = np.stack([model.priors.scale for model in models]).max(axis=0)
     scale[TURNED] = yaw_sigma
     first, out = models[0].priors, []
@@ -262,14 +239,14 @@ def _with_one_prior(models: Sequence[Model], yaw_sigma: float) -> list[Model]:
 
 
 def _as_one_place(scale: FloatArray, model: Model) -> None:
-    """Set the sigmas of what a place does to a turn, where the turns share a place."""
+    """Return priors in which the sigmas of a place's effects are shared by the turns."""
     scale[AT["place"]] = UNKNOWNS["place"].sigma
     if not model.travels:
         scale[AT["gradient"]] = UNKNOWNS["gradient"].sigma
 
 
 def _from_one_start(models: Sequence[Model], alone: Sequence[Fit]) -> list[Point]:
-    """Return each window's optimum, moved to the mean of what all say of the shared unknowns."""
+    """Return each window's optimum, moved to the common mean of the shared unknowns."""
     layout = Layout.of(models, [each.point for each in alone])
     common = layout.common
     total, right = np.zeros((len(common), len(common))), np.zeros(len(common))
@@ -294,7 +271,7 @@ def _from_one_start(models: Sequence[Model], alone: Sequence[Fit]) -> list[Point
 
 
 def _without_street(point: Point) -> Point:
-    """Return the point of a turn on the spot whose place does no more than bend the field."""
+    """Return the point of a turn on the spot without a local disturbance at the nodes."""
     local = point.state.local.copy()
     if point.course.nodes.tied_to is None:
         local[:, STREET] = 0.0
@@ -304,7 +281,7 @@ def _without_street(point: Point) -> Point:
 
 
 def _agreed(models: Sequence[Model], points: Sequence[Point]) -> list[Point]:
-    """Return points with the same factors of what windows share."""
+    """Return points with the same factors of the shared groups."""
     factors = {name: points[k].groups[name] for name, k in common_groups(models).items()}
     return _with_factors(models, points, factors)
 
@@ -312,7 +289,7 @@ def _agreed(models: Sequence[Model], points: Sequence[Point]) -> list[Point]:
 def _with_factors(
     models: Sequence[Model], points: Sequence[Point], factors: dict[str, float]
 ) -> list[Point]:
-    """Return points with these factors of the groups that a window has not for itself."""
+    """Return points with these factors of the common groups."""
     out = []
     for model, point in zip(models, points, strict=True):
         shared = {name: f for name, f in factors.items() if name not in own_groups(model)}

@@ -1,4 +1,4 @@
-"""Which shared unknowns several windows have in common, and which each has for itself."""
+"""Which shared unknowns are common to several windows, and which belong to one."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from magcal_ros.core.smoother.unknowns import AT, SHARED
 OF_A_MOMENT = ("gyro_bias", "drift", "gradient", "place")
 """Groups of shared unknowns that each window has for itself."""
 OF_A_TURN = ("gyro_matrix", "lever_arm", "height", "axis", "upright")
-"""The same where axes of the gyro are dead: they stand for the turn's axis and its circle."""
+"""The same if axes of the gyro are silent: the turn's axis and its circle."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where the unknowns of each window stand among those of all."""
+    """The indices of each window's unknowns among those of all."""
 
     rows: list[IntArray]
-    """For each window, where its free shared unknowns and its centres stand."""
+    """For each window, the indices of its free shared unknowns and its centres."""
     common: IntArray
     """Which shared unknowns the first rows are."""
     count: int
 
     @classmethod
     def of(cls, models: Sequence[Model], points: Sequence[Point]) -> Layout:
-        """Put what windows have in common first, then what each has for itself."""
+        """Return the layout: common unknowns first, then those of each window."""
         counted = [counted_unknowns(m, p.places) for m, p in zip(models, points, strict=True)]
         owned = [is_own(model, free) for model, free in zip(models, counted, strict=True)]
         common = np.unique(
@@ -45,7 +45,7 @@ class Layout:
 
 
 def own_groups(model: Model) -> tuple[str, ...]:
-    """Return the groups of shared unknowns that a window has for itself."""
+    """Return the groups of shared unknowns that belong to one window."""
     # Dead axes leave the gyro's matrix no spread.
     has_dead_axes = model.priors.spread["gyro_matrix"] == 0.0
     is_by_field = model.nodes.tied_to is not None
@@ -53,7 +53,7 @@ def own_groups(model: Model) -> tuple[str, ...]:
 
 
 def common_groups(models: Sequence[Model]) -> dict[str, int]:
-    """Return the groups that windows share, and the window in which most of each is free."""
+    """Return the common groups, and the window in which most of each is free."""
     free = [model.priors.scale > 0.0 for model in models]
     found = {}
     for name, at in AT.items():
@@ -67,10 +67,10 @@ def common_groups(models: Sequence[Model]) -> dict[str, int]:
 
 
 def is_own(model: Model, counted: IntArray) -> BoolArray:
-    """Return which unknowns a window has for itself; the centres of its places are."""
+    """Return which unknowns belong to one window; those of its centres do."""
     return np.isin(counted, rows_of(own_groups(model))) | (counted >= SHARED)
 
 
 def rows_of(groups: Sequence[str]) -> IntArray:
-    """Return which shared unknowns some groups are."""
+    """Return the indices of the shared unknowns of some groups."""
     return np.concatenate([np.arange(AT[name].start, AT[name].stop) for name in groups])

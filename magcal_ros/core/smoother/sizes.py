@@ -1,4 +1,4 @@
-"""How large noises and effects are: found with the unknowns, each with a log-normal prior."""
+"""Sizes of noises and effects, estimated with the unknowns under log-normal priors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SMALLEST = 4.0
 def noise_sizes(
     model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
 ) -> tuple[dict[str, float], dict[str, float], FloatArray]:
-    """Return the next sizes of the noises, and by how many residuals each is shown.
+    """Return the next sizes of the noises, and the effective number of residuals of each.
 
     By MacKay's fixed point (Bayesian interpolation, Neural Computation 4, 1992): the squared
     residuals over their variance add up to the number of residuals that the samples determine.
@@ -54,7 +54,7 @@ def noise_sizes(
 
 
 def _by_centres(point: Point, solution: Solution) -> tuple[float, float]:
-    """Return the centres' squares over their variance, and what of it their covariance makes."""
+    """Return the centres' squares over their variance, and the part due to their covariance."""
     places, variance = point.places, point.sizes["street"] ** 2
     rows = slice(-3 * len(places), None)
     blocks = solution.covariance[rows, rows].reshape(len(places), 3, len(places), 3)
@@ -66,7 +66,7 @@ def _by_centres(point: Point, solution: Solution) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Spread:
-    """Blocks of the covariance of all unknowns: of a node, with the next, and with the shared."""
+    """Blocks of the covariance: of a node, with the next one, and with the shared unknowns."""
 
     own: FloatArray
     beside: FloatArray
@@ -103,7 +103,7 @@ class _Spread:
 
 
 def _next_size(size: float, total: float, shown: float, belief: Size) -> float:
-    """Return the size at which `total` squares over the old variance fit the number shown.
+    """Return the size that explains `total` squares over the old variance.
 
     Solves t exp(-2 x) - n - (x + x0 - m) / s^2 = 0 for the step x of the logarithm by Newton.
     """
@@ -131,20 +131,12 @@ def expected_square(size: float, shown: float, belief: Size) -> float:
 def effect_factors(
     model: Model, point: Point, solution: Solution, expected: frozenset[str] = frozenset()
 ) -> dict[str, float]:
-    """Return the most likely factors of the effects' sigmas, or the roots of their mean squares.
+    """Return the factors of the effects' sigmas: the most likely ones, or root mean squares.
 
-    Each group's factor is chosen with the others at their new values, one after the other: two
-    effects that explain the same samples do not both vanish because the other is there.
-
-    Parameters
-    ----------
-    model : Model
-    point : Point
-        Its shared unknowns are at their posterior mean.
-    solution : Solution
-        The covariance, by the point's factors.
-    expected : frozenset of str
-        Groups of which the root of the mean square is wanted.
+    Each group's factor is chosen with the others at their new values, one after the other, so that
+    of two effects that explain the same samples one remains. The shared unknowns of the point are
+    at their posterior mean, `solution` has the covariance by the point's factors. `expected` are
+    the groups of which the root mean square is returned.
     """
     free, found = model.free, dict(point.groups)
     # By the samples and the fixed priors alone, each unknown over its usual sigma.
@@ -179,7 +171,7 @@ def _factor(
     *,
     is_expected: bool,
 ) -> float:
-    """Return the most likely factor of a group's sigmas, or the root of its mean square.
+    """Return the factor of a group's sigmas: the most likely one, or its root mean square.
 
     Of a group the posterior less its prior is what the samples say, with all else integrated out.
     From that the marginal likelihood of any other factor follows in closed form. `x` are the

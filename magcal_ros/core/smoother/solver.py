@@ -17,7 +17,7 @@ from magcal_ros.core.smoother.unknowns import LOCAL
 
 @dataclass(frozen=True, eq=False)
 class Weighted:
-    """Residuals with their variance, and the Student weights that go with it."""
+    """Residuals with their variance and Student weights."""
 
     linear: Linear
     variance: FloatArray
@@ -43,7 +43,7 @@ class Weighted:
 
     @property
     def imagined(self) -> Weighted:
-        """The same of samples that were not taken: no residual, and the expected curvature."""
+        """Imagined samples of the same kind: zero residuals, and the expected curvature."""
         linear = replace(self.linear, residual=np.zeros_like(self.linear.residual))
         reach = self.freedom + linear.residual.shape[1]
         variance = self.variance * (reach + 2.0) / self.freedom
@@ -51,7 +51,7 @@ class Weighted:
 
     @property
     def costs(self) -> FloatArray:
-        """Minus twice the logarithm of each likelihood, but for a constant, shape (k,)."""
+        """Minus twice the log of each likelihood, up to a constant, shape (k,)."""
         variance = np.where(np.isfinite(self.variance), self.variance, 1.0)
         width = self.linear.residual.shape[1]
         spread = (self.freedom + width) * np.log1p(self.chi2 / self.freedom)
@@ -59,13 +59,13 @@ class Weighted:
 
     @property
     def cost(self) -> float:
-        """Their sum."""
+        """The sum of `costs`."""
         return float(np.sum(self.costs))
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """One Gauss-Newton step, and the covariance at the point where it was taken."""
+    """One Gauss-Newton step, and the covariance at its linearisation point."""
 
     local: FloatArray
     """Step of the nodes' unknowns. Shape (n, LOCAL)."""
@@ -86,14 +86,14 @@ class Solution:
     """The information matrix of the nodes' unknowns."""
 
     def given(self, shared: FloatArray, covariance: FloatArray) -> Solution:
-        """Return the step where more is known of the shared unknowns than this window tells."""
+        """Return the step with further information on the shared unknowns."""
         local = self.local + self.follow @ (self.shared - shared)
         return replace(self, local=local, shared=shared, covariance=covariance)
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Gaussian priors at the point where the step is taken."""
+    """Gaussian priors at the linearisation point."""
 
     local_information: FloatArray
     local_offset: FloatArray
@@ -106,19 +106,10 @@ class Prior:
 
 
 def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
-    """Take a Gauss-Newton step.
+    """Return a Gauss-Newton step.
 
-    Parameters
-    ----------
-    weighted : list of Weighted
-    prior : Prior
-    free : ndarray of int, shape (s,)
-        Which of the shared unknowns are free.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the matrix is not positive definite.
+    `free` (s,) are the indices of the free shared unknowns. Raises `numpy.linalg.LinAlgError` if
+    the matrix is not positive definite.
     """
     nodes, count = len(prior.local_information), len(free)
     information = prior.information.copy()
@@ -154,7 +145,7 @@ def chain_of(weighted: list[Weighted], prior: Prior) -> Chain:
 def _of_nodes(
     weighted: list[Weighted], prior: Prior, free: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the nodes' blocks on and beside the diagonal, and by the residual and the shared."""
+    """Return the nodes' diagonal and off-diagonal blocks, gradient, and blocks with the shared."""
     nodes, count = len(prior.local_information), len(free)
     diagonal = np.zeros((nodes, LOCAL, LOCAL))
     upper = np.zeros((nodes - 1, LOCAL, LOCAL))
@@ -184,7 +175,7 @@ def inverse_and_log_determinant(information: FloatArray) -> tuple[FloatArray, fl
 
 
 def _alike(weighted: list[Weighted]) -> list[list[Weighted]]:
-    """Return the residuals of each shape together: of nodes, and of links."""
+    """Return the residuals grouped by shape: of nodes, and of links."""
     found: dict[tuple[int, bool], list[Weighted]] = {}
     for part in weighted:
         found.setdefault((len(part.linear.here), part.linear.there is None), []).append(part)
@@ -224,7 +215,7 @@ class Chain:
     log_determinant: float
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """Return the matrix' inverse times some columns, shape (n, LOCAL, k)."""
+        """Return the inverse of the matrix times columns, shape (n, LOCAL, k)."""
         forward = right.copy()
         for k, gain in enumerate(self.gain):
             forward[k + 1] -= gain.T @ forward[k]
@@ -234,7 +225,7 @@ class Chain:
         return out
 
     def covariance(self) -> tuple[FloatArray, FloatArray]:
-        """Return the inverse's blocks on the diagonal, and beside it to the right."""
+        """Return the inverse's blocks on the diagonal, and those to the right of it."""
         own, beside = self.inverse.copy(), np.empty_like(self.gain)
         for k in range(len(self.gain) - 1, -1, -1):
             beside[k] = -self.gain[k] @ own[k + 1]

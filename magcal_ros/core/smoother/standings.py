@@ -1,4 +1,4 @@
-"""Robots that stand at known headings, as nodes of the smoother.
+"""Standings at known headings, as nodes of the smoother.
 
 Each standing is a node without a link, or with the turn that the gyro saw since the one before.
 The unknowns and their priors are the smoother's; what only motion makes stays zero.
@@ -50,7 +50,7 @@ BY_MOTION = (
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """What a robot measured while it stood at a known heading."""
+    """The measurements of a robot at rest at a known heading."""
 
     field: FloatArray
     """Mean raw field, tesla, in the magnetometer's axes. Shape (3,)."""
@@ -61,16 +61,16 @@ class Standing:
     sigma: float
     """Its standard deviation."""
     by_declination: bool = False
-    """Whether it was told to true north: such headings share the declination's error."""
+    """Whether it is to true north: such headings share the declination's error."""
     forward: FloatArray = member(default_factory=lambda: X)
     """Direction in body axes whose heading it is; body x unless given. Shape (3,)."""
     turned: float = 0.0
     turned_sigma: float = math.inf
-    """Radians to the left since the standing before, by the gyro; an infinite sigma where nothing
-    tells."""
+    """Radians to the left since the standing before, by the gyro; the sigma is infinite without
+    one."""
     way: float = math.inf
-    """Metres from the standing before: nearby the local disturbance is alike. Infinite where it is
-    another place."""
+    """Metres from the standing before, for the correlation of the local disturbance; infinite if it
+    is another place."""
     noise_field: float = 0.3e-6
     noise_up: float = 0.003
     """Standard deviations of single samples: tesla per axis, radians of tilt per axis."""
@@ -83,7 +83,7 @@ class Standing:
 
     @property
     def in_words(self) -> str:
-        """The heading for people."""
+        """The heading in words, degrees."""
         yaw, sigma = math.degrees(self.heading), math.degrees(self.sigma)
         return f"{yaw:.1f}° ±{sigma:.1f}° to magnetic north"
 
@@ -100,7 +100,7 @@ class StandingOptimum:
 
 @dataclass(frozen=True, eq=False)
 class Standings:
-    """All standings as nodes, and what is believed before."""
+    """All standings as nodes, with their priors."""
 
     course: Course
     force: FloatArray
@@ -118,7 +118,7 @@ class Standings:
 
     @classmethod
     def of(cls, standings: Sequence[Standing], knowledge: Knowledge) -> Standings:
-        """Return standings as nodes, with the priors that go with what is known."""
+        """Return standings as nodes, with the priors from the knowledge."""
         field_ = np.array([each.field for each in standings]) @ knowledge.mounting.to_body.T
         force = np.array([each.force for each in standings])
         heading = np.array([each.heading for each in standings])
@@ -143,11 +143,11 @@ class Standings:
         )
 
     def field_of(self, state: State) -> factors.Linear:
-        """Return what the field says."""
+        """Return the residuals of the field at a state."""
         return factors.magnetic(self.course, state, Places.none(len(self.heading), 1.0))
 
     def weighed(self, state: State, size: float) -> dict[str, Weighted]:
-        """Return all residuals with their variances, with a size of the local disturbance."""
+        """Return all residuals with their variances, for a size of the local disturbance."""
         ones = np.ones(len(self.heading))
 
         def known(linear: factors.Linear, variance: FloatArray) -> Weighted:
@@ -168,7 +168,7 @@ class Standings:
         return found
 
     def prior(self, state: State, size: float) -> Prior:
-        """Return the priors with a size of the local disturbance."""
+        """Return the priors for a size of the local disturbance."""
         local = np.full_like(state.local, 1.0)
         local[:, : LOCAL - 8] = LEAST_VARIANCE
         local[0, STREET] = size**-2.0
@@ -183,7 +183,7 @@ class Standings:
 
     @property
     def free(self) -> IntArray:
-        """The shared unknowns that are looked for."""
+        """The indices of the estimated shared unknowns."""
         return np.flatnonzero(self.priors.scale > 0.0)
 
     def optimum(self, size: float, start: State | None = None) -> StandingOptimum:
@@ -205,7 +205,7 @@ class Standings:
         return StandingOptimum(state, whole, cost, misfit)
 
     def _misfit(self, weighted: dict[str, Weighted], prior: Prior) -> float:
-        """Return all squared deviations over their variances; the hard iron has next to none."""
+        """Return the sum of squares over variances; the hard iron adds next to nothing."""
         square = sum(float(part.chi2.sum()) for part in weighted.values())
         square += float(np.sum(prior.local_information * prior.local_offset**2))
         return square + float(prior.offset @ prior.information @ prior.offset)
@@ -213,7 +213,7 @@ class Standings:
     def _by_declination(
         self, weighted: dict[str, Weighted], prior: Prior, solution: Solution
     ) -> FloatArray:
-        """Return the covariance that an error adds which all headings to true north share."""
+        """Return the covariance by the common error of all headings to true north."""
         if not self.common.any():
             return np.zeros_like(solution.covariance)
         still = {name: _with_residual(part, 0.0) for name, part in weighted.items()}
@@ -239,7 +239,7 @@ def rms_size(size: Size) -> float:
 
 
 def _priors(knowledge: Knowledge) -> Priors:
-    """Return the priors of standings: sigmas that are uncertain count by their mean squares."""
+    """Return the priors of standings; uncertain sigmas count by their mean squares."""
     priors = priors_of(knowledge)
     scale = priors.scale.copy()
     for name, at in AT.items():
@@ -261,7 +261,7 @@ def _mean_factor(name: str, spread: float) -> float:
 def _start(
     nodes: Nodes, force: FloatArray, heading: FloatArray, forward: FloatArray, priors: Priors
 ) -> State:
-    """Return the state at which the headings and the accelerometer are right."""
+    """Return the state that agrees with the headings and the accelerometer."""
     up = unit(force)
     ahead = unit(level_part(forward, up))
     left = np.cross(up, ahead)
@@ -282,7 +282,7 @@ def _about(priors: Priors, state: State) -> FloatArray:
 
 
 def _nodes(field_: FloatArray) -> Nodes:
-    """Return nodes at rest with nothing between them; field (n, 3) in nominal axes, µT."""
+    """Return nodes at rest without links; field (n, 3) in nominal axes, µT."""
     n = len(field_)
     one, links = np.eye(3), n - 1
     several = np.repeat(one[None], n, axis=0)
@@ -307,7 +307,7 @@ def _nodes(field_: FloatArray) -> Nodes:
 
 
 def course_of(field_: FloatArray) -> Course:
-    """Return the course of nodes that stand, by their field (n, 3) in nominal axes, µT."""
+    """Return the course of nodes at rest, by their field (n, 3) in nominal axes, µT."""
     nodes = _nodes(field_)
     n = len(nodes)
     zeros, still = np.zeros(n), np.ones(n, dtype=bool)

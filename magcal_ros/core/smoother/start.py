@@ -1,4 +1,4 @@
-"""Where the iterations begin: with a gyro by a linear fit; without, every way that fits."""
+"""Initial values: with a gyro by a linear fit, without one every geometric solution."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> tuple[State, Priors]:
-    """Return a start, and the priors about it.
+    """Return an initial state, and the priors about it.
 
     Turned to level axes, the field is `m = R c + h + k u + l w` with one vector c of the Earth's
     field, one h of hard iron, and the motors' k while the robot moves (u) and l per turn rate (w),
@@ -81,7 +81,7 @@ def held_by_gyro(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _led_on(
     turned: FloatArray, field: FloatArray, found: FloatArray, rows: BoolArray
 ) -> FloatArray:
-    """Return the axes of nodes to which no gyro leads, turned about up to where the field points.
+    """Return the axes of nodes without a gyro link, turned about up to match the field.
 
     `found` begins with the Earth's field in the other nodes' axes and the hard iron.
     """
@@ -92,7 +92,7 @@ def _led_on(
 
 
 def _up(nodes: Nodes, path: FloatArray) -> FloatArray:
-    """Return up at each node: the force, averaged in axes that the gyro holds still."""
+    """Return up at each node: the force, averaged in axes stabilised by the gyro."""
     force = np.vstack(
         [nodes.force[:1], 0.5 * (nodes.force[1:] + nodes.force[:-1]), nodes.force[-1:]]
     )
@@ -135,13 +135,13 @@ VISIBLE_CONE = 4.0
 THINNEST_CONE = 0.005
 """Standard deviation, of unit vectors, that its thickness is taken for at least."""
 DIP = math.radians(60.0)
-"""Either way: tried where neither the field's strength nor its dip is known."""
+"""Dips that are tried if neither the field's strength nor its dip is known."""
 Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """One way in which axis, circle and dip fit together."""
+    """One geometric solution for axis, circle and dip."""
 
     attitude: FloatArray
     """Magnetic ENU to body axes. Shape (n, 3, 3)."""
@@ -160,13 +160,7 @@ class Guess:
 def starts(field: FloatArray, up: FloatArray, reference: ReferenceField) -> list[Guess]:
     """Return first guesses in no particular order.
 
-    Parameters
-    ----------
-    field : ndarray, shape (n, 3)
-        In nominal body axes, µT.
-    up : ndarray, shape (n, 3)
-        Unit vectors in body axes.
-    reference : ReferenceField
+    The field (n, 3) is in nominal body axes, µT, and `up` (n, 3) are unit vectors in body axes.
     """
     circle = fit_circle_robustly(field)
     dips = _Dips(reference)
@@ -256,7 +250,7 @@ def _with_dips(
     tilt: tuple[float, float],
     dips: _Dips,
 ) -> Iterator[Guess]:
-    """Yield a guess for each way the field can stand over the turn's plane."""
+    """Yield a guess for each angle that the field can have to the turn's plane."""
     body_axis = minimal_rotation(Z, axis)
     installed = (field - circle.centre) @ rotation_from_rpy(*tilt).T @ body_axis
     turned = body_axis @ _turned_to(installed)
@@ -268,7 +262,7 @@ def _with_dips(
 
 
 def _turned_to(field: FloatArray) -> FloatArray:
-    """Return rotations about z (n, 3, 3) that take x to where vectors (n, 3) point."""
+    """Return rotations about z (n, 3, 3) that take x to the direction of vectors (n, 3)."""
     return rotation_about(Z, np.arctan2(field[:, 1], field[:, 0]))
 
 

@@ -1,4 +1,4 @@
-"""A value of all unknowns, and when a robot with these moves and rests."""
+"""A value of all unknowns, and where the robot rests."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class State:
 
     @property
     def sector(self) -> IntArray:
-        """Which of `SECTORS` of heading it looks to, shape (n,)."""
+        """Sector of heading, 0 to `SECTORS` - 1, shape (n,)."""
         share = np.mod(self.yaw, math.tau) / (math.tau / SECTORS)
         return np.asarray(share.astype(np.int64) % SECTORS)
 
@@ -79,7 +79,7 @@ def level_axes(up: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """What does not change while the smoother iterates."""
+    """Constants of the iterations."""
 
     nodes: Nodes
     axes: FloatArray
@@ -100,7 +100,7 @@ class Course:
 
     @classmethod
     def of(cls, nodes: Nodes, axes: FloatArray, bias: FloatArray, lengths: Lengths) -> Course:
-        """Find where a robot rests, given its level axes and the gyro's bias."""
+        """Return the course: where a robot rests, given its level axes and the gyro's bias."""
         speed = np.linalg.norm(nodes.rate - bias, axis=1)
         slow = speed < lengths.moving + 0.1 * np.quantile(speed, 0.9)
         quiet = nodes.quiet & slow

@@ -1,4 +1,4 @@
-"""A turn without a gyro: each way in which axis, circle and dip fit together is fitted and weighed.
+"""A turn without a gyro: each geometric solution is fitted and weighted by its evidence.
 
 The sense of rotation is that of a magnetometer whose z is less than a quarter turn off its
 nominal pose: nothing but a gyro shows one that is mounted upside down.
@@ -37,7 +37,7 @@ USUAL |= {name + OTHER: share for name, share in USUAL.items()}
 AGAIN = Tolerances(fewest=4)
 """From the optimum of another kind of motion."""
 SKETCH = Tolerances(rounds=5, fewest=5)
-"""Enough to tell good starts from bad ones."""
+"""Rounds that are enough to rank the starts."""
 ROOTS = 2
 """Starts that are followed to the end."""
 RIVAL = 0.05
@@ -46,18 +46,15 @@ APART = 0.05
 """Radians of installation and hard iron over the field by which two starts are two."""
 FURTHEST, HOPELESS = 60.0, 30.0
 """Of minus twice the logarithm of the evidence over the best one's: starts that are worse after a
-few rounds lead nowhere, and roots that are worse at their optimum weigh nothing."""
+few rounds are dropped, and solutions that are worse at their optimum have no weight."""
 BENDS = 10.0
-"""Factor of the bend's sigma where a fit in a field that bends begins."""
+"""Initial factor of the gradient's sigma."""
 
 
 def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
-    """Fit a turn that has no gyro, from every way in which axis, circle and dip fit together.
+    """Fit a turn without a gyro, from every geometric solution for axis, circle and dip.
 
-    Raises
-    ------
-    Refusal
-        If no fit could be had.
+    Raises `Refusal` if no fit converges.
     """
     nodes = nodes_by_field(window, knowledge.mounting.to_body)
     usual = priors_of(knowledge)
@@ -77,7 +74,7 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
 
 
 def _elsewhere(first: Fit) -> dict[str, Fit]:
-    """Fit a turn again in a field that may bend, on the spot and in a small circle.
+    """Fit a turn again with a field gradient, on the spot and in a small circle.
 
     The field of an open place is one that bends by nothing, not another kind of motion.
     """
@@ -96,13 +93,13 @@ def _elsewhere(first: Fit) -> dict[str, Fit]:
 
 
 def _upright(priors: Priors, like: Fit) -> Fit | None:
-    """Fit a turn from another optimum; None where the result is none or mirrors the axes."""
+    """Return the fit of a turn from another optimum; None if it fails or mirrors the axes."""
     found = _fitted(like.model.nodes, priors, like.state, AGAIN, like)
     return found if found is not None and is_upright(found) else None
 
 
 def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
-    """Return the fits that lie apart and whose evidence is near the best one's, which is first."""
+    """Return the distinct fits with an evidence near the best one's, the best first."""
     kept: list[Fit] = []
     for each in sorted(fits, key=lambda fit: fit.evidence):
         new = all(apart(each.state, other.state) > APART for other in kept)
@@ -114,7 +111,7 @@ def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
 def _fitted(
     nodes: Nodes, priors: Priors, state: State, tolerances: Tolerances, like: Fit | None = None
 ) -> Fit | None:
-    """Fit a turn; None where a matrix is not positive definite."""
+    """Return the fit of a turn; None if a matrix is not positive definite."""
     try:
         return fit(nodes, priors, state, KINDS[ON_THE_SPOT], tolerances, like)
     except np.linalg.LinAlgError:
@@ -122,7 +119,7 @@ def _fitted(
 
 
 def _best(nodes: Nodes, priors: Priors, knowledge: Knowledge) -> list[Fit]:
-    """Return the distinct starts that lead furthest in a few rounds, the best one first."""
+    """Return the distinct starts of the highest evidence after a few rounds, the best first."""
     led = [
         _fitted(turning, about, state, SKETCH)
         for turning, state, about in guesses(nodes, priors, knowledge.reference)
@@ -131,7 +128,7 @@ def _best(nodes: Nodes, priors: Priors, knowledge: Knowledge) -> list[Fit]:
 
 
 def rival_gap(found: Smoothed) -> float:
-    """Return radians of heading between the roots of a turn; zero where the samples choose one."""
+    """Return the heading between the solutions of a turn, radians; zero if only one fits."""
     by_root: dict[bool, str] = {}
     for name in sorted(found.weights, key=found.weights.__getitem__):
         by_root[name.endswith(OTHER)] = name

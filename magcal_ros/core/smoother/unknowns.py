@@ -59,7 +59,7 @@ class Size(NamedTuple):
     meaning: str
     source: str
     start: float = math.nan
-    """Where the iterations begin, if not at the median."""
+    """Initial value, if not the median."""
     most: float = math.inf
     """Largest value: no sensor or robot exceeds it."""
 
@@ -89,7 +89,7 @@ UNKNOWNS: dict[str, Unknown] = {
         "the bodies of cars leave a third to all of it; no heading depends on it",
     ),
     "turned": Unknown(
-        (0.09,), 0.0, 1.0, "rad", "yaw of the installation", "boards: 5°; only several tilts tell"
+        (0.09,), 0.0, 1.0, "rad", "yaw of the installation", "boards: 5°; shown by several tilts"
     ),
     "earth": Unknown((20.0, 30.0), 0.0, 1.0, "µT", "level and downward field", "the reference"),
     "gyro_bias": Unknown((0.003,) * 3, 0.8, 30.0, "rad/s", "gyro bias", "MEMS: .1 to 5 °/s"),
@@ -214,7 +214,7 @@ SIZES: dict[str, Size] = {
 STANDING = Size(
     0.7, 0.5, 6.0, "µT", "local disturbance where a robot stands, per axis", "open places: .3 to 2"
 )
-"""Of a robot at a known heading, which stands on one spot instead of passing along a street."""
+"""Of a robot at rest at a known heading, instead of one that drives along a street."""
 
 
 STRONGEST = 50.0, 12.0
@@ -227,7 +227,7 @@ EXACT_IRON = 1e-5, 2.5, 1e4
 
 
 class KindOfMotion(NamedTuple):
-    """A kind of motion."""
+    """A kind of motion, with the groups that are free in it."""
 
     speed: float
     """Usual velocity ahead, m/s."""
@@ -236,8 +236,8 @@ class KindOfMotion(NamedTuple):
     lever_arm: float
     """Usual distance of the accelerometer from the pivot, metres per axis."""
     begins: float
-    """Size of the acceleration at which the iterations begin, m/s². If it is too small, a drive's
-    acceleration is taken for lean; if it is too large, lean is taken for acceleration."""
+    """Initial size of the acceleration, m/s². If it is too small, acceleration is taken for tilt;
+    if it is too large, tilt is taken for acceleration."""
     motors: float = 2.0
     """Spread of the logarithm of the motors' field. A vehicle's is small where a compass sits; what
     differs between its rest and its way is the place."""
@@ -253,7 +253,7 @@ class KindOfMotion(NamedTuple):
 
     @property
     def has_wheels(self) -> bool:
-        """Whether the robot goes ahead, so that its accelerations tell where ahead is."""
+        """Whether the robot drives ahead, so that its accelerations show the forward direction."""
         return self.aside < 1.0
 
 
@@ -276,22 +276,22 @@ and few turn exactly on a spot."""
 
 @dataclass(frozen=True)
 class Lengths:
-    """How far and how long what is correlated stays so."""
+    """Correlation lengths and times."""
 
     street: float = 30.0
-    """Metres over which the local disturbance is alike (e to the minus one)."""
+    """Correlation length of the local disturbance, metres (1/e)."""
     body_field: float = 4.0
-    """Seconds over which the body's coloured noise is alike."""
+    """Correlation time of the body's coloured noise, seconds."""
     acceleration: float = 3.0
-    """Seconds over which the change of velocity is alike."""
+    """Correlation time of the change of velocity, seconds."""
     beside: float = 0.15
-    """Metres of the magnetometer from the pivot: the way it goes while the robot turns."""
+    """Metres of the magnetometer from the pivot: its path while the robot turns."""
     creep: float = 0.01
     """m/s that a robot at rest may still move."""
     moving: float = 0.03
     """rad/s of turn rate from which a robot on the spot counts as moving."""
     sway: float = 1.0
-    """Seconds over which the lean of a robot that sways is alike."""
+    """Correlation time of the tilt of a robot that sways, seconds."""
 
 
 def _slices() -> tuple[dict[str, slice], int]:
@@ -303,10 +303,10 @@ def _slices() -> tuple[dict[str, slice], int]:
 
 
 AT, SHARED = _slices()
-"""Where each group of shared unknowns stands, and how many numbers there are."""
+"""The slice of each group of shared unknowns, and their number."""
 ROLL_PITCH, YAW = AT["installation"], AT["axes"].stop - 1
 SYMMETRIC = (slice(AT["axes"].start, AT["axes"].stop - 1), AT["soft_iron"])
-"""Where the two parts of the symmetric distortion stand."""
+"""The slices of the two parts of the symmetric distortion."""
 SHIELDING = AT["shielding"].start
 TURNED = AT["turned"].start
 EARTH = AT["earth"]

@@ -1,4 +1,4 @@
-"""Windows without a gyro, or with dead axes: a turn rate to average by, and wider priors.
+"""Windows without a gyro or with silent axes: a turn rate from the field, and wider priors.
 
 An axis that never changes measures nothing. The field shows how the robot turned about its axis;
 that rate serves only to average samples to nodes. What ties the attitudes of neighbouring nodes is
@@ -64,9 +64,9 @@ SWAY: Mapping[str, Size] = {
 
 
 def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
-    """Return which axes of a gyro (n, 3) measure something.
+    """Return which axes of a gyro (n, 3) are not silent, shape (3,).
 
-    One that never changes is dead; in a simulation without noise it may be right.
+    A constant axis is silent, except in a simulation without noise.
     """
     if rate is None or not len(rate) or not np.ptp(rate, axis=0).any():
         return False, False, False
@@ -78,7 +78,7 @@ def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
 
 
 def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
-    """Average a window that has no gyro by the turn rate that its field shows."""
+    """Return the nodes of a window without a gyro, by the turn rate of its field."""
     window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
     field = window.field @ to_body.T * MICROTESLA
     circle = fit_circle_robustly(field)
@@ -106,10 +106,9 @@ def _smooth(time: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
-    """Return the priors of a window in which not all axes of the gyro live.
+    """Return the priors of a window in which axes of the gyro are silent.
 
-    About a dead axis the robot turns by what belongs to its turn about the axis that lives, and
-    sways.
+    About a silent axis the robot turns by its share of the turn about the other axis, and sways.
     """
     if all(living):
         return priors
@@ -136,14 +135,14 @@ def without_rates(priors: Priors, *, rests: bool) -> Priors:
 
 
 def in_a_bent_field(priors: Priors) -> Priors:
-    """Return the priors of a magnetometer that moves through a field which bends."""
+    """Return the priors of a magnetometer that moves through a field gradient."""
     scale = priors.scale.copy()
     scale[AT["gradient"]] = UNKNOWNS["gradient"].sigma
     return replace(priors, scale=scale)
 
 
 def in_a_circle(priors: Priors) -> Priors:
-    """Return the priors of a robot that may drive a small circle: its pivot is far aside."""
+    """Return the priors of a robot that may drive a small circle, with a distant pivot."""
     scale = priors.scale.copy()
     scale[AT["lever_arm"]][:2] *= CIRCLE / UNKNOWNS["lever_arm"].sigma[0]
     return replace(priors, scale=scale, spread={**priors.spread, "lever_arm": 0.0})
@@ -152,7 +151,7 @@ def in_a_circle(priors: Priors) -> Priors:
 def guesses(
     nodes: Nodes, priors: Priors, reference: ReferenceField
 ) -> list[tuple[Nodes, State, Priors]]:
-    """Return starts: every way in which the axis, the field's circle and the dip fit together."""
+    """Return the starts: every geometric solution for axis, circle and dip."""
     up = unit(_smooth(nodes.time, nodes.mean_force))
     found = []
     assert nodes.tied_to is not None
@@ -164,7 +163,7 @@ def guesses(
 
 
 def apart(one: State, other: State) -> float:
-    """Return the largest difference in installation (radians) and hard iron over the field."""
+    """Return the largest difference of installation (radians) and of hard iron over the field."""
     off = np.abs(one.shared - other.shared)
     field = float(np.linalg.norm(one.shared[EARTH]))
     return float(max(off[ROLL_PITCH].max(), off[AT["iron"]].max() / field))
@@ -189,7 +188,7 @@ def _as_state(guess: Guess, nodes: Nodes, priors: Priors) -> tuple[State, Priors
 
 
 def _gain(field: FloatArray, attitude: FloatArray, earth: FloatArray) -> float:
-    """Return by how much the part of a field (n, 3) that turns exceeds what attitudes make of it.
+    """Return the ratio of a field's (n, 3) varying part to that of the attitudes.
 
     `earth` is the level and the downward field. Bodies may weaken the field to a fifth.
     """

@@ -50,7 +50,7 @@ def test_without_a_base_nothing_is_asked_of_the_description():
 def test_a_base_that_is_not_described_has_no_pose_and_that_is_said():
     poses = sensor_poses(FRAMES, FrameTree(), None)
     assert poses.imu is None
-    assert "how 'imu_link' sits in 'base_link'" in poses.complaints[0]
+    assert "pose of 'imu_link' in 'base_link' is unknown" in poses.complaints[0]
     assert sensor_poses(Frames("chassis", "imu_link", ""), TREE, None).imu is None
 
 

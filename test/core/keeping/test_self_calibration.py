@@ -232,7 +232,7 @@ def test_a_proposal_waits_for_a_word():
     machine = keeper.machine
     assert machine.proposal is machine.decisions[-1].calibration
     assert "accept" in machine.in_words
-    machine.put_in_force(machine.proposal.on_users_word())
+    machine.put_in_force(machine.proposal.accepted_by_person())
     assert machine.proposal is None
     assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [Verb.PROPOSED]
     assert machine.proposal.correction is old.correction

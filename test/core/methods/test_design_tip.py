@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from simulated.turns import measure, turn
 from tip_bridge import ours, window_of, worst_difference
 from tip_turns import QUIET, distance, level_turn, ramp_turn, refusal, rms_deg
+from tumbles import hand_tumbling, tumble
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.conics import ConicFit
@@ -167,7 +168,7 @@ class TestRefusals:
         assert "40°" in str(found)
 
     def test_steep_field(self):
-        robot = replace(QUIET, inclination=84.0 * DEGREE)
+        robot = replace(QUIET, inclination=86.0 * DEGREE)
         found = refusal(level_turn(robot), robot.knowledge(math.inf, 0.0))
         assert found.reason is Reason.FIELD_TOO_STEEP
 
@@ -177,9 +178,7 @@ class TestRefusals:
         assert found.reason is Reason.CIRCLE_TOO_SMALL
 
     def test_tumble(self):
-        rng = np.random.default_rng(0)
-        attitude = np.array([np.linalg.qr(each)[0] for each in rng.standard_normal((200, 3, 3))])
-        window = replace(level_turn(samples=200), field=attitude[:, 0] * 50e-6)
+        window = replace(level_turn(), field=tumble(motion=hand_tumbling).field[:500])
         assert refusal(window, QUIET.knowledge()).reason is Reason.FIELD_NOT_ON_A_PLANE
 
     def test_straight_swing_of_the_field(self):

@@ -16,7 +16,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting, SoftIron
-from magcal_ros.core.methods.maximum_likelihood import METHOD, fit
+from magcal_ros.core.methods.smoother import METHOD, fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import (
     DEGREE,

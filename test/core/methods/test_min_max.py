@@ -19,7 +19,7 @@ from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.methods.min_max import Options, believed_on_sphere, fit
+from magcal_ros.core.methods.min_max import Options, fit, samples_on_ellipsoid
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, heading_errors
 
@@ -114,7 +114,7 @@ def test_a_concentrated_package_off_the_sphere_is_erased(share):
         np.vstack([window.field, package]),
         np.vstack([window.specific_force, force]),
     )
-    kept = believed_on_sphere(mixed.field)
+    kept = samples_on_ellipsoid(mixed.field)
     assert kept[: len(window)].mean() > 0.97
     assert not kept[len(window) :].any()
 

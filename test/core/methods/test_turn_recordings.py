@@ -10,7 +10,7 @@ import pytest
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.attitude import wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up import propagated_up
 

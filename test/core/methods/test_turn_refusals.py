@@ -6,7 +6,7 @@ from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, UP_ENU, Robot, heading_errors
 

@@ -10,7 +10,7 @@ from simulated.turns import measure, turn
 
 from magcal_ros.core.geometry.attitude import body_from_enu
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.simulation import DEGREE, Robot
 from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
 

@@ -15,7 +15,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 from magcal_ros.core.smoother.kinds_of_motion import MOST_FITS, smooth
@@ -164,7 +164,7 @@ def test_readings_once_a_second_are_refused_with_their_rate(every, monkeypatch):
     """20 degrees wrong at 10 degrees of tilt, at 2.4 said, while a drive answered for them."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
     told: list[float] = []
-    outcome = calibrate(slowly(every, 2, means=False), Knowledge(), told=told.append)
+    outcome = calibrate(slowly(every, 2, means=False), Knowledge(), progress=told.append)
     assert outcome.reason is Reason.TOO_SLOW
     assert max(told) <= 1.0 / MOST_FITS, "a turn on the spot was tried, and no drive"
     assert f"come at {30 // every} Hz" in outcome.verdict.summary
@@ -173,6 +173,6 @@ def test_readings_once_a_second_are_refused_with_their_rate(every, monkeypatch):
 def test_a_fit_tells_how_much_of_it_is_done():
     window = measure(ROBOT, turn(duration=20.0), np.random.default_rng(3), gyro=True)
     told: list[float] = []
-    assert calibrate(window, known(ROBOT), told=told.append).verdict.accepted
+    assert calibrate(window, known(ROBOT), progress=told.append).verdict.accepted
     assert told == sorted(told)
     assert 0.0 <= told[0] < 0.1 < 0.25 < told[-1] <= 1.0

@@ -1,0 +1,382 @@
+"""The geometric steps of the ST design tip: frame, circle of the field, axis, installation.
+
+Inside, axes are forward-right-down and gravity reads +1 downwards. A passive tip rotation
+Rx(roll) Ry(pitch) is the installation of a URDF with the same roll and the opposite pitch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import FRD_FROM_FLU, unit
+from magcal_ros.core.geometry.conics import Conic, ConicFit
+from magcal_ros.core.geometry.planes import SMALLEST, Plane, PlaneFit
+from magcal_ros.core.geometry.rotations import (
+    roll_pitch_between,
+    rotation_angle,
+    rotation_from_rpy,
+)
+from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.samples.window import Window
+
+
+@dataclass(frozen=True)
+class TipTuning:
+    """Which turns the geometry determines."""
+
+    largest_normal_sigma: float = math.radians(10.0)
+    """Radians of uncertainty of the field plane's normal."""
+    largest_thickness: float = 0.25
+    """RMS distance from the plane over the radius of the circle; a tumble has more."""
+    smallest_axial_gravity: float = math.cos(math.radians(75.0))
+    """Cosine between axis and vertical. The error of the inclination is divided by it."""
+    clear_sense: float = 20.0
+    """Standard errors by which gravity must show the sense of rotation. Wobble is correlated and
+    counts for less than its number of samples; below this the smaller installation decides well."""
+    least_gyro_agreement: float = 0.5
+    """Slope of the field's phase against the gyro's angle from which the gyro's sense is used."""
+    smallest_lever: float = math.sin(math.radians(10.0))
+    """Length of the axis perpendicular to body y; below it the pitch is a rotation about the axis
+    and not observable."""
+    strength_margin: float = 0.1
+    """Share of the strength by which an installation may fit the reference worse than the best, and
+    by which the radius of the circle may exceed the strength."""
+    rival_margin: float = math.radians(2.0)
+    """Radians by which a rival's installation may be larger than the chosen one's and as likely."""
+    axial_sigma: float = 50e-6
+    """Tesla, prior of the hard iron along the axis if neither strength nor inclination is known."""
+
+
+TUNING = TipTuning()
+
+
+class AxisSource(str, Enum):
+    """Source of the turn's axis: mean of gravity, its plane, or both by their variances."""
+
+    AUTO = "auto"
+    MEAN = "mean"
+    PLANE = "plane"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of the design tip; ValueError for an unknown name."""
+
+    plane: PlaneFit = PlaneFit.EIGEN
+    """Fit of the planes of gravity and field."""
+    conic: ConicFit = ConicFit.TAUBIN
+    """Fit of the field's circle."""
+    axis: AxisSource = AxisSource.AUTO
+    """Centre of the accelerometer's circle, normal of its plane, or both by their variances."""
+    jackknife_blocks: int = 16
+    """Pieces of time that the covariance leaves out one by one."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "plane", PlaneFit(self.plane))
+        object.__setattr__(self, "conic", ConicFit(self.conic))
+        object.__setattr__(self, "axis", AxisSource(self.axis))
+
+
+@dataclass(frozen=True, eq=False)
+class TipSamples:
+    """A window as the design tip sees it."""
+
+    down: FloatArray
+    """Gravity in body axes, forward-right-down, scaled to a mean length of one. Shape (n, 3)."""
+    raw: FloatArray
+    """Raw field in the sensor's own axes, tesla. Shape (n, 3)."""
+    field: FloatArray
+    """Field in nominal body axes, forward-right-down, gains removed, tesla. Shape (n, 3)."""
+    mounting: FloatArray
+    """Takes `field` back to `raw`. Shape (3, 3)."""
+    turned: FloatArray | None
+    """Rotation between neighbouring samples by the gyro, body axes, radians. Shape (n - 1, 3)."""
+
+
+def enter(window: Window, mounting: Mounting) -> TipSamples:
+    """Return a window in the tip's frame."""
+    matrix = mounting.matrix @ FRD_FROM_FLU
+    down = -window.specific_force @ FRD_FROM_FLU
+    turned = None
+    if window.angular_rate is not None:
+        rate = window.angular_rate @ FRD_FROM_FLU
+        turned = 0.5 * (rate[1:] + rate[:-1]) * np.diff(window.time)[:, None]
+    return TipSamples(
+        down=down / np.linalg.norm(down, axis=1).mean(),
+        raw=window.field,
+        field=window.field @ np.linalg.inv(matrix).T,
+        mounting=matrix,
+        turned=turned,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class FieldCircle:
+    """The field's circle in sensor axes, gains removed."""
+
+    basis: FloatArray
+    """Columns: two axes in the plane and the normal, right-handed. Shape (3, 3)."""
+    offsets: FloatArray
+    """Samples relative to the centre, in sensor axes, tesla. Shape (n, 3)."""
+    phasor: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    """Samples relative to the centre, in the plane, tesla. Shape (n,)."""
+    height: float
+    """Distance of the plane from the origin along the normal, tesla."""
+    conic: Conic
+    """The fitted curve in the plane's axes."""
+
+    @property
+    def normal(self) -> FloatArray:
+        """The normal in sensor axes, unit, shape (3,)."""
+        return self.basis[:, 2]
+
+    @property
+    def radius(self) -> float:
+        """Tesla."""
+        return self.conic.radius
+
+    @property
+    def centre(self) -> FloatArray:
+        """The centre in sensor axes, shape (3,), tesla."""
+        return np.asarray(self.basis @ np.append(self.conic.centre, self.height))
+
+    @property
+    def model_error(self) -> FloatArray:
+        """Samples minus the nearest points of the circle, sensor axes, shape (n, 3), tesla."""
+        directions = self.phasor / np.maximum(np.abs(self.phasor), 1e-300)
+        nearest = np.column_stack([directions.real, directions.imag]) * self.radius
+        return np.asarray(self.offsets - nearest @ self.basis[:, :2].T)
+
+    def flipped(self) -> FieldCircle:
+        """Return the same circle with the opposite normal."""
+        mirrored = self.conic.centre * (1.0, -1.0)
+        return replace(
+            self,
+            basis=self.basis * (1.0, -1.0, -1.0),
+            phasor=self.phasor.conj(),
+            height=-self.height,
+            conic=replace(self.conic, centre=mirrored, angle=-self.conic.angle),
+        )
+
+
+def fit_field_circle(samples: TipSamples, options: Options) -> FieldCircle:
+    """Fit the plane to the raw field, and the circle to the field without its gains.
+
+    Raises `Refusal` if the field is constant, on a line, or not on a plane.
+    """
+    plane = options.plane(samples.raw)
+    # A normal belongs to the dual space: it maps by the inverse transpose of what maps points.
+    normal = samples.mounting.T @ plane.normal
+    normal /= np.linalg.norm(normal)
+    basis = derotation(normal)
+    flat = samples.field @ basis
+    conic = options.conic(flat[:, :2])
+    _refuse_unreliable(plane, conic, samples.raw)
+    height = float(flat[:, 2].mean())
+    around = flat - np.append(conic.centre, height)
+    phasor = around[:, 0] + 1j * around[:, 1]
+    return FieldCircle(basis, around @ basis.T, phasor, height, conic)
+
+
+def derotation(normal: FloatArray) -> FloatArray:
+    """Return the tip's matrix of roll and pitch whose third column is `normal`, shape (3, 3)."""
+    x, y, z = (float(v) for v in normal)
+    return rotation_from_rpy(math.atan2(y, z), -math.asin(min(1.0, max(-1.0, x)))).T
+
+
+def _refuse_unreliable(plane: Plane, conic: Conic, raw: FloatArray) -> None:
+    least_noise = SMALLEST * float(np.linalg.norm(raw, axis=1).mean())
+    smallest, middle, largest = plane.spread
+    is_uncertain = plane.normal_sigma(least_noise) > TUNING.largest_normal_sigma
+    if is_uncertain and middle < 2.0 * smallest < largest:
+        raise Refusal(
+            Reason.FIELD_ON_A_LINE,
+            "The field's samples lie on a line within their noise. Turn further round.",
+        )
+    if is_uncertain or plane.thickness > TUNING.largest_thickness * conic.radius:
+        raise Refusal(
+            Reason.FIELD_NOT_ON_A_PLANE,
+            "The field's samples do not lie on a plane. Turn about one axis only, on even ground "
+            "and away from moving iron.",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TurnAxis:
+    """The axis of the turn."""
+
+    direction: FloatArray
+    """In body axes, forward-right-down; unit, downwards. Shape (3,)."""
+    axial_gravity: float
+    """Cosine of the axis's angle from the vertical."""
+    across: FloatArray
+    """Gravity across the axis, body axes, gravity = 1. Shape (n, 3)."""
+    noise: float
+    """Standard deviation of the accelerometer per axis, gravity = 1, which is radians of tilt."""
+
+    @property
+    def tilt(self) -> float:
+        """Radians of the axis from the vertical."""
+        return float(np.arccos(min(1.0, self.axial_gravity)))
+
+
+def find_axis(samples: TipSamples, circle: FieldCircle, options: Options) -> TurnAxis:
+    """Return the axis from the centre of gravity's circle and the normal of its plane.
+
+    On a level turn gravity is constant, and only the centre shows the axis; on a tilted one the
+    normal shows more. Each is weighted by its information. The centre is the constant part of
+    gravity beside a sinusoid of the field's phase: on part of a turn the plain mean is not on the
+    axis. Raises `Refusal` if the axis is nearly horizontal, or the wanted source does not show it.
+    """
+    centre, centre_sigma, noise = _centre_of_gravity(samples.down, circle)
+    if float(np.linalg.norm(centre)) < TUNING.smallest_axial_gravity:
+        raise _horizontal()
+    try:
+        plane = options.plane(samples.down)
+    except Refusal:
+        plane = None
+    direction = _weighed(centre, centre_sigma, plane, options.axis)
+    axial = samples.down @ direction
+    axial_gravity = float(axial.mean())
+    if axial_gravity < TUNING.smallest_axial_gravity:
+        raise _horizontal()
+    return TurnAxis(
+        direction=direction,
+        axial_gravity=min(1.0, axial_gravity),
+        across=samples.down - axial[:, None] * direction,
+        noise=noise,
+    )
+
+
+def _centre_of_gravity(down: FloatArray, circle: FieldCircle) -> tuple[FloatArray, float, float]:
+    phase = np.angle(circle.phasor)
+    design = np.column_stack([np.ones(len(phase)), np.cos(phase), np.sin(phase)])
+    covariance = np.linalg.pinv(design.T @ design)
+    coefficients = covariance @ (design.T @ down)
+    residual = down - design @ coefficients
+    noise = float(np.sqrt((residual**2).sum() / (3.0 * max(len(down) - 3, 1))))
+    return coefficients[0], max(noise, SMALLEST) * float(np.sqrt(covariance[0, 0])), noise
+
+
+def _weighed(
+    centre: FloatArray, centre_sigma: float, plane: Plane | None, source: AxisSource
+) -> FloatArray:
+    from_centre = centre / np.linalg.norm(centre)
+    if source is AxisSource.MEAN or (plane is None and source is AxisSource.AUTO):
+        return np.asarray(from_centre)
+    if plane is None:
+        raise Refusal(
+            Reason.NO_MOTION,
+            "Gravity stood still, as it does on level ground, so its plane does not show the axis. "
+            "Take the axis from its mean as well (axis = auto).",
+        )
+    from_plane = plane.normal * (1.0 if plane.normal @ centre >= 0.0 else -1.0)
+    if source is AxisSource.PLANE:
+        return np.asarray(from_plane)
+    # The plane's information has no part along its normal, where the centre decides.
+    of_centre = float(centre @ centre) / centre_sigma**2 * np.eye(3)
+    of_plane = plane.normal_information(SMALLEST)
+    weighted = of_centre @ from_centre + of_plane @ from_plane
+    return unit(np.asarray(np.linalg.solve(of_centre + of_plane, weighted)))
+
+
+def _horizontal() -> Refusal:
+    return Refusal(
+        Reason.AXIS_HORIZONTAL,
+        "The robot turned about a nearly horizontal axis. Turn about an axis within 75° of the "
+        "vertical, best on the wheels.",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One installation that fits the two normals, in the tip's sense."""
+
+    roll: float
+    pitch: float
+    """Of the passive rotation Rx(roll) Ry(pitch), radians."""
+    circle: FieldCircle
+    """The field's circle with the normal that this installation needs."""
+    gravity_dot_field: float
+    """Mean product of gravity and field across the axis, tesla."""
+
+    @property
+    def angle(self) -> float:
+        """Radians of the whole installation."""
+        return rotation_angle(rotation_from_rpy(self.roll, self.pitch))
+
+
+def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> list[Candidate]:
+    """Return every installation that fits, at least one, the smallest first.
+
+    The field turns about its normal in the sense in which gravity turns about the axis. Where
+    neither gravity nor a gyro shows that sense, both normals are tried. Raises `Refusal` if none
+    fits, if the axis does not show the pitch, or if gravity and gyro contradict.
+    """
+    if math.hypot(float(axis.direction[0]), float(axis.direction[2])) < TUNING.smallest_lever:
+        raise Refusal(
+            Reason.AMBIGUOUS,
+            "The robot turned about the IMU's y axis, which does not show the magnetometer's "
+            "pitch. Give the mounting in the robot's frame, so that the turn is about its z axis.",
+        )
+    sense = _sense(samples, axis, circle)
+    circles = [c for s, c in ((1, circle), (-1, circle.flipped())) if sense in (0, s)]
+    found = [
+        Candidate(roll, pitch, c, _gravity_dot_field(rotation_from_rpy(roll, pitch).T, axis, c))
+        for c in circles
+        for roll, pitch in roll_pitch_between(axis.direction, c.normal)
+    ]
+    if not found:
+        raise Refusal(
+            Reason.NO_SOLUTION,
+            "No roll and pitch of the magnetometer explain the turn. Check that the accelerometer "
+            "and the magnetometer are on the same body and that their axes are right-handed.",
+        )
+    return sorted(found, key=lambda candidate: candidate.angle)
+
+
+def _gravity_dot_field(rotation: FloatArray, axis: TurnAxis, circle: FieldCircle) -> float:
+    return float(np.sum(axis.across * (circle.offsets @ rotation), axis=1).mean())
+
+
+def _sense(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
+    by_gravity = _sense_by_gravity(axis, circle)
+    by_gyro = _sense_by_gyro(samples, axis, circle)
+    if by_gravity * by_gyro < 0:
+        raise Refusal(
+            Reason.AXES_DISAGREE,
+            "Gyro and gravity turn in opposite senses. Check the axes and signs of the gyro.",
+        )
+    return by_gravity or by_gyro
+
+
+def _sense_by_gravity(axis: TurnAxis, circle: FieldCircle) -> int:
+    first, second = np.linalg.svd(axis.direction[None, :])[2][1:]
+    second = second * float(np.cross(first, second) @ axis.direction)
+    gravity = axis.across @ first + 1j * (axis.across @ second)
+    field = circle.phasor / np.abs(circle.phasor).mean()
+    same, opposite = abs((gravity * field.conj()).mean()), abs((gravity * field).mean())
+    standard_error = max(axis.noise, SMALLEST) / math.sqrt(len(field))
+    if abs(same - opposite) < TUNING.clear_sense * standard_error:
+        return 0
+    return 1 if same > opposite else -1
+
+
+def _sense_by_gyro(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
+    if samples.turned is None:
+        return 0
+    # A field fixed in the world turns backwards in the body. Sines, because a pause in the stream
+    # may hide a step of half a turn, whose sense the field does not show.
+    expected = np.sin(-(samples.turned @ axis.direction))
+    seen = np.sin(np.angle(circle.phasor[1:] * circle.phasor[:-1].conj()))
+    power = float(expected @ expected)
+    slope = float(expected @ seen) / power if power > 0.0 else 0.0
+    if abs(slope) < TUNING.least_gyro_agreement:
+        return 0
+    return 1 if slope > 0.0 else -1
