@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from magcal_ros.core.earth_field.reference import Fix
@@ -182,14 +183,39 @@ NO_HEADING = math.radians(30.0)
 def heading_of(message: Any) -> HeadingSample | str:
     """Return the yaw of a sensor_msgs/Imu's orientation, or why it has none."""
     q, covariance = message.orientation, message.orientation_covariance
-    if covariance[0] == ABSENT:
+    marks = covariance[0], float(covariance[8])
+    return heading_from(seconds(message.header.stamp), (q.x, q.y, q.z, q.w), *marks)
+
+
+def heading_from(
+    stamp: float, orientation: Sequence[float], mark: float, variance: float
+) -> HeadingSample | str:
+    """Return the yaw that an Imu's orientation tells, or why it has none.
+
+    Parameters
+    ----------
+    stamp : float
+        Seconds.
+    orientation : sequence of float
+        Quaternion x, y, z, w.
+    mark : float
+        First element of its covariance, which tells whether it is absent.
+    variance : float
+        Of the yaw, rad².
+    """
+    if mark == ABSENT:
         return "its orientation is marked absent (covariance -1)"
-    size = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    x, y, z, w = orientation
+    size = x * x + y * y + z * z + w * w
     if not abs(size - 1.0) < 0.02:
         return f"its orientation is no unit quaternion (length {math.sqrt(abs(size)):.3g})"
-    variance = float(covariance[8])
     if not (math.isfinite(variance) and 0.0 <= variance < NO_HEADING**2):
         return "its orientation covariance says that the yaw is not known"
-    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     sigma = math.sqrt(variance) if variance > 0.0 else HEADING_SIGMA
-    return HeadingSample(seconds(message.header.stamp), yaw, sigma)
+    return HeadingSample(stamp, yaw, sigma)
+
+
+def current_of(message: Any) -> tuple[float, float]:
+    """Return stamp (s) and current (A) of a sensor_msgs/BatteryState."""
+    return seconds(message.header.stamp), float(message.current)

@@ -16,11 +16,11 @@ from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.messages import (
+    current_of,
     field_sample,
     fix_of,
     heading_of,
     imu_sample,
-    seconds,
     speed_of,
     velocity_of,
 )
@@ -28,7 +28,15 @@ from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.disk import FileTrouble, damage_in_words, plain
-from magcal_ros.files.wire import RosReader, fix_in, speed_in, sure_velocity_in, velocity_in
+from magcal_ros.files.wire import (
+    RosReader,
+    current_in,
+    fix_in,
+    heading_in,
+    speed_in,
+    sure_velocity_in,
+    velocity_in,
+)
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -43,13 +51,16 @@ BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
 ODOM_TYPE = "nav_msgs/msg/Odometry"
 TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
 SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
-TRAVEL: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], Any]]] = {
+NUMBERS: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], Any]]] = {
+    IMU_TYPE: (heading_in, heading_of),
+    BATTERY_TYPE: (current_in, current_of),
     FIX_TYPE: (fix_in, fix_of),
     ODOM_TYPE: (speed_in, speed_of),
     TWIST_TYPE: (velocity_in, velocity_of),
     SURE_TWIST_TYPE: (sure_velocity_in, velocity_of),
 }
-"""How each type's numbers are read: from plain CDR, and from a message."""
+"""How each type's numbers are read beside those of the sensors: from plain CDR, and from a
+message."""
 RECEIVERS_SAY = ("vel", "fix_velocity")
 """How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
 body's. A bag without fixes has no receiver."""
@@ -121,7 +132,7 @@ class Bag:
 
     def place(self) -> Place | None:
         """Return the place of the first good fix of the span; None if there is none."""
-        fixes = islice(self._read(self._of(FIX_TYPE), self._travelled), MOST_FIXES)
+        fixes = islice(self._read(self._of(FIX_TYPE), self._numbers), MOST_FIXES)
         return next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
 
     def begun(self) -> float:
@@ -135,7 +146,7 @@ class Bag:
         if self._of(FIX_TYPE):
             twists = self._of(TWIST_TYPE, SURE_TWIST_TYPE)
             heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVERS_SAY]
-        for sample in self._read(heard, self._travelled):
+        for sample in self._read(heard, self._numbers):
             if isinstance(sample, Fix):
                 sample = plane.position(sample)
             if sample is not None and not isinstance(sample, str):
@@ -154,9 +165,9 @@ class Bag:
             return []
 
         def take(connection: Connection, received: int, data: bytes) -> tuple[float, float]:
-            message: Any = self._reader.deserialize(data, connection.msgtype)
+            stamp, current = self._numbers(connection, received, data)
             # Zero stamps are usual in drivers of batteries.
-            return seconds(message.header.stamp) or received * 1e-9, float(message.current)
+            return stamp or received * 1e-9, current
 
         return sorted(self._read(heard, take))
 
@@ -165,21 +176,17 @@ class Bag:
 
         Misuse if there is no such topic, FileTrouble if it gives no heading.
         """
-        read = list(
-            self._read(
-                _named(self._path, self._reader, IMU_TYPE, topic),
-                lambda c, _, data: heading_of(self._reader.deserialize(data, c.msgtype)),
-            )
-        )
+        heard = _named(self._path, self._reader, IMU_TYPE, topic)
+        read = list(self._read(heard, self._numbers))
         found = [each for each in read if not isinstance(each, str)]
         if not found:
             why = read[-1] if read else "it is empty"
             raise FileTrouble(f"{plain(topic)} gives no heading: {why}")
         return sorted(found, key=lambda sample: sample.stamp)
 
-    def _travelled(self, connection: Connection, _: int, data: bytes) -> Any:
-        """Return the fix, speed or velocity of a message, or words on why it has none."""
-        from_bytes, from_message = TRAVEL[connection.msgtype]
+    def _numbers(self, connection: Connection, _: int, data: bytes) -> Any:
+        """Return what `NUMBERS` reads in a message."""
+        from_bytes, from_message = NUMBERS[connection.msgtype]
         if self._reader.is2 and wire.is_plain_cdr(data):
             return from_bytes(data)
         return from_message(self._reader.deserialize(data, connection.msgtype))

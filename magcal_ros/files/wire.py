@@ -18,8 +18,14 @@ from struct import Struct, error
 from typing import Any, NamedTuple, NoReturn
 
 from magcal_ros.core.earth_field.reference import Fix
-from magcal_ros.core.messages import fix_from, imu_of, speed_from, velocity_from
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample, VelocitySample
+from magcal_ros.core.messages import fix_from, heading_from, imu_of, speed_from, velocity_from
+from magcal_ros.core.samples.streams import (
+    FieldSample,
+    HeadingSample,
+    ImuSample,
+    SpeedSample,
+    VelocitySample,
+)
 from magcal_ros.files.disk import FileTrouble
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
@@ -115,6 +121,10 @@ VELOCITY = Struct("<2d")
 SURE_VELOCITY = Struct("<2d32xd48xd")
 # An Odometry's pose with its covariance, then the twist with the first of its covariance.
 ODOMETRY_BODY = Struct("<344x2d32xd")
+# An Imu's orientation, and the first and the last of its covariance.
+HEADING_BODY = Struct("<5d56xd")
+# The current of a BatteryState stands after voltage and temperature.
+CURRENT = Struct("<8xf")
 
 
 def stamp_in(data: bytes) -> float:
@@ -153,6 +163,19 @@ def speed_in(data: bytes) -> SpeedSample | str:
     child = data[at : at + size - 1]
     x, y, mark = ODOMETRY_BODY.unpack_from(data, _aligned(at + size, 8))
     return speed_from(stamp, frame_of(world), frame_of(child), mark, x, y)
+
+
+def heading_in(data: bytes) -> HeadingSample | str:
+    """Return the yaw of a sensor_msgs/Imu's orientation, or why it has none."""
+    stamp, _, at = _header(data)
+    *orientation, mark, variance = HEADING_BODY.unpack_from(data, _aligned(at, 8))
+    return heading_from(stamp, orientation, mark, variance)
+
+
+def current_in(data: bytes) -> tuple[float, float]:
+    """Return stamp (s) and current (A) of a sensor_msgs/BatteryState."""
+    stamp, _, at = _header(data)
+    return stamp, *CURRENT.unpack_from(data, _aligned(at, 4))
 
 
 def _header(data: bytes) -> tuple[float, bytes, int]:
