@@ -158,7 +158,7 @@ def add_drive(commands: Any) -> None:
     parser = commands.add_parser(
         "drive",
         help="say what a recorded drive shows of the compass",
-        description="Tell a recorded drive again: what self-calibration would have decided and "
+        description="Replay a recorded drive: what self-calibration would have decided and "
         "why, and a map of where the field is bent. Exit status: 0 a calibration is in force at "
         "the end, 2 usage, 3 none is, 5 file trouble.",
     )

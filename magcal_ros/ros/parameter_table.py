@@ -225,7 +225,13 @@ PARAMETERS: tuple[Spec, ...] = (
         Span(256, 1_000_000, "MB"),
         later=Later.NOTHING,
     ),
-    Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
+    Spec(
+        "method",
+        METHODS[0],
+        "How a turn is turned into a calibration. The default is right for turns and drives and is "
+        "also named smoother_one; smoother takes a turn for a drive; the others are for comparison",
+        choices=METHODS,
+    ),
     Spec(
         "accumulate",
         False,
