@@ -23,7 +23,7 @@ from magcal_ros.cli.common import (
     table,
 )
 from magcal_ros.cli.recorded import Gathered
-from magcal_ros.core.calibrate import DRIVES, METHODS, ONE_SMOOTHER, Outcome, calibrate
+from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
 from magcal_ros.core.calibration import Estimate, Figure, common_figures
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import Knowledge, Mounting
@@ -61,12 +61,6 @@ class Fitted:
         if self.outcome.verdict.accepted:
             return Exit.GOOD
         return Exit.TOO_LITTLE_DATA if self.outcome.reason in LITTLE_DATA else Exit.REFUSED
-
-
-METHOD_WORDS = (
-    f"way of fitting (default {METHODS[0]}, which is right for turns and drives and is also named "
-    f"{ONE_SMOOTHER[1]}; {DRIVES} takes the recording for a drive; the others are for comparison)"
-)
 
 
 def add_fit(commands: Any) -> None:

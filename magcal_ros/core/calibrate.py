@@ -35,6 +35,10 @@ DRIVES = METHODS[1]
 """The method that takes a drive without a turn."""
 ONE_SMOOTHER = METHODS[0], METHODS[2]
 """Two names of one method (doc/smoother.md)."""
+METHOD_WORDS = (
+    f"How a turn is turned into a calibration. {METHODS[0]}, also named {METHODS[2]}, is right for "
+    f"turns and drives; {DRIVES} takes a turn for a drive; the others are for comparison"
+)
 JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
