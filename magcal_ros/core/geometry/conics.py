@@ -95,9 +95,9 @@ def _fit_circle_taubin(points: FloatArray) -> Conic:
     """
     frame = _Frame.of(points, least=3)
     mean_square = float(np.mean(np.sum(frame.points**2, axis=1)))
-    a, b, c = (
-        float(value) for value in np.linalg.svd(taubin_rows(frame.points, mean_square))[2][2]
-    )
+    # With full matrices, memory and time would grow with the square of the points.
+    rows = taubin_rows(frame.points, mean_square)
+    a, b, c = map(float, np.linalg.svd(rows, full_matrices=False)[2][2])
     a /= 2.0 * math.sqrt(mean_square)
     return frame.conic(a, a, 0.0, 0.5 * b, 0.5 * c, -mean_square * a)
 
