@@ -79,7 +79,7 @@ $(VENV)/bin/pip:
 	@$(INSTALL) --upgrade pip
 
 $(VENV)/.demo: setup.py | $(VENV)/bin/pip
-	@$(INSTALL) --editable '.[ros,report,live]'
+	@$(INSTALL) --editable '.[bags,ros,report,live]'
 	@touch $@
 
 $(VENV)/.test: setup.py | $(VENV)/bin/pip

@@ -157,7 +157,7 @@ def add_drive(commands: Any) -> None:
     """Add the command's arguments."""
     parser = commands.add_parser(
         "drive",
-        help="replay self-calibration on a recorded drive",
+        help="say what a recorded drive shows of the compass",
         description="Replay a recorded drive: what self-calibration would have decided and why, "
         "and a map of where the field is disturbed. Exit status: 0 a calibration is in force at "
         "the end, 2 usage, 3 none is, 5 file trouble.",

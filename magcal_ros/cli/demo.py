@@ -63,7 +63,10 @@ def add_demo(commands: Any) -> None:
         "the robot once, and compare what was found with the truth.",
     )
     parser.add_argument(
-        "--output", type=Path, default=Path("calibration.yaml"), help="the file that is left"
+        "--output",
+        type=Path,
+        default=Path("calibration.yaml"),
+        help="calibration file to write (default: calibration.yaml here)",
     )
     speed, words = number(1e-3, 1e3), "times real time (default: 1)"
     parser.add_argument("--speed", type=speed, default=1.0, help=words)
@@ -166,7 +169,9 @@ def add_replay(commands: Any) -> None:
         description="Publish a recorded drive (a folder with imu.csv: t,ax,ay,az,gx,gy,gz and "
         "mag.csv: t,mx,my,mz; SI units) on imu/data_raw and imu/mag under its own stamps.",
     )
-    parser.add_argument("folder", type=Path, help="holds imu.csv and mag.csv")
+    parser.add_argument(
+        "folder", type=Path, help="holds imu.csv and mag.csv; `ros2 bag play` replays a bag"
+    )
     parser.add_argument(
         "--rate", type=number(1e-6, 1e6), default=1.0, help="times real time (default: 1)"
     )

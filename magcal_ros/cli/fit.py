@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from magcal_ros.cli import recorded
 from magcal_ros.cli.common import (
     CALIBRATION,
@@ -21,7 +23,7 @@ from magcal_ros.cli.common import (
     table,
 )
 from magcal_ros.cli.recorded import Gathered
-from magcal_ros.core.calibrate import METHODS, Outcome, calibrate
+from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
 from magcal_ros.core.calibration import Estimate, Figure, common_figures
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import Knowledge, Mounting
@@ -71,7 +73,7 @@ def add_fit(commands: Any) -> None:
     )
     recorded.add_recording_options(parser, several=True)
     add_output_option(parser, "what is found", "magcal_fit")
-    parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="way of fitting")
+    parser.add_argument("--method", choices=METHODS, default=METHODS[0], help=METHOD_WORDS)
     parser.add_argument(
         "--compare", action="store_true", help="print every method side by side; write no files"
     )
@@ -194,7 +196,7 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     text += bullets(f"Not shown by {which}:", verdict.not_shown)
     text += bullets("About the recording:", fitted.complaints)
     text += bullets("Written:", [str(file) for file in files])
-    if not files:
+    if fitted.status != Exit.GOOD:
         text += "\nNo calibration was written.\n"
     return text.rstrip("\n")
 
@@ -244,10 +246,11 @@ def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
 
 def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
     iron = estimate.correction.hard_iron * 1e6
-    rows = [
-        (f"hard_iron_{axis}_ut", f"hard iron {axis}", f"{value:.2f}", "µT")
-        for axis, value in zip("xyz", iron, strict=True)
-    ]
+    sigmas = np.sqrt(np.diag(estimate.covariance)[-3:]) * 1e6
+    rows = []
+    for axis, value, sigma in zip("xyz", iron, sigmas, strict=True):
+        rows.append((f"hard_iron_{axis}_ut", f"hard iron {axis}", f"{value:.2f}", "µT"))
+        rows.append((f"hard_iron_{axis}_sigma_ut", "  its error (1σ)", f"{sigma:.2f}", "µT"))
     if estimate.installation is not None:
         for axis in ("roll", "pitch"):
             angle = math.degrees(getattr(estimate.installation, axis))
@@ -282,7 +285,11 @@ def compare_methods(window: Window | None, knowledge: Knowledge) -> str:
     """Return a table of the results of each method on a window, and why some have none."""
     if window is None:
         return "no method has anything to work on: the recording holds no usable turn"
-    outcomes = {method: calibrate(window, knowledge, method) for method in METHODS}
+    outcomes = {
+        method: calibrate(window, knowledge, method)
+        for method in METHODS
+        if method not in ONE_SMOOTHER[1:]
+    }
     rows = [HEADER, *(_row(method, outcome) for method, outcome in outcomes.items())]
     why = (f"{method}: {outcome.verdict.summary}" for method, outcome in outcomes.items())
     return "\n".join([table(rows), "", *why])

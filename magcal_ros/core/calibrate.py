@@ -43,6 +43,10 @@ JOINS, DRIVES, *_ = METHODS
 """The method that joins turns, and the one that takes a drive without a turn."""
 ONE_SMOOTHER = JOINS, METHODS[2]
 """Two names of one method (doc/smoother.md)."""
+METHOD_WORDS = (
+    f"How a turn is turned into a calibration. {JOINS}, also named {METHODS[2]}, is right for turns"
+    f" and drives; {DRIVES} takes a turn for a drive; the others are for comparison"
+)
 POOL = ("ellipsoid", "min_max")
 """Methods that take all samples for one tumble."""
 

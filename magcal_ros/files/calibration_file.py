@@ -183,7 +183,7 @@ def _parse(path: Path) -> Mapping[str, Any]:
 def _damaged(path: Path, detail: str) -> FileTrouble:
     return FileTrouble(
         f"{path} is not a usable calibration: {detail}. "
-        "Calibrate again to replace it, or name another file in calibration_file."
+        "Calibrate again to replace it, or name another file."
     )
 
 

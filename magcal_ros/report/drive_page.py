@@ -85,6 +85,7 @@ def summary_of(story: DriveStory) -> str:
         said += f", and {back} taken back" if back else ""
     elif story.begun is None:
         said = "nothing was in force, and the drive did not show enough to change that"
+        said += " (that takes some minutes of driving, over half of all headings)"
     else:
         said = "the calibration in force stayed: nothing was proved better"
     return f"{drove}: {said}. At the end: {story.doing}."

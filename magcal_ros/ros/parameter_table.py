@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple, TypeAlias
 
-from magcal_ros.core.calibrate import METHODS
+from magcal_ros.core.calibrate import METHOD_WORDS, METHODS
 from magcal_ros.core.earth_field.wmm import VALIDITY
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.keeping.jobs import Mode
@@ -127,7 +127,7 @@ class Spec:
     def constraints(self) -> str:
         """What is allowed, in words; empty for anything."""
         if self.choices:
-            return "one of " + ", ".join(self.choices)
+            return "one of " + ", ".join(choice or '""' for choice in self.choices)
         low, high, unit = self.span
         if math.isinf(low):
             return ""
@@ -225,7 +225,7 @@ PARAMETERS: tuple[Spec, ...] = (
         Span(256, 1_000_000, "MB"),
         later=Later.NOTHING,
     ),
-    Spec("method", METHODS[0], "The method that calibrates from a turn", choices=METHODS),
+    Spec("method", METHODS[0], METHOD_WORDS, choices=METHODS),
     Spec(
         "accumulate",
         False,

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 from by_message import fix_of
-from drives import STORE2, drive, message, write_bag
+from drives import STORE2, drive, header, message, write_bag
 from ros_bags import rosbag2_py
 
 from magcal_ros.core.earth_field.reference import Place
@@ -16,6 +16,8 @@ from magcal_ros.files.sources import open_recording
 from magcal_ros.files.wire import CDR
 
 FIX = "sensor_msgs/msg/NavSatFix"
+IMU = "sensor_msgs/msg/Imu"
+BATTERY = "sensor_msgs/msg/BatteryState"
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +69,10 @@ def test_a_place_is_found(tmp_path, samples, with_ros):
 
 def fix(frame):
     kinds = STORE2.types
-    header = message(STORE2, drive(5.0)[0], frame).header
+    head = message(STORE2, drive(5.0)[0], frame).header
     status = kinds["sensor_msgs/msg/NavSatStatus"](2, 1)
     covariance = message(STORE2, drive(5.0)[0]).orientation_covariance
-    return kinds[FIX](header, status, 48.1, 11.6, 520.0, covariance, 0)
+    return kinds[FIX](head, status, 48.1, 11.6, 520.0, covariance, 0)
 
 
 @pytest.mark.parametrize("length", range(12))
@@ -94,6 +96,22 @@ def test_headings_and_currents_are_read_from_their_bytes(tmp_path, samples, with
         (heading,) = source.headings("/antennas")
         assert heading.yaw == pytest.approx(0.6)
         assert source.currents == [(pytest.approx(drive(5.0)[0].stamp), -3.5)]
+
+
+@pytest.mark.parametrize("length", range(12))
+def test_a_heading_and_a_current_are_read_whatever_the_length_of_their_frame(length):
+    kinds, none = STORE2.types, np.zeros(9)
+    head = header(12.25, "x" * length)
+    still = kinds["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+    q = kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(0.15), math.cos(0.15))
+    covariance = np.array([*np.arange(8.0), 1e-4])
+    imu = kinds[IMU](head, q, covariance, still, none, still, none)
+    found = CDR.heading(bytes(STORE2.serialize_cdr(imu, IMU)))
+    assert (found.stamp, found.yaw, found.sigma) == pytest.approx((12.25, 0.3, 0.01))
+    empty = np.zeros(0, dtype=np.float32)
+    rest = 1, 1, 2, True, empty, empty, "left", "1"
+    battery = kinds[BATTERY](head, 12.5, 30.0, -0.5, 3.0, 4.0, 5.0, 0.5, *rest)
+    assert CDR.current(bytes(STORE2.serialize_cdr(battery, BATTERY))) == (12.25, -0.5)
 
 
 def test_topics_are_not_guessed_and_missing_ones_listed(tmp_path, samples, with_ros):

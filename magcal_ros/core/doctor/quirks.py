@@ -23,7 +23,7 @@ AK09916_IN_ICM20948 = np.diag([1.0, -1.0, -1.0])
 """Rows: the magnetometer's axes in those of the same chip's accelerometer."""
 
 NO_NORTH = (
-    "take no absolute yaw from this orientation: take compass/magnetic/enu/imu, or let the sensor "
+    "take no absolute yaw from this orientation: take compass/mag/enu/imu, or let the sensor "
     "publish its rotation vector, which uses the magnetometer"
 )
 

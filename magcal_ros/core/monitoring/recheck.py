@@ -97,7 +97,7 @@ IRON_BOUND = Bound(
     Figure.HARD_IRON_CHANGE,
     6.0,
     12.0,
-    "hard iron that was added since, against the level field, as the drive shows it",
+    "hard iron added since, as part of the level field",
     "the robot's own field has changed",
     unit="%",
 )

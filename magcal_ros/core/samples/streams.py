@@ -112,8 +112,9 @@ def slow_words(gap: float) -> str:
     if not gap > STREAMS.max_gap:
         return ""
     return (
-        f"it comes at {1.0 / gap:.2g} Hz, and samples more than {STREAMS.max_gap:g} s apart are "
-        "not joined: publish or record the IMU at 10 Hz or more, at best at 50 Hz"
+        f"it comes at {1.0 / gap:.2g} Hz by its stamps (seconds), and samples more than "
+        f"{STREAMS.max_gap:g} s apart are not joined: publish or record the IMU at 10 Hz or more, "
+        "at best at 50 Hz"
     )
 
 

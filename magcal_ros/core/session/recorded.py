@@ -142,7 +142,9 @@ class Gathering:
         """Return what was gathered; a Refusal if it is not enough of a turn."""
         if not self._session.has_samples:
             words = "no pair of field and acceleration samples could be made"
-            why = self.complaints() or [NEVER_TOGETHER]
+            silent = [topic for topic, n in zip(self._topics, self._heard, strict=True) if not n]
+            lost = f"no message of {' and '.join(silent)} could be used in the span that was read"
+            why = self.complaints() or [lost if silent else NEVER_TOGETHER]
             raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *why]))
         window = self._session.window()
         try:

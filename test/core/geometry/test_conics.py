@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -109,3 +110,16 @@ def test_a_hyperbola_is_no_ellipse():
     points = branches.reshape(2, 2, 50).transpose(0, 2, 1).reshape(-1, 2)
     with pytest.raises(Refusal, match="hyperbola"):
         ConicFit.ROTATED_ELLIPSE(points)
+
+
+@pytest.mark.parametrize("fit", ConicFit)
+def test_memory_grows_with_the_points_and_not_with_their_square(fit):
+    angles = np.linspace(0.0, math.tau, 4000)
+    points = np.c_[2.0 * np.cos(angles), np.sin(angles) * (2.0 if "ellipse" not in fit else 1.0)]
+    tracemalloc.start()
+    try:
+        fit(points)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 5e6
