@@ -29,6 +29,9 @@ from magcal_ros.core.up import Up
 
 Quaternion = tuple[float, float, float, float]
 
+CERTAIN = (0.0,) * PARAMETERS
+"""By how much a calibration without errors is wrong."""
+
 SMALLEST_LEVEL_SHARE = 0.02
 """Below this share of level field (a dip of 89°) there is no yaw."""
 
@@ -43,6 +46,8 @@ class Heading(NamedTuple):
     direction: it holds for pitch as it stands, and for roll over cos² pitch. `roll_yaw` and
     `pitch_yaw` are the covariances that a tilt error causes. `noise_variance` is the part of the
     yaw's variance that is new with each field sample, `lasting_variance` the calibration's.
+    `lasting` (12,) tells how the calibration's error depends on the attitude: the radians of yaw
+    that each of twelve independent errors of unit variance makes here.
     """
 
     roll: float
@@ -54,6 +59,7 @@ class Heading(NamedTuple):
     pitch_yaw: float
     noise_variance: float = 0.0
     lasting_variance: float = 0.0
+    lasting: tuple[float, ...] = CERTAIN
 
     def quaternion(self, declination: float = 0.0) -> Quaternion:
         """Return x, y, z, w of the attitude body to ENU, to true north if declination is given."""
@@ -91,7 +97,8 @@ class Compass:
         a, h = calibration.correction.matrix, calibration.correction.hard_iron
         self._a: tuple[float, ...] = tuple(float(value) for value in a.ravel())
         self._h: tuple[float, ...] = tuple(float(value) for value in h)
-        self._certainty = _body_covariance(calibration)
+        variances, directions = np.linalg.eigh(_body_covariance(calibration))
+        self._errors = directions * np.sqrt(np.maximum(variances, 0.0))
         self._motors: MotorField | None = None
         self._now: MotorsNow | None = None
         self._gains: tuple[tuple[int, float, float, float], ...] = ()
@@ -198,21 +205,23 @@ class Compass:
         tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
         gradient = (ex / level, ey / level, ez / level)
-        lasting, noise, passing = self._field_variances(gradient, field, motors)
+        errors, noise, passing = self._by_field(gradient, field, motors)
+        lasting = float(errors @ errors)
         variance += lasting + noise + passing
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
-        return Heading(roll, pitch, yaw, tilt, variance, roll_yaw, pitch_yaw, noise, lasting)
+        own = variance, roll_yaw, pitch_yaw, noise, lasting, tuple(errors.tolist())
+        return Heading(roll, pitch, yaw, tilt, *own)
 
-    def _field_variances(
+    def _by_field(
         self, gradient: Triple, field: Triple, motors: FloatArray | None
-    ) -> tuple[float, float, float]:
-        """Return the yaw variances, rad²: from calibration, field noise, and place and motors."""
+    ) -> tuple[FloatArray, float, float]:
+        """Return the calibration's errors, and the variances by noise, and by place and motors."""
         g, q = np.array(gradient), np.array((field[0], field[1], field[2], -1.0))
         v = (g[:, None] * q).ravel()
         passing = self._local if motors is None else self._local + motors
-        return float(v @ self._certainty @ v), float(g @ self._noise @ g), float(g @ passing @ g)
+        return v @ self._errors, float(g @ self._noise @ g), float(g @ passing @ g)
 
 
 def field_variance(calibration: Calibration) -> float:

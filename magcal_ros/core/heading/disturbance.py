@@ -10,6 +10,7 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import field_variance
+from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,6 @@ DISTURBANCE = DisturbanceTuning()
 PATIENCE = 60.0
 """Seconds after which a deviating field is taken for the expected one, unless a parameter gives
 another time."""
-
-UNKNOWN_YAW = math.pi**2 / 3.0
-"""Variance of a yaw of which nothing is known, rad²."""
 
 
 class Trust(str, Enum):

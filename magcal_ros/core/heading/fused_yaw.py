@@ -12,7 +12,10 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+import numpy as np
+
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import (
     Triple,
@@ -56,14 +59,13 @@ class FusedYaw:
     def __init__(self, calibration: Calibration, patience: float) -> None:
         self._path: deque[_Moment] = deque(maxlen=HISTORY)
         self._filter, self._loss = YawFilter(), GyroLoss()
-        self._lasting = 0.0
         self.use(calibration, patience)
         self.restart()
 
     def use(self, calibration: Calibration, patience: float) -> None:
         """Go on with another calibration, where another device than the compass gives the yaw."""
         self.detector = DisturbanceDetector(calibration, patience)
-        self._filter.use_another_calibration(self._lasting)
+        self._filter.use_another_calibration()
         level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
         self._level_share = level * level
 
@@ -73,7 +75,7 @@ class FusedYaw:
         self._up = Up((0.0, 0.0, 1.0), 0.0)
         self._stamp = -math.inf
         self._rate: Triple = (0.0, 0.0, 0.0)
-        self._shift = self._lasting = self._unlearnt = self._drift = self._lost = 0.0
+        self._shift = self._unlearnt = self._drift = self._lost = 0.0
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
         self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
         self._is_at_rest = False
@@ -81,7 +83,7 @@ class FusedYaw:
         self.last_heading_gap = 0.0
         self._overruled = 0.0
         self._headings_ahead: list[float] = []
-        self._loss.begin()
+        self._rests: list[tuple[float, float, float]] = []
         self._path.clear()
 
     def propagate(
@@ -127,8 +129,29 @@ class FusedYaw:
         change = minus(known.rate, self._known.rate)
         self._known = known
         self._filter.bias -= dot(change, self._up.direction)
-        if variance < self._filter.bias_variance or self._north is None:
+        if self._north is None:
+            return
+        if variance < self._filter.bias_variance:
             self._filter.know_bias(variance)
+            self._loss.begin(dot(known.rate, self._up.direction), variance)
+        self._rest(self._north, known)
+
+    def _rest(self, north: Triple, known: GyroBias) -> None:
+        """Learn the bias, and how the gyro loses it, from a robot that rests."""
+        rests, following = self._rests, self._filter
+        if known.at_rest is not None:
+            rate, noise = known.at_rest
+            rests.append((self._stamp, dot(rate, self._up.direction), 1.0 / noise))
+        if not rests or (known.at_rest and self._stamp - rests[0][0] < FUSION.rest_lasts):
+            return
+        weight = sum(each for *_, each in rests)
+        shown = sum(each * about for _, about, each in rests) / weight
+        rests.clear()
+        self._loss.add_rest(self._stamp, shown, 1.0 / weight, self._lost)
+        self._lost = 0.0
+        left = shown - dot(known.rate, self._up.direction) - following.bias
+        noise = 1.0 / weight + self._loss.rest_turn
+        self._turn(north, following.observe_bias(left, noise))
 
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
         """Let the compass correct the yaw.
@@ -141,7 +164,6 @@ class FusedYaw:
             return
         detector = self.detector
         is_new = detector.add(stamp, field, up.direction, up.variance, heading.yaw)
-        self._lasting = math.sqrt(heading.lasting_variance)
         if self._north is None:
             self._begin(seen, heading)
             return
@@ -151,7 +173,8 @@ class FusedYaw:
         since = min(stamp - self._corrected, STREAMS.longest_gyro_step)
         self._corrected = stamp
         ahead = yaw_ahead(then.north, seen, up.direction)
-        error = self._filter.error * self._lasting
+        compass = _errors_of(heading)
+        error = float(self._filter.errors @ compass)
         innovation = wrapped(ahead - (self._shift - then.shift) - error)
         self._unlearnt += since
         if self._unlearnt >= FUSION.learning_step:
@@ -169,7 +192,7 @@ class FusedYaw:
                 missing = FUSION.unknown**2 - self._filter.yaw_variance
                 self._filter.yaw_variance += max(0.0, missing)
             return
-        self._weigh(self._north, innovation, heading, min(since, FUSION.noise_tau))
+        self._weigh(self._north, innovation, heading, compass, min(since, FUSION.noise_tau))
 
     def take_heading(
         self, stamp: float, yaw: float, variance: float, forward: Triple
@@ -189,13 +212,13 @@ class FusedYaw:
         east = cross(north, self._up.direction)
         own = math.atan2(dot(north, forward), dot(east, forward))
         innovation = self.last_heading_gap = wrapped(yaw - own)
-        own = self._filter.own_error_variance(self._lasting)
+        own = self._filter.own_error_variance
         missed = abs(innovation) / math.sqrt(self._filter.yaw_variance + own + variance)
         if missed > FUSION.heading_gate:
             return missed
         noise = variance * FUSION.heading_tau / since
         self._learn_loss(stamp, innovation, variance, since)
-        self._turn(self._north, self._filter.observe_yaw(innovation, noise, self._lasting))
+        self._turn(self._north, self._filter.observe_yaw(innovation, noise))
         return missed
 
     def _learn_loss(self, stamp: float, innovation: float, variance: float, since: float) -> None:
@@ -205,7 +228,7 @@ class FusedYaw:
         self._headings_ahead.append(innovation + self._shift - self._drift)
         if stamp - self._heading_since >= FUSION.heading_tau:
             ahead = sum(self._headings_ahead) / len(self._headings_ahead)
-            self._loss.add(stamp, ahead, variance, self._lost)
+            self._loss.add_heading(stamp, ahead, variance, self._lost)
             self._headings_ahead, self._heading_since, self._lost = [], stamp, 0.0
 
     @property
@@ -221,7 +244,7 @@ class FusedYaw:
         east = cross(north, up)
         yaw = math.atan2(north[0], east[0])
         roll, pitch = math.atan2(up[1], up[2]), math.atan2(-up[0], math.hypot(up[1], up[2]))
-        variance = self._filter.yaw_variance + self._filter.own_error_variance(self._lasting)
+        variance = self._filter.yaw_variance + self._filter.own_error_variance
         return Heading(roll, pitch, yaw, self._up.variance, variance, 0.0, 0.0)
 
     def north_at(self, stamp: float) -> Triple | None:
@@ -251,7 +274,9 @@ class FusedYaw:
         self._north = level
         variance = heading.yaw_variance - heading.lasting_variance
         bias = self._known.variance + FUSION.bias_sigma**2
-        self._filter.begin(variance, min(bias, 1.0), self._disturbance_variance)
+        bent = self._disturbance_variance
+        self._filter.begin(variance, min(bias, 1.0), bent, _errors_of(heading))
+        self._loss.begin(dot(self._known.rate, self._up.direction), min(bias, 1.0))
         self._begun = self._stamp
         self._path.append(_Moment(self._stamp, level, self._shift))
 
@@ -268,14 +293,21 @@ class FusedYaw:
         own = heading.noise_variance + heading.lasting_variance
         return max(0.0, heading.yaw_variance - own)
 
-    def _weigh(self, north: Triple, innovation: float, heading: Heading, seconds: float) -> None:
+    def _weigh(
+        self,
+        north: Triple,
+        innovation: float,
+        heading: Heading,
+        compass: FloatArray,
+        seconds: float,
+    ) -> None:
         """Correct yaw and bias by how far the compass is from the propagated yaw."""
         following = self._filter
         bent = self._disturbance_variance
         by_tilt = self._by_tilt(heading)
         by_noise = heading.noise_variance + FUSION.small_iron * bent
         doubt = innovation**2 / (
-            DISTURBANCE.gate**2 * following.spread(by_tilt + by_noise, self._lasting)
+            DISTURBANCE.gate**2 * following.spread(by_tilt + by_noise, compass)
         )
         is_good = self.detector.trust is Trust.GOOD
         clear = min(doubt - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
@@ -288,15 +320,15 @@ class FusedYaw:
         noise += bent * (departed - 1.0) * FUSION.moving_tau / seconds
         noise *= max(1.0, doubt)
         momentary = (by_tilt + heading.noise_variance + bent) * max(1.0, doubt) * departed
-        spread = following.spread(noise)
+        spread = following.known_spread(noise)
         share = min(1.0, seconds / FUSION.noise_tau)
         if momentary < following.yaw_variance and share * spread > following.yaw_variance:
             # Errors by tilt are common to both: where the compass of the moment is the better
             # one, a mean of both is not.
-            following.follow(share, momentary)
+            following.follow(share, momentary, compass)
             turned = share * innovation
         else:
-            turned = following.observe(innovation, noise, self._lasting)
+            turned = following.observe(innovation, noise, compass)
         self._turn(north, turned)
 
     def _turn(self, north: Triple, angle: float) -> None:
@@ -315,6 +347,18 @@ class FusedYaw:
         else:
             north = between(moment.north, after.north, since / (after.stamp - moment.stamp))
         return moment._replace(north=north)
+
+
+def _errors_of(heading: Heading) -> FloatArray:
+    """Return the errors of a compass as `YawFilter` takes them.
+
+    Those of several compasses together depend on the attitude as those of their lead.
+    """
+    errors = np.array((*heading.lasting, 1.0))
+    square = float(errors @ errors) - 1.0
+    if square > 0.0:
+        errors[:-1] *= math.sqrt(heading.lasting_variance / square)
+    return errors
 
 
 def yaw_ahead(north: Triple, seen: Triple, up: Triple) -> float:

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.calibration.correction import PARAMETERS
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.heading.compass import CERTAIN
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,11 @@ class FusionTuning:
     """Median of how much a gyro's bias walks, rad/s per root second, and standard deviation of its
     natural logarithm: cheap gyros drift in a minute by a thousandth to a hundredth of a degree per
     second."""
+    rest_turn: float = 1e-4
+    rest_spread: float = 1.5
+    """The same of how fast a robot turns that seems to rest, rad/s: one on wheels stands, a boat
+    swings by a tenth of a degree per second."""
+    rest_lasts: float = 10.0  # seconds over which such a turn is the same
     loss_spread: float = 1.5
     """Standard deviation of the natural logarithm of the share of `angle_walk` and `turn_error`,
     squared, that a gyro has."""
@@ -34,9 +41,10 @@ class FusionTuning:
     """Seconds over which errors by tilt are correlated: more samples add no information."""
     noise_tau: float = 0.5  # the same for the field's noise and for small iron on the way
     small_iron: float = 0.3  # share of the disturbance's variance that changes within two metres
-    moving_tau: float = 12.0
+    moving_tau: float = 20.0
     """Seconds over which the disturbance of a moving robot is correlated: streets bend the field
-    over 25 to 30 m, which is 0.7 after a second and gone after 12 s."""
+    over 25 to 30 m, which are 4 s of a car and 37 s at walking pace. With too short a time the yaw
+    would be told as more certain than it is."""
     standing_tau: float = 300.0  # the same of a robot that stands
     learning_step: float = 0.1  # seconds after which the disturbance is learnt anew
     overruled_after: float = 3.0
@@ -52,22 +60,37 @@ class FusionTuning:
 
 
 FUSION = FusionTuning()
+UNKNOWN_YAW = math.pi**2 / 3.0
+"""Variance of a yaw of which nothing is known, rad²."""
+
+
+PERFECT: FloatArray = np.array((*CERTAIN, 1.0))
+"""A compass without errors, as `YawFilter` takes it."""
 
 
 class YawFilter:
     """A Kalman filter on the error of a propagated yaw, the gyro's bias about up, and disturbance.
 
     `bias` is in rad/s about up, with `bias_variance`, and `disturbance` the angle by which the
-    field of the place turns the compass. `yaw_variance` (rad²) is without the calibration's error,
-    of which the `share` is in the yaw. `error` and `error_variance` are those of the calibration's
-    own heading, as far as headings of another device show it, in its sigmas.
+    field of the place turns the compass. `yaw_variance` (rad²) is without the calibration's errors,
+    whose shares are in the yaw. `errors` are estimates of them as far as a compass shows them that
+    the gyro turns to other headings, or another device's headings.
+
+    A compass tells its errors as radians of yaw for each of unit variance, and after them a one:
+    how far the yaw comes from the compass.
     """
 
     def __init__(self) -> None:
         self.begin(0.0, 0.0, 0.0)
 
-    def begin(self, yaw_variance: float, bias_variance: float, disturbance: float) -> None:
-        """Start from a compass reading.
+    def begin(
+        self,
+        yaw_variance: float,
+        bias_variance: float,
+        disturbance: float,
+        compass: FloatArray = PERFECT,
+    ) -> None:
+        """Start from a compass reading and its errors.
 
         The variances are those of the reading but for the disturbance, rad², of the bias, (rad/s)²,
         and of the disturbance, rad².
@@ -78,20 +101,22 @@ class YawFilter:
         # The yaw is wrong by what the disturbance is.
         self._yaw_disturbance = -disturbance
         self._yaw_bias = self._bias_disturbance = 0.0
-        self._know_nothing_of_error(1.0)
+        self._know_nothing_of_errors(compass)
 
-    def _know_nothing_of_error(self, share: float) -> None:
-        self.share, self._bias_share, self._disturbance_share = share, 0.0, 0.0
-        self.error, self.error_variance = 0.0, 1.0
+    def _know_nothing_of_errors(self, shares: FloatArray) -> None:
+        self._shares = shares
+        self._bias_shares = self._disturbance_shares = self.errors = 0.0 * shares
+        self._covariance = np.diag(np.append(np.ones(PARAMETERS), 0.0))
 
-    def use_another_calibration(self, lasting: float) -> None:
-        """Go on where the calibration's sigma was `lasting`, radians; what it was stays in it."""
-        self.yaw_variance += self.own_error_variance(lasting)
-        self._know_nothing_of_error(0.0)
+    def use_another_calibration(self) -> None:
+        """Go on with a compass whose errors are others; what they were stays in the variance."""
+        self.yaw_variance += self.own_error_variance
+        self._know_nothing_of_errors(0.0 * self._shares)
 
-    def own_error_variance(self, lasting: float) -> float:
-        """Return what the calibration adds to the yaw's variance at its sigma, radians."""
-        return (self.share * lasting) ** 2 * self.error_variance
+    @property
+    def own_error_variance(self) -> float:
+        """What the calibration adds to the yaw's variance, rad²."""
+        return float(self._shares @ self._covariance @ self._shares)
 
     def propagate(self, seconds: float, lost: float, bias_lost: float) -> None:
         """Go on: the gyro loses so many rad² and (rad/s)² meanwhile."""
@@ -99,7 +124,7 @@ class YawFilter:
         self.yaw_variance += (bias_part - 2.0 * self._yaw_bias) * seconds + lost
         self._yaw_bias -= bias_part
         self._yaw_disturbance -= seconds * self._bias_disturbance
-        self.share += self._bias_share * seconds
+        self._shares = self._shares + self._bias_shares * seconds
         self.bias_variance += bias_lost
 
     def move_on(self, share: float, variance: float) -> None:
@@ -110,14 +135,14 @@ class YawFilter:
         self.disturbance *= share
         self._yaw_disturbance *= share
         self._bias_disturbance *= share
-        self._disturbance_share *= share
+        self._disturbance_shares = self._disturbance_shares * share
         self._disturbance = share * share * self._disturbance + (1.0 - share * share) * variance
 
     def widen(self, ratio: float) -> None:
         """Disturbances turn out to have so many times the variance that was thought."""
         root = math.sqrt(ratio)
         # As far as the yaw comes from the compass, it is wrong by them.
-        yaw = 1.0 + self.share * (root - 1.0)
+        yaw = 1.0 + float(self._shares[-1]) * (root - 1.0)
         self.yaw_variance *= yaw * yaw
         self._yaw_disturbance *= yaw * root
         self._disturbance *= ratio
@@ -126,46 +151,52 @@ class YawFilter:
 
     def know_bias(self, variance: float) -> None:
         """Begin anew with a bias of which another filter has subtracted what it knows."""
-        self.bias = self._yaw_bias = self._bias_disturbance = self._bias_share = 0.0
+        self.bias = self._yaw_bias = self._bias_disturbance = 0.0
+        self._bias_shares = 0.0 * self._bias_shares
         self.bias_variance = variance
 
-    def spread(self, noise: float, lasting: float = 0.0) -> float:
+    def spread(self, noise: float, compass: FloatArray) -> float:
         """Return the variance of compass less propagated yaw, rad²; parameters as of `observe`."""
-        apart = (1.0 - self.share + self._disturbance_share) * lasting
-        own = self.yaw_variance + 2.0 * self._yaw_disturbance + self._disturbance
-        return own + noise + apart * apart * self.error_variance
+        apart = self._apart(compass)
+        return self.known_spread(noise) + float(apart @ self._covariance @ apart)
 
-    def observe(self, innovation: float, noise: float, lasting: float) -> float:
+    def _apart(self, compass: FloatArray) -> FloatArray:
+        """Return what of the calibration's errors is in compass less propagated yaw."""
+        return compass - self._shares + self._disturbance_shares
+
+    def known_spread(self, noise: float) -> float:
+        """Return the same if the calibration's errors were known."""
+        return self.yaw_variance + 2.0 * self._yaw_disturbance + self._disturbance + noise
+
+    def observe(self, innovation: float, noise: float, compass: FloatArray) -> float:
         """Take compass less propagated yaw; returns by what to correct the yaw, radians.
 
-        `innovation` is in radians, less what is known of the calibration's error, `noise` its
-        variance beside that of the four, rad², and `lasting` the sigma of the calibration's error,
-        radians.
+        `innovation` is in radians, less what is known of the calibration's errors, `noise` its
+        variance beside that of the four, rad², and `compass` those errors.
         """
         by_yaw = self.yaw_variance + self._yaw_disturbance
         by_bias = self._yaw_bias + self._bias_disturbance
         by_disturbance = self._yaw_disturbance + self._disturbance
-        spread, apart = self.spread(noise), 1.0 - self.share + self._disturbance_share
-        left = innovation - self.disturbance
-        return self._correct(left, spread, (by_yaw, by_bias, by_disturbance), apart, lasting)
+        left, by = innovation - self.disturbance, (by_yaw, by_bias, by_disturbance)
+        return self._correct(left, self.known_spread(noise), by, self._apart(compass))
 
-    def observe_yaw(self, innovation: float, noise: float, lasting: float) -> float:
+    def observe_yaw(self, innovation: float, noise: float) -> float:
         """Take a yaw that no field disturbs less the propagated one; otherwise as `observe`."""
         gains = self.yaw_variance, self._yaw_bias, self._yaw_disturbance
-        return self._correct(innovation, self.yaw_variance + noise, gains, -self.share, lasting)
+        return self._correct(innovation, self.yaw_variance + noise, gains, -self._shares)
+
+    def observe_bias(self, left: float, noise: float) -> float:
+        """Take a rate about up of a robot that does not turn less the bias; else as `observe`."""
+        gains = self._yaw_bias, self.bias_variance, self._bias_disturbance
+        return self._correct(left, self.bias_variance + noise, gains, self._bias_shares)
 
     def _correct(
-        self,
-        left: float,
-        spread: float,
-        by: tuple[float, float, float],
-        apart: float,
-        lasting: float,
+        self, left: float, spread: float, by: tuple[float, float, float], apart: FloatArray
     ) -> float:
         """Take an innovation and its variance, by the covariances of yaw, bias and disturbance.
 
-        All three are estimated as if the calibration's error were known; `apart` is the share of
-        it in the innovation. From what is left then the error is estimated.
+        All three are estimated as if the calibration's errors were known; `apart` are their shares
+        in the innovation. From what is left then the errors are estimated.
         """
         by_yaw, by_bias, by_disturbance = by[0] / spread, by[1] / spread, by[2] / spread
         self.bias += by_bias * left
@@ -176,80 +207,102 @@ class YawFilter:
         self._yaw_bias -= by[0] * by_bias
         self._yaw_disturbance -= by[0] * by_disturbance
         self._bias_disturbance -= by[1] * by_disturbance
-        turned = by_yaw * left
-        if apart:
-            self.share += by_yaw * apart
-            self._bias_share -= by_bias * apart
-            self._disturbance_share -= by_disturbance * apart
-            shown = apart * lasting
-            gain = shown * self.error_variance / (spread + shown * shown * self.error_variance)
-            self.error_variance *= 1.0 - gain * shown
-            self.error += gain * left
-            error = gain * left * lasting
-            turned -= self.share * error
-            self.bias += self._bias_share * error
-            self.disturbance += self._disturbance_share * error
-        return turned
+        self._shares = self._shares + by_yaw * apart
+        self._bias_shares = self._bias_shares - by_bias * apart
+        self._disturbance_shares = self._disturbance_shares - by_disturbance * apart
+        shown = self._covariance @ apart
+        gain = shown / (spread + float(apart @ shown))
+        self._covariance = self._covariance - np.outer(gain, shown)
+        found = gain * left
+        self.errors = self.errors + found
+        self.bias += float(self._bias_shares @ found)
+        self.disturbance += float(self._disturbance_shares @ found)
+        return by_yaw * left - float(self._shares @ found)
 
-    def follow(self, share: float, variance: float) -> None:
+    def follow(self, share: float, variance: float, compass: FloatArray) -> None:
         """Give up a share of the yaw for a compass whose variance is smaller, rad²."""
         self.yaw_variance += share * (variance - self.yaw_variance)
         self._yaw_disturbance -= share * (self._disturbance + self._yaw_disturbance)
         self._yaw_bias *= 1.0 - share
-        self.share += share * (1.0 - self.share + self._disturbance_share)
+        self._shares = self._shares + share * self._apart(compass)
 
 
 class GyroLoss:
-    """How fast a gyro loses its angle and its bias, from headings that another device measures.
+    """How fast a gyro loses its angle and its bias, from headings of another device and from rests.
 
-    For each pair of sizes on a grid a Kalman filter follows by how much headings are ahead of the
-    gyro, and the bias. Their likelihoods and log-normal priors weigh the pairs.
+    For each triple of sizes on a grid a Kalman filter follows by how much headings are ahead of the
+    gyro, and the bias. Their likelihoods and log-normal priors weigh the triples.
 
-    `share` is the part of the usual loss of angle, rad², that this gyro has, one on average, and
-    `walked` are the (rad/s)² a second by which its bias walks.
+    `share` is the part of the usual loss of angle, rad², that this gyro has, one on average,
+    `walked` are the (rad/s)² a second by which its bias walks, and `rest_turn` those by which the
+    robot still turns while it seems to rest.
     """
 
     def __init__(self) -> None:
-        walk, spread = FUSION.bias_walk, FUSION.loss_spread
-        first, second = np.meshgrid(np.linspace(-3.0, 4.0, 11), np.linspace(-3.0, 3.0, 7))
-        self._walks: FloatArray = (walk * np.exp(FUSION.walk_spread * first.ravel())) ** 2
-        self._shares: FloatArray = np.exp(spread * second.ravel() - 0.5 * spread**2)
-        self._log_odds: FloatArray = -0.5 * (first**2 + second**2).ravel()
-        self._bias_variance = FUSION.bias_sigma**2
-        self.share, self.walked = 1.0, walk**2 * math.exp(2.0 * FUSION.walk_spread**2)
-        self.begin()
+        walk, turn, spread = FUSION.bias_walk, FUSION.rest_turn, FUSION.loss_spread
+        first, second, third = (
+            each.ravel()
+            for each in np.meshgrid(
+                np.linspace(-3.0, 4.0, 11), np.linspace(-3.0, 3.0, 7), np.linspace(-2.0, 3.0, 6)
+            )
+        )
+        self._walks: FloatArray = (walk * np.exp(FUSION.walk_spread * first)) ** 2
+        self._shares: FloatArray = np.exp(spread * second - 0.5 * spread**2)
+        self._turns: FloatArray = (turn * np.exp(FUSION.rest_spread * third)) ** 2
+        self._log_odds: FloatArray = -0.5 * (first**2 + second**2 + third**2)
+        self._weigh()
+        self.begin(0.0, 0.0)
 
-    def begin(self) -> None:
-        """Follow gap and bias anew; the sizes are still known."""
+    def begin(self, bias: float, variance: float) -> None:
+        """Follow gap and bias anew; the sizes are still known.
+
+        The gyro's whole bias about up, rad/s, is known with a variance, (rad/s)².
+        """
         self._stamp = math.nan
-        self._ahead = self._bias = self._both = self._own = self._by_bias = 0.0 * self._walks
+        self._ahead = self._both = 0.0 * self._walks
+        self._own = self._ahead + UNKNOWN_YAW
+        self._bias, self._by_bias = self._ahead - bias, self._ahead + variance
 
-    def add(self, stamp: float, ahead: float, variance: float, lost: float) -> None:
+    def add_heading(self, stamp: float, ahead: float, variance: float, lost: float) -> None:
         """Take a heading.
 
         The heading is `ahead` of the yaw of the gyro alone, radians. `variance` is that of its
         error, which is independent of that of the heading before, rad²; `lost` are the rad² that a
-        gyro usually loses since that one, apart from its bias.
+        gyro usually loses since the last heading or rest, apart from its bias.
         """
+        self._propagate(stamp, lost)
+        self._take(ahead - self._ahead, self._own + variance, self._own, self._both)
+
+    def add_rest(self, stamp: float, rate: float, variance: float, lost: float) -> None:
+        """Take the gyro's mean rate about up while the robot seems to rest; as `add_heading`."""
+        self._propagate(stamp, lost)
+        spread = self._by_bias + variance + self._turns
+        self._take(-rate - self._bias, spread, self._both, self._by_bias)
+
+    def _propagate(self, stamp: float, lost: float) -> None:
         seconds, self._stamp = stamp - self._stamp, stamp
         if not seconds > 0.0:
-            self.begin()
-            self._stamp = stamp
-            self._ahead = self._ahead + ahead
-            self._own = self._own + variance
-            self._by_bias = self._by_bias + self._bias_variance
             return
         walked = self._walks * seconds
-        spread = variance + lost * self._shares + self._own + walked * seconds**2 / 3.0
-        spread += seconds * (2.0 * self._both + seconds * self._by_bias)
-        both = self._both + seconds * self._by_bias + 0.5 * walked * seconds
-        left = ahead - self._ahead - seconds * self._bias
+        self._ahead = self._ahead + seconds * self._bias
+        self._own = self._own + lost * self._shares + walked * seconds**2 / 3.0
+        self._own += seconds * (2.0 * self._both + seconds * self._by_bias)
+        self._both = self._both + seconds * self._by_bias + 0.5 * walked * seconds
+        self._by_bias = self._by_bias + walked
+
+    def _take(
+        self, left: FloatArray, spread: FloatArray, by_ahead: FloatArray, by_bias: FloatArray
+    ) -> None:
         self._log_odds = self._log_odds - 0.5 * (np.log(spread) + left**2 / spread)
-        self._ahead = ahead - variance / spread * left
-        self._bias = self._bias + both / spread * left
-        self._own = variance * (1.0 - variance / spread)
-        self._both = both * variance / spread
-        self._by_bias = self._by_bias + walked - both**2 / spread
+        self._ahead = self._ahead + by_ahead / spread * left
+        self._bias = self._bias + by_bias / spread * left
+        self._own = self._own - by_ahead**2 / spread
+        self._both = self._both - by_ahead * by_bias / spread
+        self._by_bias = self._by_bias - by_bias**2 / spread
+        self._weigh()
+
+    def _weigh(self) -> None:
         weights = np.exp(self._log_odds - self._log_odds.max())
         weights = weights / weights.sum()
         self.share, self.walked = float(weights @ self._shares), float(weights @ self._walks)
+        self.rest_turn = float(weights @ self._turns)

@@ -32,10 +32,15 @@ from magcal_ros.core.up.stillness import (
 
 
 class GyroBias(NamedTuple):
-    """A gyro's bias, rad/s, body axes, and the variance of its part about up, (rad/s)²."""
+    """A gyro's bias, rad/s, body axes, and the variance of its part about up, (rad/s)².
+
+    `at_rest` is the mean rate of the newest messages, rad/s, body axes, and the variance of its
+    noise, (rad/s)², where they show that the robot does not turn.
+    """
 
     rate: Triple
     variance: float
+    at_rest: tuple[Triple, float] | None = None
 
 
 class Block:
@@ -81,6 +86,7 @@ class GyroPropagation:
         self._rate_noise = PROPAGATION.starting_rate_noise**2
         self._rest, self._rest_sigma = 1.0, FILTER.rest_length_sigma
         self._is_rest_seen = False
+        self._at_rest: tuple[Triple, float] | None = None
         self.begin(0.0, (0.0, 0.0, 1.0), ZERO)
 
     def begin(self, stamp: float, force: Triple, rate: Triple, is_given: bool = False) -> None:
@@ -138,6 +144,7 @@ class GyroPropagation:
     def _end(self, block: Block) -> None:
         """Let the filter correct up by what the block brought."""
         means, following, noise = block.means(), self._filter, math.sqrt(self._noise)
+        self._at_rest = None
         turn_variance = self._rate_noise * block.seconds**2 / block.count
         self.check.add(means.force, block.turn, block.seconds, turn_variance)
         goes_on = self._spell.add(means, noise, math.sqrt(self._rate_noise))
@@ -198,6 +205,7 @@ class GyroPropagation:
         # A robot that rolls evenly sways, slowly beside a block: blocks do not average that away.
         sway = max(0.0, spell.sway - white) * REST.sways / means.seconds
         self._filter.observe_bias(np.array(means.rate), white + sway, axis)
+        self._at_rest = (means.rate, white + sway) if axis is None else None
         self._rest = length(spell.force)
         floor = REST.length_floor
         self._rest_sigma = math.hypot(floor, noise / math.sqrt(spell.count))
@@ -268,4 +276,4 @@ class GyroPropagation:
         if size > FILTER.largest_bias:
             self._filter.state[3:6] *= FILTER.largest_bias / size
         self.variance = self._filter.tilt_variance + PROPAGATION.smallest**2
-        self.gyro_bias = GyroBias(self.bias, self._filter.bias_variance)
+        self.gyro_bias = GyroBias(self.bias, self._filter.bias_variance, self._at_rest)

@@ -21,7 +21,7 @@ from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.heading.yaw_filter import FUSION
 from magcal_ros.core.samples import ImuSample, Streams
 from magcal_ros.core.samples.streams import SpeedSample
-from magcal_ros.core.up import Up, UpFollower
+from magcal_ros.core.up import GyroBias, Up, UpFollower
 from magcal_ros.files.recording import read_csv_folder
 
 CALIBRATED = Calibration(
@@ -360,6 +360,21 @@ def test_a_told_heading_corrects_the_yaw_and_leaves_its_bias_behind():
     before = fused.heading().yaw
     assert fused.take_heading(last, before + 1.0, 1e-4, (1.0, 0.0, 0.0)) > FUSION.heading_gate
     assert fused.heading().yaw == before
+
+
+def test_a_rest_shows_the_gyro_bias():
+    fused, up, rate = FusedYaw(CALIBRATED, PATIENCE), Up((0.0, 0.0, 1.0), 1e-6), (0.0, 0.0, 5e-4)
+    field = tuple(CALIBRATED.strength * np.array([0.0, 0.4, -0.9]))
+    heading = Compass(CALIBRATED).heading(field, up.direction, up.variance)
+    going, resting = (GyroBias((0.0, 0.0, 0.0), 1e-4, shown) for shown in (None, (rate, 1e-6)))
+    fused.propagate(99.98, up, rate, GyroBias((0.0, 0.0, 0.0), 1e-6))
+    fused.correct(99.98, field, up, heading)
+    for k in range(3000):
+        # A robot that goes straight on but for the second third of a minute.
+        known = resting._replace() if 1000 <= k < 2000 else going
+        fused.propagate(100.0 + 0.02 * k, up, rate, known)
+    # A minute with this bias is 1.7°.
+    assert abs(fused.heading().yaw - heading.yaw) < math.radians(0.2)
 
 
 @pytest.mark.parametrize("walk", [0.0, 3e-4])

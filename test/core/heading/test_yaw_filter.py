@@ -1,0 +1,54 @@
+"""What the filter of the fused yaw learns beside the yaw."""
+
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.heading.yaw_filter import PERFECT, GyroLoss, YawFilter
+
+
+@pytest.mark.parametrize(("walk", "turn"), [(1e-5, 0.0), (1e-4, 0.0), (1e-5, 1e-3)])
+def test_rests_show_how_a_bias_walks_and_whether_the_robot_stands(walk, turn):
+    rng, loss, bias, noise = np.random.default_rng(2), GyroLoss(), 0.003, 1.5e-4
+    loss.begin(bias, 1e-6)
+    for k in range(100):
+        bias += walk * math.sqrt(30.0) * rng.standard_normal()
+        shown = bias + math.hypot(noise, turn) * rng.standard_normal()
+        loss.add_rest(30.0 * k, shown, noise**2, 3e-5)
+    if not turn:
+        assert walk / 2.0 < math.sqrt(loss.walked) < 2.0 * walk
+    assert math.sqrt(loss.rest_turn) == pytest.approx(turn, rel=0.5, abs=1e-4)
+
+
+def test_hard_iron_that_is_left_is_averaged_over_the_headings():
+    sigma, iron, following = math.radians(3.0), np.array([1.2, -0.8]), YawFilter()
+
+    def compass(heading):
+        errors = PERFECT.copy()
+        errors[:2] = sigma * math.cos(heading), sigma * math.sin(heading)
+        return errors
+
+    off = float(compass(0.0)[:2] @ iron)
+    following.begin(1e-6, 1e-10, 1e-6, compass(0.0))
+    for k in range(720):
+        following.propagate(0.5, 1e-8, 1e-14)
+        following.move_on(0.9, 1e-6)
+        seen = compass(k * math.tau / 72.0)
+        innovation = float(seen[:2] @ iron - seen @ following.errors) - off
+        off += following.observe(innovation, 1e-5, seen)
+    assert following.errors[:2] == pytest.approx(iron, abs=0.2)
+    assert abs(off) < 0.1 * sigma
+    assert abs(off) < 3.0 * math.sqrt(following.yaw_variance + following.own_error_variance)
+
+
+def test_a_robot_at_rest_shows_the_bias_and_corrects_the_yaw_that_it_has_turned():
+    following = YawFilter()
+    following.begin(1e-8, 1e-6, 0.0)
+    for _ in range(600):
+        following.propagate(0.1, 0.0, 0.0)
+    # The bias of 0.5 mrad/s that was not known has turned the yaw by 30 mrad to the left.
+    turned = following.observe_bias(5e-4, 1e-10)
+    assert following.bias == pytest.approx(5e-4, rel=1e-3)
+    assert turned == pytest.approx(-0.03, rel=1e-3)
+    assert math.sqrt(following.yaw_variance) < 1e-3
