@@ -216,7 +216,7 @@ def test_a_picture_that_fails_does_not_take_the_report_with_it(tmp_path, monkeyp
 WITHOUT_MATPLOTLIB = """
 import sys
 sys.modules["matplotlib"] = None
-sys.path.insert(0, {tests!r})
+sys.path[:0] = [{tests!r}, {cases!r}]
 from pathlib import Path
 from subjects import good
 from magcal_ros.report import write_report
@@ -225,8 +225,8 @@ print(write_report(Path({folder!r}), good()))
 
 
 def test_without_matplotlib_the_report_is_still_written(tmp_path, request):
-    tests = str(request.path.parent)
-    code = WITHOUT_MATPLOTLIB.format(tests=tests, folder=str(tmp_path))
+    tests, cases = request.path.parent, request.config.rootpath / "cases"
+    code = WITHOUT_MATPLOTLIB.format(tests=str(tests), cases=str(cases), folder=str(tmp_path))
     subprocess.run([sys.executable, "-c", code], check=True, timeout=240)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     words = words_of(page)
