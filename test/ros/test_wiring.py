@@ -30,7 +30,7 @@ def test_every_topic_of_the_table_is_published_with_its_type(published):
 
 def test_every_row_is_one_of_the_facts():
     known = [row for facts in CONSUMERS.values() for row in facts.get("rows", [])]
-    own = ["anything that wants a number", "compass/yaw", "std_msgs/msg/Float64", "its own"]
+    own = ["a program that reads a number", "compass/yaw", "std_msgs/msg/Float64", "its own"]
     assert sorted(ROWS) == sorted([*known, own])
 
 
