@@ -244,6 +244,7 @@ class DriveRecorder:
                 self._chunks.pop()
         self._rows.clear()
         self._recent.clear()
+        self._held.clear()
         self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
         self._rests = False
 

@@ -181,3 +181,12 @@ def test_where_something_switches_the_robot_may_do_more_than_rest(ride):
     spread = log.field[log.rested].std(axis=0)
     assert spread.max() < 0.5e-6
     assert log.rested.sum() < 60
+
+
+def test_silence_at_a_rest_adds_nothing_to_the_clock(ride):
+    ride.go(20.0, rate=0.4)
+    ride.go(20.0)
+    before = ride.recorder.clock
+    ride.stamp += 600.0
+    ride.go(20.0, rate=0.4)
+    assert ride.recorder.clock - before < 22.0
