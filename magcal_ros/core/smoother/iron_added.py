@@ -1,9 +1,9 @@
 """A change of hard iron during a drive: its time and its size.
 
 A calibration is held. That nothing changed, beyond what the calibration itself is uncertain by, is
-compared with a hard iron that is there from one moment on. The heading goes through that moment by
-the gyro, so the compass' own jump counts, and a straight road shows the iron before the next turn
-does.
+compared with a hard iron that is there from one moment on. The gyro gives the heading past that
+moment, so the jump of the compass counts. Where the robot moves then, the change is also compared
+with steel on the way; only the next turn tells them apart.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import chained
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother.drives import (
@@ -32,7 +31,6 @@ from magcal_ros.core.smoother.kinds_of_motion import BELIEVED
 from magcal_ros.core.smoother.model import solve_at, way_between
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.priors import Priors
-from magcal_ros.core.smoother.solver import Weighted
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import AT, KINDS, MICROTESLA, ON_WHEELS, STREET, UNKNOWNS
 
@@ -138,16 +136,11 @@ def _moments(same: Fit) -> set[int]:
     own += np.diag(np.array(UNKNOWNS["added"].sigma) ** -2.0)
     gradient = np.einsum("n,ni,nk->ki", part.weight, part.linear.residual, later)
     gain = np.einsum("ki,ki->k", gradient, np.linalg.solve(own, gradient[:, :, None])[:, :, 0])
-    jump = _outlier_cost(weighted["street"])[since - 1]
+    street = weighted["street"]
+    jump = street.misfits[since - 1] - street.linear.residual.shape[1]
     narrower = np.linalg.slogdet(own * np.square(UNKNOWNS["added"].sigma))[1]
     gains = gain - narrower, jump - narrower
     return {int(since[np.argmax(each)]) for each in gains if each.max() > 0.0}
-
-
-def _outlier_cost(part: Weighted) -> FloatArray:
-    """Return the cost of each residual minus its expectation, shape (n - 1,)."""
-    width = part.linear.residual.shape[1]
-    return np.asarray((part.freedom + width) * np.log1p(part.chi2 / part.freedom) - width)
 
 
 def _begun(same: Fit, name: str, node: int) -> State:

@@ -53,9 +53,13 @@ class Weighted:
     def costs(self) -> FloatArray:
         """Minus twice the log of each likelihood, up to a constant, shape (k,)."""
         variance = np.where(np.isfinite(self.variance), self.variance, 1.0)
+        return np.asarray(self.misfits + self.linear.residual.shape[1] * np.log(variance))
+
+    @property
+    def misfits(self) -> FloatArray:
+        """The part of each cost that grows with the residual, shape (k,)."""
         width = self.linear.residual.shape[1]
-        spread = (self.freedom + width) * np.log1p(self.chi2 / self.freedom)
-        return np.asarray(spread + width * np.log(variance))
+        return np.asarray((self.freedom + width) * np.log1p(self.chi2 / self.freedom))
 
     @property
     def cost(self) -> float:
