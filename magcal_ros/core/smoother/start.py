@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.planes import Circle, fit_circle_robustly, plane_normal
 from magcal_ros.core.geometry.rotations import (
@@ -30,6 +30,8 @@ SMOOTHED = 4.0
 """Seconds over which up is averaged."""
 MOTORS = 20.0
 """µT of the motors' field, over the usual misfit of a node in µT: what the start allows for."""
+DRIFTED = 100.0
+"""Seconds in which the yaw by the gyro drifts too little to harm the start."""
 Z = np.array([0.0, 0.0, 1.0])
 
 
@@ -41,22 +43,25 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     which is linear. Installation and soft iron begin at zero.
     """
     up, level, yaw = held_by_gyro(nodes)
-    piece = np.concatenate([[0], np.cumsum(~nodes.is_tied)])
-    longest = piece == np.bincount(piece).argmax()
+    run = np.concatenate([[0], np.cumsum(~nodes.is_tied)])
+    longest = run == np.bincount(run).argmax()
+    piece = _pieces(nodes.time[longest])
     best: tuple[float, float, FloatArray, FloatArray] | None = None
     axes, along = level_axes(np.median(up, axis=0)), np.median(up, axis=0)
     for bias in biases:
         course = Course.of(nodes, axes, bias * along, priors.lengths)
         motors = np.stack([course.moving, nodes.rate[:, 2]], axis=1)
         turned = level @ rotation_about(Z, -(yaw - bias * (nodes.time - nodes.time[0])))
-        found, misfit = _linear(nodes, turned, motors, -float(priors.mean[EARTH][1]), longest)
+        rows = nodes.field[longest], turned[longest], motors[longest], piece
+        found, drifted, misfit = _linear(*rows, -float(priors.mean[EARTH][1]))
         score = misfit * (1.0 + 2.0 * abs(bias))
         if best is None or score < best[0]:
+            turned[longest] = turned[longest] @ rotation_about(Z, drifted)
             best = score, bias, turned, found
     assert best is not None
     _, bias, turned, found = best
-    for each in np.unique(piece[~longest]):
-        turned[piece == each] = _led_on(turned, nodes.field, found, piece == each)
+    for each in np.unique(run[~longest]):
+        turned[run == each] = _led_on(turned, nodes.field, found, run == each)
     north = rotation_about(Z, np.array([math.atan2(found[0], found[1])]))[0]
     shared = priors.mean.copy()
     shared[AT["iron"]] = found[3:6]
@@ -105,29 +110,45 @@ def _up(nodes: Nodes, path: FloatArray) -> FloatArray:
     return unit(np.einsum("nij,nj->ni", path, kernel @ held))
 
 
-def _linear(
-    nodes: Nodes, turned: FloatArray, motors: FloatArray, upward: float, counted: BoolArray
-) -> tuple[FloatArray, float]:
-    """Return c, h, k and l by iterated weighted least squares, and the median misfit, µT.
+def _pieces(time: FloatArray) -> IntArray:
+    """Return the piece of the drive, about `DRIFTED` long, that each node is in, from 0."""
+    count = max(1, round(float(np.ptp(time)) / DRIFTED))
+    piece = np.floor((time - time[0]) * count / max(float(np.ptp(time)), 1e-9))
+    return np.asarray(np.unique(np.minimum(piece, count - 1), return_inverse=True)[1])
 
-    Only some nodes are `counted`, shape (n,).
+
+def _linear(
+    field: FloatArray, turned: FloatArray, motors: FloatArray, piece: IntArray, upward: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return c, h, k and l by iterated weighted least squares, the yaw's drift, and the misfit.
+
+    The level part of c is that of the first piece; in each `piece` (n,) it has a direction of its
+    own. The drift (n,) is that of the yaw since the first piece, radians, and the misfit the median
+    in µT.
     """
-    count = len(nodes)
+    count, pieces = len(field), int(piece[-1]) + 1
     eye = np.broadcast_to(np.eye(3), (count, 3, 3))
     by_motors = [each[:, None, None] * eye for each in motors.T]
-    rows = np.concatenate([turned, eye, *by_motors], axis=2)
-    known = np.vstack([np.eye(12)[2] / 3.0, np.diag([0.0] * 6 + [1.0 / MOTORS] * 6)[6:]])
+    level = (piece[:, None] == np.arange(pieces))[:, None, :, None] * turned[:, :, None, :2]
+    level = level.reshape(count, 3, 2 * pieces)
+    rows = np.concatenate([level, turned[:, :, 2:], eye, *by_motors], axis=2)
+    unknowns = rows.shape[2]
+    known = np.diag([0.0] * (2 * pieces) + [1.0 / 3.0] + [0.0] * 3 + [1.0 / MOTORS] * 6)
+    known = known[[2 * pieces, *range(unknowns - 6, unknowns)]]
     expected = np.append(upward / 3.0, np.zeros(6))
-    weight = counted.astype(float)
+    weight = np.ones(count)
     for _ in range(12):
         scale = np.repeat(np.sqrt(weight), 3)
-        left = np.vstack([rows.reshape(-1, 12) * scale[:, None], known])
-        right = np.append(nodes.field.ravel() * scale, expected)
+        left = np.vstack([rows.reshape(-1, unknowns) * scale[:, None], known])
+        right = np.append(field.ravel() * scale, expected)
         found = np.linalg.lstsq(left, right, rcond=None)[0]
-        misfit = np.linalg.norm(nodes.field - rows @ found, axis=1)
-        middle = float(np.median(misfit[counted]))
-        weight = counted / (1.0 + (misfit / (1.5 * middle + 1e-9)) ** 2)
-    return found, middle
+        misfit = np.linalg.norm(field - rows @ found, axis=1)
+        middle = float(np.median(misfit))
+        weight = 1.0 / (1.0 + (misfit / (1.5 * middle + 1e-9)) ** 2)
+    angle = np.unwrap(np.arctan2(found[1 : 2 * pieces : 2], found[: 2 * pieces : 2]))
+    middles = [float(np.median(np.flatnonzero(piece == k))) for k in range(pieces)]
+    drift = np.interp(np.arange(count), middles, angle - angle[0])
+    return np.append(found[:2], found[2 * pieces :]), drift, middle
 
 
 VISIBLE_CONE = 4.0
@@ -136,7 +157,6 @@ THINNEST_CONE = 0.005
 """Standard deviation, of unit vectors, that its thickness is taken for at least."""
 DIP = math.radians(60.0)
 """Dips that are tried if neither the field's strength nor its dip is known."""
-Z = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)

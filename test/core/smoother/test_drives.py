@@ -11,7 +11,9 @@ from long_windows import (
     swaying_robot,
     swaying_window,
 )
+from simulated.drive import random_vehicle, simulated_drive
 from simulated.legs import city
+from simulated.travel import travel
 from streets import BOSTON, driven, heading_error, log_from
 
 from magcal_ros.core.errors import Refusal
@@ -61,6 +63,16 @@ def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
     assert error < 2.5 * said
     assert fitted.fit.converged
     assert fitted.sectors >= 6
+
+
+def test_a_gyro_bias_that_changes_over_a_drive_of_90_minutes_does_no_harm():
+    rng = np.random.default_rng(4)
+    vehicle = dataclasses.replace(random_vehicle(rng), bias_walk=5e-5)
+    way = travel(city(rng, 5400.0), rng, rate=5.0)
+    drive = simulated_drive(way, rng, vehicle, receiver=None)
+    found = fit_to(drive)
+    assert heading_error(found.posterior.correction, vehicle.robot) < 1.0
+    assert math.degrees(found.posterior.heading_sigma) < 0.8
 
 
 def test_a_start_eighty_degrees_off_is_found_all_the_same(drive):
