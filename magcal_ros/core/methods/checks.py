@@ -50,7 +50,7 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
 
 
 def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of samples too slow to integrate the gyro; None if they are not."""
+    """Return the refusal of a turn whose gyro samples come too slowly; None if they do not."""
     if window.angular_rate is None or len(window) < 2 or knowledge.exact_sensors:
         return None
     step = float(np.median(np.diff(window.time)))

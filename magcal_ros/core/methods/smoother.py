@@ -116,7 +116,7 @@ def smoothed(
     if hint:
         raise Refusal(Reason.NO_SOLUTION, hint)
     if living_axes(window.angular_rate)[2]:
-        return smooth(window, knowledge, too_slow(window, knowledge), progress)
+        return smooth(window, knowledge, progress)
     return smooth_by_field(window, knowledge)
 
 
@@ -125,12 +125,10 @@ def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowle
     if found.nodes.tied_to is not None:
         _check_turn_without_gyro(found, estimate, knowledge)
         return
-    is_turn = found.mode not in DRIVES and gyro_is_usual(found.fit)
-    slow = None if is_turn else too_slow(window, knowledge)
-    if slow is not None:
-        raise slow
     if found.mode in DRIVES:
         _check_drive(found, estimate, all(living_axes(window.angular_rate)))
+    elif not gyro_is_usual(found.fit) and (slow := too_slow(window, knowledge)) is not None:
+        raise slow
 
 
 def _check_drive(found: Smoothed, estimate: Estimate, all_axes: bool) -> None:

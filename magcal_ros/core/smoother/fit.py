@@ -269,7 +269,8 @@ def _as_large_as_both(point: Point) -> dict[str, float]:
     """Return the factors of the motors' priors (`Unknown`) by which each may be the whole field."""
     shared, course = point.state.shared, point.course
     rate = course.nodes.rate[course.moving > 0.0, 2]
-    usual = {"motors_moving": 1.0, "motors_rate": float(np.sqrt(np.mean(rate**2))) + 1e-3}
+    usual_rate = math.sqrt(float(np.sum(rate**2)) / max(len(rate), 1))
+    usual = {"motors_moving": 1.0, "motors_rate": usual_rate + 1e-3}
     size = sum(float(np.linalg.norm(shared[AT[name]])) * by for name, by in usual.items())
     return {
         name: max(point.groups[name], size / (math.sqrt(3.0) * by * UNKNOWNS[name].sigma[0]))

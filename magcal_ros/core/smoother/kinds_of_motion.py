@@ -230,14 +230,12 @@ class _Trials:
 def smooth(
     window: Window | DriveLog,
     knowledge: Knowledge,
-    too_slow: Refusal | None = None,
     told: Callable[[float], object] | None = None,
 ) -> Smoothed:
     """Fit a window for each kind of motion, and weight the fits by their evidence.
 
-    The window or log has a gyro. `too_slow` is the refusal of samples that do not determine a
-    drive, which is then not fitted. `told` is called with the share of the work that is done, 0 to
-    1. Raises `Refusal` if no fit converges.
+    The window or log has a gyro. `told` is called with the share of the work that is done, 0 to 1.
+    Raises `Refusal` if no fit converges.
     """
     trials = _Trials(window, knowledge, told)
     if (spot := trials.on_the_spot()) is not None:
@@ -247,8 +245,6 @@ def smooth(
         # Sensors that are exact move no more than their robot does.
         for name in () if knowledge.exact_sensors else trials.others:
             trials.add(name, best)
-    elif too_slow is not None:
-        raise too_slow
     else:
         trials.drives()
     return trials.mixed()

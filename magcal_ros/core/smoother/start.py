@@ -145,10 +145,12 @@ def _linear(
         misfit = np.linalg.norm(field - rows @ found, axis=1)
         middle = float(np.median(misfit))
         weight = 1.0 / (1.0 + (misfit / (1.5 * middle + 1e-9)) ** 2)
-    angle = np.unwrap(np.arctan2(found[1 : 2 * pieces : 2], found[: 2 * pieces : 2]))
+    earth = found[: 2 * pieces].reshape(pieces, 2)
+    angle = np.unwrap(np.arctan2(earth[:, 1], earth[:, 0]))
+    first = unit(earth[0]) * float(np.linalg.norm(earth, axis=1).mean())
     middles = [float(np.median(np.flatnonzero(piece == k))) for k in range(pieces)]
     drift = np.interp(np.arange(count), middles, angle - angle[0])
-    return np.append(found[:2], found[2 * pieces :]), drift, middle
+    return np.append(first, found[2 * pieces :]), drift, middle
 
 
 VISIBLE_CONE = 4.0

@@ -16,8 +16,10 @@ from simulated.legs import city
 from simulated.travel import travel
 from streets import BOSTON, driven, heading_error, log_from
 
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import (
@@ -63,6 +65,25 @@ def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
     assert error < 2.5 * said
     assert fitted.fit.converged
     assert fitted.sectors >= 6
+
+
+@pytest.mark.parametrize("means", [False, True])
+def test_a_drive_read_once_a_second_is_fitted_within_its_sigma(means):
+    rng = np.random.default_rng(5)
+    vehicle = random_vehicle(rng)
+    way = travel(city(rng, 600.0), rng, rate=10.0)
+    drive = simulated_drive(way, rng, vehicle, receiver=None)
+    count = len(drive.time) // 10 * 10
+
+    def thinned(values):
+        tens = values[:count].reshape(-1, 10, *values.shape[1:])
+        return tens.mean(axis=1) if means else tens[:, 0]
+
+    window = Window(*map(thinned, (drive.time, drive.field, drive.force, drive.rate)))
+    estimate = fit(window, BOSTON)
+    error, said = heading_error(estimate.correction, vehicle.robot), calibration_sigma(estimate)
+    assert said < math.radians(2.0)
+    assert error < 2.0 * math.degrees(said)
 
 
 def test_a_gyro_bias_that_changes_over_a_drive_of_90_minutes_does_no_harm():

@@ -18,7 +18,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
-from magcal_ros.core.smoother.kinds_of_motion import MOST_FITS, smooth
+from magcal_ros.core.smoother.kinds_of_motion import smooth
 from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS
 
 
@@ -160,13 +160,11 @@ def test_tilted_headings_of_5_hz_are_as_good_as_said(every, means, monkeypatch):
 
 
 @pytest.mark.parametrize("every", [15, 30])
-def test_readings_once_a_second_are_refused_with_their_rate(every, monkeypatch):
+def test_a_swaying_turn_read_once_a_second_is_refused_with_its_rate(every, monkeypatch):
     """20 degrees wrong at 10 degrees of tilt, at 2.4 said, while a drive answered for them."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
-    told: list[float] = []
-    outcome = calibrate(slowly(every, 2, means=False), Knowledge(), progress=told.append)
+    outcome = calibrate(slowly(every, 2, means=False), Knowledge())
     assert outcome.reason is Reason.TOO_SLOW
-    assert max(told) <= 1.0 / MOST_FITS, "a turn on the spot was tried, and no drive"
     assert f"come at {30 // every} Hz" in outcome.verdict.summary
 
 
