@@ -183,12 +183,12 @@ class _Trials:
         return min(self.fits.values(), key=lambda each: each.evidence)
 
     def drives(self) -> None:
-        """Fit all kinds of drives, for a robot that certainly did not turn on the spot."""
+        """Fit all other kinds of motion, for a robot that certainly did not turn on the spot."""
         self._begin(WHILE_DRIVING)
         self._without_false_rests()
         fits = self.fits
-        for name in (ON_WHEELS,) if self._rolls else KINDS:
-            if name not in fits:
+        for name in () if self._rolls else self.others:
+            if name != ON_THE_SPOT:
                 self.add(name, tolerances=ROUGHLY)
         least = min((each.evidence for each in fits.values()), default=0.0)
         for name, rough in tuple(fits.items()):
