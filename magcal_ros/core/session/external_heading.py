@@ -18,7 +18,7 @@ DEGREES = 180.0 / math.pi
 
 @dataclass(frozen=True)
 class KnownHeadingTuning:
-    """How a robot stands at a known heading."""
+    """How a robot stands at a known heading, and when a device's heading contradicts the gyro."""
 
     seconds: float = 3.0
     """How long samples are averaged."""
@@ -36,6 +36,14 @@ class KnownHeadingTuning:
     """Radians within which another standing takes the place of one before: it says the same."""
     most: int = 24
     """Standings that are kept."""
+    turn: float = math.radians(40.0)
+    apart: float = math.radians(12.0)
+    """Radians that the gyro must turn before a device's heading is compared with it, and by which
+    the two may differ."""
+    times: int = 3
+    """Comparisons in a row that must fail."""
+    longest: float = 60.0
+    """Seconds over which the gyro is trusted."""
 
 
 TUNING = KnownHeadingTuning()
@@ -164,23 +172,23 @@ class HeadingAgainstGyro:
     def add(self, stamp: float, yaw: float) -> None:
         """Take a heading, radians."""
         last = self._last
-        if last is None or not 0.0 < stamp - last[0] < AGAINST.longest:
+        if last is None or not 0.0 < stamp - last[0] < TUNING.longest:
             self._last, self._turned = (stamp, yaw), 0.0
             return
-        if abs(self._turned) < AGAINST.turn:
+        if abs(self._turned) < TUNING.turn:
             return
         given, turned = wrapped(yaw - last[1]), self._turned
         self._last, self._turned = (stamp, yaw), 0.0
-        if abs(wrapped(given - turned)) < AGAINST.apart:
+        if abs(wrapped(given - turned)) < TUNING.apart:
             self._wrong, self.fault = [], ""
             return
-        self._wrong = [*self._wrong, (given, turned)][-AGAINST.times :]
-        if len(self._wrong) == AGAINST.times:
+        self._wrong = [*self._wrong, (given, turned)][-TUNING.times :]
+        if len(self._wrong) == TUNING.times:
             self.fault = self._in_words()
 
     def _in_words(self) -> str:
         for factor, words in TURNS_AS.items():
-            if all(abs(wrapped(t - factor * g)) < AGAINST.apart for t, g in self._wrong):
+            if all(abs(wrapped(t - factor * g)) < TUNING.apart for t, g in self._wrong):
                 return words
         given, turned = self._wrong[-1]
         return (
@@ -197,20 +205,3 @@ TURNS_AS = {
     1.0 / DEGREES: "it hardly turns when the gyro does: radians were taken for degrees",
 }
 """What is wrong with a heading that turns so many times as far as the gyro."""
-
-
-@dataclass(frozen=True)
-class AgainstTuning:
-    """When an external heading turns otherwise than the gyro."""
-
-    turn: float = math.radians(40.0)
-    """Radians that the gyro must turn for a comparison."""
-    apart: float = math.radians(12.0)
-    """Radians by which the two may differ."""
-    times: int = 3
-    """Comparisons in a row that must fail."""
-    longest: float = 60.0
-    """Seconds over which the gyro is trusted."""
-
-
-AGAINST = AgainstTuning()

@@ -350,24 +350,23 @@ class RotationProof:
         rates = f"the {sensor} shows {shown:+.0f}°/s where {commanded:+.0f}°/s were commanded"
         if fault is Fault.TOO_FAST:
             return f"the robot turns far too fast: {rates}"
-        if fault is Fault.NOT_TURNING:
-            turned, asked, level = self._angles_and_field()
-            if seen.by_gyro and _turns_rather_by(asked, turned, level):
-                return f"{rates}, but the field turns: the gyro does not measure this turn"
-            remedy = "is an emergency stop pressed, does the base obey cmd_vel?"
-            return f"the robot does not turn: {rates}; {remedy}"
-        return f"{rates}: {self._blame(seen)}"
+        if fault is Fault.WRONG_WAY:
+            return f"{rates}: {self._blame(seen)}"
+        turned, asked, level = self._angles_and_field()
+        if seen.by_gyro and _turns_rather_by(asked, turned, level):
+            return f"{rates}, but the field turns: the gyro does not measure this turn"
+        remedy = "is an emergency stop pressed, does the base obey cmd_vel?"
+        return f"the robot does not turn: {rates}; {remedy}"
 
     def _blame(self, seen: Seen) -> str:
         base = "the base turns the wrong way (angular.z is positive to the left)"
         if not seen.by_gyro:
             return f"{base}, or the magnetometer's axes are mirrored"
-        sense = self.compass_sense()
-        if sense > 0:
-            return f"{base}; the compass agrees with the gyro"
-        if sense < 0:
-            return "the gyro is mirrored, because the compass shows the turn as commanded"
-        return f"{base}, or the gyro is mirrored; the compass does not show which yet"
+        return {
+            1: f"{base}; the compass agrees with the gyro",
+            -1: "the gyro is mirrored, because the compass shows the turn as commanded",
+            0: f"{base}, or the gyro is mirrored; the compass does not show which yet",
+        }[self.compass_sense()]
 
     def compass_sense(self) -> int:
         """Return +1 if the field turns as the gyro does, -1 if the other way, 0 if unknown.

@@ -26,10 +26,7 @@ class SelfTurnTuning:
     """Seconds without a sensor after which a moving robot is stopped."""
     gyro_silence: float = 0.5
     """Seconds without an angular velocity after which a robot that is controlled by the gyro is
-    stopped."""
-    longest_look: float = 0.5
-    """Seconds between two looks at a moving robot; after a longer gap it could not be stopped in
-    time."""
+    stopped, and between two looks at a moving robot: later it could not be stopped in time."""
     listeners_within: float = 3.0
     """Seconds within which something must have subscribed to the commands."""
     stands_first: float = 3.0
@@ -232,7 +229,7 @@ class SelfTurn:
 
     def _objection(self, stage: Moving, now: float, since: float, around: Around) -> str:
         """Say why the robot must not turn on; empty if it may."""
-        if since > TUNING.longest_look:
+        if since > TUNING.gyro_silence:
             return (
                 f"the machine was too busy to check it for {since:.1f} s: "
                 "end other programs that keep the machine busy"

@@ -43,7 +43,7 @@ class TurnMachine:
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
         self.last_conclusion: ev.Conclusion | None = None
-        self._stand: ev.Stand = None
+        self._stand: ev.Stand | None = None
         self._number = 0
         self._kept = Kept()
         self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NOBODY
@@ -52,7 +52,7 @@ class TurnMachine:
     @property
     def state(self) -> ev.TurnState:
         """What is going on."""
-        return ev.TurnState.IDLE if self._stand is None else ev.STATES[type(self._stand)]
+        return ev.TurnState.IDLE if self._stand is None else self._stand.state
 
     @property
     def outcome_is_of_others(self) -> bool:
@@ -94,12 +94,12 @@ class TurnMachine:
         self.progress = session.progress(now)
         self._do(ev.Prepare())
         if brief.order is None:
-            words = "collecting: turn the robot once, a full circle, 0.5 rad/s or less"
+            words = "turn the robot once, a full circle, 0.5 rad/s or less"
         else:
             self._steer(self.robot.stop())
             self.robot.open(brief.order, now)
-            words = "collecting: the robot turns itself, once each way; keep clear"
-        return ev.Conclusion(True, words)
+            words = "the robot turns itself, once each way; keep clear"
+        return ev.Conclusion(True, f"collecting: {words}")
 
     def _why_not(self, brief: ev.Brief) -> str:
         """Say why a turn cannot be opened; empty if it can."""
@@ -137,7 +137,7 @@ class TurnMachine:
             self._look_ahead(stand, progress, now)
         elif progress.stage is Stage.SILENT and not stand.session.has_samples:
             self._leave_collecting()
-            self._refuse(Refusal(Reason.TOO_FEW_SAMPLES, silence), "")
+            self._judge(Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, silence)), "")
         else:
             why = {
                 Stage.COMPLETE: "",
@@ -180,8 +180,7 @@ class TurnMachine:
         if not isinstance(self._stand, ev.Collecting):
             return
         if steering.broken_off:
-            self._leave_collecting()
-            self._conclude(False, f"{steering.broken_off}; {UNCHANGED}")
+            self.break_off(f"{steering.broken_off}; {UNCHANGED}")
         elif steering.ended:
             self._begin_fit(self._stand, steering.ended, now)
 
@@ -217,7 +216,7 @@ class TurnMachine:
             window = self.last_window = session.window()
             self.progress.require_arc(session.limits.smallest_arc)
         except Refusal as refusal:
-            self._refuse(refusal, why)
+            self._judge(Outcome.refused(refusal), why)
             return
         if self._sensors != self._sensors_of_kept:
             self._sensors_of_kept = self._sensors
@@ -240,9 +239,6 @@ class TurnMachine:
         """Take note that a fit ended with an error of the program."""
         if turn == self._number and isinstance(self._stand, ev.Fitting):
             self._conclude(False, f"the fit failed unexpectedly: {words}")
-
-    def _refuse(self, refusal: Refusal, why: str) -> None:
-        self._judge(Outcome.refused(refusal), why)
 
     def _judge(self, outcome: Outcome, why: str) -> None:
         """Put the calibration in force if it is good enough; else say what can be done."""
@@ -277,9 +273,9 @@ class TurnMachine:
         if self._stand is None:
             words = "nothing to cancel: no turn is being collected or fitted"
             return ev.Conclusion(False, words)
-        self._leave_collecting()
-        self._conclude(False, f"cancelled; {UNCHANGED}")
-        return ev.Conclusion(True, f"cancelled; {UNCHANGED}")
+        words = f"cancelled; {UNCHANGED}"
+        self.break_off(words)
+        return ev.Conclusion(True, words)
 
     def note_sensors(self, field: str, imu: str) -> None:
         """Take the frames of the sensors: turns of others are not joined, nor one turn of two."""
@@ -287,11 +283,9 @@ class TurnMachine:
         self._sensors = field or before[0], imu or before[1]
         changes = _changes(before, self._sensors)
         if changes and isinstance(self._stand, (ev.Collecting, ev.Fitting)):
-            self._leave_collecting()
-            self._conclude(
-                False,
+            self.break_off(
                 f"{' and '.join(changes)} during the turn: let one sensor publish, and turn "
-                f"again; {UNCHANGED}",
+                f"again; {UNCHANGED}"
             )
 
     def break_off(self, words: str, was_under_way: bool = False) -> None:
