@@ -35,8 +35,8 @@ class KeepingTuning:
     the hard iron is fitted."""
     notice_differs: float = 4.0
     notice_proof: float = 2.0
-    """How many sigmas a changed hard iron must differ from what is in force to be told, and by how
-    many units of log likelihood the road before and since must be likelier with it."""
+    """Sigmas by which a changed hard iron must differ from what is in force to be reported, and
+    units of log likelihood by which the road before and since must be likelier with it."""
     plainly: float = 0.2
     """Share of the difference from what is in force that a changed hard iron may be uncertain
     by."""
@@ -183,25 +183,20 @@ class Trial(NamedTuple):
     """Clock from which road counts, seconds."""
 
 
-@dataclass(frozen=True, eq=False)
-class Probation:
-    """A candidate that has to prove itself."""
+class Probation(NamedTuple):
+    """A candidate that has to prove itself, as it is known by now, and what it was at each look.
+
+    Each step is for the road from there; road counts from the first one on.
+    """
 
     candidate: DriveCandidate
-    """As it is known by now."""
     steps: tuple[Step, ...]
-    """What it was at each look, for the road from there."""
 
     @staticmethod
-    def of(candidate: DriveCandidate, before: Probation | None = None) -> Probation:
-        """Return the probation of a candidate, or of one that is known better by now."""
+    def of(candidate: DriveCandidate, before: tuple[Step, ...] = ()) -> Probation:
+        """Return the probation of a candidate that was something else at the steps before."""
         step = Step(candidate.end, candidate.calibration.correction)
-        return Probation(candidate, (*(before.steps if before else ()), step))
-
-    @property
-    def since(self) -> float:
-        """Clock from which road counts, seconds."""
-        return self.steps[0].since
+        return Probation(candidate, (*before, step))
 
 
 def is_same(one: Calibration | None, other: Calibration | None) -> bool:
