@@ -112,9 +112,10 @@ class GyroPropagation:
         self.mean_rate = minus(between(before, rate, 0.5), self.bias)
         turn = scaled(self.mean_rate, seconds)
         self.up = propagated(self.up, turn)
-        count, lasted, *sums = self._block
-        news = zip(sums, (force, self.up, rate, turn), strict=True)
-        block = self._block = Block(count + 1, lasted + seconds, *(plus(a, b) for a, b in news))
+        count, lasted, forces, ups, rates, turns = self._block
+        forces, ups = plus(forces, force), plus(ups, self.up)
+        rates, turns = plus(rates, rate), plus(turns, turn)
+        block = self._block = Block(count + 1, lasted + seconds, forces, ups, rates, turns)
         if block.seconds >= PROPAGATION.block:
             self._block = Block()
             self._measure_noise(distance(force, old), distance(rate, before), block.seconds)
