@@ -35,15 +35,12 @@ from magcal_ros.core.samples.streams import (
 class DrivePath:
     """Where was driven, and how the field was there under the last calibration."""
 
-    place: FloatArray
-    """Metres east and north of the beginning. Shape (n, 2)."""
+    place: FloatArray  # metres east and north of the beginning. Shape (n, 2).
     error: FloatArray
     """Radians by which a disturbance may turn the heading: one as large as level and upright field
     are off the calibrated ones, and across the level field. Shape (n,)."""
-    is_measured: bool
-    """Whether a receiver measured the places; else compass and speed give them."""
-    has_speed: bool
-    """Whether a speed was measured; else it was guessed."""
+    is_measured: bool  # whether a receiver measured the places; else compass and speed give them
+    has_speed: bool  # whether a speed was measured; else it was guessed
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +55,8 @@ class DriveStory:
     seconds: float
     moved: float
     """How long the recording is, and how long the robot moved in it."""
-    doing: str
-    """What went on at the end, in words."""
-    path: DrivePath | None
-    """None where no calibration tells a heading."""
+    doing: str  # what went on at the end, in words
+    path: DrivePath | None  # None where no calibration tells a heading
     course: str = ""
     """How the compass goes against course at the end, in words; empty where nothing tells it."""
 

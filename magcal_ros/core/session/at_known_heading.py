@@ -52,13 +52,11 @@ def _noise(values: FloatArray) -> float:
 class HeadingResult:
     """The result of standing at a known heading."""
 
-    standings: tuple[Standing, ...]
-    """All that count from now on."""
+    standings: tuple[Standing, ...]  # all that count from now on
     outcome: Outcome
     applies: bool
     """Whether what was found is to be put in force."""
-    words: str
-    """What is known now, and what the next heading would show."""
+    words: str  # what is known now, and what the next heading would show
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +67,9 @@ class CollectedSamples:
     given: ExternalHeading
     knowledge: Knowledge
     """With the declination, if the heading is to true north."""
-    forward: FloatArray
-    """Direction in the IMU's axes whose heading it is. Shape (3,)."""
-    since: external_heading.TurnSince | None = None
-    """By the gyro since the standing before."""
-    bias: Triple = (0.0, 0.0, 0.0)
-    """The gyro's, as far as it is known, rad/s."""
+    forward: FloatArray  # direction in the IMU's axes whose heading it is. Shape (3,).
+    since: external_heading.TurnSince | None = None  # by the gyro since the standing before
+    bias: Triple = (0.0, 0.0, 0.0)  # the gyro's, as far as it is known, rad/s
 
     def standing(self) -> Standing:
         """Return what the robot measured; a Refusal if it moved or the samples do not suffice."""

@@ -34,8 +34,7 @@ class Brief:
     accumulate: bool
     order: Order | None = None
     """How the robot turns itself; None if a person turns it."""
-    gyro: GyroAtRest | None = None
-    """What a rest before the turn has shown of the gyro."""
+    gyro: GyroAtRest | None = None  # what a rest before the turn has shown of the gyro
 
 
 @dataclass(frozen=True)
@@ -122,6 +121,6 @@ class Saving:
     state: ClassVar = TurnState.SAVING
 
 
-Stand: TypeAlias = Collecting | Fitting | Saving
+TurnStage: TypeAlias = Collecting | Fitting | Saving
 Command: TypeAlias = Conclude | Prepare | Preview | FitTurn | PutInForce | MoveBase
 """Something that the owner of the state machine has to do."""
