@@ -27,7 +27,7 @@ from magcal_ros.core.geometry.frame_tree import (
     sensor_poses,
 )
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion
-from magcal_ros.core.heading.base_view import BaseView, CorrectedPose, VehicleYaw, corrected_pose
+from magcal_ros.core.heading.base_view import BaseView, VehicleYaw, corrected_pose
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.default_paths import known_as
@@ -148,7 +148,7 @@ class SensorFrames:
         self._contradiction = ""
         self._found: Installation | None = None
         self._vehicle_yaw: VehicleYaw | None = None
-        self._corrected = CorrectedPose(None)
+        self._against_drive = ""
 
     def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames that the sensors' messages name."""
@@ -205,7 +205,7 @@ class SensorFrames:
     def complaints(self) -> list[str]:
         """What is missing or contradicts the samples, in words."""
         poses = self.poses
-        words = [*poses.complaints, self._contradiction, self._corrected.contradiction]
+        words = [*poses.complaints, self._contradiction, self._against_drive]
         if self._frames.base:
             words.append(self._description.trouble)
         if poses.is_described and self._found is not None and self._found.angle > FAR_OFF:
@@ -232,8 +232,9 @@ class SensorFrames:
         self._contradiction = ""
         imu = self._poses.imu
         described = imu if settings.base_frame else None
-        self._corrected = corrected_pose(described, settings.vehicle_yaw, self._vehicle_yaw)
-        pose = imu if self._corrected.pose is None else self._corrected.pose
+        found = corrected_pose(described, settings.vehicle_yaw, self._vehicle_yaw)
+        corrected, self._against_drive = found
+        pose = imu if corrected is None else corrected
         view = None if pose is None else BaseView(pose)
         if view is None or self._view is None or not np.array_equal(view.pose, self._view.pose):
             self._view = view

@@ -21,17 +21,13 @@ from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.base_view import (
     FRONT,
-    Declination,
     Front,
     VehicleYaw,
-    where_is_the_front,
+    vehicle_front,
 )
 from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.monitoring.recorded_course import (
-    check_by_course,
-    course_fault,
-)
+from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
 from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros import wire
@@ -136,10 +132,8 @@ class Travel:
         travelling = self._travelling
         if not travelling.is_heard:
             return None
-        known = reference.declination
-        sigma = reference.declination_sigma
-        declination = Declination() if known is None else Declination(known, sigma)
-        self.front = where_is_the_front(travelling.known_mounting, travelling.course, declination)
+        north = reference.declination, reference.declination_sigma
+        self.front = vehicle_front(travelling.known_mounting, travelling.course, *north)
         found = self.front.yaw
         if found is None or found.sigma > FRONT.useful or not self._is_better(found, BETTER):
             return None

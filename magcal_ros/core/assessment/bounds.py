@@ -72,6 +72,15 @@ STRENGTH = Bound(
     excellent=1.5,
     unit="σ",
 )
+OUTLIERS = Bound(
+    Figure.OUTLIER_SHARE,
+    25.0,
+    50.0,
+    "samples left out as outliers",
+    "something magnetic passed by or switched; turn again elsewhere",
+    excellent=5.0,
+    unit="%",
+)
 TURN_BOUNDS: tuple[Bound, ...] = (
     SIGMA,
     Bound(
@@ -83,15 +92,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         excellent=3.0,
         unit="%",
     ),
-    Bound(
-        Figure.OUTLIER_SHARE,
-        25.0,
-        50.0,
-        "samples left out as outliers",
-        "something magnetic passed by or switched; turn again elsewhere",
-        excellent=5.0,
-        unit="%",
-    ),
+    OUTLIERS,
     *AGAINST_REFERENCE,
     Bound(
         Figure.ELLIPSE_EXCESS,
@@ -229,15 +230,7 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
         aspect=Aspect.CONFIDENCE,
         at_least=True,
     ),
-    Bound(
-        Figure.OUTLIER_SHARE,
-        15.0,
-        50.0,
-        "samples left out as outliers",
-        "something magnetic was near or switched; drive elsewhere",
-        excellent=5.0,
-        unit="%",
-    ),
+    replace(OUTLIERS, good=15.0, remedy="something magnetic was near or switched; drive elsewhere"),
     *AGAINST_REFERENCE,
     INSTALLATION,
 )

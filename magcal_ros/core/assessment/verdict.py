@@ -105,8 +105,7 @@ class Verdict:
         return max(self.quality.rank, self.confidence.rank) < Grade.WARN.rank
 
     def _worst(self, aspect: Aspect) -> Grade:
-        grades = [check.grade for check in self.checks if check.aspect is aspect]
-        return worst(grades)
+        return worst([check.grade for check in self.checks if check.aspect is aspect])
 
     def evidence(self, estimate: Estimate) -> Evidence:
         """Return the verdict in the form that is stored with a calibration."""
@@ -160,7 +159,12 @@ NO_REFERENCE = "the size of the field: the reference field is not known"
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
     """Return the verdict on an estimate; `window` holds its samples, if there are any."""
-    figures = judged_figures(estimate)
+    figures = {
+        Figure.ARC: estimate.arc,
+        Figure.SAMPLES: float(np.count_nonzero(estimate.inliers)),
+        Figure.AXIS_LEAN: math.acos(min(max(float(estimate.axis[2]), -1.0), 1.0)),
+    }
+    figures |= common_figures(estimate) | dict(estimate.figures)
     has_gyro = window is not None and window.angular_rate is not None
     if window is not None and has_gyro:
         if axis_share(window) < TUNING.one_axis:
@@ -189,16 +193,6 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
 
 def _is_full(arc: float) -> bool:
     return arc * DEGREES > FULL_ARC_DEG
-
-
-def judged_figures(estimate: Estimate) -> dict[Figure, float]:
-    """Return every figure that can be graded; SI units."""
-    figures = {
-        Figure.ARC: estimate.arc,
-        Figure.SAMPLES: float(np.count_nonzero(estimate.inliers)),
-        Figure.AXIS_LEAN: math.acos(min(max(float(estimate.axis[2]), -1.0), 1.0)),
-    }
-    return figures | common_figures(estimate) | dict(estimate.figures)
 
 
 def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) -> Check:

@@ -56,12 +56,12 @@ def upright(
     if usual[2] > -LEAST_UPRIGHT:
         return wrong("imu_axes", name, evidence, sideways(usual)), False
     flipped = _is_flipped(given, other, turned_left)
-    if flipped is None:
-        either = f"either {SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"
-        return wrong("gravity_sign", name, evidence, either), None
-    if flipped:
-        return wrong("gravity_sign", name, evidence, SIGN), True
-    return wrong("imu_axes", name, evidence, UPSIDE_DOWN), False
+    key, words = {
+        None: ("gravity_sign", f"either {SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
+        True: ("gravity_sign", SIGN),
+        False: ("imu_axes", UPSIDE_DOWN),
+    }[flipped]
+    return wrong(key, name, evidence, words), flipped
 
 
 def sideways(up: FloatArray) -> str:
@@ -80,14 +80,12 @@ def _is_flipped(
     """Return whether gravity's sign errs rather than the IMU lies upside down."""
     if given is None or other is None:
         return None
-    best = given.best
-    if turned_left is not None and abs(given.turned(best)) > WEIGHED.least_turn:
+    turned = given.turned(given.best)
+    if turned_left is not None and abs(turned) > WEIGHED.least_turn:
         # About an up that points down a turn to the left looks like one to the right.
-        return (given.turned(best) > 0.0) is not turned_left
-    as_given, turned_round = given.field_right, other.field_right
-    if abs(as_given - turned_round) < WEIGHED.doubtful:
-        return None
-    return turned_round < as_given
+        return (turned > 0.0) is not turned_left
+    worse = given.field_right - other.field_right
+    return None if abs(worse) < WEIGHED.doubtful else worse > 0.0
 
 
 STANDARD = np.eye(3)
@@ -115,9 +113,18 @@ class AxesFound:
     """What explains the samples, the likeliest first; rows are the magnetometer's axes, after the
     mounting that is known, in the body's. Shape (k, 3, 3)."""
     right: bool  # whether the axes as given are among them, or not excluded beyond doubt
-    pose: FloatArray
-    """The mounting that is known. Shape (3, 3)."""
-    dip_known: bool  # whether a reference inclination separates a field from its opposite
+    knowledge: Knowledge
+
+    @property
+    def pose(self) -> FloatArray:
+        """The mounting that is known, shape (3, 3)."""
+        return self.knowledge.mounting.pose
+
+    @property
+    def dip_known(self) -> bool:
+        """Whether the reference field separates axes from their opposites."""
+        dip = self.knowledge.reference.inclination
+        return not dip.is_unknown and abs(dip.value) > SIGMAS * WEIGHED.dip_sigma
 
     @property
     def meant(self) -> FloatArray:
@@ -179,24 +186,14 @@ def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
 def mount_of(axes: FloatArray, pose: FloatArray) -> tuple[int, int, int]:
     """Return the mounting's roll, pitch and yaw in degrees of axes found on top of a known pose."""
     roll, pitch, yaw = (
-        round(math.degrees(angle)) % 360 for angle in rpy_from_rotation(axes.T @ pose)
+        (round(math.degrees(angle)) + 179) % 360 - 179 for angle in rpy_from_rotation(axes.T @ pose)
     )
-    return _signed(roll), _signed(pitch), _signed(yaw)
+    return roll, pitch, yaw
 
 
 def parameter_line(rpy_deg: tuple[int, int, int]) -> str:
     """Return the line for a parameter file."""
     return f"mount_rpy_deg: [{', '.join(f'{angle}.0' for angle in rpy_deg)}]"
-
-
-def _signed(degrees: int) -> int:
-    return degrees - 360 if degrees > 180 else degrees
-
-
-def dip_is_known(knowledge: Knowledge) -> bool:
-    """Return whether the reference field separates axes from their opposites."""
-    dip = knowledge.reference.inclination
-    return not dip.is_unknown and abs(dip.value) > SIGMAS * WEIGHED.dip_sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +219,7 @@ def blame(explanations: Explanations, knowledge: Knowledge, turned_left: bool | 
     given = explanations.plain
     # What was asked for and what all sensors saw may differ because a person erred.
     contrary = _contrary(explanations, turned_left)
-    if misfit[given] < WEIGHED.wrong:
+    if misfit[given] < 2.0 * WEIGHED.remains:
         return _all_agree(explanations, given, remains, knowledge, contrary)
     kept = remains & ~contrary
     remains = kept if kept.any() else remains
@@ -231,7 +228,9 @@ def blame(explanations: Explanations, knowledge: Knowledge, turned_left: bool | 
     rank = {k: _erring(explanations, k) for k in left}
     least = min(len(rank[k]) for k in left)
     fewest = [k for k in left if len(rank[k]) == least]
-    fewest.sort(key=lambda k: _order(explanations, k))
+    # The likely ones in the order of what people do.
+    gyro, field = explanations.gyro, explanations.field
+    fewest.sort(key=lambda k: (misfit[k] > WEIGHED.likely, rank_of(gyro[k]), rank_of(field[k])))
     return _accused(explanations, fewest, rank, knowledge)
 
 
@@ -261,11 +260,6 @@ def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:
     return ("gyro", "magnetometer")
 
 
-def _order(explanations: Explanations, k: int) -> tuple[bool, int, int]:
-    gyro, field = (rank_of(axes[k]) for axes in (explanations.gyro, explanations.field))
-    return bool(explanations.misfit[k] > WEIGHED.likely), gyro, field
-
-
 def _all_agree(
     explanations: Explanations,
     given: int,
@@ -275,9 +269,7 @@ def _all_agree(
 ) -> Blame:
     # The magnetometer's axes that remain while the gyro is right.
     alike = (explanations.gyro == explanations.gyro[given]).all(axis=(1, 2))
-    axes = AxesFound(
-        explanations.field[remains & alike], True, knowledge.mounting.pose, dip_is_known(knowledge)
-    )
+    axes = AxesFound(explanations.field[remains & alike], True, knowledge)
     known = np.array_equal(knowledge.mounting.pose, STANDARD)
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
@@ -315,7 +307,7 @@ def _accused(
         ways = [k for k in fewest if rank[k] == (sensor,)]
         if sensor == "magnetometer":
             candidates = _distinct(explanations.field[ways])
-            axes = AxesFound(candidates, False, knowledge.mounting.pose, dip_is_known(knowledge))
+            axes = AxesFound(candidates, False, knowledge)
             said[sensor] = axes.words
         else:
             words, slip = SAID[sensor]
@@ -338,11 +330,8 @@ KEYS = {"magnetometer": "field", "gyro": "gyro", "accelerometer": "force"}
 
 
 def _distinct(axes: FloatArray) -> FloatArray:
-    kept: list[FloatArray] = []
-    for each in axes:
-        if not any(np.array_equal(each, other) for other in kept):
-            kept.append(each)
-    return np.array(kept)
+    rows = (axes + 0.0).reshape(len(axes), -1)  # No zero with a sign.
+    return np.array([axes[k] for k in sorted(np.unique(rows, axis=0, return_index=True)[1])])
 
 
 def gyro_slip(axes: FloatArray) -> str:

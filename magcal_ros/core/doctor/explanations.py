@@ -39,9 +39,10 @@ from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
 class ExplanationTuning:
     """What is believed of sensors that may be faulty, and when an explanation is dropped."""
 
-    remains: float = 20.0  # chi-square, in independent samples, up to which an explanation remains
+    remains: float = 20.0
+    """Chi-square, in independent samples, up to which an explanation remains. From twice as much
+    the axes as given are called wrong, and beyond four times a way is not fitted."""
     likely: float = 9.0  # chi-square up to which candidates are ordered by what people do
-    wrong: float = 40.0  # chi-square from which the axes as given are called wrong
     times: float = 2.0  # times the best's residual from which another fits plainly worse
     lift: float = math.radians(3.0)
     """Radians RMS of movement beside the turn from which less than that suffices."""
@@ -51,7 +52,6 @@ class ExplanationTuning:
     """Radians that a reference inclination is trusted to at best."""
     attitude_error: float = math.radians(0.5)  # radians that propagated attitudes are off at best
     most_named: int = 3  # explanations that are written out for one sensor
-    pruned: float = 80.0  # chi-square beyond which a way is not fitted
     most: int = 32  # ways that are fitted
     doubtful: float = 12.0
     """Chi-square at most that field or gravity count for where soft iron or linear acceleration
@@ -216,7 +216,7 @@ def _remaining(
     # A turn on the level leaves most axes of a gyro open: those as given are always among them.
     likely = (np.arange(len(order)) < TUNING.most) | (gyro == 0)
     right = (gyro == 0) & _are_right(field[order])
-    kept = (likely & (cost[order] - cost.min() < TUNING.pruned)) | right
+    kept = (likely & (cost[order] - cost.min() < 4.0 * TUNING.remains)) | right
     return every[gyro[kept]], field[order[kept]], cost[order[kept]]
 
 

@@ -76,7 +76,7 @@ class Guide:
         self._field: list[tuple[float, ...]] = []
         self._blocks: list[FloatArray] = []
         """Means of force, rate and field over a short time, NaN without samples. Shape (3, 3)."""
-        self._begun = 0  # the first block of what is asked for now
+        self._stage_start = 0  # the first block of what is asked for now
         self._resting: FloatArray | None = None
         self._angle = 0.0
         self._done_moving = False
@@ -163,7 +163,7 @@ class Guide:
         In the second of a rest a slow turn moves the field less than `still` allows.
         """
         assert self._resting is not None
-        _, rate, field = np.swapaxes(self._blocks[self._begun :], 0, 1)
+        _, rate, field = np.swapaxes(self._blocks[self._stage_start :], 0, 1)
         by_gyro = abs(self._angle) > TUNING.angle
         moved = rate - self._resting[1] if by_gyro else np.diff(field, axis=0)
         pace = np.linalg.norm(moved, axis=1)
@@ -191,7 +191,7 @@ class Guide:
             self._states[left[0]] = GuideStepState.NOW
         self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
         self._since, self._angle, self._done_moving = now, 0.0, False
-        self._begun = len(self._blocks)
+        self._stage_start = len(self._blocks)
 
 
 def _apart(one: FloatArray, other: FloatArray) -> float:

@@ -51,7 +51,7 @@ def not_shown(key: str, name: str, why: str) -> Finding:
 
 @dataclass(frozen=True)
 class HealthTuning:
-    """Where a stream's fault begins."""
+    """Where a fault of one stream begins, and when stamps are taken for those of two clocks."""
 
     jitter: float = 0.5  # RMS deviation of the gaps over the usual gap that is worth a look
     repeats: float = 0.05  # share of samples with the values of the one before
@@ -67,6 +67,21 @@ class HealthTuning:
     rate_noise: float = 0.3
     """Tesla and rad/s, standard deviation per axis and sample that is worth a look; an engine
     shakes a good gyro by a tenth."""
+    frozen: float = 1.0  # seconds for which a frozen sensor repeats one value
+    moving_rate: float = 0.09
+    moving_field: float = 0.2
+    """rad/s of the gyro beyond its median, and share of the field's whole swing, that show that the
+    robot moves meanwhile."""
+    overlap: float = 0.5  # share of the shorter stream that the other one on its clock must cover
+    pace_step: float = 0.1
+    longest: float = 7200.0
+    """Seconds at which the paces of gyro and field are compared, and of a log beyond which they are
+    not."""
+    latency: float = 0.6  # seconds of shift below which it is a latency, not another clock
+    alike: float = 0.55
+    better: float = 0.2
+    """Correlation of the paces at a larger shift that is believed, and by how much it must exceed
+    the best within a latency."""
 
 
 TUNING = HealthTuning()
@@ -236,7 +251,7 @@ def _step(values: FloatArray) -> float:
     return step if on_grid else 0.0
 
 
-def noise_findings(log: SensorLog, factor: float = 1.0) -> list[Finding]:
+def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
     """Look at the scatter of both sensors; each stream has three samples or more.
 
     The streams are clean, and `factor` makes rad/s of the gyro's numbers.

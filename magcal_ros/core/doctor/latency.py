@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -64,13 +65,8 @@ class LatencyTuning:
     in_time: float = 5e-3  # seconds, standard deviation of a latency that is taken for known
 
 
-@dataclass(frozen=True)
-class Latency:
-    """How late a sensor is, in seconds, and the standard deviation of that."""
-
-    lag: float
-    sigma: float
-
+Latency: TypeAlias = tuple[float, float]
+"""How late a sensor is, in seconds, and the standard deviation of that."""
 
 TUNING = LatencyTuning()
 EACH_SAMPLE = StretchTuning(fewest=TUNING.most, most=TUNING.most)
@@ -83,11 +79,8 @@ def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
     gives the axes, the bias and the hard iron.
     """
     before = float(explanations.parameters[k, LAG])
-    begun = _of_the_field(log, explanations, k, before)
-    if begun is None:
-        return None
-    found = _latency(*_fitted(*begun, log))
-    return Latency(before + found.lag, found.sigma)
+    start = _of_the_field(log, explanations, k, before)
+    return None if start is None else _latency(before, *_fitted(*start, log))
 
 
 def motors_field(
@@ -98,10 +91,10 @@ def motors_field(
     Shape (3,), and the covariance (3, 3), which is that of the prior where it did not both rest and
     turn. The field is late by `lag`, seconds; the rest is as in `field_latency`.
     """
-    begun = _of_the_field(log, explanations, k, lag)
-    if begun is None:
+    start = _of_the_field(log, explanations, k, lag)
+    if start is None:
         return None
-    fit, state, part = begun
+    fit, state, part = start
     rate = (1.0 + state[0, SCALE]) * fit.rate[0] - state[0, BIAS]
     width = max(1, int(TUNING.starts / max(float(np.median(np.diff(part.time))), 1e-4)))
     about_up = np.abs(rate @ unit(np.median(log.force, axis=0)))
@@ -113,7 +106,7 @@ def motors_field(
     # A nose may be lifted by hand or by motors: what is added then is another unknown.
     when = np.repeat(np.column_stack([moving & ~turning, turning]), 3, axis=1)
     columns = TUNING.motors / part.size * when[:, None] * np.tile(np.eye(3), 2)
-    found, covariance = _fitted(*begun, log, np.asarray(columns))
+    found, covariance = _fitted(*start, log, np.asarray(columns))
     return TUNING.motors * found[-3:], TUNING.motors**2 * covariance[-3:, -3:]
 
 
@@ -147,11 +140,10 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
         state = fit.descend(fit.start(), START_NOISE, TUNING.steps)
         turns = skews(fit.rate[0])
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
-        more = _latency(*_fitted(fit, state, part, log, TUNING.lever / part.size * lever))
-        found = Latency(before + more.lag, more.sigma)
-        if abs(more.lag) < WEIGHED.settled:
+        found = _latency(before, *_fitted(fit, state, part, log, TUNING.lever / part.size * lever))
+        if abs(found[0] - before) < WEIGHED.settled:
             break
-        before = found.lag
+        before = found[0]
     return found
 
 
@@ -193,9 +185,9 @@ def _fitted(
     return found, np.linalg.inv(information)
 
 
-def _latency(found: FloatArray, covariance: FloatArray) -> Latency:
+def _latency(before: float, found: FloatArray, covariance: FloatArray) -> Latency:
     off = math.hypot(math.sqrt(float(covariance[LAG, LAG])), TUNING.least)
-    return Latency(float(found[LAG]), off)
+    return before + float(found[LAG]), off
 
 
 def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:

@@ -58,7 +58,7 @@ class MotionTuning:
     bias: float = math.radians(0.8)  # rad/s of the gyro's bias
     scale: float = 0.03  # relative error of the gyro's scale
     at_rest: float = math.radians(0.1)  # rad/s, standard deviation of a bias that was read at rest
-    borne_out: float = 0.4  # share of the bias by which the rate at rest may be another
+    confirmed: float = 0.4  # share of the bias by which the rate at rest may be another
     lag: float = 0.015  # seconds between the sensors' stamps
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
     """Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
@@ -77,12 +77,11 @@ class MotionFound:
     findings: tuple[Finding, ...]  # the lines
     axes: AxesFound | None = None
     """Of the magnetometer, where it is the one that errs; None where nothing was shown."""
-    explanations: Explanations | None = None  # what was weighed
+    explanations: Explanations | None = None  # None where none explains the movement
     chosen: int = 0  # the explanation that is taken
     factor: float = 1.0  # what makes rad/s of the gyro's numbers
     up_is_down: bool | None = False
     """Whether gravity's sign is what errs; None where that is not decided."""
-    explained: bool = False  # whether the explanation explains the movement
 
 
 def compare(
@@ -95,7 +94,11 @@ def compare(
         return MotionFound((found, upright(log, None, None, turned_left)[0]))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = stretch_of_log(body)
-    if part is None or not _field_moves(part):
+    if part is None:
+        return _nothing_shown(log, None, turned_left)
+    # The field must change by more than its noise.
+    usual = float(np.median(np.linalg.norm(np.diff(part.field, axis=0), axis=1)))
+    if usual >= TUNING.largest_noise:
         return _nothing_shown(log, None, turned_left)
     rest = _longest_rest(body)
     factors = rate_factors(part)
@@ -120,15 +123,8 @@ def compare(
             findings.append(not_shown("latency", "field: latency", NO_BURSTS))
         else:
             findings += _latencies(body, explanations, blamed.chosen)
-    return MotionFound(
-        tuple(findings),
-        blamed.axes,
-        explanations,
-        blamed.chosen,
-        factor,
-        up_is_down,
-        blamed.explained,
-    )
+    weighed = explanations if blamed.explained else None
+    return MotionFound(tuple(findings), blamed.axes, weighed, blamed.chosen, factor, up_is_down)
 
 
 def _explained(
@@ -151,12 +147,6 @@ def _longest_rest(log: SensorLog) -> LongestRest | None:
     inside = (log.field_time >= log.imu_time[0]) & (log.field_time <= log.imu_time[-1])
     time = log.field_time[inside]
     return longest_stand(time, log.field[inside], interpolated(time, log.imu_time, log.rate))
-
-
-def _field_moves(stretch: Stretch) -> bool:
-    """Return whether the field changes by more than its noise."""
-    usual = float(np.median(np.linalg.norm(np.diff(stretch.field, axis=0), axis=1)))
-    return usual < TUNING.largest_noise
 
 
 def _turns_beside(stretch: Stretch, rest: LongestRest) -> bool:
@@ -211,8 +201,8 @@ def _gyro_errors(
     if rest is not None and rest.is_certain and off > TUNING.vague[0]:
         bias, off = rest.rate, TUNING.at_rest
     line = _bias(bias, off, factor)
-    # A vehicle's accelerations look like a bias while it turns: a rest must bear it out.
-    if off > TUNING.vague[0] or (line.is_wrong and not _borne_out(rest, bias)):
+    # A vehicle's accelerations look like a bias while it turns: a rest must confirm it.
+    if off > TUNING.vague[0] or (line.is_wrong and not _confirms(rest, bias)):
         line = not_shown("gyro_bias", "gyro: bias", FULL_TURN)
     found = [line]
     scale, off = float(state[SCALE]), float(sigma[SCALE])
@@ -252,28 +242,22 @@ def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
 
     Linear acceleration and a disturbed field change one of them.
     """
-    alone = align(
-        explanations.part,
-        explanations.field[chosen : chosen + 1],
-        explanations.gyro[chosen : chosen + 1],
-        with_up=False,
-    )
+    field, gyro = (axes[chosen : chosen + 1] for axes in (explanations.field, explanations.gyro))
+    alone = align(explanations.part, field, gyro, with_up=False)
     gap = abs(float(alone.parameters[0, SCALE] - explanations.parameters[chosen, SCALE]))
     sigma = math.sqrt(float(alone.covariance[0, SCALE, SCALE]))
     return gap < SIGMAS * max(sigma, float(explanations.sigma[chosen, SCALE]))
 
 
-def _borne_out(rest: LongestRest | None, bias: FloatArray) -> bool:
-    if rest is None:
-        return False
-    size = float(np.linalg.norm(bias))
-    return float(np.linalg.norm(rest.rate - bias)) < max(TUNING.bias, TUNING.borne_out * size)
+def _confirms(rest: LongestRest | None, bias: FloatArray) -> bool:
+    most = max(TUNING.bias, TUNING.confirmed * float(np.linalg.norm(bias)))
+    return rest is not None and float(np.linalg.norm(rest.rate - bias)) < most
 
 
 def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[Finding]:
     """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
     field, force = (
-        measured if measured is not None and measured.sigma < vague else None
+        measured if measured is not None and measured[1] < vague else None
         for measured, vague in (
             (field_latency(log, explanations, chosen), TUNING.vague[2]),
             (force_latency(log, explanations, chosen), TUNING.vague[3]),
@@ -306,14 +290,14 @@ def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[
 
 def _significant(latency: Latency | None) -> float:
     """Return a latency that is worth a word, seconds; zero for others."""
-    if latency is None or abs(latency.lag) < max(TUNING.lag, SIGMAS * latency.sigma):
+    if latency is None or abs(latency[0]) < max(TUNING.lag, SIGMAS * latency[1]):
         return 0.0
-    return latency.lag
+    return latency[0]
 
 
 def _latency(key: str, name: str, latency: Latency | None, tells: str, remedy: str) -> Finding:
     if latency is None:
         return not_shown(key, name, tells)
-    lag, off = round(latency.lag * 1e3), latency.sigma * 1e3
+    lag, off = round(latency[0] * 1e3), latency[1] * 1e3
     how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
     return looked_at(key, name, how, remedy)

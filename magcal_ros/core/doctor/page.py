@@ -89,18 +89,14 @@ def examine(
     found = compare(prepared, knowledge, turned_left)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
     lines += _of_the_field(prepared, found, knowledge)
-    mount = None
-    axes = found.axes
+    mount, wrong, axes = None, None, found.axes
     is_field = any(finding.key == "field_axes" for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
-        mount = axes.mount_rpy_deg
-        lines += known_habits(log, axes.candidates[0])
-    else:
-        lines += known_habits(log)
-        lines += orientation_findings(log, knowledge)
+        mount, wrong = axes.mount_rpy_deg, axes.candidates[0]
+    lines += known_habits(log, wrong)
+    lines += orientation_findings(log, knowledge) if wrong is None else []
     used = None
-    if found.explained and found.factor == 1.0 and not found.up_is_down:
-        assert found.explanations is not None
+    if found.explanations is not None and found.factor == 1.0 and not found.up_is_down:
         used = axes_in_use(found.explanations, found.chosen, knowledge)
     return Page(tuple(lines), mount, used, axes)
 
@@ -113,9 +109,8 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
 
 
 def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) -> list[Finding]:
-    if not found.explained:
+    if found.explanations is None:
         return []
-    assert found.explanations is not None
     log = prepared.log
     body = replace(
         log, rate=found.factor * log.rate, field=log.field @ knowledge.mounting.to_body.T
@@ -261,8 +256,8 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
         words = alive_finding("gyro", rate).remedy
         up = int(np.argmax(np.abs(window.specific_force.mean(axis=0))))
         if up in dead and len(dead) == 2:
-            living = 3 - sum(dead)
-            words += f", and gives the turn about {'xyz'[up]} as {'xyz'[living]}"
+            alive = 3 - sum(dead)
+            words += f", and gives the turn about {'xyz'[up]} as {'xyz'[alive]}"
         return Refusal(
             Reason.AXES_DISAGREE,
             f"{words}; correct the driver, or let it mark the rates as absent "

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.health import TUNING as HEALTH
 from magcal_ros.core.doctor.health import (
+    TUNING,
     Finding,
     alive_finding,
     field_findings,
@@ -36,26 +36,6 @@ def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> Floa
         return np.asarray(np.diff(total[rows], axis=0) / number[:, None])
 
 
-@dataclass(frozen=True)
-class SensorLogTuning:
-    """When a sensor is called frozen, and stamps are taken for those of two clocks."""
-
-    lasts: float = 1.0  # seconds for which a frozen sensor repeats one value
-    rate: float = 0.09  # rad/s beyond its median that the gyro must read meanwhile
-    field: float = 0.2  # share of its whole swing by which the field must move meanwhile
-    shared: float = 0.5  # share of the shorter stream that the other one must cover
-    step: float = 0.1  # seconds at which the streams' own speeds are compared
-    least: float = 0.6  # seconds below which it is a latency, which is measured better elsewhere
-    alike: float = 0.55
-    better: float = 0.2
-    """Correlation of the speeds beyond the latter lag that is believed, and by how much it must
-    exceed the best within it."""
-    longest: float = 7200.0  # seconds beyond which speeds are not compared
-
-
-TUNING = SensorLogTuning()
-
-
 @dataclass(frozen=True, eq=False)
 class CleanLog:
     """A log of finite, fresh samples with increasing stamps."""
@@ -76,41 +56,37 @@ def prepare(log: SensorLog) -> CleanLog:
     field &= (size > 0.0) & np.isfinite(size)
     if log.has_gyro:
         imu &= np.isfinite(log.rate).all(axis=1)
-    log = _from_zero(_taken(log, imu, field))
+    log = _taken(log, imu, field)
+    # Microseconds since 1970 leave few digits for a gap.
+    first = np.concatenate([log.imu_time, log.field_time]).min(initial=math.inf)
+    log = replace(log, imu_time=log.imu_time - first, field_time=log.field_time - first)
     findings: list[Finding] = []
     burst = False
     for name in ("imu", "field"):
         time = getattr(log, f"{name}_time")
-        if len(np.unique(time)) <= HEALTH.fewest:
+        if len(np.unique(time)) <= TUNING.fewest:
             continue
         increasing = np.unique(time)
         findings.append(stamps_finding("IMU" if name == "imu" else "field", increasing))
         if bursts_in_words(increasing):
             burst = True
             log = replace(log, **{f"{name}_time": evenly(time)})
-    if len(log.field) > HEALTH.fewest:
+    if len(log.field) > TUNING.fewest:
         findings += [*field_findings(log.field), repeats_finding("field", log.field)]
-    if len(log.force) > HEALTH.fewest:
+    if len(log.force) > TUNING.fewest:
         both = np.column_stack([log.force, np.nan_to_num(log.rate)])
         findings += [gravity_size_finding(log.force), repeats_finding("IMU", both)]
         findings.append(alive_finding("accelerometer", log.force))
         if log.has_gyro and not is_noiseless(log.rate):
             findings.append(alive_finding("gyro", log.rate))
     log = _fresh(log)
-    if min(len(log.force), len(log.field)) > HEALTH.fewest:
+    if min(len(log.force), len(log.field)) > TUNING.fewest:
         log, clocks = on_one_clock(log)
         findings += clocks
     log, more = _without_frozen(log)
     if more:
         findings = [f for f in findings if f.key != "frozen" or f.is_wrong] + more
     return CleanLog(log, tuple(findings), burst)
-
-
-def _from_zero(log: SensorLog) -> SensorLog:
-    """Count time from the first stamp: microseconds since 1970 leave few digits for a gap."""
-    stamps = np.concatenate([log.imu_time, log.field_time])
-    first = float(stamps.min()) if len(stamps) else 0.0
-    return replace(log, imu_time=log.imu_time - first, field_time=log.field_time - first)
 
 
 def _taken(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
@@ -122,7 +98,7 @@ def _taken(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
 def _fresh(log: SensorLog) -> SensorLog:
     """Leave out repeated samples, those at the end of a range, and stamps that do not increase."""
     held = np.zeros(len(log.field), dtype=np.bool_)
-    if len(log.field) > HEALTH.fewest:
+    if len(log.field) > TUNING.fewest:
         for axis in range(3):
             held |= saturated(log.field, axis)
     imu = _increasing(log.imu_time)
@@ -135,10 +111,8 @@ def _fresh(log: SensorLog) -> SensorLog:
 
 def _increasing(time: FloatArray) -> BoolArray:
     """Return the rows whose stamp is beyond all before it."""
-    if not len(time):
-        return np.zeros(0, dtype=np.bool_)
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(time)[:-1]])
-    return np.asarray(time > before)
+    latest = np.maximum.accumulate(np.append(-np.inf, time))
+    return np.asarray(time > latest[:-1])
 
 
 def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
@@ -151,7 +125,7 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
     for name, time, values in streams:
         for first, end in runs(repeats(values)):
             span = float(time[first - 1]), float(time[end - 1])
-            if span[1] - span[0] > TUNING.lasts and _moves(log, name, span):
+            if span[1] - span[0] > TUNING.frozen and _moves(log, name, span):
                 words = f"one value for {span[1] - span[0]:.1f} s while the robot moved"
                 remedy = f"the {name} is frozen: look at its wiring, and at its driver's errors"
                 found.append(wrong("frozen", f"{name}: alive", words, remedy))
@@ -177,14 +151,14 @@ def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
     if name != "gyro" and log.has_gyro:
         size = np.linalg.norm(log.rate - np.median(log.rate[:50], axis=0), axis=1)
         inside = (log.imu_time > span[0]) & (log.imu_time < span[1])
-        if inside.any() and float((size[inside] > TUNING.rate).mean()) > 0.2:
+        if inside.any() and float((size[inside] > TUNING.moving_rate).mean()) > 0.2:
             return True
     if name == "field" or not len(log.field):
         return False
     inside = (log.field_time > span[0]) & (log.field_time < span[1])
     whole = float(np.ptp(log.field, axis=0).max())
     return bool(inside.any()) and float(np.ptp(log.field[inside], axis=0).max()) > (
-        TUNING.field * whole
+        TUNING.moving_field * whole
     )
 
 
@@ -199,7 +173,7 @@ def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
     starts = log.imu_time[0], log.field_time[0]
     ends = log.imu_time[-1], log.field_time[-1]
     shorter = min(end - start for start, end in zip(starts, ends, strict=True))
-    overlap = min(ends) - max(starts) > TUNING.shared * shorter
+    overlap = min(ends) - max(starts) > TUNING.overlap * shorter
     # What was recorded together began together, roughly.
     off = 0.0 if overlap else float(starts[1] - starts[0])
     off += _apart(replace(log, field_time=log.field_time - off))
@@ -217,7 +191,7 @@ def _apart(log: SensorLog) -> float:
     last = max(log.imu_time[-1], log.field_time[-1])
     if not log.has_gyro or last - first > TUNING.longest:
         return 0.0
-    edges = np.arange(first, last + TUNING.step, TUNING.step)
+    edges = np.arange(first, last + TUNING.pace_step, TUNING.pace_step)
     gyro = np.linalg.norm(block_means(log.imu_time, log.rate, edges), axis=1)
     field = block_means(log.field_time, log.field, edges)
     moved = np.zeros(len(gyro))
@@ -230,8 +204,8 @@ def _apart(log: SensorLog) -> float:
         return 0.0
     size = 2 * len(one)
     alike = np.fft.irfft(np.conj(np.fft.rfft(one, size)) * np.fft.rfft(two, size), size) / power
-    lag = np.fft.fftfreq(size, 1.0 / size) * TUNING.step
-    near = float(alike[np.abs(lag) <= TUNING.least].max())
+    lag = np.fft.fftfreq(size, 1.0 / size) * TUNING.pace_step
+    near = float(alike[np.abs(lag) <= TUNING.latency].max())
     best = int(np.argmax(alike))
     plain = alike[best] > max(TUNING.alike, near + TUNING.better)
     return float(lag[best]) if plain else 0.0

@@ -57,22 +57,17 @@ def _every_other_is_void(log: SensorLog, _: FloatArray | None) -> bool:
     return len(void) > 1 and float(np.mean(void[1:] != void[:-1])) > 0.75
 
 
-def _leads(log: SensorLog) -> FloatArray:
-    """Return by how many seconds the field's stamps lead, at the beginning and at the end."""
-    times = [time[np.isfinite(time)] for time in (log.imu_time, log.field_time)]
-    if not all(len(time) for time in times):
-        return np.full(2, math.nan)
-    imu, field = times
-    return np.array([field[0] - imu[0], field[-1] - imu[-1]])
+def _leads_by(seconds: float, within: float) -> Callable[[SensorLog, FloatArray | None], bool]:
+    """Return whether the field's stamps lead by so much, at the beginning and at the end."""
 
+    def shows(log: SensorLog, _: FloatArray | None) -> bool:
+        imu, field = (time[np.isfinite(time)] for time in (log.imu_time, log.field_time))
+        if not len(imu) or not len(field):
+            return False
+        leads = field[[0, -1]] - imu[[0, -1]]
+        return bool((np.abs(leads - seconds) < within).all())
 
-def _one_wrap_ahead(log: SensorLog, _: FloatArray | None) -> bool:
-    return bool((np.abs(_leads(log) - WRAP) < 1.0).all())
-
-
-def _old_by_most_of_a_second(log: SensorLog, _: FloatArray | None) -> bool:
-    leads = _leads(log)
-    return bool((np.abs(leads + 0.8) < 0.2).all())
+    return shows
 
 
 def _sits_as(habit: FloatArray) -> Callable[[SensorLog, FloatArray | None], bool]:
@@ -100,13 +95,13 @@ QUIRKS: tuple[Quirk, ...] = (
         "SBG Systems",
         "stamps the field 4294.97 s ahead of the IMU: its clock of microseconds has wrapped",
         "let the driver stamp with the ROS time (time_reference: ros), or restart the sensor",
-        shows=_one_wrap_ahead,
+        shows=_leads_by(WRAP, 1.0),
     ),
     Quirk(
         "ZED 2i",
         "stamps the field 0.8 s before the IMU that comes with it",
         "stamp the field with the time at which it is received, or use another magnetometer",
-        shows=_old_by_most_of_a_second,
+        shows=_leads_by(-0.8, 0.2),
     ),
     Quirk(
         "MPU-9250",

@@ -59,11 +59,14 @@ class MountingYaw:
     is_rough: bool = False
     """Whether the speed is a receiver's, whose noise makes the scale less than one."""
 
+    def _explains(self, energy: float) -> bool:
+        is_enough = min(self.energy, self.force_energy) >= energy
+        return is_enough and self.explained >= MOUNTING.explained
+
     @property
     def is_usable(self) -> bool:
         """Whether it is good enough to take the vehicle's own acceleration off."""
-        is_enough = min(self.energy, self.force_energy) >= MOUNTING.first_energy
-        return is_enough and self.explained >= MOUNTING.explained and self.sigma < MOUNTING.believed
+        return self._explains(MOUNTING.first_energy) and self.sigma < MOUNTING.believed
 
     @property
     def has_scale(self) -> bool:
@@ -74,8 +77,7 @@ class MountingYaw:
     @property
     def is_known(self) -> bool:
         """Whether enough was seen, and the speed explains it."""
-        is_enough = min(self.energy, self.force_energy) >= MOUNTING.energy
-        return is_enough and self.explained >= MOUNTING.explained and self.has_scale
+        return self._explains(MOUNTING.energy) and self.has_scale
 
 
 class TickTable(NamedTuple):
@@ -112,7 +114,7 @@ def _judge(
     source: SpeedSource, table: TickTable, record: SpeedRecord, measures_delay: bool
 ) -> Judged:
     delay = _delay(table, record) if measures_delay else record.delay
-    met = _met(table, record, delay)
+    met = _at_delay(table, record, delay)
     is_rough = source is not SpeedSource.ODOMETRY
     newest = met.last(MOUNTING.stuck)
     if len(newest.speed) == MOUNTING.stuck and np.ptp(newest.speed) == 0.0:
@@ -130,10 +132,9 @@ def _judge(
     return Judged(source, found, fault, delay)
 
 
-def _met(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
+def _at_delay(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
     """Return ticks with the speeds of a source at a latency."""
-    speed = record.along(table.stamp, delay)
-    return table._replace(speed=speed, is_signed=record.is_signed)
+    return table._replace(speed=record.along(table.stamp, delay), is_signed=record.is_signed)
 
 
 def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
@@ -156,7 +157,7 @@ def _delay(table: TickTable, record: SpeedRecord) -> float:
     if len(table.stamp) < 2 * MOUNTING.highpass:
         return record.delay
     delays = np.arange(-MOUNTING.largest_delay / 8.0, MOUNTING.largest_delay + step, step)
-    scores = np.array([_correlation(_met(table, record, d)) for d in delays])
+    scores = np.array([_correlation(_at_delay(table, record, d)) for d in delays])
     best = int(np.argmax(scores))
     now = float(np.interp(record.delay, delays, scores))
     is_clear = scores[best] ** 2 > MOUNTING.explained and scores[best] > now + 0.02
@@ -170,20 +171,18 @@ def _delay(table: TickTable, record: SpeedRecord) -> float:
 
 def _correlation(ticks: TickTable) -> float:
     """Return how well force and change of velocity go together, zero to one."""
-    force, change, _, _ = _filtered(ticks, np.ones(len(ticks.stamp)))
+    force, change, _, _ = _filtered(ticks)
     size = math.sqrt(float(np.sum(np.abs(force) ** 2) * np.sum(np.abs(change) ** 2)))
     return 0.0 if size <= 0.0 else float(abs(np.vdot(change, force))) / size
 
 
-def _filtered(
-    ticks: TickTable, signs: FloatArray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray, BoolArray]:
+def _filtered(ticks: TickTable) -> tuple[ComplexArray, ComplexArray, ComplexArray, BoolArray]:
     """Return force, change of velocity and of a lever arm's, filtered, and where all are known."""
     ahead = np.exp(1j * ticks.yaw)
     ends = 0.5 * (ticks.turn_rate + np.append(ticks.turn_rate[1:], ticks.turn_rate[-1]))
     change, swing = (
         np.diff(each, prepend=np.nan) / ticks.seconds
-        for each in (signs * ticks.speed * ahead, 1j * ends * ahead)
+        for each in (ticks.speed * ahead, 1j * ends * ahead)
     )
     gap = np.diff(ticks.stamp, prepend=-np.inf)
     valid = np.isfinite(change) & (np.abs(gap - ticks.seconds) < 0.5 * ticks.seconds)
@@ -233,12 +232,12 @@ def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> Mounting
     """
     if len(ticks.stamp) < MOUNTING.highpass // 2 or not np.isfinite(ticks.speed).any():
         return None
-    force, change, swing, valid = _filtered(ticks, np.ones(len(ticks.stamp)))
+    force, change, swing, valid = _filtered(ticks)
     if valid.sum() < MOUNTING.highpass // 4:
         return None
     if not ticks.is_signed:
-        signs = _signs(ticks, force, change)
-        force, change, swing, valid = _filtered(ticks, signs)
+        signed = ticks.speed * _signs(ticks, force, change)
+        force, change, swing, valid = _filtered(ticks._replace(speed=signed))
     force, columns = force[valid], np.array([change[valid], swing[valid]])
     period = float(np.median(ticks.seconds))
     squares = np.abs(force) ** 2
@@ -322,11 +321,8 @@ class MountingWatch:
         ]
 
         def work() -> tuple[Judged, ...]:
-            columns = np.array(
-                [(t.stamp, t.seconds, t.yaw, t.turn_rate, math.nan) for t in ticks],
-                dtype=np.float64,
-            ).reshape(-1, 5)
-            stamps, seconds, yaw, rate, speed = columns.T
+            rows = [(t.stamp, t.seconds, t.yaw, t.turn_rate, math.nan) for t in ticks]
+            stamps, seconds, yaw, rate, speed = np.array(rows, dtype=float).reshape(-1, 5).T
             force = np.array([tick.level_force for tick in ticks], dtype=np.complex128)
             table = TickTable(stamps, seconds, force, yaw, rate, speed, True)
             judged: list[Judged] = []

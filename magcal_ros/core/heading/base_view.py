@@ -60,19 +60,6 @@ class VehicleYaw:
 
 
 @dataclass(frozen=True)
-class Declination:
-    """The declination in use and its sigma, radians; NaN where it is not known."""
-
-    value: float = math.nan
-    sigma: float = 0.0
-
-    @property
-    def is_known(self) -> bool:
-        """Whether true north is known."""
-        return math.isfinite(self.value)
-
-
-@dataclass(frozen=True)
 class Front:
     """What drives have shown so far."""
 
@@ -84,33 +71,37 @@ class Front:
     suspicion: str = ""  # which is misaligned beside the IMU, in words; empty if nothing is
 
 
-def where_is_the_front(
-    mounting: MountingYaw | None, course: CourseOffset | None, declination: Declination
+def vehicle_front(
+    mounting: MountingYaw | None,
+    course: CourseOffset | None,
+    declination: float | None,
+    declination_sigma: float = 0.0,
 ) -> Front:
     """Compare accelerations with course.
 
     `mounting` is the yaw of the IMU from accelerations: the compass has no part in it. `course` is
-    the yaw of the compass, to magnetic north, less course.
+    the yaw of the compass, to magnetic north, less course. The declination and its sigma are in
+    radians, None where true north is not known.
     """
     if course is not None and course.sigma > FRONT.lost:
         course = None
-    north = declination.value if declination.is_known else 0.0
+    north = declination or 0.0
     if mounting is None:
-        if course is None or not declination.is_known:
+        if course is None or declination is None:
             return Front()
         offset = math.remainder(course.offset - north, math.tau)
-        return Front(VehicleYaw(offset, math.hypot(course.sigma, declination.sigma), "course"))
+        return Front(VehicleYaw(offset, math.hypot(course.sigma, declination_sigma), "course"))
     own = VehicleYaw(mounting.yaw, mounting.sigma, "accelerations")
     if course is None:
         return Front(own)
     gap = math.remainder(course.offset - north - mounting.yaw, math.tau)
     sigma = math.hypot(course.sigma, mounting.sigma)
-    if not declination.is_known:
+    if declination is None:
         return Front(own, gap, sigma, _missing_declination(gap, sigma))
-    by_course = math.hypot(course.sigma, declination.sigma)
+    by_course = math.hypot(course.sigma, declination_sigma)
     sigma = math.hypot(by_course, mounting.sigma)
     if abs(gap) > max(FRONT.clear * sigma, FRONT.smallest):
-        return Front(own, gap, sigma, _suspicion(gap, sigma, declination.value))
+        return Front(own, gap, sigma, _suspicion(gap, sigma, declination))
     # Both agree, and are weighed by their variances.
     yaw = math.remainder(mounting.yaw + gap * (mounting.sigma / sigma) ** 2, math.tau)
     both = VehicleYaw(yaw, mounting.sigma * by_course / sigma, "accelerations and course")
@@ -217,40 +208,28 @@ def _by_tilt(seen: Heading) -> tuple[float, float]:
     return by_roll * cosine - by_pitch * sine, by_roll * sine + by_pitch * cosine
 
 
-@dataclass(frozen=True, eq=False)
-class CorrectedPose:
-    """A pose of the IMU in the base, shape (3, 3); None where none is described.
-
-    `contradiction` is in words: driving shows another yaw; empty if it does not.
-    """
-
-    pose: FloatArray | None
-    contradiction: str = ""
-
-
 def corrected_pose(
     described: FloatArray | None, by_hand: float | None, found: VehicleYaw | None
-) -> CorrectedPose:
-    """Return the pose that attitudes of the base are made with.
+) -> tuple[FloatArray | None, str]:
+    """Return the pose that attitudes of the base are made with, and what contradicts it in words.
 
     `described` (3, 3) is that of the robot's description, IMU axes to base axes. A yaw that was
     given `by_hand`, radians, replaces the one that was `found` by driving.
     """
     if described is None:
-        return CorrectedPose(None)
+        return None, ""
     yaw = rpy_from_rotation(described)[2]
     if by_hand is not None:
-        return CorrectedPose(_turned(described, by_hand - yaw), _doubt(found, by_hand))
+        return _turned(described, by_hand - yaw), _doubt(found, by_hand)
     if found is None or found.sigma > FRONT.useful:
-        return CorrectedPose(described)
+        return described, ""
     gap = math.remainder(found.offset - yaw, math.tau)
     if abs(gap) > FRONT.far_off:
-        return CorrectedPose(
-            described,
+        return described, (
             f"{found.words}, and the robot's description has it at {math.degrees(yaw):.0f}°: "
-            "correct its joint, or give vehicle_yaw_deg; it is used as described",
+            "correct its joint, or give vehicle_yaw_deg; it is used as described"
         )
-    return CorrectedPose(_turned(described, gap))
+    return _turned(described, gap), ""
 
 
 def _turned(pose: FloatArray, angle: float) -> FloatArray:

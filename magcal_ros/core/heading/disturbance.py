@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import TypeAlias
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
@@ -75,11 +75,8 @@ class Disturbance:
         return f"{line}; accepted because it lasted" if self.is_accepted else line
 
 
-class Expected(NamedTuple):
-    """A field by what is the same at every heading: tesla, and radians below the horizon."""
-
-    strength: float
-    inclination: float
+Expected: TypeAlias = tuple[float, float]
+"""A field's strength and inclination, the same at every heading: tesla, radians."""
 
 
 class DisturbanceDetector:
@@ -98,10 +95,9 @@ class DisturbanceDetector:
         self.departure = 0.0
         self.last: Disturbance | None = None
         self.amplitude_variance = DISTURBANCE.amplitude**2
-        expected = Expected(calibration.strength, calibration.inclination)
-        self._calibrated = self._expected = expected
-        self._noise = _own_variance(calibration) / max(expected.strength, 1e-9) ** 2
-        self._mean: tuple[float, float] | None = None
+        self._calibrated = self._expected = calibration.strength, calibration.inclination
+        self._noise = _own_variance(calibration) / max(calibration.strength, 1e-9) ** 2
+        self._mean: Expected | None = None
         self._stamp = -math.inf
         self._disturbed_since: float | None = None
 
@@ -166,8 +162,7 @@ class DisturbanceDetector:
     def _off(self, expected: Expected) -> tuple[float, float]:
         """Return how far the mean is from a field: strength, relative, and dip, radians."""
         assert self._mean is not None
-        strength, dip = self._mean
-        return strength / max(expected.strength, 1e-9) - 1.0, dip - expected.inclination
+        return self._mean[0] / max(expected[0], 1e-9) - 1.0, self._mean[1] - expected[1]
 
     def _note(self, stamp: float, yaw: float) -> bool:
         """Record the disturbance; returns whether it has lasted long enough."""
@@ -177,17 +172,11 @@ class DisturbanceDetector:
             self._disturbed_since = stamp
             last = Disturbance(stamp, stamp, yaw, strength, dip)
         accepts = stamp - self._disturbed_since > self.patience
-        self.last = Disturbance(
-            last.since,
-            stamp,
-            last.yaw,
-            max(strength, last.strength, key=abs),
-            max(dip, last.dip, key=abs),
-            accepts,
-        )
+        most = max(strength, last.strength, key=abs), max(dip, last.dip, key=abs)
+        self.last = Disturbance(last.since, stamp, last.yaw, *most, accepts)
         if accepts:
             assert self._mean is not None
-            self._expected = Expected(*self._mean)
+            self._expected = self._mean
             self._disturbed_since = None
         return accepts
 

@@ -79,7 +79,7 @@ class FusedYaw:
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
         self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
         self._is_at_rest = False
-        self._corrected = self._begun = self._heading_stamp = self._heading_since = -math.inf
+        self._corrected = self._start_stamp = self._heading_stamp = self._heading_since = -math.inf
         self.last_heading_gap = 0.0
         self._overruled = 0.0
         self._headings_ahead: list[float] = []
@@ -187,7 +187,7 @@ class FusedYaw:
             self._filter.yaw_variance += innovation**2
         elif detector.trust is Trust.IGNORED:
             self._overruled = 0.0
-            if stamp - self._begun < FUSION.start:
+            if stamp - self._start_stamp < FUSION.start:
                 # What turns out to be bent soon after the start was so at the start.
                 missing = FUSION.unknown**2 - self._filter.yaw_variance
                 self._filter.yaw_variance += max(0.0, missing)
@@ -277,7 +277,7 @@ class FusedYaw:
         bent = self._disturbance_variance
         self._filter.begin(variance, min(bias, 1.0), bent, _errors_of(heading))
         self._loss.begin(dot(self._known.rate, self._up.direction), min(bias, 1.0))
-        self._begun = self._stamp
+        self._start_stamp = self._stamp
         self._path.append(_Moment(self._stamp, level, self._shift))
 
     def _move_on(self, seconds: float, innovation: float, heading: Heading) -> None:

@@ -22,7 +22,7 @@ from magcal_ros.core.geometry.vec3 import Triple, length
 
 @dataclass(frozen=True)
 class RunningTuning:
-    """When a robot moves."""
+    """When a robot moves, and how well the inputs show what its motors add."""
 
     rate: float = 0.03  # rad/s from which it turns, as for the smoother (`Lengths.moving`)
     speed: float = 0.01  # m/s from which it drives: below a step of a wheel's encoder
@@ -35,6 +35,11 @@ class RunningTuning:
     settles: float = 0.7
     idle: float = 5.0
     """Seconds at rest after which the current is that of rest, and over which that is averaged."""
+    body_length: float = 4.0  # seconds over which what no input shows is alike
+    late_share: float = 0.03
+    """Of the time in which motors run and nothing shows it yet, or the other way round."""
+    longest: float = 0.5  # seconds that this lasts at most
+    latency: float = 0.2  # seconds by which a speed or a current may be late
 
 
 RUNNING = RunningTuning()
@@ -66,12 +71,19 @@ class MotionSense:
         if stamp == self._stamp:
             return self.newest
         seconds, self._stamp = stamp - self._stamp, stamp
-        moves = self._judged(rate, is_at_rest, speed)
+        turns = 0.0 if rate is None else length(rate)
+        drives = 0.0 if math.isnan(speed) else abs(speed)
+        moves: bool | None = False if is_at_rest else None
+        if turns > RUNNING.rate or drives > RUNNING.speed:
+            moves = True
+        elif not math.isnan(speed):
+            # Wheels that stand do not show a turn on the spot; the gyro would.
+            moves = None if rate is None else False
         if moves is not self._moves:
             # What is not known at first was as it is now.
             self._since = -math.inf if self._moves is None else stamp
             self._moves = moves
-        is_slow = self._goes_slowly(rate, speed)
+        is_slow = turns < 2.0 * RUNNING.rate and drives < RUNNING.slow
         if is_slow and not self._is_slow:
             self._slow_since = stamp
         self._is_slow = is_slow
@@ -96,20 +108,6 @@ class MotionSense:
             old = current if math.isnan(self._idle) else self._idle
             self._idle = old + share * (current - old)
         return 0.0 if moves is False else current - self._idle
-
-    def _goes_slowly(self, rate: Triple | None, speed: float) -> bool:
-        turns = 0.0 if rate is None else length(rate)
-        drives = 0.0 if math.isnan(speed) else abs(speed)
-        return turns < 2.0 * RUNNING.rate and drives < RUNNING.slow
-
-    def _judged(self, rate: Triple | None, is_at_rest: bool, speed: float) -> bool | None:
-        """Return whether it moves; None where that is not known."""
-        if rate is not None and length(rate) > RUNNING.rate:
-            return True
-        if not math.isnan(speed):
-            # Wheels that stand do not show a turn on the spot; the gyro would.
-            return abs(speed) > RUNNING.speed or (None if rate is None else False)
-        return False if is_at_rest else None
 
 
 MICROTESLA = 1e6
@@ -163,20 +161,6 @@ class PlaceFieldTuning:
 PLACE_FIELD = PlaceFieldTuning()
 
 
-@dataclass(frozen=True)
-class InputTuning:
-    """How well the inputs show what the motors add."""
-
-    body_length: float = 4.0  # seconds over which what no input tells is alike
-    late_share: float = 0.03
-    """Of the time in which motors run and nothing shows it yet, or the other way round."""
-    longest: float = 0.5  # seconds that this lasts at most
-    latency: float = 0.2  # seconds by which a speed or a current may be late
-
-
-INPUT = InputTuning()
-
-
 class _Answer(NamedTuple):
     """What a sample shows if the motors may add so much that no input shows."""
 
@@ -223,7 +207,7 @@ class MotorsNow:
         # Motors that a sample's own noise hides are not worth the time.
         self._is_felt = bool(np.trace(most) > np.trace(self._noise))
         late = (MotorInput.SPEED, MotorInput.CURRENT)
-        self._latency = np.array([INPUT.latency * (each in late) for each in motors.inputs])
+        self._latency = np.array([RUNNING.latency * (each in late) for each in motors.inputs])
         if len(self._values) != count:
             self._values, self._change = np.zeros(count), np.zeros(count)
 
@@ -275,13 +259,13 @@ class MotorsNow:
 
     def _late(self, stamp: float, odds: float) -> float | None:
         """Return the probability that motors run otherwise than is seen; None if that lasts."""
-        share = INPUT.late_share
+        share = RUNNING.late_share
         late = share / (share + (1.0 - share) * math.exp(min(-odds, 300.0)))
         if late < 0.5:
             self._late_since = math.nan
         elif math.isnan(self._late_since):
             self._late_since = stamp
-        elif stamp - self._late_since > INPUT.longest:
+        elif stamp - self._late_since > RUNNING.longest:
             self._late_since = math.nan
             return None
         return late
@@ -314,10 +298,10 @@ class MotorsNow:
             self._forget(LEFT, level)
             self._change = np.zeros(len(values))
             return
-        share = min(seconds / INPUT.latency, 1.0)
+        share = min(seconds / RUNNING.latency, 1.0)
         self._change = self._change + share * (changed / seconds - self._change)
         turned = seconds * moves * (now - 0.5 * faster)
-        keeps = math.exp(-seconds / INPUT.body_length) if moves and moved else 0.0
+        keeps = math.exp(-seconds / RUNNING.body_length) if moves and moved else 0.0
         step = np.zeros((6, 6))
         step[PLACE, PLACE], step[LEFT, LEFT] = exp_rotation(-turned), keeps * EYE
         self._mean = step @ self._mean
@@ -328,7 +312,7 @@ class MotorsNow:
             + self._iron * math.sqrt(float(turned @ turned)) * EYE
         )
         # So large that in the latency it changes by as much as the inputs do.
-        late = 0.5 * INPUT.body_length / INPUT.latency * self._latency**2
+        late = 0.5 * RUNNING.body_length / RUNNING.latency * self._latency**2
         level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains
         covariance[LEFT, LEFT] += (1.0 - keeps**2) * level
         covariance[LEFT, LEFT] += keeps**2 * (self._by_gains @ changed) @ changed

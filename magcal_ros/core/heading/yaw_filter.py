@@ -44,7 +44,7 @@ class FusionTuning:
     moving_tau: float = 20.0
     """Seconds over which the disturbance of a moving robot is correlated: streets bend the field
     over 25 to 30 m, which are 4 s of a car and 37 s at walking pace. With too short a time the yaw
-    would be told as more certain than it is."""
+    would be reported as more certain than it is."""
     standing_tau: float = 300.0  # the same of a robot that stands
     learning_step: float = 0.1  # seconds after which the disturbance is learnt anew
     overruled_after: float = 3.0

@@ -35,8 +35,8 @@ class KeepingTuning:
     the hard iron is fitted."""
     notice_differs: float = 4.0
     notice_proof: float = 2.0
-    """How many sigmas a changed hard iron must differ from what is in force to be told, and by how
-    many units of log likelihood the road before and since must be likelier with it."""
+    """Sigmas by which a changed hard iron must differ from what is in force to be reported, and
+    units of log likelihood by which the road before and since must be likelier with it."""
     plainly: float = 0.2
     """Share of the difference from what is in force that a changed hard iron may be uncertain
     by."""
@@ -45,8 +45,7 @@ class KeepingTuning:
     fewest_sectors: int = 6
     fewest_for_iron: int = 4
     """Of twelve headings that all twelve numbers need, and the hard iron alone."""
-    differs: float = 2.0
-    """Sigmas within which two calibrations agree: then nothing is to be mended."""
+    differs: float = 2.0  # sigmas within which two calibrations agree: then nothing is to be mended
     much_better: float = 0.6
     """Share of the other's sigma below which it is taken up all the same. Where that is beyond
     `largest_sigma` and both agree, this is enough."""
@@ -63,12 +62,9 @@ class KeepingTuning:
     twelve numbers are new."""
     most_against: float = 1.5
     """Units that the headings which speak against a changed hard iron may have together."""
-    usual_speed: float = 5.0
-    """m/s of a robot whose speed is not measured."""
-    memory: float = 600.0
-    """Seconds of road that are remembered."""
-    map_every: float = 0.5
-    """Seconds between points of the map of a drive."""
+    usual_speed: float = 5.0  # m/s of a robot whose speed is not measured
+    memory: float = 600.0  # seconds of road that are remembered
+    map_every: float = 0.5  # seconds between points of the map of a drive
     kept: int = 3
     remembered: int = 20
     """Calibrations before the one in force, and decisions, that are kept."""
@@ -153,13 +149,11 @@ class Verb(str, Enum):
 class Decision:
     """One decision."""
 
-    clock: float
-    """Seconds of movement since the drive began."""
+    clock: float  # seconds of movement since the drive began
     verb: Verb
     words: str
     """What and why, one sentence."""
-    calibration: Calibration | None = None
-    """What is to be put in force, where something is."""
+    calibration: Calibration | None = None  # what is to be put in force, where something is
 
     @property
     def changes(self) -> bool:
@@ -183,25 +177,20 @@ class Trial(NamedTuple):
     """Clock from which road counts, seconds."""
 
 
-@dataclass(frozen=True, eq=False)
-class Probation:
-    """A candidate that has to prove itself."""
+class Probation(NamedTuple):
+    """A candidate that has to prove itself, as it is known by now, and what it was at each look.
+
+    Each step is for the road from there; road counts from the first one on.
+    """
 
     candidate: DriveCandidate
-    """As it is known by now."""
     steps: tuple[Step, ...]
-    """What it was at each look, for the road from there."""
 
     @staticmethod
-    def of(candidate: DriveCandidate, before: Probation | None = None) -> Probation:
-        """Return the probation of a candidate, or of one that is known better by now."""
+    def of(candidate: DriveCandidate, before: tuple[Step, ...] = ()) -> Probation:
+        """Return the probation of a candidate that was something else at the steps before."""
         step = Step(candidate.end, candidate.calibration.correction)
-        return Probation(candidate, (*(before.steps if before else ()), step))
-
-    @property
-    def since(self) -> float:
-        """Clock from which road counts, seconds."""
-        return self.steps[0].since
+        return Probation(candidate, (*before, step))
 
 
 def is_same(one: Calibration | None, other: Calibration | None) -> bool:
@@ -215,12 +204,9 @@ def is_same(one: Calibration | None, other: Calibration | None) -> bool:
 class Proof:
     """What the road after a fit says of a new calibration against an old one."""
 
-    seconds: float = 0.0
-    """Of road."""
-    likelihood: float = 0.0
-    """Fall of minus log likelihood on all of the road, independent units."""
-    halves: tuple[float, float] = (0.0, 0.0)
-    """The same of its two halves."""
+    seconds: float = 0.0  # of road
+    likelihood: float = 0.0  # fall of minus log likelihood on all of the road, independent units
+    halves: tuple[float, float] = (0.0, 0.0)  # the same of its two halves
     elsewhere: float = 0.0
     """What of it is left without the quarter of headings that speaks most for the new one: steel on
     one side of the way speaks in one alone."""
@@ -253,8 +239,7 @@ class Step(NamedTuple):
 class Contest:
     """Two calibrations to be compared on road."""
 
-    name: str
-    """Whose it is, to tell the answers apart."""
+    name: str  # whose it is, to tell the answers apart
     old: Correction
     new: tuple[Step, ...]
     """One after another, each for the road that it was not fitted to; what is before the first does
@@ -265,14 +250,12 @@ class Contest:
 class DriveJob:
     """One look at a drive; all that a worker needs, and it can be sent to one."""
 
-    log: DriveLog
-    """The last minutes."""
+    log: DriveLog  # the last minutes
     knowledge: Knowledge
     in_force: Calibration | None
     windows: tuple[float, ...]
     """Seconds of the newest road to which all twelve numbers are fitted."""
-    not_before: float
-    """Clock before which no window begins, seconds: something changed there."""
+    not_before: float  # clock before which no window begins, seconds: something changed there
     changed: float
     """Clock of the change after which what is in force was fitted; minus infinity without one."""
     contests: tuple[Contest, ...]
@@ -282,12 +265,10 @@ class DriveJob:
 class Findings:
     """What came of a look."""
 
-    clock: float
-    """Of the newest road, seconds."""
+    clock: float  # of the newest road, seconds
     candidates: tuple[DriveCandidate, ...]
     since_change: DriveCandidate | None
     finer: DriveCandidate | None
     """The hard iron of all road since a change that is suspected, and since the one that was
     proved."""
-    proofs: dict[str, Proof]
-    """By the contests' names."""
+    proofs: dict[str, Proof]  # by the contests' names

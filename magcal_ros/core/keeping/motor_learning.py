@@ -26,7 +26,7 @@ FIXED = 9
 """States before the gains: field of the place, error of the hard iron, coloured noise; µT."""
 GAINS = slice(FIXED, FIXED + 3 * len(INPUTS))
 LATE = GAINS.stop
-"""State: seconds by which the current is told late."""
+"""State: seconds by which the current is reported late."""
 CURRENT = INPUTS.index(MotorInput.CURRENT)
 
 
@@ -47,7 +47,7 @@ class LearningTuning:
     """Median of the field that an input makes at its usual size, µT, and standard deviation of its
     natural logarithm, as of `motors_moving` (`smoother.unknowns`)."""
     most: float = 30.0  # µT, largest such field
-    late: float = 0.1  # seconds by which a current is told late, and their sigma
+    late: float = 0.1  # seconds by which a current is reported late, and their sigma
 
 
 TUNING = LearningTuning()
@@ -74,15 +74,8 @@ class _Interval:
 class MotorLearning:
     """Learns the motors' gains from one sample after another.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        What is in force; its motors are where the learning begins.
-
-    Attributes
-    ----------
-    heard : frozenset of MotorInput
-        The inputs that have been told.
+    It begins with the motors of the calibration in force. `heard` are the inputs that have been
+    reported.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -114,16 +107,8 @@ class MotorLearning:
     def add(self, stamp: float, raw: Triple, rate: Triple, running: Running) -> bool:
         """Take a raw field sample with what the robot does; returns whether a block is done.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        raw : tuple of float
-            Tesla, as the magnetometer reads it.
-        rate : tuple of float
-            rad/s in body axes, less the gyro's bias.
-        running : Running
-            What the motors do.
+        The stamp is in seconds, `raw` in tesla as the magnetometer reads it, `rate` in rad/s in
+        body axes, less the gyro's bias, and `running` what the motors do.
         """
         seconds, self._stamp = stamp - self._stamp, stamp
         if not 0.0 < seconds < PLACE_FIELD.longest:
@@ -161,14 +146,14 @@ class MotorLearning:
         prior_mean = self._prior_mean[rows]
         prior = np.linalg.inv(self._prior[np.ix_(rows, rows)])
         now = np.linalg.inv(self._covariance[np.ix_(here[rows], here[rows])])
-        pull = now @ self._mean[here[rows]] - prior @ prior_mean
+        weighted = now @ self._mean[here[rows]] - prior @ prior_mean
         known = np.array([True] * 3 + [k in self._known for k in which for _ in range(3)])
-        seen = _SeenGains(_positive(np.asarray(now - prior)), pull, prior, prior_mean, known)
+        seen = _SeenGains(_positive(np.asarray(now - prior)), weighted, prior, prior_mean, known)
         return self._in_sensor_axes(*seen.posterior(self._scales(seen, which)), which)
 
     @property
     def delay(self) -> tuple[float, float]:
-        """Seconds by which the current is told late, and their standard deviation."""
+        """Seconds by which the current is reported late, and their standard deviation."""
         return float(self._mean[LATE]), math.sqrt(self._covariance[LATE, LATE])
 
     def _is_used(self, which: MotorInput) -> bool:
@@ -183,7 +168,7 @@ class MotorLearning:
         grid = TUNING.usual * np.exp(TUNING.spread * np.linspace(-2.0, 3.2, 14))
         grid = grid[grid < TUNING.most]
         belief = -0.5 * (np.log(grid / TUNING.usual) / TUNING.spread) ** 2
-        scales = np.ones(len(seen.pull))
+        scales = np.ones(len(seen.weighted))
         per_unit = {k: 1.0 / math.sqrt(self._squares[k]) for k in which}
         free = [(j, k) for j, k in enumerate(which) if k not in self._known]
         for j, k in free:
@@ -234,19 +219,19 @@ class MotorLearning:
         """Go on by a block and take its means; not where the robot stops or starts beside it."""
         count = block.count
         u = np.asarray(block.inputs) / count
-        told = ~np.isnan(u)
-        self.heard |= {each for each, is_told in zip(INPUTS, told, strict=True) if is_told}
-        u = np.where(told, u, 0.0)
+        known = ~np.isnan(u)
+        self.heard |= {each for each, is_known in zip(INPUTS, known, strict=True) if is_known}
+        u = np.where(known, u, 0.0)
         moves = u[0] > 0.0
         self._predict(block, moves)
-        if not told[[self._is_used(each) for each in INPUTS]].all():
+        if not known[[self._is_used(each) for each in INPUTS]].all():
             return
         if not (block.clear and is_even):
             return
         raw = np.asarray(block.field) / count
         y = self._calibration.correction.apply(raw) * MICROTESLA
         later = np.asarray(after.inputs)[CURRENT] / after.count - u[CURRENT]
-        faster = later / block.seconds if told[CURRENT] and math.isfinite(later) else 0.0
+        faster = later / block.seconds if known[CURRENT] and math.isfinite(later) else 0.0
         u[CURRENT] += self._mean[LATE] * faster
         gain = self._mean[GAINS].reshape(-1, 3)[CURRENT]
         h = np.column_stack([np.kron([1.0, 1.0, 1.0, *u], np.eye(3)), faster * gain])
@@ -263,7 +248,7 @@ class MotorLearning:
         self._covariance -= gain @ p_h.T
         self._covariance = 0.5 * (self._covariance + self._covariance.T)
         if moves:
-            self._squares += TUNING.pace * (np.where(told, u**2, self._squares) - self._squares)
+            self._squares += TUNING.pace * (np.where(known, u**2, self._squares) - self._squares)
             step = TUNING.pace * (min(square / 3.0, 4.0) - 1.0)
             self._ripple = min(max(self._ripple * math.exp(step), TUNING.body), TUNING.most)
 
@@ -326,36 +311,26 @@ def _positive(matrix: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _SeenGains:
-    """What samples show of the iron's error and the gains, apart from the priors.
+    """What samples show of the iron's error and the gains, apart from the priors."""
 
-    Parameters
-    ----------
-    shown : ndarray, shape (m, m)
-        Information of the samples alone.
-    pull : ndarray, shape (m,)
-        The same times their mean.
-    prior, prior_mean : ndarray, shape (m, m) and (m,)
-        Information and mean of what is known.
-    known : ndarray of bool, shape (m,)
-        Of which numbers something is; the others have a sigma, about zero.
-    """
-
-    shown: FloatArray
-    pull: FloatArray
+    shown: FloatArray  # information of the samples alone, shape (m, m)
+    weighted: FloatArray  # the same times their mean, shape (m,)
     prior: FloatArray
     prior_mean: FloatArray
+    """Information and mean of what is known. Shapes (m, m) and (m,)."""
     known: BoolArray
+    """Of which numbers something is; the others have a sigma, about zero. Shape (m,)."""
 
     def posterior(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return covariance and mean under sigmas of what is not known."""
         information, weighted = self._believed(scales)
         covariance = np.linalg.inv(self.shown + information)
-        return 0.5 * (covariance + covariance.T), covariance @ (self.pull + weighted)
+        return 0.5 * (covariance + covariance.T), covariance @ (self.weighted + weighted)
 
     def evidence(self, scales: FloatArray) -> float:
         """Return the logarithm of the evidence of such sigmas, but for a constant."""
         information, weighted = self._believed(scales)
-        both, whole = self.shown + information, self.pull + weighted
+        both, whole = self.shown + information, self.weighted + weighted
         cost = np.linalg.slogdet(both)[1] - np.linalg.slogdet(information)[1]
         return 0.5 * float(whole @ np.linalg.solve(both, whole) - cost)
 

@@ -42,14 +42,8 @@ TRIAL = "trial"
 class SelfCalibration:
     """Follows a drive and decides.
 
-    Attributes
-    ----------
-    before : deque of Calibration
-        What was in force before, the newest last.
-    proposal : Calibration or None
-        What waits for a person's word.
-    lost : int
-        Jobs that were never finished since the last one that was.
+    `before` are the calibrations that were in force, the newest last, `proposal` is what waits for
+    a person, and `lost` counts the jobs that were not finished since the last one that was.
     """
 
     def __init__(self, mode: Mode = Mode.PROPOSE) -> None:
@@ -161,15 +155,8 @@ class SelfCalibration:
             if self._trial is not None:
                 old = Step(self._trial.since, self._trial.calibration.correction)
                 contests.append(Contest(TRIAL, in_force.correction, (old,)))
-        return DriveJob(
-            self._recorder.log(),
-            knowledge,
-            in_force,
-            windows,
-            self._not_before,
-            self._changed,
-            tuple(contests),
-        )
+        since = self._not_before, self._changed
+        return DriveJob(self._recorder.log(), knowledge, in_force, windows, *since, tuple(contests))
 
     def fail(self) -> None:
         """Take note that a job was lost; a later look tries again."""
@@ -177,12 +164,9 @@ class SelfCalibration:
         self.lost += 1
 
     def note(self, findings: Findings) -> list[Decision]:
-        """Take what a job found.
+        """Take what a job found; returns what was decided.
 
-        Returns
-        -------
-        list of Decision
-            One with a calibration is to be put in force, or offered where it is `PROPOSED`.
+        A calibration of a decision is to be put in force, or offered where it is `PROPOSED`.
         """
         is_current = self._pending == self._generation + 1
         self._pending = self.lost = 0
@@ -195,16 +179,17 @@ class SelfCalibration:
         return made
 
     def _weigh(self, findings: Findings) -> list[Decision]:
-        if self._in_force is None:
+        in_force = self._in_force
+        if in_force is None:
             return self._begin(findings)
         made = self._tried(findings)
         if made and made[-1].changes:
             return made
-        made += self._proved(findings) or self._refined(findings, self._in_force)
+        made += self._proved(findings, in_force) or self._refined(findings, in_force)
         if made and made[-1].changes:
             return made
-        made += self._take_up(findings, self._in_force)
-        return made + self._notice(findings, self._in_force)
+        made += self._take_up(findings, in_force)
+        return made + self._notice(findings, in_force)
 
     def _begin(self, findings: Findings) -> list[Decision]:
         """With nothing in force two windows that agree are enough."""
@@ -238,20 +223,21 @@ class SelfCalibration:
         if why:
             self._trial, self._not_before = None, trial.since
             words = f"the calibration before was better after all: {why} under it"
-            verb = Verb.PROPOSED if self.mode is Mode.PROPOSE else Verb.ROLLED_BACK
-            return [self._change(findings.clock, trial.calibration, words, verb)]
+            return [self._change(findings.clock, trial.calibration, words, Verb.ROLLED_BACK)]
         if proof.seconds > KEEPING.longest_trial:
             self._trial = None
             words = f"{proof.seconds:.0f} s of road speak for nothing that was in force before"
             return [Decision(findings.clock, Verb.CONFIRMED, words)]
         return []
 
-    def _proved(self, findings: Findings) -> list[Decision]:
+    def _proved(self, findings: Findings, in_force: Calibration) -> list[Decision]:
         made: list[Decision] = []
         for kind, probation in list(self._on_probation.items()):
             proof = findings.proofs.get(kind.value, Proof())
-            if kind is Kind.IRON:
-                probation = self._followed(probation, findings)
+            since = findings.since_change
+            if kind is Kind.IRON and since is not None and is_another(since, in_force):
+                # The hard iron of all road since the change, as it is known by now.
+                probation = self._on_probation[kind] = Probation.of(since, probation.steps)
             candidate = probation.candidate
             why = proof.stands(kind)
             if why and self._is_believable(candidate):
@@ -259,18 +245,11 @@ class SelfCalibration:
                     self._changed = self._not_before = candidate.start
                 words = f"{candidate.in_words}: {why}"
                 return [*made, self._change(findings.clock, candidate.calibration, words)]
-            if findings.clock - probation.since > KEEPING.longest_probation:
+            if findings.clock - probation.steps[0].since > KEEPING.longest_probation:
                 del self._on_probation[kind]
                 words = f"{candidate.in_words}: not proved better on the road since"
                 made.append(Decision(findings.clock, Verb.DROPPED, words))
         return made
-
-    def _followed(self, probation: Probation, findings: Findings) -> Probation:
-        """Take up the hard iron of all road since the change, as it is known by now."""
-        since = findings.since_change
-        if since is not None and self._in_force is not None and is_another(since, self._in_force):
-            probation = self._on_probation[Kind.IRON] = Probation.of(since, probation)
-        return probation
 
     def _refined(self, findings: Findings, in_force: Calibration) -> list[Decision]:
         """Replace what came of driving by what more of the same driving shows."""
@@ -348,10 +327,8 @@ class SelfCalibration:
         self, clock: float, calibration: Calibration, words: str, verb: Verb = Verb.APPLIED
     ) -> Decision:
         self._on_probation.clear()
-        if self.mode is Mode.PROPOSE:
-            self.proposal, verb = calibration, Verb.PROPOSED
         evidence = replace(calibration.evidence, reasons=(words,))
         calibration = replace(calibration, evidence=evidence)
         if self.mode is Mode.PROPOSE:
-            self.proposal = calibration
+            self.proposal, verb = calibration, Verb.PROPOSED
         return Decision(clock, verb, words, calibration)

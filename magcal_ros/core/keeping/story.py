@@ -35,15 +35,12 @@ from magcal_ros.core.samples.streams import (
 class DrivePath:
     """Where was driven, and how the field was there under the last calibration."""
 
-    place: FloatArray
-    """Metres east and north of the beginning. Shape (n, 2)."""
+    place: FloatArray  # metres east and north of the beginning. Shape (n, 2).
     error: FloatArray
     """Radians by which a disturbance may turn the heading: one as large as level and upright field
     are off the calibrated ones, and across the level field. Shape (n,)."""
-    is_measured: bool
-    """Whether a receiver told the places; else they are reckoned from the compass and the speed."""
-    has_speed: bool
-    """Whether a speed was measured; else it was guessed."""
+    is_measured: bool  # whether a receiver measured the places; else compass and speed give them
+    has_speed: bool  # whether a speed was measured; else it was guessed
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +55,8 @@ class DriveStory:
     seconds: float
     moved: float
     """How long the recording is, and how long the robot moved in it."""
-    doing: str
-    """What went on at the end, in words."""
-    path: DrivePath | None
-    """None where no calibration tells a heading."""
+    doing: str  # what went on at the end, in words
+    path: DrivePath | None  # None where no calibration tells a heading
     course: str = ""
     """How the compass goes against course at the end, in words; empty where nothing tells it."""
 
@@ -75,7 +70,7 @@ class DriveReplay:
         calibration: Calibration | None,
         machine: SelfCalibration | None = None,
     ) -> None:
-        self._knowledge, self._begun, self._now = knowledge, calibration, calibration
+        self._knowledge, self._initial, self._now = knowledge, calibration, calibration
         self._streams = Streams(STREAMS.max_gap)
         self._machine = machine or SelfCalibration(Mode.APPLY)
         self._machine.put_in_force(calibration)
@@ -101,7 +96,7 @@ class DriveReplay:
         seconds = self._last - self._first if self._points else 0.0
         return DriveStory(
             tuple(self._decisions),
-            self._begun,
+            self._initial,
             self._now,
             seconds,
             self._machine.seconds,
@@ -149,7 +144,7 @@ def path_along(
 
     Raw field (tesla) and up are (n, 3) in body axes, `time` (n,) in seconds, `speed` (n,) in m/s
     and NaN where nobody measured it. `fixes` (k, 3) are stamps, metres east and north; without them
-    places are reckoned.
+    places are computed from heading and speed.
     """
     field = calibration.correction.apply(raw)
     rise = np.sum(field * up, axis=1)

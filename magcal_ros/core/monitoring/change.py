@@ -19,12 +19,13 @@ The first three move the yaw. Strength needs no up vector, so acceleration canno
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage
@@ -36,17 +37,13 @@ class ChangeTuning:
 
     correlation_time: float = 30.0
     """Seconds over which the records' errors are taken to be alike, less and less."""
-    few: float = 10.0
-    """Independent stretches that know their own scatter half as well as many do."""
-    huber: float = 1.5
-    """Scatters from which a record weighs less."""
-    smallest_scatter: float = 0.002
-    """Of the field; the least scatter that is assumed for records."""
+    few: float = 10.0  # independent stretches that know their own scatter half as well as many do
+    huber: float = 1.5  # scatters from which a record weighs less
+    smallest_scatter: float = 0.002  # of the field; the least scatter that is assumed for records
     fastest_curve: float = 0.15
     """s/m, standard deviation of driving speed over gravity: how far curves may lean up, per
     rad/s."""
-    longest_piece: float = 60.0
-    """Seconds over which the gyro's drift is taken as steady."""
+    longest_piece: float = 60.0  # seconds over which the gyro's drift is taken as steady
     steepest_nose: float = 0.75
     """Squared share of up along body x (60°) beyond which yaw is not compared."""
     widest_hole: float = math.radians(100.0)
@@ -66,6 +63,13 @@ class ChangeTuning:
 
 
 CHANGE = ChangeTuning()
+GYRO_BOUND = Bound(
+    Figure.GYRO_COMPASS_DIFFERENCE,
+    4.0,
+    7.0,
+    "gyro against compass",
+    "the compass does not turn as the robot does",
+)
 ROUNDS = 8
 """Of reweighting."""
 ONCE, TWICE = slice(1, 3), slice(3, 5)
@@ -231,6 +235,4 @@ def check_beside_chance(
     if decided or is_small or seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
         return check
     words = f"{check.words}: too uncertain to judge; turn once, in one place away from iron"
-    return Check(
-        check.figure, check.aspect, Grade.WARN, words, check.value, check.before, check.bound
-    )
+    return replace(check, grade=Grade.WARN, words=words)

@@ -24,7 +24,7 @@ from magcal_ros.core.knowledge import (
 )
 from magcal_ros.core.monitoring.change import (
     CHANGE,
-    Waves,
+    GYRO_BOUND,
     check_beside_chance,
     compass_less_gyro,
     fit_waves,
@@ -62,13 +62,7 @@ ELSEWHERE = "another place, or the hard iron along the turn's axis has changed"
 
 RECHECK_BOUNDS: tuple[Bound, ...] = (
     Bound(Figure.HEADING_SWING, 4.0, 7.0, "heading swing that the level field shows", MOVED),
-    Bound(
-        Figure.GYRO_COMPASS_DIFFERENCE,
-        4.0,
-        7.0,
-        "gyro against compass",
-        "the compass does not turn as the robot does",
-    ),
+    GYRO_BOUND,
     Bound(
         Figure.STRENGTH_SPREAD, 3.0, 6.0, "field strength varies with heading by", MOVED, unit="%"
     ),
@@ -109,8 +103,7 @@ class Recheck:
 
     verdict: Verdict
     """Its quality says whether the calibration holds, its confidence how much of it was seen."""
-    estimate: Estimate
-    """The old numbers with the fresh residuals, as a report shows them."""
+    estimate: Estimate  # the old numbers with the fresh residuals, as a report shows them
 
     @property
     def findings(self) -> tuple[Check, ...]:
@@ -130,10 +123,8 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     """
     up = up_of(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
-    raw, corrected = (
-        _records(window, up, heading, each)
-        for each in (Correction.identity(), calibration.correction)
-    )
+    corrected = _records(window, up, heading, calibration.correction)
+    raw = _records(window, up, heading, Correction.identity())
     before, _ = _figures(raw, corrected[:, 1], calibration)
     found, swing = _figures(corrected, corrected[:, 1], calibration)
     arc = Coverage.of(heading).arc
@@ -143,12 +134,11 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     for bound in RECHECK_BOUNDS:
         if bound.figure in found:
             figure, places = found[bound.figure]
-            raw_figure = before[bound.figure][0] if bound.figure in before else None
+            raw_figure, _ = before.get(bound.figure, (None, 0.0))
             most = CHANGE.own_share * bound.warn / bound.scale
-            own = min(_own(bound.figure, calibration), most)
-            chance = math.hypot(own, places)
-            decided = added is not None
-            checks.append(check_beside_chance(bound, figure, chance, raw_figure, decided))
+            chance = math.hypot(min(_own(bound.figure, calibration), most), places)
+            graded = check_beside_chance(bound, figure, chance, raw_figure, added is not None)
+            checks.append(graded)
     checks += [] if added is None else [added]
     gaps = np.diff(window.time)
     is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_gyro_step
@@ -219,17 +209,15 @@ def _figures(
     stamp, size, rise = records[:, 0], records[:, 2], records[:, 3]
     level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
     dip = np.arctan2(-rise, level)
-
-    def waves(values: FloatArray) -> Waves:
-        return fit_waves(harmonics(heading), values, stamp, CHANGE.chance)
-
-    found = {
-        Figure.HEADING_SWING: waves(level / max(float(level.mean()), 1e-12)).spread,
-        Figure.STRENGTH_SPREAD: waves(size / calibration.strength).spread,
-        Figure.DIP_SPREAD: waves(dip).spread,
-        Figure.STRENGTH_OFFSET: (abs(float(size.mean()) / calibration.strength - 1.0), 0.0),
-        Figure.DIP_OFFSET: (abs(float(dip.mean()) - calibration.inclination), 0.0),
+    swings = {
+        Figure.HEADING_SWING: level / max(float(level.mean()), 1e-12),
+        Figure.STRENGTH_SPREAD: size / calibration.strength,
+        Figure.DIP_SPREAD: dip,
     }
+    columns = harmonics(heading)
+    found = {k: fit_waves(columns, v, stamp, CHANGE.chance).spread for k, v in swings.items()}
+    found[Figure.STRENGTH_OFFSET] = abs(float(size.mean()) / calibration.strength - 1.0), 0.0
+    found[Figure.DIP_OFFSET] = abs(float(dip.mean()) - calibration.inclination), 0.0
     gyro = compass_less_gyro(records, heading, CHANGE.chance)
     if gyro is None:
         return found, None

@@ -21,6 +21,7 @@ from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.monitoring.change import (
     CHANGE,
+    GYRO_BOUND,
     ONCE,
     TWICE,
     Record,
@@ -76,13 +77,7 @@ WATCH_BOUNDS: tuple[Bound, ...] = (
         "at all headings the inclination is off the calibrated one by",
         ELSEWHERE,
     ),
-    Bound(
-        Figure.GYRO_COMPASS_HARMONIC,
-        4.0,
-        7.0,
-        "gyro against compass",
-        "the compass does not turn as the robot does",
-    ),
+    replace(GYRO_BOUND, figure=Figure.GYRO_COMPASS_HARMONIC),
 )
 """As those of a recheck; the records of a drive show what has changed."""
 
@@ -91,22 +86,16 @@ WATCH_BOUNDS: tuple[Bound, ...] = (
 class WatchTuning:
     """How a drive is watched."""
 
-    memory: float = 600.0
-    """Seconds of driving that are looked at."""
-    most_records: int = 400
-    """Visits that are kept at most."""
-    aside: float = math.radians(12.0)
+    memory: float = 600.0  # seconds of driving that are looked at
+    most_records: int = 400  # visits that are kept at most
+    turned: float = math.radians(12.0)
     """Radians; a robot that has turned so far from where a visit began looks to another heading."""
-    most_in_a_row: int = 3
-    """Records of one heading; the next one takes the place of the last."""
-    look_every: float = 15.0
-    """Seconds between two looks at the records."""
-    confirm: float = 60.0
-    """Seconds for which every look must agree before the state changes."""
+    most_in_a_row: int = 3  # records of one heading; the next one takes the place of the last
+    look_every: float = 15.0  # seconds between two looks at the records
+    confirm: float = 60.0  # seconds for which every look must agree before the state changes
     shortest_span: float = 150.0
     """Seconds that the records must span: a disturbance that passes is shorter."""
-    promise: float = 3.0
-    """Predicted standard deviations of the heading that are no change."""
+    predicted: float = 3.0  # predicted standard deviations of the heading that are no change
     lost: float = math.radians(20.0)
     """Radians of compass against gyro, from which a compass that shows few headings is not to be
     believed."""
@@ -119,16 +108,14 @@ WATCH = WatchTuning()
 class Watched:
     """What the last minutes of driving show."""
 
-    is_stale: bool = False
-    """Whether the calibration no longer holds."""
+    is_stale: bool = False  # whether the calibration no longer holds
     findings: tuple[Check, ...] = ()
     """Everything measured at the last look; while stale, at the one that showed it."""
     minutes: float = 0.0
     """Since when it does not hold, in minutes before the newest look; zero while it holds."""
     hard_iron: tuple[float, float] = (0.0, 0.0)
     """Change of the hard iron in the IMU's x and y, tesla."""
-    was_judged: bool = False
-    """Whether it could be judged at all since it is in force."""
+    was_judged: bool = False  # whether it could be judged at all since it is in force
     lacking: str = "the robot has not driven yet"
     """What has not been seen in the last minutes; empty if they were judged."""
 
@@ -167,7 +154,7 @@ def measure(
     if not what_lacks(records):
         swings, iron = _swings(records, calibration)
         figures |= swings
-    sigma, level = WATCH.promise * known_sigma(calibration), math.cos(calibration.inclination)
+    sigma, level = WATCH.predicted * known_sigma(calibration), math.cos(calibration.inclination)
     own = {
         Figure.HARD_IRON_CHANGE: sigma * level,
         Figure.SOFT_IRON_CHANGE: sigma,
@@ -207,21 +194,15 @@ def _swings(
     by_rise = fit_waves(in_curves, rise, stamp, CHANGE.clearly, lean)
     mean, up = float(by_strength.values[0]), float(by_rise.values[0])
     dip = math.atan2(-up, math.sqrt(max(mean**2 - up**2, 0.0)))
-    hard, soft, moved = (
-        np.array(fit.amplitude(part)) / scale
-        for fit, part, scale in (
-            (by_strength, ONCE, level),
-            (by_strength, TWICE, level**2),
-            (by_rise, ONCE, level),
-        )
-    )
-    figures = {
-        Figure.HARD_IRON_CHANGE: (hard[0], hard[1]),
-        Figure.SOFT_IRON_CHANGE: (soft[0], soft[1]),
-        Figure.MOUNTING_CHANGE: (moved[0], moved[1]),
-        Figure.STRENGTH_SHIFT: (abs(mean - 1.0), 0.0),
-        Figure.DIP_SHIFT: (abs(dip - calibration.inclination), 0.0),
-    }
+    figures = {Figure.STRENGTH_SHIFT: (abs(mean - 1.0), 0.0)}
+    figures[Figure.DIP_SHIFT] = abs(dip - calibration.inclination), 0.0
+    for figure, fit, part, scale in (
+        (Figure.HARD_IRON_CHANGE, by_strength, ONCE, level),
+        (Figure.SOFT_IRON_CHANGE, by_strength, TWICE, level**2),
+        (Figure.MOUNTING_CHANGE, by_rise, ONCE, level),
+    ):
+        size, chance = fit.amplitude(part)
+        figures[figure] = size / scale, chance / scale
     x, y = by_strength.values[ONCE] * (calibration.strength / level)
     return figures, (float(x), float(y))
 
@@ -304,12 +285,12 @@ class Watch:
         rise = dot(field, force) / size
         if self._visit:
             first = self._visit[0]
-            aside = wrapped(yaw - first.yaw)
-            has_turned = max(abs(aside), abs(self._turned - first.turned)) > WATCH.aside
+            turned = wrapped(yaw - first.yaw)
+            has_turned = max(abs(turned), abs(self._turned - first.turned)) > WATCH.turned
             if has_turned or stamp - first.stamp > CHANGE.longest_visit:
                 self._close()
             else:
-                yaw = first.yaw + aside
+                yaw = first.yaw + turned
         turn = self._rate if math.isfinite(self._rate) else 0.0
         row = Record(stamp, yaw, length(field), rise, self._turned, self._path, turn)
         self._visit.append(row)
@@ -346,7 +327,7 @@ class Watch:
     def _keep(self, record: Record) -> None:
         records = self._records
         stays = [
-            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned)) < WATCH.aside
+            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned)) < WATCH.turned
             for one in list(records)[-WATCH.most_in_a_row :]
         ]
         if len(stays) == WATCH.most_in_a_row and all(stays):
@@ -364,30 +345,20 @@ class Watch:
             if not _contradicts(findings):
                 findings, iron = measure(rows, self._calibration)
                 lacking = what_lacks(rows)
-        before, contradicts = self.watched, _contradicts(findings)
+        watched, contradicts = replace(self.watched, lacking=lacking), _contradicts(findings)
         if not findings:
             self._contradicted = None
-            minutes = self._minutes(now, before.is_stale)
-            self.watched = replace(before, minutes=minutes, lacking=lacking)
-            return
-        if contradicts is not self._contradicted:
-            self._contradicted, self._since = contradicts, now
-        is_stale = before.is_stale
-        if contradicts != is_stale and now - self._since >= WATCH.confirm:
-            is_stale = contradicts
-            self._stale_since = onset(records, self._calibration)
-        keeps_words = is_stale and not contradicts
-        self.watched = Watched(
-            is_stale,
-            before.findings if keeps_words else findings,
-            self._minutes(now, is_stale),
-            before.hard_iron if keeps_words else iron,
-            before.was_judged or not lacking,
-            lacking,
-        )
-
-    def _minutes(self, now: float, is_stale: bool) -> float:
-        return (now - self._stale_since) / 60.0 if is_stale else 0.0
+        else:
+            if contradicts is not self._contradicted:
+                self._contradicted, self._since = contradicts, now
+            if contradicts != watched.is_stale and now - self._since >= WATCH.confirm:
+                watched = replace(watched, is_stale=contradicts)
+                self._stale_since = onset(records, self._calibration)
+            if contradicts or not watched.is_stale:
+                watched = replace(watched, findings=findings, hard_iron=iron)
+            watched = replace(watched, was_judged=watched.was_judged or not lacking)
+        minutes = (now - self._stale_since) / 60.0 if watched.is_stale else 0.0
+        self.watched = replace(watched, minutes=minutes)
 
 
 def _contradicts(findings: tuple[Check, ...]) -> bool:

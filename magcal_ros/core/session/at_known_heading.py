@@ -13,6 +13,7 @@ from magcal_ros.core.calibrate import Outcome, judged
 from magcal_ros.core.calibration import Calibration, calibration_sigma, yaw_jacobian
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray, unit, wrapped
+from magcal_ros.core.geometry.attitude import body_from_enu
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit, next_heading
@@ -29,17 +30,17 @@ def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:
     half = len(field) // 2
     moved = np.abs(field[:half].mean(axis=0) - field[half:].mean(axis=0)).max()
     turned = float(np.linalg.norm(rate.mean(axis=0))) if np.isfinite(rate).all() else 0.0
-    if turned > TUNING.rate or moved > TUNING.creep + 4.0 * noise * math.sqrt(2.0 / half):
-        what = (
-            f"the gyro turned at {turned * DEGREES:.1f} °/s"
-            if turned > TUNING.rate
-            else f"the field moved by {moved * MICROTESLA:.1f} µT"
-        )
-        raise Refusal(
-            Reason.HEADING_CONTRADICTED,
-            f"{what} meanwhile: the robot has to stand still for {TUNING.seconds:g} s at the known "
-            "heading, with nothing magnetic moving beside it",
-        )
+    if turned > TUNING.rate:
+        what = f"the gyro turned at {turned * DEGREES:.1f} °/s"
+    elif moved > TUNING.creep + 4.0 * noise * math.sqrt(2.0 / half):
+        what = f"the field moved by {moved * MICROTESLA:.1f} µT"
+    else:
+        return
+    raise Refusal(
+        Reason.HEADING_CONTRADICTED,
+        f"{what} meanwhile: the robot has to stand still for {TUNING.seconds:g} s at the known "
+        "heading, with nothing magnetic moving beside it",
+    )
 
 
 def _noise(values: FloatArray) -> float:
@@ -51,13 +52,11 @@ def _noise(values: FloatArray) -> float:
 class HeadingResult:
     """The result of standing at a known heading."""
 
-    standings: tuple[Standing, ...]
-    """All that count from now on."""
+    standings: tuple[Standing, ...]  # all that count from now on
     outcome: Outcome
     applies: bool
     """Whether what was found is to be put in force."""
-    words: str
-    """What is known now, and what the next heading would show."""
+    words: str  # what is known now, and what the next heading would show
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +67,9 @@ class CollectedSamples:
     given: ExternalHeading
     knowledge: Knowledge
     """With the declination, if the heading is to true north."""
-    forward: FloatArray
-    """Direction in the IMU's axes whose heading it is. Shape (3,)."""
-    since: external_heading.TurnSince | None = None
-    """By the gyro since the standing before."""
-    bias: Triple = (0.0, 0.0, 0.0)
-    """The gyro's, as far as it is known, rad/s."""
+    forward: FloatArray  # direction in the IMU's axes whose heading it is. Shape (3,).
+    since: external_heading.TurnSince | None = None  # by the gyro since the standing before
+    bias: Triple = (0.0, 0.0, 0.0)  # the gyro's, as far as it is known, rad/s
 
     def standing(self) -> Standing:
         """Return what the robot measured; a Refusal if it moved or the samples do not suffice."""
@@ -184,9 +180,8 @@ def _apart_from(before: tuple[Standing, ...], new: Standing) -> tuple[Standing, 
 def _gap(calibration: Calibration, new: Standing) -> tuple[float, float]:
     """Return a calibration's heading less the known one, and the sigma of that, radians."""
     field, up = calibration.correction.apply(new.field), unit(new.force)
-    east = unit(np.cross(field, up))
-    north = np.cross(up, east)
-    yaw = math.atan2(float(north @ new.forward), float(east @ new.forward))
+    east, north, _ = body_from_enu(up, field).T @ new.forward
+    yaw = math.atan2(float(north), float(east))
     level = max(float(np.linalg.norm(np.cross(field, up))), 1e-9)
     jacobian = yaw_jacobian(calibration.correction, up, field)
     by_twelve = float(jacobian @ calibration.covariance @ jacobian)
@@ -232,8 +227,8 @@ class HeadingLog:
 
     def _begin(self, stamp: float) -> None:
         self._started, self._count = stamp, 0
-        self._field, self._up = np.zeros(3), np.zeros(3)
-        self._east = self._north = 0.0
+        # Field, up, and the heading's parts to the east and to the north.
+        self._sums = np.zeros(8)
 
     def add(
         self,
@@ -261,17 +256,15 @@ class HeadingLog:
             return False
         if not 0.0 <= stamp - self._started < 2.0 * LOG.block:
             self._begin(stamp)
-        self._field += sample.field
-        self._up += up
-        self._east += math.cos(given.yaw)
-        self._north += math.sin(given.yaw)
+        self._sums += (*sample.field, *up, math.cos(given.yaw), math.sin(given.yaw))
         self._count += 1
         if stamp - self._started < LOG.block or self._count < LOG.fewest:
             return False
-        heading = wrapped(math.atan2(self._north, self._east) + shift)
+        mean = self._sums / self._count
+        heading = wrapped(math.atan2(mean[7], mean[6]) + shift)
         standing = Standing(
-            self._field / self._count,
-            STANDARD_GRAVITY * self._up / self._count,
+            mean[:3],
+            STANDARD_GRAVITY * mean[3:6],
             heading,
             math.hypot(given.sigma, LOG.sigma),
             by_declination=given.is_true,

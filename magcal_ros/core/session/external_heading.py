@@ -18,24 +18,23 @@ DEGREES = 180.0 / math.pi
 
 @dataclass(frozen=True)
 class KnownHeadingTuning:
-    """How a robot stands at a known heading."""
+    """How a robot stands at a known heading, and when a device's heading contradicts the gyro."""
 
-    seconds: float = 3.0
-    """How long samples are averaged."""
-    fewest: int = 10
-    """Samples of the field that are needed."""
-    patience: float = 15.0
-    """Seconds, by another clock, after which those that came are too few."""
-    rate: float = math.radians(1.5)
-    """rad/s beyond the bias from which a robot turns."""
-    creep: float = 0.7e-6
-    """Tesla by which the field's mean may move meanwhile, noise apart."""
-    contradicted: float = 3.0
-    """Sigmas by which a calibration in force may miss a known heading."""
+    seconds: float = 3.0  # how long samples are averaged
+    fewest: int = 10  # samples of the field that are needed
+    patience: float = 15.0  # seconds, by another clock, after which those that came are too few
+    rate: float = math.radians(1.5)  # rad/s beyond the bias from which a robot turns
+    creep: float = 0.7e-6  # tesla by which the field's mean may move meanwhile, noise apart
+    contradicted: float = 3.0  # sigmas by which a calibration in force may miss a known heading
     same: float = math.radians(5.0)
     """Radians within which another standing takes the place of one before: it says the same."""
-    most: int = 24
-    """Standings that are kept."""
+    most: int = 24  # standings that are kept
+    turn: float = math.radians(40.0)
+    apart: float = math.radians(12.0)
+    """Radians that the gyro must turn before a device's heading is compared with it, and by which
+    the two may differ."""
+    times: int = 3  # comparisons in a row that must fail
+    longest: float = 60.0  # seconds over which the gyro is trusted
 
 
 TUNING = KnownHeadingTuning()
@@ -51,18 +50,14 @@ class LogTuning:
     block: float = 0.5
     pause: float = 4.0
     """Seconds of a mean, and between those of one direction: streets bend the field over 30 m."""
-    fewest: int = 4
-    """Samples of a mean."""
-    rate: float = 0.1
-    """rad/s of turning from which heading and field are not of one moment."""
+    fewest: int = 4  # samples of a mean
+    rate: float = 0.1  # rad/s of turning from which heading and field are not of one moment
     sigma: float = math.radians(0.7)
     """Radians that are added to the sigma of a heading for what the two are apart in time."""
-    force: float = 0.15
-    """m/s² per axis by which up is wrong on the way."""
+    force: float = 0.15  # m/s² per axis by which up is wrong on the way
     speed: float = 5.0
     """m/s while the robot moves, as nobody tells how far it goes between two means."""
-    first: int = 8
-    """New means after which it is worth while to fit."""
+    first: int = 8  # new means after which it is worth while to fit
 
 
 LOG = LogTuning()
@@ -72,8 +67,7 @@ LOG = LogTuning()
 class ExternalHeading:
     """A heading from outside, such as a dock's or an antenna pair's."""
 
-    yaw: float
-    """ENU yaw, radians: zero to the east, positive to the left."""
+    yaw: float  # ENU yaw, radians: zero to the east, positive to the left
     sigma: float
     is_true: bool
     """Whether it is to true north; otherwise to magnetic north."""
@@ -164,23 +158,23 @@ class HeadingAgainstGyro:
     def add(self, stamp: float, yaw: float) -> None:
         """Take a heading, radians."""
         last = self._last
-        if last is None or not 0.0 < stamp - last[0] < AGAINST.longest:
+        if last is None or not 0.0 < stamp - last[0] < TUNING.longest:
             self._last, self._turned = (stamp, yaw), 0.0
             return
-        if abs(self._turned) < AGAINST.turn:
+        if abs(self._turned) < TUNING.turn:
             return
         given, turned = wrapped(yaw - last[1]), self._turned
         self._last, self._turned = (stamp, yaw), 0.0
-        if abs(wrapped(given - turned)) < AGAINST.apart:
+        if abs(wrapped(given - turned)) < TUNING.apart:
             self._wrong, self.fault = [], ""
             return
-        self._wrong = [*self._wrong, (given, turned)][-AGAINST.times :]
-        if len(self._wrong) == AGAINST.times:
+        self._wrong = [*self._wrong, (given, turned)][-TUNING.times :]
+        if len(self._wrong) == TUNING.times:
             self.fault = self._in_words()
 
     def _in_words(self) -> str:
         for factor, words in TURNS_AS.items():
-            if all(abs(wrapped(t - factor * g)) < AGAINST.apart for t, g in self._wrong):
+            if all(abs(wrapped(t - factor * g)) < TUNING.apart for t, g in self._wrong):
                 return words
         given, turned = self._wrong[-1]
         return (
@@ -197,20 +191,3 @@ TURNS_AS = {
     1.0 / DEGREES: "it hardly turns when the gyro does: radians were taken for degrees",
 }
 """What is wrong with a heading that turns so many times as far as the gyro."""
-
-
-@dataclass(frozen=True)
-class AgainstTuning:
-    """When an external heading turns otherwise than the gyro."""
-
-    turn: float = math.radians(40.0)
-    """Radians that the gyro must turn for a comparison."""
-    apart: float = math.radians(12.0)
-    """Radians by which the two may differ."""
-    times: int = 3
-    """Comparisons in a row that must fail."""
-    longest: float = 60.0
-    """Seconds over which the gyro is trusted."""
-
-
-AGAINST = AgainstTuning()

@@ -85,14 +85,10 @@ class Gathering:
         self._best: Session | None = None
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
-        self._heard = [0, 0]
+        self.heard = (0, 0)
+        """How many messages of IMU and field came."""
         self._drive = DriveRecorder(LONGEST_DRIVE)
         self._replay = TravelReplay(())
-
-    @property
-    def heard(self) -> tuple[int, int]:
-        """How many messages of IMU and field came."""
-        return self._heard[0], self._heard[1]
 
     def take(self, readings: Iterable[Reading], travel: Sequence[TravelSample] = ()) -> None:
         """Take everything, in the order in which it was recorded; travel by stamp."""
@@ -101,21 +97,20 @@ class Gathering:
             self._replay = TravelReplay(travel)
         imus = fields = 0
         for reading in self._replay.readings(readings):
-            if isinstance(reading, ImuSample):
-                imus += 1
-                streams.add_imu(reading)
-            elif reading is None:
-                imus += 1
-                streams.imu_drops[Drop.ABSENT] += 1
-            else:
+            if isinstance(reading, FieldSample):
                 fields += 1
                 if streams.add_field(reading) and not streams.is_repeated:
                     pairer.offer(reading)
                     self._collect()
+                continue
+            imus += 1
+            if reading is None:
+                streams.imu_drops[Drop.ABSENT] += 1
+            else:
+                streams.add_imu(reading)
         self._collect()
         self._choose()
-        self._heard[0] += imus
-        self._heard[1] += fields
+        self.heard = self.heard[0] + imus, self.heard[1] + fields
 
     def drive(self) -> DriveLog:
         """Return what was driven; nothing without a gyro, or of a field too slow for one."""
@@ -131,7 +126,7 @@ class Gathering:
     def complaints(self) -> list[str]:
         """Say in words what is wrong with what came; empty if nothing is."""
         drops = (self.streams.imu_drops, self.streams.field_drops)
-        imu, field = map(Heard, self._topics, self._heard, drops)
+        imu, field = map(Heard, self._topics, self.heard, drops)
         return complaints(self.streams, imu, field)
 
     def progress(self) -> Progress:
@@ -142,7 +137,7 @@ class Gathering:
         """Return what was gathered; a Refusal if it is not enough of a turn."""
         if not self._session.has_samples:
             words = "no pair of field and acceleration samples could be made"
-            silent = [topic for topic, n in zip(self._topics, self._heard, strict=True) if not n]
+            silent = [topic for topic, n in zip(self._topics, self.heard, strict=True) if not n]
             lost = f"no message of {' and '.join(silent)} could be used in the span that was read"
             why = self.complaints() or [lost if silent else NEVER_TOGETHER]
             raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *why]))

@@ -28,14 +28,11 @@ from magcal_ros.core.session.session import Progress
 class RotationTuning:
     """How a robot turns itself, what is a fault, and when the field contradicts the gyro."""
 
-    acceleration: float = 0.5
-    """rad/s² of the ramps."""
-    pause: float = 0.5
-    """Seconds at rest between the two ways."""
+    acceleration: float = 0.5  # rad/s² of the ramps
+    pause: float = 0.5  # seconds at rest between the two ways
     longest_step: float = 0.2
     """Seconds. After a longer delay between two looks the ramp goes on as after this one."""
-    least_share: float = 0.3
-    """A robot that turns with less of the commanded rate does not turn."""
+    least_share: float = 0.3  # a robot that turns with less of the commanded rate does not turn
     most_share: float = 1.75
     most_more: float = 0.1
     """A robot that turns with more than so many times the commanded rate, and so many rad/s on top,
@@ -45,12 +42,9 @@ class RotationTuning:
     far: wheels slip."""
     farthest_beyond: float = math.radians(45.0)
     """Radians that a robot may stand beyond either end of its full turn, by the gyro: it coasts."""
-    rate_span: float = 0.5
-    """Seconds over which the gyro's rate is averaged."""
-    kept: int = 2000
-    """Samples kept to tell the compass's sense of rotation."""
-    asked_every: float = 0.25
-    """Seconds between two looks at the field."""
+    rate_span: float = 0.5  # seconds over which the gyro's rate is averaged
+    kept: int = 2000  # samples kept to tell the compass's sense of rotation
+    asked_every: float = 0.25  # seconds between two looks at the field
     spans: tuple[float, float, float] = (
         math.radians(75.0),
         math.radians(150.0),
@@ -63,10 +57,8 @@ class RotationTuning:
     """How far an angle may be off in scale and still be taken for the true one."""
     clearly_worse: float = 1.4
     """Times the squared misfit of another angle, from which an angle is rejected."""
-    smallest_radius: float = 1.5e-6
-    """Tesla. A field on a smaller circle has not turned."""
-    most_rows: int = 200
-    """Samples that are looked at, evenly over the span."""
+    smallest_radius: float = 1.5e-6  # tesla. A field on a smaller circle has not turned.
+    most_rows: int = 200  # samples that are looked at, evenly over the span
 
 
 TUNING = RotationTuning()
@@ -93,14 +85,11 @@ class Fault(str, Enum):
 class Seen:
     """What the sensors show of the turn."""
 
-    turned: float
-    """Radians since the start, left positive."""
-    rate: float
-    """rad/s over the last moments, left positive."""
+    turned: float  # radians since the start, left positive
+    rate: float  # rad/s over the last moments, left positive
     by_gyro: bool
     """Whether the gyro shows it; the compass alone is slower, and shows nothing at first."""
-    is_complete: bool
-    """Whether every heading was seen."""
+    is_complete: bool  # whether every heading was seen
 
 
 def patience(by_gyro: bool, speed: float) -> dict[Fault, float]:
@@ -350,24 +339,23 @@ class RotationProof:
         rates = f"the {sensor} shows {shown:+.0f}°/s where {commanded:+.0f}°/s were commanded"
         if fault is Fault.TOO_FAST:
             return f"the robot turns far too fast: {rates}"
-        if fault is Fault.NOT_TURNING:
-            turned, asked, level = self._angles_and_field()
-            if seen.by_gyro and _turns_rather_by(asked, turned, level):
-                return f"{rates}, but the field turns: the gyro does not measure this turn"
-            remedy = "is an emergency stop pressed, does the base obey cmd_vel?"
-            return f"the robot does not turn: {rates}; {remedy}"
-        return f"{rates}: {self._blame(seen)}"
+        if fault is Fault.WRONG_WAY:
+            return f"{rates}: {self._blame(seen)}"
+        turned, asked, level = self._angles_and_field()
+        if seen.by_gyro and _turns_rather_by(asked, turned, level):
+            return f"{rates}, but the field turns: the gyro does not measure this turn"
+        remedy = "is an emergency stop pressed, does the base obey cmd_vel?"
+        return f"the robot does not turn: {rates}; {remedy}"
 
     def _blame(self, seen: Seen) -> str:
         base = "the base turns the wrong way (angular.z is positive to the left)"
         if not seen.by_gyro:
             return f"{base}, or the magnetometer's axes are mirrored"
-        sense = self.compass_sense()
-        if sense > 0:
-            return f"{base}; the compass agrees with the gyro"
-        if sense < 0:
-            return "the gyro is mirrored, because the compass shows the turn as commanded"
-        return f"{base}, or the gyro is mirrored; the compass does not show which yet"
+        return {
+            1: f"{base}; the compass agrees with the gyro",
+            -1: "the gyro is mirrored, because the compass shows the turn as commanded",
+            0: f"{base}, or the gyro is mirrored; the compass does not show which yet",
+        }[self.compass_sense()]
 
     def compass_sense(self) -> int:
         """Return +1 if the field turns as the gyro does, -1 if the other way, 0 if unknown.

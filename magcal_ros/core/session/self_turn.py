@@ -20,16 +20,11 @@ from magcal_ros.core.session.session import Progress
 class SelfTurnTuning:
     """How long a robot that turns itself may be without what it needs."""
 
-    zeros: int = 10
-    """How often zero is sent at the end, for a single message may be lost."""
-    silence: float = 1.0
-    """Seconds without a sensor after which a moving robot is stopped."""
+    zeros: int = 10  # how often zero is sent at the end, for a single message may be lost
+    silence: float = 1.0  # seconds without a sensor after which a moving robot is stopped
     gyro_silence: float = 0.5
     """Seconds without an angular velocity after which a robot that is controlled by the gyro is
-    stopped."""
-    longest_look: float = 0.5
-    """Seconds between two looks at a moving robot; after a longer gap it could not be stopped in
-    time."""
+    stopped, and between two looks at a moving robot: later it could not be stopped in time."""
     listeners_within: float = 3.0
     """Seconds within which something must have subscribed to the commands."""
     stands_first: float = 3.0
@@ -56,12 +51,9 @@ GUARD_GONE = (
 class Order:
     """How the robot is to turn itself."""
 
-    speed: float
-    """rad/s."""
-    longest: float
-    """Seconds that it may take at most."""
-    to_body: FloatArray
-    """From raw field to nominal body axes. Shape (3, 3)."""
+    speed: float  # rad/s
+    longest: float  # seconds that it may take at most
+    to_body: FloatArray  # from raw field to nominal body axes. Shape (3, 3).
 
 
 @dataclass(frozen=True)
@@ -83,8 +75,7 @@ class Around:
     listeners: int
     is_allowed: bool
     """Whether the user still lets the robot turn itself."""
-    is_guarded: bool
-    """Whether the guard would stop the robot if this node failed."""
+    is_guarded: bool  # whether the guard would stop the robot if this node failed
 
 
 @dataclass(frozen=True)
@@ -232,7 +223,7 @@ class SelfTurn:
 
     def _objection(self, stage: Moving, now: float, since: float, around: Around) -> str:
         """Say why the robot must not turn on; empty if it may."""
-        if since > TUNING.longest_look:
+        if since > TUNING.gyro_silence:
             return (
                 f"the machine was too busy to check it for {since:.1f} s: "
                 "end other programs that keep the machine busy"

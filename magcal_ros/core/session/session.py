@@ -41,8 +41,7 @@ class SessionTuning:
     """Full turns at which it ends, unless a look at a whole turn was farther than `near`."""
     stands_still: float = 3.0
     """Seconds without turning, after a complete turn, from which the robot is taken to be done."""
-    slowest_turn: float = math.radians(3.0)
-    """rad/s. Slower than this the robot stands."""
+    slowest_turn: float = math.radians(3.0)  # rad/s. Slower than this the robot stands.
     turned_over: float = 0.3
     """rad/s about other axes than up: more than ground and wheels do to a robot that turns."""
     preview_arc: float = math.radians(120.0)
@@ -67,12 +66,9 @@ UNSEEN = (
 class Limits:
     """When a session ends by itself."""
 
-    timeout: float = 90.0
-    """Seconds on a steady clock until whatever was seen is used or refused."""
-    silence: float = 10.0
-    """Seconds without a usable pair after which waiting longer is pointless."""
-    smallest_arc: float = math.radians(45.0)
-    """Radians below which a turn is refused without a fit."""
+    timeout: float = 90.0  # seconds on a steady clock until whatever was seen is used or refused
+    silence: float = 10.0  # seconds without a usable pair after which waiting longer is pointless
+    smallest_arc: float = math.radians(45.0)  # radians below which a turn is refused without a fit
     target_sigma: float = math.radians(0.5)
     """Radians of predicted heading sigma at which a complete turn is enough."""
 
@@ -90,14 +86,12 @@ class Stage(str, Enum):
 class Progress:
     """How far a session is."""
 
-    stage: Stage
-    """Whether it is over, and why."""
+    stage: Stage  # whether it is over, and why
     coverage: Coverage
     samples: int
     elapsed: float
     """Seconds since the start on a steady clock."""
-    turn_rate: float
-    """rad/s over the last seconds, left positive; zero when not known."""
+    turn_rate: float  # rad/s over the last seconds, left positive; zero when not known
     heading_sigma: float = math.inf
     """Radians, as a fit of what is there predicts it; infinite while none could."""
 

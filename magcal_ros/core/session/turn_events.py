@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.knowledge import Knowledge
@@ -13,10 +13,6 @@ from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.self_turn import Order
 from magcal_ros.core.session.session import Limits, Session
-
-
-class Command:
-    """Something that the owner of the state machine has to do."""
 
 
 @dataclass(frozen=True)
@@ -38,24 +34,23 @@ class Brief:
     accumulate: bool
     order: Order | None = None
     """How the robot turns itself; None if a person turns it."""
-    gyro: GyroAtRest | None = None
-    """What a rest before the turn has shown of the gyro."""
+    gyro: GyroAtRest | None = None  # what a rest before the turn has shown of the gyro
 
 
 @dataclass(frozen=True)
-class Conclude(Command):
+class Conclude:
     """Answer everyone who waits for the turn, and release what computes for it."""
 
     conclusion: Conclusion
 
 
 @dataclass(frozen=True)
-class Prepare(Command):
+class Prepare:
     """A fit will be asked for soon."""
 
 
 @dataclass(frozen=True, eq=False)
-class Preview(Command):
+class Preview:
     """Predict how certain a fit would be; answered by `note_preview`."""
 
     turn: int
@@ -64,7 +59,7 @@ class Preview(Command):
 
 
 @dataclass(frozen=True, eq=False)
-class FitTurn(Command):
+class FitTurn:
     """Fit a turn; answered by `note_fit` or `note_failed_fit`."""
 
     turn: int
@@ -74,14 +69,14 @@ class FitTurn(Command):
 
 
 @dataclass(frozen=True, eq=False)
-class PutInForce(Command):
+class PutInForce:
     """Use a calibration from now on and store it; answered by `note_saved`."""
 
     calibration: Calibration
 
 
 @dataclass(frozen=True)
-class MoveBase(Command):
+class MoveBase:
     """Tell the base to turn at a rate, rad/s, left positive."""
 
     rate: float
@@ -102,6 +97,7 @@ class Collecting:
 
     brief: Brief
     session: Session
+    state: ClassVar = TurnState.COLLECTING
     previewed_since: float | None = None
     next_preview: float = 0.0
 
@@ -113,6 +109,7 @@ class Fitting:
     why_ended: str
     window: Window
     kept: Kept
+    state: ClassVar = TurnState.FITTING
 
 
 @dataclass(frozen=True)
@@ -121,12 +118,9 @@ class Saving:
 
     words: str
     report: str
+    state: ClassVar = TurnState.SAVING
 
 
-Stand: TypeAlias = Collecting | Fitting | Saving | None
-
-STATES = {
-    Collecting: TurnState.COLLECTING,
-    Fitting: TurnState.FITTING,
-    Saving: TurnState.SAVING,
-}
+TurnStage: TypeAlias = Collecting | Fitting | Saving
+Command: TypeAlias = Conclude | Prepare | Preview | FitTurn | PutInForce | MoveBase
+"""Something that the owner of the state machine has to do."""

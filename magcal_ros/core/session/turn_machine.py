@@ -19,7 +19,7 @@ from magcal_ros.core.session.rotation import planned_duration
 from magcal_ros.core.session.self_turn import Around, SelfTurn, Steering
 from magcal_ros.core.session.session import TUNING, Progress, Session, Stage
 
-NOBODY = ("", "")
+NO_SENSORS = ("", "")
 """The frames of magnetometer and IMU before either is heard; some drivers never name one."""
 
 SET_BACK = "time was set back during the turn, and what came before was left out"
@@ -43,16 +43,16 @@ class TurnMachine:
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
         self.last_conclusion: ev.Conclusion | None = None
-        self._stand: ev.Stand = None
+        self._stage: ev.TurnStage | None = None
         self._number = 0
         self._kept = Kept()
-        self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NOBODY
+        self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NO_SENSORS
         self._commands: list[ev.Command] = []
 
     @property
     def state(self) -> ev.TurnState:
         """What is going on."""
-        return ev.TurnState.IDLE if self._stand is None else ev.STATES[type(self._stand)]
+        return ev.TurnState.IDLE if self._stage is None else self._stage.state
 
     @property
     def outcome_is_of_others(self) -> bool:
@@ -90,16 +90,16 @@ class TurnMachine:
         self._number += 1
         self.last_window = None
         session = Session(brief.limits, brief.knowledge.mounting, now, brief.gyro)
-        self._stand = ev.Collecting(brief, session)
+        self._stage = ev.Collecting(brief, session)
         self.progress = session.progress(now)
         self._do(ev.Prepare())
         if brief.order is None:
-            words = "collecting: turn the robot once, a full circle, 0.5 rad/s or less"
+            words = "turn the robot once, a full circle, 0.5 rad/s or less"
         else:
             self._steer(self.robot.stop())
             self.robot.open(brief.order, now)
-            words = "collecting: the robot turns itself, once each way; keep clear"
-        return ev.Conclusion(True, words)
+            words = "the robot turns itself, once each way; keep clear"
+        return ev.Conclusion(True, f"collecting: {words}")
 
     def _why_not(self, brief: ev.Brief) -> str:
         """Say why a turn cannot be opened; empty if it can."""
@@ -111,7 +111,7 @@ class TurnMachine:
                     f"a turn each way at rotate.speed_rad_s {speed:g} takes {needed:.0f} s,"
                     f" longer than window.timeout_s ({longest:g} s): raise one of them"
                 )
-        if self._stand is not None:
+        if self._stage is not None:
             return f"already {self.state.value}: wait for it to end, or call ~/cancel first"
         if brief.accumulate and brief.method != JOINS:
             return (
@@ -122,51 +122,51 @@ class TurnMachine:
 
     def take(self, pair: Pair, now: float) -> None:
         """Take a field sample with the IMU at its stamp."""
-        if isinstance(self._stand, ev.Collecting):
-            self._stand.session.add(pair, now)
+        if isinstance(self._stage, ev.Collecting):
+            self._stage.session.add(pair, now)
             self.robot.take(pair, now)
 
     def tick(self, silence: str, now: float) -> None:
         """See that time has passed; `silence` says what is wrong, should nothing come."""
-        stand = self._stand
-        if not isinstance(stand, ev.Collecting):
+        stage = self._stage
+        if not isinstance(stage, ev.Collecting):
             return
-        progress = self.progress = stand.session.progress(now)
+        progress = self.progress = stage.session.progress(now)
         is_held = progress.stage is Stage.COMPLETE and self.robot.is_under_way
         if progress.stage is Stage.COLLECTING or is_held:
-            self._look_ahead(stand, progress, now)
-        elif progress.stage is Stage.SILENT and not stand.session.has_samples:
+            self._look_ahead(stage, progress, now)
+        elif progress.stage is Stage.SILENT and not stage.session.has_samples:
             self._leave_collecting()
-            self._refuse(Refusal(Reason.TOO_FEW_SAMPLES, silence), "")
+            self._judge(Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, silence)), "")
         else:
             why = {
                 Stage.COMPLETE: "",
                 Stage.TIMED_OUT: f"the time is up after {progress.elapsed:.0f} s",
                 Stage.SILENT: silence,
             }[progress.stage]
-            self._begin_fit(stand, why, now)
+            self._begin_fit(stage, why, now)
 
-    def _look_ahead(self, stand: ev.Collecting, progress: Progress, now: float) -> None:
+    def _look_ahead(self, stage: ev.Collecting, progress: Progress, now: float) -> None:
         """Ask at intervals how certain a fit would be already, and once the circle is complete."""
-        waits = progress.coverage.is_complete and not stand.session.was_seen_whole
+        waits = progress.coverage.is_complete and not stage.session.was_seen_whole
         if (
-            stand.previewed_since is None
+            stage.previewed_since is None
             and progress.coverage.arc > TUNING.preview_arc
-            and (now > stand.next_preview or waits)
+            and (now > stage.next_preview or waits)
         ):
-            window = self.last_window = stand.session.look()
-            self._stand = replace(stand, previewed_since=now)
-            self._do(ev.Preview(self._number, window, stand.brief))
+            window = self.last_window = stage.session.look()
+            self._stage = replace(stage, previewed_since=now)
+            self._do(ev.Preview(self._number, window, stage.brief))
 
     def note_preview(self, turn: int, sigma: float, now: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
-        stand = self._stand
-        if turn != self._number or not isinstance(stand, ev.Collecting):
+        stage = self._stage
+        if turn != self._number or not isinstance(stage, ev.Collecting):
             return
-        if stand.previewed_since is not None:
-            stand.session.note_sigma(sigma)
-            pause = (now - stand.previewed_since) * (1.0 / TUNING.preview_share - 1.0)
-            self._stand = replace(stand, previewed_since=None, next_preview=now + pause)
+        if stage.previewed_since is not None:
+            stage.session.note_sigma(sigma)
+            pause = (now - stage.previewed_since) * (1.0 / TUNING.preview_share - 1.0)
+            self._stage = replace(stage, previewed_since=None, next_preview=now + pause)
 
     def look(self, around: Around, now: float) -> None:
         """Look at a robot that turns itself."""
@@ -177,13 +177,12 @@ class TurnMachine:
         self._end_with(steering, now)
 
     def _end_with(self, steering: Steering, now: float) -> None:
-        if not isinstance(self._stand, ev.Collecting):
+        if not isinstance(self._stage, ev.Collecting):
             return
         if steering.broken_off:
-            self._leave_collecting()
-            self._conclude(False, f"{steering.broken_off}; {UNCHANGED}")
+            self.break_off(f"{steering.broken_off}; {UNCHANGED}")
         elif steering.ended:
-            self._begin_fit(self._stand, steering.ended, now)
+            self._begin_fit(self._stage, steering.ended, now)
 
     def stop_robot(self, reason: str, now: float) -> None:
         """Stop a robot that turns itself: what has failed may be what supervises it."""
@@ -198,18 +197,18 @@ class TurnMachine:
 
     def _leave_collecting(self) -> None:
         self._steer(self.robot.stop())
-        self._stand = None
+        self._stage = None
 
     def finish(self, now: float) -> ev.Conclusion | None:
         """Fit what there is; None where a fit is under way."""
-        if isinstance(self._stand, ev.Collecting):
-            self._begin_fit(self._stand, "finished by hand", now)
-        elif self._stand is None:
+        if isinstance(self._stage, ev.Collecting):
+            self._begin_fit(self._stage, "finished by hand", now)
+        elif self._stage is None:
             return ev.Conclusion(False, "no turn is being collected: call ~/start first")
         return None
 
-    def _begin_fit(self, stand: ev.Collecting, why: str, now: float) -> None:
-        session = stand.session
+    def _begin_fit(self, stage: ev.Collecting, why: str, now: float) -> None:
+        session = stage.session
         self.progress = session.progress(now)
         why = "; ".join(filter(None, (why, SET_BACK * session.was_set_back)))
         self._leave_collecting()
@@ -217,32 +216,29 @@ class TurnMachine:
             window = self.last_window = session.window()
             self.progress.require_arc(session.limits.smallest_arc)
         except Refusal as refusal:
-            self._refuse(refusal, why)
+            self._judge(Outcome.refused(refusal), why)
             return
         if self._sensors != self._sensors_of_kept:
             self._sensors_of_kept = self._sensors
             self.forget()
-        self._stand = ev.Fitting(why, window, self._kept)
-        self._do(ev.FitTurn(self._number, self._kept, window, stand.brief))
+        self._stage = ev.Fitting(why, window, self._kept)
+        self._do(ev.FitTurn(self._number, self._kept, window, stage.brief))
 
     def note_fit(self, turn: int, outcome: Outcome, kept: Kept) -> None:
         """Take the fit of a turn, and what is kept for the next one to join."""
-        stand = self._stand
-        if turn != self._number or not isinstance(stand, ev.Fitting):
+        stage = self._stage
+        if turn != self._number or not isinstance(stage, ev.Fitting):
             return
         # Turns that were forgotten while this one was fitted do not come back with it.
-        if self._kept is stand.kept:
+        if self._kept is stage.kept:
             self._kept = kept
         self.last_window = outcome.window or self.last_window
-        self._judge(outcome, stand.why_ended)
+        self._judge(outcome, stage.why_ended)
 
     def note_failed_fit(self, turn: int, words: str) -> None:
         """Take note that a fit ended with an error of the program."""
-        if turn == self._number and isinstance(self._stand, ev.Fitting):
+        if turn == self._number and isinstance(self._stage, ev.Fitting):
             self._conclude(False, f"the fit failed unexpectedly: {words}")
-
-    def _refuse(self, refusal: Refusal, why: str) -> None:
-        self._judge(Outcome.refused(refusal), why)
 
     def _judge(self, outcome: Outcome, why: str) -> None:
         """Put the calibration in force if it is good enough; else say what can be done."""
@@ -257,7 +253,7 @@ class TurnMachine:
         if outcome.calibration is None:
             self._conclude(False, f"{words} {unchanged}.{ending}")
         elif outcome.verdict.accepted:
-            self._stand = ev.Saving(words, ending)
+            self._stage = ev.Saving(words, ending)
             self._do(ev.PutInForce(outcome.calibration))
         else:
             remedy = "~/accept applies this one anyway"
@@ -265,43 +261,41 @@ class TurnMachine:
 
     def note_saved(self, words: str) -> None:
         """Take whether the calibration in force is stored, in words."""
-        stand = self._stand
-        if isinstance(stand, ev.Saving):
-            self._conclude(True, f"{stand.words} {words}{stand.report}")
+        stage = self._stage
+        if isinstance(stage, ev.Saving):
+            self._conclude(True, f"{stage.words} {words}{stage.report}")
 
     def cancel(self) -> ev.Conclusion:
         """Cancel the turn."""
-        if isinstance(self._stand, ev.Saving):
+        if isinstance(self._stage, ev.Saving):
             words = "too late to cancel: the new calibration is in force already"
             return ev.Conclusion(False, words)
-        if self._stand is None:
+        if self._stage is None:
             words = "nothing to cancel: no turn is being collected or fitted"
             return ev.Conclusion(False, words)
-        self._leave_collecting()
-        self._conclude(False, f"cancelled; {UNCHANGED}")
-        return ev.Conclusion(True, f"cancelled; {UNCHANGED}")
+        words = f"cancelled; {UNCHANGED}"
+        self.break_off(words)
+        return ev.Conclusion(True, words)
 
     def note_sensors(self, field: str, imu: str) -> None:
         """Take the frames of the sensors: turns of others are not joined, nor one turn of two."""
         before = self._sensors
         self._sensors = field or before[0], imu or before[1]
         changes = _changes(before, self._sensors)
-        if changes and isinstance(self._stand, (ev.Collecting, ev.Fitting)):
-            self._leave_collecting()
-            self._conclude(
-                False,
+        if changes and isinstance(self._stage, (ev.Collecting, ev.Fitting)):
+            self.break_off(
                 f"{' and '.join(changes)} during the turn: let one sensor publish, and turn "
-                f"again; {UNCHANGED}",
+                f"again; {UNCHANGED}"
             )
 
     def break_off(self, words: str, was_under_way: bool = False) -> None:
         """End the turn, also one that was under way and was left already: something has failed."""
-        if self._stand is not None or was_under_way:
+        if self._stage is not None or was_under_way:
             self._leave_collecting()
             self._conclude(False, words)
 
     def _conclude(self, success: bool, message: str) -> None:
-        self._stand = None
+        self._stage = None
         self.last_conclusion = ev.Conclusion(success, message)
         self._do(ev.Conclude(self.last_conclusion))
 

@@ -26,7 +26,7 @@ from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.filter import CLEAR, FILTER, PROPAGATION
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
-from magcal_ros.core.up.stillness import ZERO, LivingAxes
+from magcal_ros.core.up.stillness import ZERO, DeadAxes
 
 
 def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
@@ -162,7 +162,7 @@ class UpFollower:
 
     def __init__(self) -> None:
         self._propagation = GyroPropagation()
-        self._axes = LivingAxes()
+        self._dead_axes = DeadAxes()
         self._levelling: Levelling | None = None
         self._last: ImuSample | None = None
         self._ups: deque[tuple[float, Triple, float]] = deque(maxlen=STREAMS.remembered)
@@ -180,7 +180,7 @@ class UpFollower:
     @property
     def gyro_is_whole(self) -> bool:
         """Whether all axes of the gyro, where there is one, are alive."""
-        return self._axes.are_all
+        return not self._dead_axes.is_any
 
     @property
     def rate(self) -> Triple:
@@ -239,18 +239,20 @@ class UpFollower:
             return
         last, self._last = self._last, sample
         seconds = math.inf if last is None else sample.stamp - last.stamp
-        force, is_given = _in_g(sample.force, linear_acceleration)
+        is_given = linear_acceleration is not None
+        felt = minus(sample.force, linear_acceleration or ZERO)
+        force = scaled(felt, 1.0 / STANDARD_GRAVITY)
         if seconds <= 0.0:
             self._ups.clear()
         follows = last is not None and 0.0 < seconds <= STREAMS.longest_gyro_step
         stamp, rate, propagation = sample.stamp, sample.rate, self._propagation
         if has_gyro(sample):
-            self._axes.add(rate)
+            self._dead_axes.add(rate)
             if follows and last is not None and has_gyro(last):
                 propagation.add(stamp, force, rate, seconds, is_given)
             else:
                 propagation.begin(stamp, force, rate, is_given)
-        if has_gyro(sample) and propagation.check.is_believed and self._axes.are_all:
+        if has_gyro(sample) and propagation.check.is_believed and self.gyro_is_whole:
             if self._levelling is not None:
                 self._levelling = None
                 propagation.begin(stamp, force, rate, is_given)
@@ -258,7 +260,8 @@ class UpFollower:
             self._levelling.add(force, seconds)
         else:
             self._levelling = Levelling(force)
-        self._note(stamp)
+        now = propagation if self._levelling is None else self._levelling
+        self._ups.append((stamp, now.up, now.variance))
 
     def at(self, stamp: float, max_gap: float) -> Up | None:
         """Return up at a stamp; None if no IMU sample is near enough.
@@ -282,19 +285,7 @@ class UpFollower:
                 up = between(up, after[1], since / span)
         return Up(unit_triple(up), variance) if length(up) > 0.0 else None
 
-    def _note(self, stamp: float) -> None:
-        if self._levelling is None:
-            self._ups.append((stamp, self._propagation.up, self._propagation.variance))
-        else:
-            self._ups.append((stamp, self._levelling.up, self._levelling.variance))
-
 
 def has_gyro(sample: ImuSample) -> bool:
     """Whether a sample carries a turn rate: a possible one, and not a field that was left empty."""
     return 0.0 < length(sample.rate) < LARGEST_RATE
-
-
-def _in_g(force: Triple, acceleration: Triple | None) -> tuple[Triple, bool]:
-    """Return the force in g less an acceleration, and whether that was given."""
-    felt = force if acceleration is None else minus(force, acceleration)
-    return scaled(felt, 1.0 / STANDARD_GRAVITY), acceleration is not None

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.vec3 import (
     Triple,
     between,
@@ -43,27 +43,15 @@ class GyroBias(NamedTuple):
     at_rest: tuple[Triple, float] | None = None
 
 
-class Block:
+class Block(NamedTuple):
     """Sums over the messages since the filter was last asked."""
 
-    def __init__(self) -> None:
-        self.count = 0
-        self.seconds = 0.0
-        self.force = self.up = self.rate = self.turn = ZERO
-
-    def add(self, force: Triple, up: Triple, rate: Triple, turn: Triple, seconds: float) -> None:
-        """Take a message: force and propagated up (g), rate, turn since the one before."""
-        self.count += 1
-        self.seconds += seconds
-        self.force, self.up = plus(self.force, force), plus(self.up, up)
-        self.rate, self.turn = plus(self.rate, rate), plus(self.turn, turn)
-
-    def means(self) -> BlockMeans:
-        """Return the means of force and rate."""
-        share = 1.0 / self.count
-        return BlockMeans(
-            scaled(self.force, share), scaled(self.rate, share), self.count, self.seconds
-        )
+    messages: int = 0
+    seconds: float = 0.0
+    force: Triple = ZERO  # g
+    up: Triple = ZERO  # as it was propagated, g
+    rate: Triple = ZERO  # rad/s
+    turn: Triple = ZERO  # radians
 
 
 class GyroPropagation:
@@ -85,7 +73,6 @@ class GyroPropagation:
         self._noise = PROPAGATION.starting_noise**2
         self._rate_noise = PROPAGATION.starting_rate_noise**2
         self._rest, self._rest_sigma = 1.0, FILTER.rest_length_sigma
-        self._is_rest_seen = False
         self._at_rest: tuple[Triple, float] | None = None
         self.begin(0.0, (0.0, 0.0, 1.0), ZERO)
 
@@ -125,9 +112,12 @@ class GyroPropagation:
         self.mean_rate = minus(between(before, rate, 0.5), self.bias)
         turn = scaled(self.mean_rate, seconds)
         self.up = propagated(self.up, turn)
-        self._block.add(force, self.up, rate, turn, seconds)
-        if self._block.seconds >= PROPAGATION.block:
-            block, self._block = self._block, Block()
+        count, lasted, forces, ups, rates, turns = self._block
+        forces, ups = plus(forces, force), plus(ups, self.up)
+        rates, turns = plus(rates, rate), plus(turns, turn)
+        block = self._block = Block(count + 1, lasted + seconds, forces, ups, rates, turns)
+        if block.seconds >= PROPAGATION.block:
+            self._block = Block()
             self._measure_noise(distance(force, old), distance(rate, before), block.seconds)
             self._end(block)
 
@@ -143,9 +133,11 @@ class GyroPropagation:
 
     def _end(self, block: Block) -> None:
         """Let the filter correct up by what the block brought."""
-        means, following, noise = block.means(), self._filter, math.sqrt(self._noise)
+        following, noise, share = self._filter, math.sqrt(self._noise), 1.0 / block.messages
+        force, rate = scaled(block.force, share), scaled(block.rate, share)
+        means = BlockMeans(force, rate, block.messages, block.seconds)
         self._at_rest = None
-        turn_variance = self._rate_noise * block.seconds**2 / block.count
+        turn_variance = self._rate_noise * block.seconds**2 / block.messages
         self.check.add(means.force, block.turn, block.seconds, turn_variance)
         goes_on = self._spell.add(means, noise, math.sqrt(self._rate_noise))
         if not goes_on:
@@ -162,9 +154,9 @@ class GyroPropagation:
         newest = self._turn_rate(block.turn) / block.seconds
         self._steady_turn += share * (newest - self._steady_turn)
         turning = 0.0 if doubt == 0.0 else self._steady_turn
-        innovation = np.array(minus(means.force, scaled(block.up, 1.0 / block.count)))
-        following.observe_force(innovation, self._noise / block.count, turning)
-        if self._is_rest_seen:
+        innovation = np.array(minus(means.force, scaled(block.up, 1.0 / block.messages)))
+        following.observe_force(innovation, self._noise / block.messages, turning)
+        if self._rest_sigma < FILTER.rest_length_sigma:
             # Where up is uncertain, its length along the estimate is, to second order, as well.
             tilt = following.tilt_variance
             following.observe_length(self._rest, self._rest_sigma**2 + tilt**2)
@@ -207,26 +199,24 @@ class GyroPropagation:
         self._filter.observe_bias(np.array(means.rate), white + sway, axis)
         self._at_rest = (means.rate, white + sway) if axis is None else None
         self._rest = length(spell.force)
-        floor = REST.length_floor
-        self._rest_sigma = math.hypot(floor, noise / math.sqrt(spell.count))
-        self._is_rest_seen = True
+        self._rest_sigma = math.hypot(REST.length_floor, noise / math.sqrt(spell.count))
 
     def _look_for_shaken_rest(self, means: BlockMeans) -> None:
         """Learn bias and up from a robot that stands and is shaken."""
         if not self.field.is_heard(self._stamp):
             self._shaken.forget()
             return
-        shown = self._shaken.add(means, self.field.mean)
-        following = self._filter
-        if shown is None or self.is_settled or length(shown.rate) > FILTER.largest_bias:
+        shown, following = self._shaken.add(means, self.field.mean), self._filter
+        if shown is None or self.is_settled:
+            return
+        force, rate, variance = shown
+        if float(np.linalg.norm(rate)) > FILTER.largest_bias:
             return
         # A slow turn about up would hardly move the field by more than what passes by does.
-        axis, rate = np.array(unit_triple(shown.force)), np.array(shown.rate)
         following.admit_bias(rate)
-        following.observe_bias(rate, shown.variance, axis)
-        sigma, up = REST.agrees, following.up.tolist()
-        if distance(unit_triple(shown.force), unit_triple(up)) > CLEAR * sigma:
-            following.begin(np.array(shown.force), sigma**2, 0.0, self._motion(True))
+        following.observe_bias(rate, variance, unit(force))
+        if float(np.linalg.norm(unit(force) - unit(following.up))) > CLEAR * REST.agrees:
+            following.begin(force, REST.agrees**2, 0.0, self._motion(True))
             following.forget_motion(self._motion())
 
     def _settle(self, doubt: float | None, noise: float) -> None:

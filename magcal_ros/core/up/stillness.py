@@ -161,14 +161,6 @@ class SteadySpell:
         return self.seconds >= (REST.agreeing if cosine > math.cos(REST.agrees) else REST.undecided)
 
 
-class ShownAtRest(NamedTuple):
-    """What a rest has shown: force (g), and rate (rad/s) with its variance per axis."""
-
-    force: Triple
-    rate: Triple
-    variance: float
-
-
 class ShakenRest:
     """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds."""
 
@@ -184,8 +176,11 @@ class ShakenRest:
         self._means.clear()
         self._begin()
 
-    def add(self, block: BlockMeans, field: Triple) -> ShownAtRest | None:
-        """Take a block and the raw field at its end, in any unit; None while nothing is shown."""
+    def add(self, block: BlockMeans, field: Triple) -> tuple[FloatArray, FloatArray, float] | None:
+        """Take a block and the raw field at its end, in any unit; None while nothing is shown.
+
+        Returns mean force (3,), g, and rate (3,), rad/s, with its variance per axis.
+        """
         self._count += 1
         self._seconds += block.seconds
         force, rate, total = self._sums
@@ -205,7 +200,7 @@ class ShakenRest:
         self._means.clear()
         scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (RESTED.at_least - 1))
         variance = REST.shaken_sigma**2 + scatter / RESTED.at_least
-        return ShownAtRest(tuple(mean[0].tolist()), tuple(mean[1].tolist()), variance)
+        return mean[0], mean[1], variance
 
 
 class GyroCheck:
@@ -273,29 +268,29 @@ class GyroCheck:
             self.is_believed = True
 
 
-class LivingAxes:
-    """Detects dead axes of a gyro, which does not see the robot lean.
+class DeadAxes:
+    """Detects axes of a gyro that never change, which hide that the robot leans.
 
     A simulated gyro without noise may rest on two axes and be right.
     """
 
     def __init__(self) -> None:
         self._last: list[Triple] = []
-        self._alive = [False, False, False]
+        self._has_changed = [False, False, False]
         self._noisy = 0
 
     @property
-    def are_all(self) -> bool:
-        """Whether every axis has changed; true until noise of another has shown itself."""
-        return self._noisy < CHECK.dead or all(self._alive)
+    def is_any(self) -> bool:
+        """Whether an axis has never changed; false until noise of another has shown itself."""
+        return self._noisy >= CHECK.dead and not all(self._has_changed)
 
     def add(self, rate: Triple) -> None:
         """Take the next rate, rad/s."""
-        if all(self._alive):
+        if all(self._has_changed):
             return
         if len(self._last) == 2:
             before, last = self._last
             bends = [abs(rate[k] - 2.0 * last[k] + before[k]) for k in range(3)]
-            self._alive = [a or rate[k] != last[k] for k, a in enumerate(self._alive)]
+            self._has_changed = [a or rate[k] != last[k] for k, a in enumerate(self._has_changed)]
             self._noisy += max(bends) > CHECK.bend * max(map(abs, rate))
         self._last = [*self._last[-1:], rate]

@@ -320,5 +320,5 @@ class TestBounds:
     def test_a_hiccup_is_none(self):
         scene = robot()
         scene.live(3.0)
-        scene.freeze(0.8 * TUNING.longest_look)
+        scene.freeze(0.8 * TUNING.gyro_silence)
         assert scene.until_concluded().success

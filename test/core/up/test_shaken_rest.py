@@ -92,11 +92,10 @@ def shown(**changes):
 
 
 def test_four_seconds_that_agree_show_force_and_rate():
-    told = shown()
-    assert len(told) == 1
-    assert told[0].force == pytest.approx((0.1, 0.0, 0.99))
-    assert told[0].rate == pytest.approx((0.06, -0.03, 0.02))
-    assert math.sqrt(told[0].variance) == pytest.approx(REST.shaken_sigma)
+    ((force, rate, variance),) = shown()
+    assert force == pytest.approx((0.1, 0.0, 0.99))
+    assert rate == pytest.approx((0.06, -0.03, 0.02))
+    assert math.sqrt(variance) == pytest.approx(REST.shaken_sigma)
 
 
 @pytest.mark.parametrize(
