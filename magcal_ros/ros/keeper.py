@@ -254,7 +254,9 @@ class Keeper:
         if loaded.path == self._dismissed:
             return
         self._used = loaded.path
-        self._log.info(self.use(loaded))
+        words = self.use(loaded)
+        # The first line of a process takes rclpy as long as several messages: they do not wait.
+        self._files.run(lambda: self._log.info(words), lambda _: None, lambda _: None)
         self._check_sensor(self._frame)
 
     def _check_sensor(self, frame: str) -> None:
