@@ -162,19 +162,19 @@ def ring(filled: str) -> list[str]:
 
 
 class Lines:
-    """Shows the progress of a turn, a line a second: for pipes and logs."""
+    """Shows the progress of a turn, at most a line a second: for pipes and logs."""
 
     def __init__(self) -> None:
-        self._second = -1
+        self._second, self._said = -1, ""
 
     def show(self, progress: dict[str, Any]) -> None:
-        """Print at most one line a second."""
-        second = int(progress["elapsed_s"])
-        if second != self._second:
+        """Print at most one line a second, and none twice."""
+        second, words = int(progress["elapsed_s"]), line(progress)
+        if second != self._second and words != self._said:
             # A terminal that is narrower would break the line, and scroll by two.
             width = shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else None
-            print(line(progress)[:width], flush=True)
-        self._second = second
+            print(words[:width], flush=True)
+            self._second, self._said = second, words
 
     def __enter__(self) -> Lines:
         return self

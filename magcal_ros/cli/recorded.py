@@ -155,15 +155,18 @@ def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
     """Say every now and then that a long operation goes on, and for how long.
 
     On a terminal one line is drawn again and removed at the end. Elsewhere a line comes now and
-    then, so that a short operation prints nothing.
+    then, if it is a new one, so that a short operation prints nothing.
     """
     is_terminal, begun, done = out.isatty(), time.monotonic(), threading.Event()
     begin, end, pause = ("\r", "\x1b[K", REDRAW) if is_terminal else ("", "\n", LINE_EVERY)
 
     def tell() -> None:
+        said = ""
         while not done.wait(pause):
-            seconds = time.monotonic() - begun
-            print(f"{begin}{words()}: {seconds:.0f} s", end=end, file=out, flush=True)
+            seconds, now = time.monotonic() - begun, words()
+            if is_terminal or now != said:
+                print(f"{begin}{now}: {seconds:.0f} s", end=end, file=out, flush=True)
+            said = now
 
     teller = threading.Thread(target=tell, name="at work", daemon=True)
     teller.start()

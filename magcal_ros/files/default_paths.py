@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
 
 from magcal_ros.files.disk import FileTrouble
 
@@ -86,13 +84,14 @@ def known_as(frame: str) -> str:
 
 
 def _digest(text: str) -> str:
+    # Most names are plain, and a node starts sooner without it.
+    import hashlib
+
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
 
 
 FRAMELESS = "magnetometer"
 """Stands in a path for the frame of a sensor that names none."""
-
-DEFAULT_NODE = "calibrator"
 
 
 @dataclass(frozen=True)
@@ -106,35 +105,13 @@ class SensorFile:
     frame: str
     """`frame_id` of the field messages; empty if they have none."""
     namespace: str = "/"
-    node: str = DEFAULT_NODE
+    node: str = "calibrator"
     """The node's: two robots may carry the same sensor."""
 
     @property
     def path(self) -> Path:
         """Where it is stored: `<node>.<frame>.yaml`; no part of it has a dot of its own."""
         return self._folder / f"{safe_name(self.node)}.{safe_name(self.frame or FRAMELESS)}.yaml"
-
-    @property
-    def former(self) -> Path:
-        """Where earlier releases stored it, for all nodes of a namespace alike."""
-        return self._folder / f"{safe_name(self.frame or FRAMELESS)}.yaml"
-
-    def find(self) -> Path:
-        """Return the file to load: the sensor's own, else the former one if it is surely its.
-
-        A former file is the default node's. That of a node by another name may be its neighbour's
-        and is not taken: a FileTrouble says how to move it.
-        """
-        own, former = self.path, self.former
-        if not is_missing(own) or is_missing(former):
-            return own
-        if self.node == DEFAULT_NODE:
-            return former
-        raise FileTrouble(
-            f"{former} may be this node's calibration or that of another node of its namespace: "
-            f"earlier releases kept them in one file. If it is this one's, move it: "
-            f"mv {quote(str(former))} {quote(str(own))}"
-        )
 
     @property
     def _folder(self) -> Path:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from magcal_ros.core.calibration import Calibration, predicted_heading_sigma
+from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.keeping.jobs import Verb, difference
 from magcal_ros.core.keeping.story import DrivePath, DriveStory
@@ -75,7 +76,7 @@ def render_drive(story: DriveStory, source: str) -> str:
 
 
 def summary_of(story: DriveStory) -> str:
-    """Return the result of a drive in two sentences."""
+    """Return the result of a drive in two or three sentences."""
     changed = [made for _, made in story.decisions if made.verb in (Verb.APPLIED, Verb.REFINED)]
     back = sum(made.verb is Verb.ROLLED_BACK for _, made in story.decisions)
     drove = f"{_duration(story.seconds)} recorded, {_duration(story.moved)} of movement"
@@ -88,7 +89,16 @@ def summary_of(story: DriveStory) -> str:
         said += " (that takes some minutes of driving, over half of all headings)"
     else:
         said = "the calibration in force stayed: nothing was proved better"
-    return f"{drove}: {said}. At the end: {story.doing}."
+    words = f"{drove}: {said}. At the end: {story.doing}."
+    if story.ended is not None:
+        # `magcal fit` gives the first of these, and a decision the second.
+        heading = math.degrees(predicted_heading_sigma(story.ended))
+        own = math.degrees(known_sigma(story.ended))
+        words += (
+            f" In force then: heading ±{heading:.1f}° along the way (1σ), ±{own:.1f}° of it by the"
+            " calibration and the rest by local magnetic disturbances."
+        )
+    return words
 
 
 def _duration(seconds: float) -> str:

@@ -153,7 +153,7 @@ class Keeper:
         A FileTrouble if it is missing, damaged, foreign, or made for another sensor.
         """
         try:
-            path = self._path_to_load(chosen, frame)
+            path = self._path(frame, chosen)
             key = promptly(lambda: _key_of(path), path)
             if self._last_read is None or key is None or self._last_read[0] != key:
                 found = promptly(lambda: read_calibration(path), path)
@@ -216,13 +216,6 @@ class Keeper:
         own = chosen_path(chosen) if chosen else SensorFile(frame, *self._name).path
         return numbered(own, self._number)
 
-    def _path_to_load(self, chosen: str, frame: str) -> Path:
-        """Return the file to load from: the same, or the one of a former release."""
-        if chosen or self._number > 1:
-            return self._path(frame, chosen)
-        file = SensorFile(frame, *self._name)
-        return promptly(file.find, file.path)
-
     def _read_next(self) -> None:
         if self.calibration is not None:
             self._wanted.clear()
@@ -234,7 +227,7 @@ class Keeper:
         chosen, resets = self._chosen(), self._resets
 
         def read_if_there() -> Loaded | None:
-            path = self._path_to_load(chosen, frame)
+            path = self._path(frame, chosen)
             return None if promptly(lambda: is_missing(path), path) else self.read(chosen, frame)
 
         def note(loaded: Loaded | None) -> None:
@@ -261,7 +254,9 @@ class Keeper:
         if loaded.path == self._dismissed:
             return
         self._used = loaded.path
-        self._log.info(self.use(loaded))
+        words = self.use(loaded)
+        # The first line of a process takes rclpy as long as several messages: they do not wait.
+        self._files.run(lambda: self._log.info(words), lambda _: None, lambda _: None)
         self._check_sensor(self._frame)
 
     def _check_sensor(self, frame: str) -> None:

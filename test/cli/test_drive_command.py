@@ -11,6 +11,8 @@ from simulated.legs import Leg, city
 from simulated.travel import travel
 
 from magcal_ros.cli.main import main
+from magcal_ros.core.calibration import predicted_heading_sigma
+from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.session.recorded import Gathering
 from magcal_ros.core.simulation import Robot
@@ -40,6 +42,14 @@ def test_a_drive_from_nothing_ends_with_a_calibration_and_a_page(driven, tmp_pat
     assert status == 0
     assert told["decisions"][-1]["decision"] in ("applied", "refined")
     found, _ = read_calibration(tmp_path / "calibration.yaml")
+    # Both figures: a decision names the second, and `magcal fit` grades by the first.
+    on_the_way, own = predicted_heading_sigma(found), known_sigma(found)
+    assert own < 0.7 * on_the_way
+    shown = (
+        f"heading ±{math.degrees(on_the_way):.1f}° along the way (1σ), ±{math.degrees(own):.1f}°"
+    )
+    assert shown in told["summary"]
+    assert f"±{math.degrees(own):.1f}°" in told["decisions"][-1]["why"]
     apart = 1e6 * (found.correction.hard_iron - ROBOT.hard_iron)
     assert np.abs(apart[:2]).max() < 3.0
     page = (tmp_path / "report.html").read_text()

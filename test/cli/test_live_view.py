@@ -46,12 +46,12 @@ def test_covered_headings_lie_to_the_left_of_the_start_on_a_ring():
     assert set("".join(ring("#" * 36))) == {"#", " "}
 
 
-def test_a_log_gets_a_line_a_second(capsys):
+def test_a_log_gets_a_line_a_second_while_something_changes(capsys):
     with Lines() as view:
-        for elapsed in (3.2, 3.4, 3.9, 4.1):
-            view.show(PROGRESS | {"elapsed_s": elapsed, "heading_sigma_deg": 0.31})
+        for elapsed, sigma in ((3.2, 0.31), (3.4, 0.3), (3.9, 0.3), (4.1, 0.3), (5.2, 0.3)):
+            view.show(PROGRESS | {"elapsed_s": elapsed, "heading_sigma_deg": sigma})
     printed = capsys.readouterr().out.splitlines()
-    assert printed == [line(PROGRESS | {"heading_sigma_deg": 0.31})] * 2
+    assert printed == [line(PROGRESS | {"heading_sigma_deg": sigma}) for sigma in (0.31, 0.3)]
     assert "±0.31°" in printed[0]
 
 

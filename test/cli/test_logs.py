@@ -120,12 +120,11 @@ def test_a_mounting_is_not_for_bags(tmp_path, capsys):
 def test_a_long_fit_shows_that_it_goes_on(monkeypatch):
     monkeypatch.setattr(recorded, "REDRAW", 0.01)
     monkeypatch.setattr(recorded, "LINE_EVERY", 0.05)
-    out = io.StringIO()
-    with recorded.at_work(lambda: "fitting 7 messages", out):
-        time.sleep(0.3)
-    lines = out.getvalue().splitlines()
-    assert 2 <= len(lines) <= 6
-    assert lines[0] == "fitting 7 messages: 0 s"
+    out, shares = io.StringIO(), iter((0, 0, 0, 70, *[70] * 100))
+    with recorded.at_work(lambda: f"fitting 7 messages, {next(shares)} %", out):
+        time.sleep(0.5)
+    # No line is said twice.
+    assert out.getvalue().splitlines() == [f"fitting 7 messages, {n} %: 0 s" for n in (0, 70)]
 
 
 def test_on_a_terminal_one_line_is_drawn_again_and_removed(monkeypatch):

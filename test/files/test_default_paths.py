@@ -79,36 +79,6 @@ def test_nodes_sensors_and_namespaces_have_files_of_their_own():
     frames = ["imu_link", "left", "right", "a", ""]
     files = [SensorFile(f, s, n) for f in frames for s in spaces for n in nodes]
     assert len({file.path for file in files}) == len(files)
-    assert not {file.path for file in files} & {file.former for file in files}
-
-
-class TestFormerFiles:
-    """Until now the nodes of a namespace shared a file for each frame."""
-
-    def make(self, path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("x")
-        return path
-
-    def test_the_default_node_finds_its_former_file_until_it_has_its_own(self, home):
-        file = SensorFile("imu_link", "/robot")
-        assert file.find() == file.path
-        former = self.make(home / "magcal" / "robot" / "imu_link.yaml")
-        assert file.find() == former
-        self.make(file.path)
-        assert file.find() == file.path
-
-    def test_a_former_file_that_may_be_the_neighbours_is_not_taken_silently(self, home):
-        former = self.make(home / "magcal" / "imu_link.yaml")
-        right = SensorFile("imu_link", node="right")
-        with pytest.raises(FileTrouble, match=f"mv {former} {right.path}"):
-            right.find()
-        self.make(right.path)
-        assert right.find() == right.path
-
-    def test_a_sensor_without_a_frame_finds_its_former_file(self, home):
-        former = self.make(home / "magcal" / "magnetometer.yaml")
-        assert SensorFile("").find() == former
 
 
 def test_without_ros_home_it_is_the_users(monkeypatch):

@@ -69,6 +69,9 @@ def test_what_is_met_is_loaded_from_its_file_and_said(met):
     assert keeper.calibration is None
     files.go()
     assert keeper.origin.magnetometer_frame == "left"
+    # The log must not delay the messages.
+    assert not log
+    files.go()
     assert "left.yaml" in log[0]
 
 

@@ -10,7 +10,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import MagneticField
-from support import DEGREE, PATIENCE, ROBOT, store_calibration
+from support import DEGREE, PATIENCE, ROBOT
 
 from magcal_ros.core.samples import FieldSample
 from magcal_ros.files.calibration_file import read_calibration
@@ -22,11 +22,6 @@ FRAME = "mag_link"
 
 def named(name):
     return ["--ros-args", "-r", f"__node:={name}"]
-
-
-@pytest.fixture
-def former(ros_home):
-    return store_calibration(ros_home / "magcal" / f"{FRAME}.yaml", frame=FRAME)
 
 
 @pytest.mark.nightly
@@ -45,22 +40,6 @@ def test_each_finds_its_own_calibration_and_none_its_neighbours(start_node, acto
     again = start_node(arguments=named("left"))
     robot.run(PATIENCE, stop=lambda: again._keeper.calibration is not None)
     assert again._keeper.origin.node == "/left"
-
-
-def test_the_default_node_loads_the_file_of_an_earlier_release(start_node, actor, former):
-    node = start_node()
-    actor().run(PATIENCE, stop=lambda: node._keeper.calibration is not None)
-    assert former.exists()
-
-
-def test_another_node_does_not_take_it_and_says_how_to_keep_it(start_node, actor, former):
-    node = start_node(arguments=named("right"))
-    robot = actor(calibrator="/right")
-    robot.run(PATIENCE, stop=lambda: node._inputs.field.messages)
-    answer = robot.answer(robot.call("load"))
-    assert not answer.success
-    assert f"mv {former} {former.parent}/right.{FRAME}.yaml" in answer.message
-    assert node._keeper.calibration is None
 
 
 SECOND = replace(

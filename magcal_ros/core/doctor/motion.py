@@ -132,14 +132,16 @@ def _explained(
 ) -> tuple[Explanations | None, float]:
     """Explain the movement with the gyro's unit: a known slip where only that fits well."""
     inclination = knowledge.reference.inclination
-    given = explain(log, inclination)
-    # A gyro that may be right and turned too little shows nothing.
-    if not factors or (1.0 in factors if given is None else given.fits_well):
-        return given, 1.0
-    slips = [f for f in factors if f != 1.0]
+    slips = [f for f in factors or () if f != 1.0]
     ways = [(explain(replace(log, rate=f * log.rate), inclination), f) for f in slips]
     found = [(float(way.rms.min()), f, way) for way, f in ways if way is not None and way.fits_well]
-    _, factor, way = min(found, key=lambda one: one[0], default=(0.0, 1.0, given))
+    # Rates that only a slip makes rad/s take the longest to explain as they are.
+    if not found or 1.0 in (factors or ()):
+        given = explain(log, inclination)
+        # A gyro that may be right and turned too little shows nothing.
+        if not found or given is None or given.fits_well:
+            return given, 1.0
+    _, factor, way = min(found, key=lambda one: one[0])
     return way, factor
 
 

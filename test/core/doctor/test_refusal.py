@@ -8,6 +8,8 @@ import pytest
 from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.doctor import motion
+from magcal_ros.core.doctor.explanations import explain
 from magcal_ros.core.doctor.page import blamed_on_sensors, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
@@ -91,3 +93,17 @@ def test_rates_in_another_unit_are_said_as_such(window):
     outcome = calibrate(replace(window, angular_rate=562.0 * window.angular_rate), Knowledge())
     assert outcome.reason is Reason.AXES_DISAGREE
     assert "the gyro's rates are 562 times too large" in outcome.verdict.summary
+
+
+def test_rates_in_another_unit_are_not_explained_as_they_are(window, monkeypatch):
+    fastest = []
+
+    def explained(log, *others):
+        fastest.append(np.abs(log.rate).max())
+        return explain(log, *others)
+
+    monkeypatch.setattr(motion, "explain", explained)
+    outcome = calibrate(replace(window, angular_rate=57.3 * window.angular_rate), Knowledge())
+    assert "degrees/s published as rad/s" in outcome.verdict.summary
+    # That would take four times as long, and nothing fits.
+    assert max(fastest) < 2.0 * np.abs(window.angular_rate).max()
