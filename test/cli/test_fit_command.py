@@ -193,6 +193,7 @@ class TestRecordings:
         assert status == 0
         assert json.loads(out)["numbers"]["hard_iron_x_ut"] == pytest.approx(21.0, abs=3.0)
 
+    @pytest.mark.nightly
     def test_stamps_in_bursts_are_mended_and_named(self, fit, recording):
         folder = recording("car_neu2023_aswin_asrec")
         place = ["--reference-strength-ut", "51.3", "--reference-inclination-deg", "66.3"]
