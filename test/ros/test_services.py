@@ -48,6 +48,7 @@ def test_cancel_answers_the_waiting_call_and_leaves_the_calibration_in_force(sta
     assert "nothing to cancel" in again.message
 
 
+@pytest.mark.nightly
 def test_start_and_finish_are_calibrate_in_two_steps(stage):
     actor = stage(speed=8.0)
     too_early = actor.answer(actor.call("finish"))

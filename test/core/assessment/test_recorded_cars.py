@@ -26,19 +26,15 @@ def judged(folder, name):
     return outcome, ours, sigma, min(score.rms for score in found), drive.floor().rms
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("car", "window"),
     [
         ("car_circles_neu2025_kiran", "whole"),
-        *(
-            pytest.param(*case, marks=pytest.mark.nightly)
-            for case in (
-                ("car_neu2023_huang", "circles"),
-                ("car_neu2024_jackg", "whole"),
-                ("car_neu2024_jackg", "live"),
-                ("car_neu2024_yash", "whole"),
-            )
-        ),
+        ("car_neu2023_huang", "circles"),
+        ("car_neu2024_jackg", "whole"),
+        ("car_neu2024_jackg", "live"),
+        ("car_neu2024_yash", "whole"),
     ],
 )
 def test_a_car_is_answered_as_well_as_the_best_usual_method_and_honestly(recording, car, window):

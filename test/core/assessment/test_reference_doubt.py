@@ -34,7 +34,7 @@ def doubt(outcome):
     return found[0] if found else None
 
 
-@pytest.mark.parametrize("dip", first_of([30.0, -50.0, 65.0, 75.0], 2))
+@pytest.mark.parametrize("dip", first_of([-50.0, 30.0, 65.0, 75.0]))
 def test_the_wrong_sign_of_the_inclination_is_warned_of(dip):
     outcome = outcome_of((15, -8, 10), dip, -dip)
     check = doubt(outcome)
@@ -51,14 +51,14 @@ def test_the_wrong_sign_of_the_inclination_is_warned_of(dip):
 
 
 @pytest.mark.parametrize("dip", first_of([65.0, 30.0, -50.0, 75.0]))
-@pytest.mark.parametrize("iron", [(15, -8, 10), (120, -60, 10), (0, 150, -15), (0, 0, 0)])
+@pytest.mark.parametrize("iron", first_of([(120, -60, 10), (15, -8, 10), (0, 150, -15), (0, 0, 0)]))
 def test_a_right_reference_is_not_doubted_for_iron_across_the_axis(dip, iron):
     outcome = outcome_of(iron, dip)
     assert doubt(outcome).grade is Grade.EXCELLENT
     assert outcome.verdict.accepted
 
 
-@pytest.mark.parametrize("height", [-70.0, 70.0])
+@pytest.mark.parametrize("height", first_of([-70.0, 70.0]))
 def test_a_magnet_along_the_axis_that_is_larger_than_the_field_is_warned_of(height):
     check = doubt(outcome_of((5, 5, height), 20.0))
     assert check.grade is Grade.WARN
@@ -79,7 +79,7 @@ def test_without_a_reference_there_is_none_to_doubt():
     assert doubt(outcome) is None
 
 
-@pytest.mark.parametrize("factor", first_of([0.7, 1.4, 0.5, 2.0], 2))
+@pytest.mark.parametrize("factor", first_of([0.7, 1.4, 0.5, 2.0]))
 def test_a_strength_that_is_off_by_a_factor_is_no_excellent_one(factor):
     rng = np.random.default_rng(1)
     window = measure(Robot(strength=STRENGTH, inclination=65.0 * DEGREE), turn(), rng)

@@ -52,6 +52,7 @@ class TestHandHeldTurn:
     def test_it_is_accepted(self, turn):
         assert calibrate(turn, self.known).verdict.accepted
 
+    @pytest.mark.nightly
     def test_it_is_accepted_without_a_reference(self, turn):
         assert calibrate(turn, UNKNOWN).verdict.accepted
 
@@ -69,6 +70,7 @@ class TestHandHeldTurn:
         assert not verdict.accepted
         assert "axes" in refused(verdict)
 
+    @pytest.mark.nightly
     def test_a_mirrored_gyro_is_refused(self, turn):
         mirrored = Window(turn.time, turn.field, turn.specific_force, -turn.angular_rate)
         verdict = calibrate(mirrored, self.known).verdict
@@ -112,6 +114,7 @@ class TestHandHeldTurn:
         assert any("looks like gauss" in check.words for check in verdict.checks)
 
 
+@pytest.mark.nightly
 def test_a_car_in_circles_is_not_refused(recording):
     verdict = calibrate(
         window(recording("car_circles_neu2025_kiran")), knowledge(51.5, 66.5)
@@ -120,6 +123,7 @@ def test_a_car_in_circles_is_not_refused(recording):
     assert verdict.quality.rank <= Grade.WARN.rank
 
 
+@pytest.mark.nightly
 def test_a_boat_that_turns_level_is_not_refused(recording):
     verdict = calibrate(window(recording("sailboat_lsm303_level")), UNKNOWN).verdict
     assert verdict.accepted

@@ -40,7 +40,7 @@ def check_all(seeds):
         assert np.array_equal(found.meant, axes), f"lift {number}: {found.words}"
 
 
-@pytest.mark.parametrize("which", first_of(range(0, 48, 9), 3))
+@pytest.mark.parametrize("which", first_of(range(0, 48, 9)))
 def test_after_a_turn_the_truth_is_among_those_named(which):
     found, *_ = of(EVERY[which], "level")
     assert found.right == named(found, np.eye(3))
@@ -48,7 +48,7 @@ def test_after_a_turn_the_truth_is_among_those_named(which):
     assert len(found.candidates) <= 8
 
 
-@pytest.mark.parametrize("which", first_of(range(0, 48, 6), 4))
+@pytest.mark.parametrize("which", first_of([6, 30, 0, 12, 18, 24, 36, 42], 2))
 def test_a_turn_and_a_lift_decide_among_all_48(which):
     found, *_ = of(EVERY[which], "lift")
     assert len(found.candidates) == 1
@@ -61,7 +61,7 @@ def test_a_turn_and_a_lift_decide_every_time():
     check_all(4)
 
 
-@pytest.mark.parametrize("seed", first_of(range(4), 2))
+@pytest.mark.parametrize("seed", first_of(range(4)))
 def test_good_sensors_are_never_called_wrong(seed):
     window, knowledge = good_case(np.random.default_rng([seed, 3]))
     assert find_axes(window, knowledge).words == ""

@@ -135,14 +135,14 @@ def test_the_driver_is_named_in_99_of_100(name):
     assert sum(is_named(name, seed) for seed in range(1, 101)) >= 99
 
 
-@pytest.mark.parametrize("seed", first_of(range(100), 2))
+@pytest.mark.parametrize("seed", first_of(range(100)))
 def test_no_driver_is_named_where_nothing_is_wrong(seed):
     case = case_of(seed)
     lines = " ".join(wrong_lines(case, case.log))
     assert not any(quirk.driver in lines for quirk in QUIRKS)
 
 
-@pytest.mark.parametrize("seed", first_of(range(1, 51), 2))
+@pytest.mark.parametrize("seed", first_of(range(1, 51)))
 def test_a_field_that_points_up_is_told_as_a_simulators(seed):
     """Gazebo turns the world's north, east and down into the robot's axes as if they were ENU."""
     case = case_of(seed)

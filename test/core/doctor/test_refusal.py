@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from long_form import first_of
 from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.calibrate import calibrate
@@ -76,7 +77,7 @@ def test_without_the_gyro_that_has_dead_axes_the_turn_is_calibrated(window):
     assert calibrate(replace(window, angular_rate=None), Knowledge()).verdict.accepted
 
 
-@pytest.mark.parametrize("since", [0, 100], ids=["always", "after a third"])
+@pytest.mark.parametrize("since", first_of([100, 0]))
 def test_a_gyro_that_is_stuck_is_said(window, since):
     rate = window.angular_rate.copy()
     rate[since:] = [0.1, 0.02, -0.05]

@@ -29,7 +29,7 @@ def page_of(folder):
         return examine(SensorLog.of(r for r in source.readings() if r is not None))
 
 
-@pytest.mark.parametrize("name", first_of([*GOOD, BURSTS], 2))
+@pytest.mark.parametrize("name", first_of([*GOOD, BURSTS]))
 def test_the_axes_of_recordings_are_not_called_wrong(recording, name):
     gathering = Gathering(Mounting())
     with open_recording(recording(name)) as source:
@@ -48,6 +48,7 @@ def test_stamps_in_bursts_are_named(recording):
     assert all("bursts" in f.remedy for f in wrong)
 
 
+@pytest.mark.nightly
 def test_a_turn_that_they_spoil_is_refused_for_them(recording):
     """As a node would hear it, which cannot wait for a recording's end to spread them."""
     gathering = Gathering(Mounting())

@@ -35,7 +35,7 @@ def error(found, true):
     return math.degrees(math.remainder(found.yaw - true, math.tau))
 
 
-@pytest.mark.parametrize("yaw_deg", first_of([-170.0, 90.0, -30.0, 4.0], 2))
+@pytest.mark.parametrize("yaw_deg", first_of([-170.0, 90.0, -30.0, 4.0]))
 def test_it_is_found_wherever_the_imu_looks(yaw_deg):
     vehicle = Vehicle(ROBOT, imu_yaw=yaw_deg * DEGREE, imu_roll=0.1, imu_ahead=1.2)
     found = follow(driven(city_legs(2), 2, vehicle)).known_mounting
@@ -124,7 +124,7 @@ def test_a_speed_that_rests_on_zero_or_at_a_pace_is_not_called_stuck():
     assert not follow(driven(legs, 3, wheels=wheels)).mounting.faults
 
 
-@pytest.mark.parametrize("delay", first_of([0.6, 2.0, 0.0], 2))
+@pytest.mark.parametrize("delay", first_of([0.6, 2.0, 0.0]))
 def test_the_latency_of_a_speed_is_measured(delay):
     wheels = Wheels(delay=delay)
     travelling = follow(driven(city_legs(8), 8, wheels=wheels, receiver=None))

@@ -37,8 +37,8 @@ def rms_deg(estimate, robot, *, level=True):
 
 
 @pytest.mark.parametrize("gyro", [False, True])
-@pytest.mark.parametrize("arc", first_of([90.0, 360.0, 200.0], 2))
-@pytest.mark.parametrize("axis", first_of([UP_ENU, TILTED, np.array([0.5, -0.3, 0.8])], 2))
+@pytest.mark.parametrize("arc", first_of([90.0, 360.0, 200.0]))
+@pytest.mark.parametrize("axis", first_of([TILTED, UP_ENU, np.array([0.5, -0.3, 0.8])]))
 def test_without_noise_the_truth_is_found(axis, arc, gyro):
     robot = Robot(roll=20 * DEGREE, pitch=-30 * DEGREE, **STILL)
     motion = turn(arc=arc * DEGREE, samples=200, axis=axis, start_rpy=(0.0, 0.0, 0.7))

@@ -63,10 +63,12 @@ class TestHandHeldTurn:
         found = yaw_from_up_and_field(up, correction.apply(whole.field))
         return math.sqrt(np.mean(wrap_angle(found - yaw)[scored] ** 2))
 
+    @pytest.mark.nightly
     def test_hard_iron(self, correction):
         error = correction.hard_iron - self.bias - self.added
         assert np.linalg.norm(error) < 2e-6
 
+    @pytest.mark.nightly
     def test_heading_on_the_rest_of_the_recording(self, correction):
         best = self.heading_rms(Correction(np.eye(3), self.bias + self.added))
         assert self.heading_rms(correction) < best
@@ -79,6 +81,7 @@ def correction():
     return fit(turn, TestHandHeldTurn.knowledge).correction
 
 
+@pytest.mark.nightly
 def test_a_car_in_circles_against_its_gps_course():
     imu, mag, truth = recording("car_circles_neu2025_kiran")
     whole = window(imu, mag)

@@ -36,8 +36,7 @@ def doubts(watch):
             Way(steel=0.05 * ROBOT.strength),
             Way(headings=(0.0, math.pi)),
             Way(),
-        ],
-        2,
+        ]
     ),
     ids=["left turns on slopes", "steel", "corridor", "plain"],
 )
@@ -49,7 +48,7 @@ def test_an_honest_drive_raises_no_alarm(way, seed):
     assert "holds" in watch.watched.summary or "held" in watch.watched.summary
 
 
-@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("gyro", first_of([False, True]))
 @pytest.mark.parametrize("shift", first_of([(2.5, 0.0), (-1.8, 1.8)]))
 def test_hard_iron_of_a_twentieth_of_the_field_is_found_and_its_size_said(shift, gyro):
     watch, said = watched([ROBOT, changed(*shift)], [6, 9], gyro=gyro, seed=3)

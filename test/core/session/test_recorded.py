@@ -236,6 +236,7 @@ class TestRecordings:
         assert len(outcome.verdict.summary) > 40
         assert np.ptp(outcome.window.time) < 14.1
 
+    @pytest.mark.nightly
     def test_a_boat_that_rolls_is_refused(self, recording):
         outcome = fit_gathered(self.read(recording("sailboat_lsm303_roll")), Knowledge())
         assert not outcome.verdict.accepted
@@ -260,7 +261,7 @@ def test_where_a_recording_was_set_back_the_better_stretch_is_taken(turn_first):
     assert outcome.verdict.accepted, outcome.verdict.summary
 
 
-@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("gyro", first_of([True, False]))
 @pytest.mark.parametrize(("imu_rate", "steps"), [(100, 10), (10, 10), (4, 1), (20, 20)])
 def test_a_field_at_a_tenth_of_the_imus_rate_carries_a_turn(imu_rate, steps, gyro):
     """A field sample a second is half a radian of turn: the robot turns twice, or more slowly."""

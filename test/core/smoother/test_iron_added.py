@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from long_form import first_of
 from simulated.drive import Iron
 from simulated.legs import Leg, city, standing
 from streets import BOSTON, driven, heading_error, log_from
@@ -40,7 +41,7 @@ def gain(drive, **promise):
     return -math.inf if found is None else found.gain
 
 
-@pytest.mark.parametrize("seed", [4, 7])
+@pytest.mark.parametrize("seed", first_of([4, 7]))
 def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
     iron = (8e-6, -6e-6, 0.0)
     drive = driven(seed, CAME + 30.0, irons=(Iron(iron, CAME),))
@@ -54,7 +55,7 @@ def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
     assert left < min(6.0, 3.0 * math.degrees(found.fit.posterior.heading_sigma))
 
 
-@pytest.mark.parametrize("seed", [4, 7])
+@pytest.mark.parametrize("seed", first_of([4, 7]))
 def test_streets_are_no_change(seed):
     assert gain(driven(seed, 150.0)) < KEEPING.notice_proof
 
@@ -83,7 +84,7 @@ def from_a_stop(seed):
     return drive, drive.time[-1] - 30.0
 
 
-@pytest.mark.parametrize("quarter", range(4))
+@pytest.mark.parametrize("quarter", first_of(range(4)))
 def test_iron_that_comes_to_a_robot_at_rest_is_told_before_it_turns(quarter):
     drive, start = from_a_stop(5)
     way = 0.5 * math.pi * quarter

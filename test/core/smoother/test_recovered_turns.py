@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from long_form import first_of
 from simulated.turns import measure, turn
 from uneven_turns import ROBOT, collected, driven, evenly
 
@@ -49,8 +50,8 @@ def test_a_clean_turn_is_recovered():
     assert estimate.figures[Figure.GYRO_COMPASS_SWING] < 0.5 * DEGREE
 
 
-@pytest.mark.parametrize("by_rate", [False, True])
-@pytest.mark.parametrize("size", [3e-6, 20e-6])
+@pytest.mark.parametrize("by_rate", first_of([False, True]))
+@pytest.mark.parametrize("size", first_of([3e-6, 20e-6]))
 def test_rests_tell_the_motors_field_from_hard_iron(size, by_rate):
     motion, window = driven(evenly, ROBOT, 3.0)
     estimate = fit(collected(with_motors(window, motion, size, by_rate=by_rate)), known(ROBOT))
@@ -134,7 +135,13 @@ def slowly(every: int, seed: int, *, means: bool) -> Window:
 
 
 @pytest.mark.parametrize(
-    ("every", "means"), [(6, True), (6, False), (15, True), (30, True)], ids=str
+    ("every", "means"),
+    [
+        (6, False),
+        (30, True),
+        *(pytest.param(every, True, marks=pytest.mark.nightly) for every in (6, 15)),
+    ],
+    ids=str,
 )
 def test_samples_that_come_slowly_tell_the_turn_and_not_more_of_its_sway(every, means, monkeypatch):
     """The sway alone tells the vertical hard iron, and the gyro sees little of it between them."""
@@ -159,7 +166,7 @@ def test_tilted_headings_of_5_hz_are_as_good_as_said(every, means, monkeypatch):
     assert np.mean(np.square(ratios)) < 1.5
 
 
-@pytest.mark.parametrize("every", [15, 30])
+@pytest.mark.parametrize("every", first_of([30, 15]))
 def test_a_swaying_turn_read_once_a_second_is_refused_with_its_rate(every, monkeypatch):
     """20 degrees wrong at 10 degrees of tilt, at 2.4 said, while a drive answered for them."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from long_form import first_of
 from simulated.turns import Motion, measure, smooth_wobble, turn
 
 from magcal_ros.core.calibration.figure import Figure
@@ -34,7 +35,7 @@ def error_on_slopes(estimate, robot: Robot) -> float:
     return math.sqrt(float(np.mean(np.delete(errors, LEVEL_TILT, axis=1) ** 2)))
 
 
-@pytest.mark.parametrize("sense", [-1.0, 1.0])
+@pytest.mark.parametrize("sense", first_of([-1.0, 1.0]))
 @pytest.mark.parametrize(
     ("axis", "start"),
     [((0.0, 0.0, 1.0), (0.0, 0.0, 0.3)), ((0.0, 0.9, 0.9), (0.0, 0.0, 0.3)),
@@ -80,7 +81,7 @@ def swaying(height: float, seed: int) -> Window:
     return replace(window, specific_force=window.specific_force + pull)
 
 
-@pytest.mark.parametrize("height", [0.0, 0.3])
+@pytest.mark.parametrize("height", first_of([0.3, 0.0]))
 def test_lean_is_told_from_sway_that_shakes_a_high_accelerometer(height):
     """Taken for lean, the shaking would shrink the field: the heading on slopes would be wrong."""
     estimate = fit(swaying(height, 3), Knowledge())
@@ -89,7 +90,7 @@ def test_lean_is_told_from_sway_that_shakes_a_high_accelerometer(height):
     assert error < 3.0 * DEGREE
 
 
-@pytest.mark.parametrize("height", [0.0, 0.3])
+@pytest.mark.parametrize("height", first_of([0.3, 0.0]))
 def test_how_far_a_body_sways_is_told_without_bias(height):
     """The most likely leans are too small, and with them the downward field is too large."""
     ratios = []
