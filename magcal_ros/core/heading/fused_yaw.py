@@ -59,12 +59,16 @@ class FusedYaw:
     def __init__(self, calibration: Calibration, patience: float) -> None:
         self._path: deque[_Moment] = deque(maxlen=HISTORY)
         self._filter, self._loss = YawFilter(), GyroLoss()
+        self.detector = DisturbanceDetector(calibration, patience)
         self.use(calibration, patience)
         self.restart()
 
     def use(self, calibration: Calibration, patience: float) -> None:
         """Go on with another calibration, where another device than the compass gives the yaw."""
+        learnt = self.detector.amplitude_variance
         self.detector = DisturbanceDetector(calibration, patience)
+        # How much places bend the field does not depend on the calibration.
+        self.detector.amplitude_variance = learnt
         self._filter.use_another_calibration()
         level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
         self._level_share = level * level
@@ -125,14 +129,17 @@ class FusedYaw:
 
     def _take_bias(self, known: GyroBias) -> None:
         """Keep what is known of the whole bias when the part taken off the rate has changed."""
-        variance = known.variance + FUSION.bias_sigma**2
+        variance, following = known.variance + FUSION.bias_sigma**2, self._filter
         change = minus(known.rate, self._known.rate)
         self._known = known
-        self._filter.bias -= dot(change, self._up.direction)
+        following.bias -= dot(change, self._up.direction)
         if self._north is None:
             return
-        if variance < self._filter.bias_variance:
-            self._filter.know_bias(variance)
+        own = following.bias_variance
+        if variance < own:
+            # With so much noise the bias is as certain afterwards as it is known.
+            noise = variance * own / (own - variance)
+            self._turn(self._north, following.observe_bias(-following.bias, noise))
             self._loss.begin(dot(known.rate, self._up.direction), variance)
         self._rest(self._north, known)
 

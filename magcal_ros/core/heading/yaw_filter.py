@@ -149,12 +149,6 @@ class YawFilter:
         self._yaw_bias *= yaw
         self._bias_disturbance *= root
 
-    def know_bias(self, variance: float) -> None:
-        """Begin anew with a bias of which another filter has subtracted what it knows."""
-        self.bias = self._yaw_bias = self._bias_disturbance = 0.0
-        self._bias_shares = 0.0 * self._bias_shares
-        self.bias_variance = variance
-
     def spread(self, noise: float, compass: FloatArray) -> float:
         """Return the variance of compass less propagated yaw, rad²; parameters as of `observe`."""
         apart = self._apart(compass)
