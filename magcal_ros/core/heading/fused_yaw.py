@@ -223,7 +223,7 @@ class FusedYaw:
         missed = abs(innovation) / math.sqrt(self._filter.yaw_variance + own + variance)
         if missed > FUSION.heading_gate:
             return missed
-        noise = variance * FUSION.heading_tau / since
+        noise = variance * max(1.0, 2.0 * self._loss.heading_lasts / since)
         self._learn_loss(stamp, innovation, variance, since)
         self._turn(self._north, self._filter.observe_yaw(innovation, noise))
         return missed
@@ -234,8 +234,9 @@ class FusedYaw:
             self._headings_ahead, self._heading_since = [], -math.inf
         self._headings_ahead.append(innovation + self._shift - self._drift)
         if stamp - self._heading_since >= FUSION.heading_tau:
-            ahead = sum(self._headings_ahead) / len(self._headings_ahead)
-            self._loss.add_heading(stamp, ahead, variance, self._lost)
+            count = len(self._headings_ahead)
+            ahead = sum(self._headings_ahead) / count
+            self._loss.add_heading(stamp, ahead, variance, count, self._lost)
             self._headings_ahead, self._heading_since, self._lost = [], stamp, 0.0
 
     @property

@@ -52,8 +52,11 @@ class FusionTuning:
     yaw is wrong."""
     beyond_doubt: float = 4.0
     """Squared gates of disagreement that count fully; what disagrees less needs longer."""
-    heading_tau: float = 2.0
-    """Seconds over which the error of a heading from another device is correlated."""
+    heading_tau: float = 2.0  # seconds of headings from another device that are joined
+    heading_lasts: float = 1.0
+    lasts_spread: float = 1.5
+    """Median of the seconds over which such a heading is wrong by the same, and standard deviation
+    of their natural logarithm: noise is new with each message, reflections last for a minute."""
     heading_gate: float = 4.0  # sigmas by which such a heading may miss
     unknown: float = 0.5  # radians of uncertainty of a start in a field that is not expected
     start: float = 5.0  # seconds from the start in which that may be found out
@@ -224,26 +227,34 @@ class YawFilter:
 class GyroLoss:
     """How fast a gyro loses its angle and its bias, from headings of another device and from rests.
 
-    For each triple of sizes on a grid a Kalman filter follows by how much headings are ahead of the
-    gyro, and the bias. Their likelihoods and log-normal priors weigh the triples.
+    For each set of sizes on a grid a Kalman filter follows by how much headings are ahead of the
+    gyro, the bias, and the part of the headings' error that lasts. Their likelihoods and log-normal
+    priors weigh the sets.
 
     `share` is the part of the usual loss of angle, rad², that this gyro has, one on average,
-    `walked` are the (rad/s)² a second by which its bias walks, and `rest_turn` those by which the
-    robot still turns while it seems to rest.
+    `walked` are the (rad/s)² a second by which its bias walks, `rest_turn` those by which the robot
+    still turns while it seems to rest, and `heading_lasts` the seconds over which headings are
+    wrong by the same.
     """
 
     def __init__(self) -> None:
-        walk, turn, spread = FUSION.bias_walk, FUSION.rest_turn, FUSION.loss_spread
-        first, second, third = (
+        spread = FUSION.loss_spread
+        first, second, third, fourth = (
             each.ravel()
             for each in np.meshgrid(
-                np.linspace(-3.0, 4.0, 11), np.linspace(-3.0, 3.0, 7), np.linspace(-2.0, 3.0, 6)
+                np.linspace(-3.0, 4.0, 11),
+                np.linspace(-3.0, 3.0, 7),
+                np.linspace(-2.0, 3.0, 6),
+                np.linspace(-2.0, 3.0, 6),
             )
         )
-        self._walks: FloatArray = (walk * np.exp(FUSION.walk_spread * first)) ** 2
+        self._walks: FloatArray = (FUSION.bias_walk * np.exp(FUSION.walk_spread * first)) ** 2
         self._shares: FloatArray = np.exp(spread * second - 0.5 * spread**2)
-        self._turns: FloatArray = (turn * np.exp(FUSION.rest_spread * third)) ** 2
-        self._log_odds: FloatArray = -0.5 * (first**2 + second**2 + third**2)
+        self._turns: FloatArray = (FUSION.rest_turn * np.exp(FUSION.rest_spread * third)) ** 2
+        self._lasts: FloatArray = FUSION.heading_lasts * np.exp(FUSION.lasts_spread * fourth)
+        part = self._lasts / FUSION.heading_tau
+        self._left: FloatArray = 2.0 * part * (1.0 - part * (1.0 - np.exp(-1.0 / part)))
+        self._log_odds: FloatArray = -0.5 * (first**2 + second**2 + third**2 + fourth**2)
         self._weigh()
         self.begin(0.0, 0.0)
 
@@ -252,47 +263,56 @@ class GyroLoss:
 
         The gyro's whole bias about up, rad/s, is known with a variance, (rad/s)².
         """
-        self._stamp = math.nan
-        self._ahead = self._both = 0.0 * self._walks
-        self._own = self._ahead + UNKNOWN_YAW
-        self._bias, self._by_bias = self._ahead - bias, self._ahead + variance
+        self._stamp, self._heard = math.nan, -math.inf
+        self._state: FloatArray = np.tile([0.0, -bias, 0.0], (len(self._walks), 1))
+        self._covariance: FloatArray = np.tile(
+            np.diag([UNKNOWN_YAW, variance, 0.0]), (len(self._walks), 1, 1)
+        )
 
-    def add_heading(self, stamp: float, ahead: float, variance: float, lost: float) -> None:
-        """Take a heading.
+    def add_heading(
+        self, stamp: float, ahead: float, variance: float, count: int, lost: float
+    ) -> None:
+        """Take the mean of headings over `FUSION.heading_tau` seconds.
 
-        The heading is `ahead` of the yaw of the gyro alone, radians. `variance` is that of its
-        error, which is independent of that of the heading before, rad²; `lost` are the rad² that a
-        gyro usually loses since the last heading or rest, apart from its bias.
+        It is `ahead` of the yaw of the gyro alone, radians. `variance` is that of the error of each
+        of so many, rad²; `lost` are the rad² that a gyro usually loses since the last heading or
+        rest, apart from its bias.
         """
         self._propagate(stamp, lost)
-        self._take(ahead - self._ahead, self._own + variance, self._own, self._both)
+        kept = np.exp((self._heard - stamp) / self._lasts)
+        self._heard = stamp
+        self._state[:, 2] *= kept
+        self._covariance[:, 2] *= kept[:, None]
+        self._covariance[:, :, 2] *= kept[:, None]
+        self._covariance[:, 2, 2] += (1.0 - kept**2) * self._left * variance
+        by = self._covariance[:, 0] + self._covariance[:, 2]
+        left = ahead - self._state[:, 0] - self._state[:, 2]
+        self._take(left, by[:, 0] + by[:, 2] + variance / count, by)
 
     def add_rest(self, stamp: float, rate: float, variance: float, lost: float) -> None:
         """Take the gyro's mean rate about up while the robot seems to rest; as `add_heading`."""
         self._propagate(stamp, lost)
-        spread = self._by_bias + variance + self._turns
-        self._take(-rate - self._bias, spread, self._both, self._by_bias)
+        by = self._covariance[:, 1].copy()
+        self._take(-rate - self._state[:, 1], by[:, 1] + variance + self._turns, by)
 
     def _propagate(self, stamp: float, lost: float) -> None:
         seconds, self._stamp = stamp - self._stamp, stamp
         if not seconds > 0.0:
             return
-        walked = self._walks * seconds
-        self._ahead = self._ahead + seconds * self._bias
-        self._own = self._own + lost * self._shares + walked * seconds**2 / 3.0
-        self._own += seconds * (2.0 * self._both + seconds * self._by_bias)
-        self._both = self._both + seconds * self._by_bias + 0.5 * walked * seconds
-        self._by_bias = self._by_bias + walked
+        covariance, walked = self._covariance, self._walks * seconds
+        self._state[:, 0] += seconds * self._state[:, 1]
+        covariance[:, 0] += seconds * covariance[:, 1]
+        covariance[:, :, 0] += seconds * covariance[:, :, 1]
+        covariance[:, 0, 0] += lost * self._shares + walked * seconds**2 / 3.0
+        covariance[:, 0, 1] += 0.5 * walked * seconds
+        covariance[:, 1, 0] += 0.5 * walked * seconds
+        covariance[:, 1, 1] += walked
 
-    def _take(
-        self, left: FloatArray, spread: FloatArray, by_ahead: FloatArray, by_bias: FloatArray
-    ) -> None:
+    def _take(self, left: FloatArray, spread: FloatArray, by: FloatArray) -> None:
         self._log_odds = self._log_odds - 0.5 * (np.log(spread) + left**2 / spread)
-        self._ahead = self._ahead + by_ahead / spread * left
-        self._bias = self._bias + by_bias / spread * left
-        self._own = self._own - by_ahead**2 / spread
-        self._both = self._both - by_ahead * by_bias / spread
-        self._by_bias = self._by_bias - by_bias**2 / spread
+        gain = by / spread[:, None]
+        self._state += gain * left[:, None]
+        self._covariance -= gain[:, :, None] * by[:, None]
         self._weigh()
 
     def _weigh(self) -> None:
@@ -300,3 +320,4 @@ class GyroLoss:
         weights = weights / weights.sum()
         self.share, self.walked = float(weights @ self._shares), float(weights @ self._walks)
         self.rest_turn = float(weights @ self._turns)
+        self.heading_lasts = float(weights @ self._lasts)

@@ -339,11 +339,11 @@ def test_a_told_heading_corrects_the_yaw_and_leaves_its_bias_behind():
     fused = FusedYaw(CALIBRATED, PATIENCE)
     up, field = Up((0.0, 0.0, 1.0), 1e-4), CALIBRATED.strength * np.array([0.0, 0.4, -0.9])
     heading = Compass(CALIBRATED).heading(tuple(field), (0.0, 0.0, 1.0), 1e-4)
-    told = [0.0, 0.0]
+    told, unknown = [0.0, 0.0], GyroBias((0.0, 0.0, 0.0), math.radians(0.5) ** 2)
     for k in range(3000):
         stamp = 100.0 + 0.02 * k
         # A gyro that turns by 0.3 °/s, of which nobody knows, while the robot stands.
-        fused.propagate(stamp, up, (0.0, 0.0, math.radians(0.3)))
+        fused.propagate(stamp, up, (0.0, 0.0, math.radians(0.3)), unknown)
         if k == 0:
             fused.correct(stamp, tuple(field), up, heading)
         elif k % 10 == 0 and k < 2500:

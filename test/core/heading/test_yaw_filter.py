@@ -21,6 +21,22 @@ def test_rests_show_how_a_bias_walks_and_whether_the_robot_stands(walk, turn):
     assert math.sqrt(loss.rest_turn) == pytest.approx(turn, rel=0.5, abs=1e-4)
 
 
+@pytest.mark.parametrize("lasts", [0.0, 20.0])
+def test_headings_show_for_how_long_they_are_wrong_by_the_same(lasts):
+    rng, loss, sigma, wrong = np.random.default_rng(4), GyroLoss(), math.radians(1.0), 0.0
+    loss.begin(0.0, 1e-6)
+    kept = math.exp(-2.0 / lasts) if lasts else 0.0
+    # Of ten headings with errors of their own the mean is taken.
+    new = sigma * math.sqrt(1.0 - kept**2 if lasts else 0.1)
+    for k in range(150):
+        wrong = kept * wrong + new * rng.standard_normal()
+        loss.add_heading(2.0 * k, wrong, sigma**2, 10, 2e-6)
+    if lasts:
+        assert 8.0 < loss.heading_lasts < 50.0
+    else:
+        assert loss.heading_lasts < 0.3
+
+
 def test_hard_iron_that_is_left_is_averaged_over_the_headings():
     sigma, iron, following = math.radians(3.0), np.array([1.2, -0.8]), YawFilter()
 
