@@ -129,7 +129,9 @@ def _refuse_contradiction(
             f"The known headings contradict the field: {words}. Read so, they agree with it.",
         )
     if agreement.chance < TUNING.chance:
-        raise Refusal(Reason.HEADING_CONTRADICTED, _stray(agreement, standings, knowledge, place))
+        raise Refusal(
+            Reason.HEADING_CONTRADICTED, _contradiction(agreement, standings, knowledge, place)
+        )
 
 
 def _rivals(
@@ -148,17 +150,17 @@ def _rivals(
 
 
 def _shift(standing: Standing, knowledge: Knowledge) -> float:
-    """Return a heading to magnetic north less the one that was told, radians."""
+    """Return a heading to magnetic north less the given one, radians."""
     return (knowledge.reference.declination or 0.0) if standing.by_declination else 0.0
 
 
 def _as_told(standing: Standing, knowledge: Knowledge) -> str:
-    """Return a heading as it was told, in words."""
-    told = wrapped(standing.heading - _shift(standing, knowledge)) * DEGREES
-    return f"{told:.0f}° to {'true' if standing.by_declination else 'magnetic'} north"
+    """Return a heading as it was given, in words."""
+    given = wrapped(standing.heading - _shift(standing, knowledge)) * DEGREES
+    return f"{given:.0f}° to {'true' if standing.by_declination else 'magnetic'} north"
 
 
-def _stray(
+def _contradiction(
     agreement: HeadingAgreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
 ) -> str:
     """Say which heading the others contradict; where none stands out, that they disagree."""
@@ -190,10 +192,10 @@ def _by_gyro(standings: Sequence[Standing]) -> str:
         return wrapped(next_.heading - one.heading - next_.turned)
 
     k = max(range(len(standings) - 1), key=lambda j: abs(off(j)) / standings[j + 1].turned_sigma)
-    told = wrapped(standings[k + 1].heading - standings[k].heading) * DEGREES
+    given = wrapped(standings[k + 1].heading - standings[k].heading) * DEGREES
     seen = wrapped(standings[k + 1].turned) * DEGREES
     return (
-        f"Between known headings {k + 1} and {k + 2} the robot should have turned by {told:.0f}°, "
+        f"Between known headings {k + 1} and {k + 2} the robot should have turned by {given:.0f}°, "
         f"and the gyro saw {seen:.0f}° (to the left): check both headings, and the sign and unit "
         "(rad/s) of the gyro."
     )
@@ -223,7 +225,7 @@ def declination_hint(
     if declination is None or abs(declination) < TUNING.declination * sigma:
         return ""
     told_true = [each.by_declination for each in standings]
-    # Told to true north but counted from magnetic, the yaw comes out as minus the declination.
+    # Given to true north but counted from magnetic, the yaw comes out as minus the declination.
     expected = -declination if all(told_true) else declination
     if all(told_true) is not any(told_true) or abs(yaw - expected) > abs(yaw):
         return ""

@@ -100,20 +100,20 @@ def fit(
     kind: KindOfMotion,
     tolerances: Tolerances = Tolerances(),
     like: Fit | None = None,
-    told: Callable[[int], object] | None = None,
+    report: Callable[[int], object] | None = None,
 ) -> Fit:
     """Return the fit of a window by Gauss-Newton steps, with the sizes of noises and effects.
 
     The priors are those about the start. `like` is an optimum of another kind of motion to begin
-    at, or a fit of this one to continue. `told` is called with the number of each round. Raises
+    at, or a fit of this one to continue. `report` is called with the number of each round. Raises
     `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     model = Model.of(nodes, priors, start, kind)
     point, first, fewest = _begin(model, start, kind, tolerances, like)
     sizes, before = SizeSteps(), math.inf
     for rounds in range(first, tolerances.rounds + 1):
-        if told is not None:
-            told(rounds)
+        if report is not None:
+            report(rounds)
         if model.travels and rounds in tolerances.places_at:
             point = with_places(model, point)
         weighted, solution = solve_at(model, point)
@@ -202,7 +202,7 @@ def stepped(model: Model, point: Point, solution: Solution, share: float) -> Poi
 def with_places(model: Model, point: Point) -> Point:
     """Return the same point with centres of places along the current estimate of the path."""
     places = Places.along(point.course, point.state, model.priors.lengths.street)
-    state = places.retold(point.state, point.places.disturbance(point.state))
+    state = places.with_disturbance(point.state, point.places.disturbance(point.state))
     return replace(point, places=places, state=state)
 
 

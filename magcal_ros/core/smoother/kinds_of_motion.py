@@ -96,17 +96,17 @@ def nodes_of_log(log: DriveLog, to_body: FloatArray, spacing: Spacing) -> Nodes:
 class _Trials:
     """The fits of a window by kind of motion, the best of each as `fits`.
 
-    `told` is called with the share of the work that is done, 0 to 1.
+    `progress` is called with the share of the work that is done, 0 to 1.
     """
 
     def __init__(
         self,
         window: Window | DriveLog,
         knowledge: Knowledge,
-        told: Callable[[float], object] | None = None,
+        progress: Callable[[float], object] | None = None,
     ) -> None:
         self._samples, self._knowledge = window, knowledge
-        self._told, self._begun = told, 0
+        self._progress, self._started = progress, 0
         self.fits: dict[str, Fit] = {}
 
     def _begin(self, spacing: Spacing) -> None:
@@ -146,15 +146,15 @@ class _Trials:
         self, name: str, like: Fit | None = None, tolerances: Tolerances = Tolerances()
     ) -> None:
         """Fit one kind of motion, and keep the fit if it is the most likely one of its kind."""
-        begun, self._begun = self._begun, self._begun + 1
+        done, self._started = self._started, self._started + 1
 
-        def told(rounds: int) -> None:
-            if self._told is not None:
-                self._told(min((begun + min(rounds / ROUGHLY.rounds, 1.0)) / MOST_FITS, 1.0))
+        def report(rounds: int) -> None:
+            if self._progress is not None:
+                self._progress(min((done + min(rounds / ROUGHLY.rounds, 1.0)) / MOST_FITS, 1.0))
 
         start = self.nodes, self._priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         try:
-            found = fit(*start, tolerances, like, told)
+            found = fit(*start, tolerances, like, report)
         except np.linalg.LinAlgError:
             return
         known = self.fits.get(name)
@@ -230,14 +230,14 @@ class _Trials:
 def smooth(
     window: Window | DriveLog,
     knowledge: Knowledge,
-    told: Callable[[float], object] | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> Smoothed:
     """Fit a window for each kind of motion, and weight the fits by their evidence.
 
-    The window or log has a gyro. `told` is called with the share of the work that is done, 0 to 1.
-    Raises `Refusal` if no fit converges.
+    The window or log has a gyro. `progress` is called with the share of the work that is done, 0 to
+    1. Raises `Refusal` if no fit converges.
     """
-    trials = _Trials(window, knowledge, told)
+    trials = _Trials(window, knowledge, progress)
     if (spot := trials.on_the_spot()) is not None:
         if not spot.converged:
             trials.add(ON_THE_SPOT, spot)

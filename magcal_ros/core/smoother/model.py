@@ -154,7 +154,7 @@ class Point:
         places = model.no_places
         if model.nodes.tied_to is not None:
             return self
-        state = places.retold(self.state, self.places.disturbance(self.state))
+        state = places.with_disturbance(self.state, self.places.disturbance(self.state))
         local = state.local.copy()
         local[:, VELOCITY] *= np.minimum(
             1.0, model.speed / np.maximum(np.abs(local[:, VELOCITY]).max(axis=0), 1e-9)

@@ -59,7 +59,7 @@ class Places:
         Attitudes and velocities of the state give the path; `length` is the correlation length of
         the disturbance, metres.
         """
-        way = reckoned(course, state)
+        way = dead_reckoned(course, state)
         again = np.flatnonzero(_passed_again(way, length))
         if not len(again):
             return cls.none(len(way), length)
@@ -84,7 +84,7 @@ class Places:
         by_centres = np.asarray(self.weights @ state.centres)
         return by_centres + self.rest[:, None] * state.local[:, STREET]
 
-    def retold(self, state: State, disturbance: FloatArray) -> State:
+    def with_disturbance(self, state: State, disturbance: FloatArray) -> State:
         """Return a state with the same disturbance by these centres."""
         centres = disturbance[self.chosen]
         local = state.local.copy()
@@ -92,7 +92,7 @@ class Places:
         return replace(state, local=local, centres=centres)
 
 
-def reckoned(course: Course, state: State) -> FloatArray:
+def dead_reckoned(course: Course, state: State) -> FloatArray:
     """Return the nodes' positions by dead reckoning, east and north, metres, shape (n, 2)."""
     in_body = state.local[:, VELOCITY] @ course.axes[:, :2].T * course.moving[:, None]
     velocity = np.einsum("nji,nj->ni", state.attitude, in_body)[:, :2]

@@ -251,10 +251,10 @@ def _from_one_start(models: Sequence[Model], alone: Sequence[Fit]) -> list[Point
     common = layout.common
     total, right = np.zeros((len(common), len(common))), np.zeros(len(common))
     for each in alone:
-        told = np.isin(common, each.model.free)
-        said = np.linalg.inv(each.covariance[np.ix_(common[told], common[told])])
-        total[np.ix_(told, told)] += said
-        right[told] += said @ each.state.shared[common[told]]
+        known = np.isin(common, each.model.free)
+        information = np.linalg.inv(each.covariance[np.ix_(common[known], common[known])])
+        total[np.ix_(known, known)] += information
+        right[known] += information @ each.state.shared[common[known]]
     total[np.diag_indices(len(common))] += 1e-9
     mean, points = np.linalg.solve(total, right), []
     for each in alone:

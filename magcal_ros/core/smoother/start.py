@@ -61,7 +61,7 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     assert best is not None
     _, bias, turned, found = best
     for each in np.unique(run[~longest]):
-        turned[run == each] = _led_on(turned, nodes.field, found, run == each)
+        turned[run == each] = _aligned(turned, nodes.field, found, run == each)
     north = rotation_about(Z, np.array([math.atan2(found[0], found[1])]))[0]
     shared = priors.mean.copy()
     shared[AT["iron"]] = found[3:6]
@@ -83,7 +83,7 @@ def held_by_gyro(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
     return up, level_axes(up), np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _led_on(
+def _aligned(
     turned: FloatArray, field: FloatArray, found: FloatArray, rows: BoolArray
 ) -> FloatArray:
     """Return the axes of nodes without a gyro link, turned about up to match the field.
