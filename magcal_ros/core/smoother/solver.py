@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cholesky_banded
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.smoother.factors import Linear
@@ -240,17 +239,12 @@ class Chain:
 
 def block_chain(diagonal: FloatArray, upper: FloatArray) -> Chain:
     """Eliminate the nodes of a block tridiagonal matrix, shapes (n, k, k) and (n - 1, k, k)."""
-    count, size = diagonal.shape[:2]
-    band = np.zeros((2 * size, count, size))
-    row, column = np.tril_indices(size)
-    band[row - column, :, column] = diagonal[:, row, column].T
-    column, row = np.indices((size, size)).reshape(2, -1)
-    band[size + row - column, :-1, column] = upper[:, column, row].T
-    band = band.reshape(2 * size, -1)
-    lower = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
-    row, column = np.tril_indices(size)
-    factor = np.zeros_like(diagonal)
-    factor[:, row, column] = lower.reshape(2 * size, count, size)[row - column, :, column].T
-    back = np.linalg.inv(factor)
-    inverse = np.swapaxes(back, 1, 2) @ back
-    return Chain(inverse, inverse[:-1] @ upper, 2.0 * float(np.sum(np.log(lower[0]))))
+    pivot, inverse, gain = diagonal.copy(), np.empty_like(diagonal), np.empty_like(upper)
+    for k, beside in enumerate(upper):
+        inverse[k] = np.linalg.inv(pivot[k])
+        gain[k] = inverse[k] @ beside
+        pivot[k + 1] -= beside.T @ gain[k]
+    inverse[-1] = np.linalg.inv(pivot[-1])
+    factor = np.linalg.cholesky(pivot)
+    log_determinant = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
+    return Chain(inverse, gain, float(log_determinant))
