@@ -24,7 +24,7 @@ COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-pre
 @pytest.fixture
 def leisure(monkeypatch):
     """Let nothing be stopped because a busy machine is slow; test/core drives the limits."""
-    names = ("silence", "gyro_silence", "longest_look", "listeners_within", "guarded_within")
+    names = ("silence", "gyro_silence", "listeners_within", "guarded_within")
     patient = replace(self_turn.TUNING, stands_first=0.0, **dict.fromkeys(names, PATIENCE))
     monkeypatch.setattr(self_turn, "TUNING", patient)
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
