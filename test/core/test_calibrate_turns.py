@@ -47,7 +47,8 @@ def test_one_turn_is_exactly_what_it_is_alone():
     assert math.degrees(together.several.shown.installation_yaw) == pytest.approx(5.0, abs=0.1)
 
 
-@pytest.mark.parametrize("knowledge", first_of([UNKNOWN, KNOWN]))
+@pytest.mark.nightly
+@pytest.mark.parametrize("knowledge", [UNKNOWN, KNOWN])
 def test_quiet_sensors_show_everything(knowledge):
     iron = np.array([[0.03, 0.01, -0.02], [0.01, -0.02, 0.01], [-0.02, 0.01, 0.02]])
     robot = replace(
@@ -193,6 +194,7 @@ def test_turns_with_gyro_and_without_are_joined():
     assert outcome.estimate.figures["gyro_carried"] == 1.0
 
 
+@pytest.mark.nightly
 def test_the_noisier_turn_weighs_less():
     rng = np.random.default_rng(15)
     loud = replace(ROBOT, noise_field=4.0 * ROBOT.noise_field, noise_force=4.0 * ROBOT.noise_force)
@@ -221,6 +223,7 @@ def test_other_methods_pool_or_say_that_they_do_not_join():
         calibrate_turns(windows, KNOWN, "design_tip")
 
 
+@pytest.mark.nightly
 def test_a_sigma_knows_of_sensors_with_errors_of_their_own():
     iron = np.array([[0.004, 0.003, -0.002], [0.003, -0.005, 0.002], [-0.002, 0.002, 0.003]])
     robot = replace(ROBOT, soft_iron=iron)

@@ -30,6 +30,9 @@ from magcal_ros.core.smoother.drives import (
     fit_iron,
     likelihood_ratio_of,
 )
+from magcal_ros.core.smoother.priors import priors_of
+from magcal_ros.core.smoother.start import start
+from magcal_ros.core.smoother.unknowns import AT, MICROTESLA
 
 NOBODY = np.eye(3)
 
@@ -68,11 +71,11 @@ def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
     assert fitted.sectors >= 6
 
 
-@pytest.mark.parametrize("means", [False, True])
+@pytest.mark.parametrize("means", first_of([False, True]))
 def test_a_drive_read_once_a_second_is_fitted_within_its_sigma(means):
     rng = np.random.default_rng(5)
     vehicle = random_vehicle(rng)
-    way = travel(city(rng, 600.0), rng, rate=10.0)
+    way = travel(city(rng, 240.0), rng, rate=10.0)
     drive = simulated_drive(way, rng, vehicle, receiver=None)
     count = len(drive.time) // 10 * 10
 
@@ -83,10 +86,21 @@ def test_a_drive_read_once_a_second_is_fitted_within_its_sigma(means):
     window = Window(*map(thinned, (drive.time, drive.field, drive.force, drive.rate)))
     estimate = fit(window, BOSTON)
     error, said = heading_error(estimate.correction, vehicle.robot), calibration_sigma(estimate)
-    assert said < math.radians(2.0)
+    assert said < math.radians(3.0)
     assert error < 2.0 * math.degrees(said)
 
 
+def test_the_start_follows_a_yaw_that_drifts_by_a_turn_and_more():
+    rng = np.random.default_rng(1)
+    vehicle = dataclasses.replace(random_vehicle(rng), bias_walk=1e-4)
+    way = travel(city(rng, 2400.0), rng, rate=5.0)
+    log = log_from(simulated_drive(way, rng, vehicle, receiver=None))
+    state, _ = start(drive_nodes(log, NOBODY), priors_of(BOSTON, log.bias_sigma))
+    off = state.shared[AT["iron"]] - MICROTESLA * vehicle.robot.hard_iron
+    assert np.abs(off[:2]).max() < 2.0
+
+
+@pytest.mark.nightly
 def test_a_gyro_bias_that_changes_over_a_drive_of_90_minutes_does_no_harm():
     rng = np.random.default_rng(4)
     vehicle = dataclasses.replace(random_vehicle(rng), bias_walk=5e-5)
