@@ -1,5 +1,6 @@
 """A robot that turns itself while its node is killed, stopped or blocked: real processes."""
 
+import contextlib
 import fcntl
 import math
 import os
@@ -71,10 +72,14 @@ def test_a_guard_that_is_stopped_ends_the_turn(run_node, actor):
     robot.live_until_moving()
     guard = next(pid for pid in children_of(process.pid) if "guard" in command_of(pid))
     os.kill(guard, signal.SIGSTOP)
-    wait_for_zero(robot, time.monotonic())
-    assert "its guard has ended, does not answer" in robot.answer(future).message
-    robot.assert_stopped_and_silent()
-    wait_until(lambda: guard not in children_of(process.pid))
+    try:
+        wait_for_zero(robot, time.monotonic())
+        assert "its guard has ended, does not answer" in robot.answer(future).message
+        robot.assert_stopped_and_silent()
+        wait_until(lambda: guard not in children_of(process.pid))
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(guard, signal.SIGKILL)
 
 
 def children_of(pid):
