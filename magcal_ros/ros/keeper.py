@@ -255,7 +255,7 @@ class Keeper:
             return
         self._used = loaded.path
         words = self.use(loaded)
-        # The first line of a process takes rclpy as long as several messages: they do not wait.
+        # rclpy takes some 30 ms for the first log line of a process; messages do not wait for it.
         self._files.run(lambda: self._log.info(words), lambda _: None, lambda _: None)
         self._check_sensor(self._frame)
 

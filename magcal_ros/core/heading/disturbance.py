@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import TypeAlias
+from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
@@ -75,8 +75,11 @@ class Disturbance:
         return f"{line}; accepted because it lasted" if self.is_accepted else line
 
 
-Expected: TypeAlias = tuple[float, float]
-"""A field's strength and inclination, the same at every heading: tesla, radians."""
+class Expected(NamedTuple):
+    """A field by what is the same at every heading: tesla, and radians below the horizon."""
+
+    strength: float
+    inclination: float
 
 
 class DisturbanceDetector:
@@ -95,9 +98,10 @@ class DisturbanceDetector:
         self.departure = 0.0
         self.last: Disturbance | None = None
         self.amplitude_variance = DISTURBANCE.amplitude**2
-        self._calibrated = self._expected = calibration.strength, calibration.inclination
-        self._noise = _own_variance(calibration) / max(calibration.strength, 1e-9) ** 2
-        self._mean: Expected | None = None
+        expected = Expected(calibration.strength, calibration.inclination)
+        self._calibrated = self._expected = expected
+        self._noise = _own_variance(calibration) / max(expected.strength, 1e-9) ** 2
+        self._mean: tuple[float, float] | None = None
         self._stamp = -math.inf
         self._disturbed_since: float | None = None
 
@@ -162,7 +166,8 @@ class DisturbanceDetector:
     def _off(self, expected: Expected) -> tuple[float, float]:
         """Return how far the mean is from a field: strength, relative, and dip, radians."""
         assert self._mean is not None
-        return self._mean[0] / max(expected[0], 1e-9) - 1.0, self._mean[1] - expected[1]
+        strength, dip = self._mean
+        return strength / max(expected.strength, 1e-9) - 1.0, dip - expected.inclination
 
     def _note(self, stamp: float, yaw: float) -> bool:
         """Record the disturbance; returns whether it has lasted long enough."""
@@ -172,11 +177,17 @@ class DisturbanceDetector:
             self._disturbed_since = stamp
             last = Disturbance(stamp, stamp, yaw, strength, dip)
         accepts = stamp - self._disturbed_since > self.patience
-        most = max(strength, last.strength, key=abs), max(dip, last.dip, key=abs)
-        self.last = Disturbance(last.since, stamp, last.yaw, *most, accepts)
+        self.last = Disturbance(
+            last.since,
+            stamp,
+            last.yaw,
+            max(strength, last.strength, key=abs),
+            max(dip, last.dip, key=abs),
+            accepts,
+        )
         if accepts:
             assert self._mean is not None
-            self._expected = self._mean
+            self._expected = Expected(*self._mean)
             self._disturbed_since = None
         return accepts
 

@@ -133,8 +133,8 @@ def _linear(
     level = level.reshape(count, 3, 2 * pieces)
     rows = np.concatenate([level, turned[:, :, 2:], eye, *by_motors], axis=2)
     unknowns = rows.shape[2]
-    known = np.diag([0.0] * (2 * pieces) + [1.0 / 3.0] + [0.0] * 3 + [1.0 / MOTORS] * 6)
-    known = known[[2 * pieces, *range(unknowns - 6, unknowns)]]
+    known = np.zeros((7, unknowns))
+    known[0, 2 * pieces], known[1:, -6:] = 1.0 / 3.0, np.eye(6) / MOTORS
     expected = np.append(upward / 3.0, np.zeros(6))
     weight = np.ones(count)
     for _ in range(12):
