@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,8 +65,12 @@ class LatencyTuning:
     in_time: float = 5e-3  # seconds, standard deviation of a latency that is taken for known
 
 
-Latency: TypeAlias = tuple[float, float]
-"""How late a sensor is, in seconds, and the standard deviation of that."""
+class Latency(NamedTuple):
+    """How late a sensor is, in seconds, and the standard deviation of that."""
+
+    lag: float
+    sigma: float
+
 
 TUNING = LatencyTuning()
 EACH_SAMPLE = StretchTuning(fewest=TUNING.most, most=TUNING.most)
@@ -141,9 +145,9 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
         turns = skews(fit.rate[0])
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
         found = _latency(before, *_fitted(fit, state, part, log, TUNING.lever / part.size * lever))
-        if abs(found[0] - before) < WEIGHED.settled:
+        if abs(found.lag - before) < WEIGHED.settled:
             break
-        before = found[0]
+        before = found.lag
     return found
 
 
@@ -187,7 +191,7 @@ def _fitted(
 
 def _latency(before: float, found: FloatArray, covariance: FloatArray) -> Latency:
     off = math.hypot(math.sqrt(float(covariance[LAG, LAG])), TUNING.least)
-    return before + float(found[LAG]), off
+    return Latency(before + float(found[LAG]), off)
 
 
 def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:

@@ -259,7 +259,7 @@ def _confirms(rest: LongestRest | None, bias: FloatArray) -> bool:
 def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[Finding]:
     """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
     field, force = (
-        measured if measured is not None and measured[1] < vague else None
+        measured if measured is not None and measured.sigma < vague else None
         for measured, vague in (
             (field_latency(log, explanations, chosen), TUNING.vague[2]),
             (force_latency(log, explanations, chosen), TUNING.vague[3]),
@@ -292,14 +292,14 @@ def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[
 
 def _significant(latency: Latency | None) -> float:
     """Return a latency that is worth a word, seconds; zero for others."""
-    if latency is None or abs(latency[0]) < max(TUNING.lag, SIGMAS * latency[1]):
+    if latency is None or abs(latency.lag) < max(TUNING.lag, SIGMAS * latency.sigma):
         return 0.0
-    return latency[0]
+    return latency.lag
 
 
 def _latency(key: str, name: str, latency: Latency | None, tells: str, remedy: str) -> Finding:
     if latency is None:
         return not_shown(key, name, tells)
-    lag, off = round(latency[0] * 1e3), latency[1] * 1e3
+    lag, off = round(latency.lag * 1e3), latency.sigma * 1e3
     how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
     return looked_at(key, name, how, remedy)

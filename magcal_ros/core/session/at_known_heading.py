@@ -227,8 +227,8 @@ class HeadingLog:
 
     def _begin(self, stamp: float) -> None:
         self._started, self._count = stamp, 0
-        # Field, up, and the heading's parts to the east and to the north.
-        self._sums = np.zeros(8)
+        self._field, self._up = np.zeros(3), np.zeros(3)
+        self._east = self._north = 0.0
 
     def add(
         self,
@@ -256,15 +256,17 @@ class HeadingLog:
             return False
         if not 0.0 <= stamp - self._started < 2.0 * LOG.block:
             self._begin(stamp)
-        self._sums += (*sample.field, *up, math.cos(given.yaw), math.sin(given.yaw))
+        self._field += sample.field
+        self._up += up
+        self._east += math.cos(given.yaw)
+        self._north += math.sin(given.yaw)
         self._count += 1
         if stamp - self._started < LOG.block or self._count < LOG.fewest:
             return False
-        mean = self._sums / self._count
-        heading = wrapped(math.atan2(mean[7], mean[6]) + shift)
+        heading = wrapped(math.atan2(self._north, self._east) + shift)
         standing = Standing(
-            mean[:3],
-            STANDARD_GRAVITY * mean[3:6],
+            self._field / self._count,
+            STANDARD_GRAVITY * self._up / self._count,
             heading,
             math.hypot(given.sigma, LOG.sigma),
             by_declination=given.is_true,
