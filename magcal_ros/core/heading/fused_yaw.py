@@ -59,17 +59,19 @@ class FusedYaw:
     def __init__(self, calibration: Calibration, patience: float) -> None:
         self._path: deque[_Moment] = deque(maxlen=HISTORY)
         self._filter, self._loss = YawFilter(), GyroLoss()
-        self.detector = DisturbanceDetector(calibration, patience)
-        self.use(calibration, patience)
+        self._measure_by(calibration, patience)
         self.restart()
 
     def use(self, calibration: Calibration, patience: float) -> None:
         """Go on with another calibration, where another device than the compass gives the yaw."""
         learnt = self.detector.amplitude_variance
-        self.detector = DisturbanceDetector(calibration, patience)
+        self._measure_by(calibration, patience)
         # How much places bend the field does not depend on the calibration.
         self.detector.amplitude_variance = learnt
         self._filter.use_another_calibration()
+
+    def _measure_by(self, calibration: Calibration, patience: float) -> None:
+        self.detector = DisturbanceDetector(calibration, patience)
         level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
         self._level_share = level * level
 

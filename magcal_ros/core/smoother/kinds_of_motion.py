@@ -44,8 +44,10 @@ NO_SOLUTION = "the samples do not determine a calibration; turn the robot throug
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 """Tolerances of a first, rough fit of a kind of motion, and the difference of evidence from which
 it is left out then."""
-WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 600)
+WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Of a drive, in which there is more of everything than in one turn, longer means are enough."""
+PART = 200.0
+"""Seconds of a long window with which a turn on the spot is tried first."""
 ROLLS = 0.2
 """m/s of the speed of the wheels from which a robot certainly drives."""
 MOST_FITS = 3 * len(KINDS)
@@ -129,6 +131,9 @@ class _Trials:
     def on_the_spot(self) -> Fit | None:
         """Return a coarse fit of a turn on the spot if it explains the samples, else None."""
         if self._rolls:
+            return None
+        part = liveliest_part(self._samples)
+        if part is not None and _Trials(part, self._knowledge).on_the_spot() is None:
             return None
         self._begin(Spacing())
         self.add(ON_THE_SPOT, tolerances=ROUGHLY)
@@ -225,6 +230,22 @@ class _Trials:
         if not self.fits:
             raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
         return mixed(self.fits, self.nodes, self._knowledge)
+
+
+def liveliest_part(samples: Window | DriveLog) -> Window | DriveLog | None:
+    """Return the part of a long window in which the force changes most; None of a short one."""
+    time = samples.time
+    if len(time) == 0 or time[-1] - time[0] < 2.0 * PART:
+        return None
+    force = samples.force if isinstance(samples, DriveLog) else samples.specific_force
+    deviation = np.sum((force - np.median(force, axis=0)) ** 2, axis=1)
+    done = np.concatenate([[0.0], np.cumsum(deviation[1:] * np.diff(time))])
+    begin = np.arange(time[0], time[-1] - PART, 0.1 * PART)
+    gained = np.interp(begin + PART, time, done) - np.interp(begin, time, done)
+    first = float(begin[np.argmax(gained)])
+    if isinstance(samples, DriveLog):
+        return samples.between(first, first + PART)
+    return samples.take((time >= first) & (time <= first + PART))
 
 
 def smooth(

@@ -30,9 +30,10 @@ from magcal_ros.core.smoother.drives import (
     fit_iron,
     likelihood_ratio_of,
 )
+from magcal_ros.core.smoother.kinds_of_motion import liveliest_part, smooth
 from magcal_ros.core.smoother.priors import priors_of
 from magcal_ros.core.smoother.start import start
-from magcal_ros.core.smoother.unknowns import AT, MICROTESLA
+from magcal_ros.core.smoother.unknowns import AT, DRIVES, MICROTESLA, SMALL_CIRCLE
 
 NOBODY = np.eye(3)
 
@@ -98,6 +99,28 @@ def test_the_start_follows_a_yaw_that_drifts_by_a_turn_and_more():
     state, _ = start(drive_nodes(log, NOBODY), priors_of(BOSTON, log.bias_sigma))
     off = state.shared[AT["iron"]] - MICROTESLA * vehicle.robot.hard_iron
     assert np.abs(off[:2]).max() < 2.0
+
+
+def test_the_part_of_a_long_window_is_that_in_which_the_force_changes():
+    time = np.arange(0.0, 1000.0, 0.5)
+    force = np.tile([0.0, 0.0, 9.8], (len(time), 1))
+    force[(time > 620.0) & (time < 700.0), 0] += 1.0
+    window = Window(time, force, force, np.zeros_like(force))
+    part = liveliest_part(window)
+    assert part.time[0] <= 620.0
+    assert part.time[-1] >= 700.0
+    assert np.ptp(part.time) == pytest.approx(200.0, abs=1.0)
+    assert np.array_equal(liveliest_part(log_of(window)).time, part.time)
+    assert liveliest_part(window.take(time < 300.0)) is None
+
+
+@pytest.mark.nightly
+def test_forty_minutes_of_driving_are_not_taken_for_a_turn_on_the_spot():
+    rng = np.random.default_rng(1752)
+    way = travel(city(rng, 2400.0), rng, rate=10.0)
+    log = log_from(simulated_drive(way, rng, random_vehicle(rng), receiver=None))
+    found = smooth(dataclasses.replace(log, speed=np.full(len(log), math.nan)), BOSTON)
+    assert set(found.fits) <= {*DRIVES, SMALL_CIRCLE}
 
 
 @pytest.mark.nightly
