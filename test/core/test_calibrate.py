@@ -162,8 +162,8 @@ def test_a_full_turn_on_its_side_is_not_asked_for_once_more_but_upright(dip, kno
 
 
 def test_who_saw_the_full_circle_is_not_sent_round_it_again():
-    robot = Robot(noise_field=3e-6, noise_force=0.4)
-    window = measure(robot, turn(samples=60), np.random.default_rng(1))
+    robot = Robot(noise_field=3e-6, noise_force=1.5)
+    window = measure(robot, turn(samples=40), np.random.default_rng(1))
     checks = calibrate(window, robot.knowledge(10e-6, 10.0 * DEGREE)).verdict.checks
     asked = [check.words for check in checks if "turn once more" in check.words]
     assert asked

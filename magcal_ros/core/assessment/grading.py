@@ -164,9 +164,10 @@ def worst(grades: list[Grade]) -> Grade:
 class DoubtTuning:
     """When a hard iron along the axis makes the reference doubtful."""
 
-    noticeable: float = 0.4
-    """Strengths of the field; smaller hard iron is usual on robots."""
-    several: float = 3.0  # times that it must be larger than with the other sign of the inclination
+    likelier: float = 7.0
+    """Likelihood ratio of the inclination's other sign from which it is named."""
+    unusual: float = 0.025
+    """Probability of so much hard iron along the axis, below which it is named."""
     shown: float = 10.0
     """Sigmas by which the wobble of the turn must contradict the other sign to exclude it."""
 
@@ -177,16 +178,24 @@ TUNING = DoubtTuning()
 def check_reference(
     estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge
 ) -> Check | None:
-    """Check the hard iron along the turn's axis; None if more than the reference shows it."""
+    """Check the hard iron along the turn's axis; None if more than the reference shows it.
+
+    Hard iron of any direction and of any size has, where its part across the axis is L, the density
+    (L² + z²)^(-3/2) along it.
+    """
     if not knowledge.reference.is_complete or _is_shown(estimate, figures):
         return None
     axial_field = -estimate.strength * math.sin(estimate.inclination)
     correction = estimate.correction
-    axial = float(estimate.axis @ correction.matrix @ correction.hard_iron)
+    iron = correction.matrix @ correction.hard_iron
+    axial = float(estimate.axis @ iron)
     own, other = abs(axial), abs(axial + 2.0 * axial_field)
+    across = max(float(iron @ iron) - axial**2, _axial_field_variance(knowledge))
+    ratio = ((across + own**2) / (across + other**2)) ** 1.5
+    as_much = 1.0 - own / math.sqrt(across + own**2)
     words = f"hard iron along the turn's axis, by the reference field, {_microtesla(own)}"
     found = Grade.EXCELLENT
-    if own > TUNING.noticeable * estimate.strength and own > TUNING.several * other:
+    if ratio > TUNING.likelier:
         found = Grade.WARN
         words += (
             f", but {_microtesla(other)} if the inclination had the other sign: check the sign of "
@@ -194,13 +203,20 @@ def check_reference(
             "turn on ramps; of a simulator, whether it publishes the field in north-east-down axes "
             "(NED; Gazebo: use_earth_frame_ned false)"
         )
-    elif own > estimate.strength:
+    elif own > estimate.strength and as_much < TUNING.unusual:
         found = Grade.WARN
         words += (
             f", more than the field itself ({_microtesla(estimate.strength)}): check "
             "reference.strength_ut and inclination_deg, or turn on ramps"
         )
     return Check(Figure.AXIAL_IRON, Aspect.CONFIDENCE, found, words)
+
+
+def _axial_field_variance(knowledge: Knowledge) -> float:
+    """Return the variance of the field along the axis by the reference, tesla²; never zero."""
+    strength, dip = knowledge.reference.strength, knowledge.reference.inclination
+    by_dip = strength.value * math.cos(dip.value) * dip.sigma
+    return (math.sin(dip.value) * strength.sigma) ** 2 + by_dip**2 + 1e-18
 
 
 def _is_shown(estimate: Estimate, figures: Mapping[Figure, float]) -> bool:

@@ -170,8 +170,11 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
         if axis_share(window) < TUNING.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
         elif _is_full(estimate.arc):
-            # Only there a steady sideways acceleration can be separated from a slope.
-            figures.setdefault(Figure.SIDEWAYS_ACCELERATION, sideways_acceleration(window))
+            # Only there a steady sideways acceleration can be separated from a slope. A fit with
+            # the gyro has estimated it, and the gyro's bias and axes.
+            steady = figures.get(Figure.STEADY_ACCELERATION)
+            angle = sideways_acceleration(window) if steady is None else math.atan(steady)
+            figures.setdefault(Figure.SIDEWAYS_ACCELERATION, angle)
     bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in figures else bounds_of(estimate)
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
     checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
@@ -216,10 +219,11 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
             bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
         bound = replace(bound, good=TUNING.weighed_acceleration_deg)
-    if bound.figure is Figure.RADIUS_MISFIT:
+    if bound.figure in (Figure.RADIUS_MISFIT, Figure.LEVEL_SHARE):
         allowed = ALLOWED_SIGMAS * level_field_sigma(knowledge)
         note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
-        return bound.check(figure, excess=max(figure - allowed, 0.0), note=note)
+        least = min(figure + allowed, 1.0) if bound.at_least else max(figure - allowed, 0.0)
+        return bound.check(figure, excess=least, note=note)
     return bound.check(figure)
 
 

@@ -55,6 +55,8 @@ class Tolerances:
     """Rounds in which the sigmas of effects keep their usual sizes, until the rest fits."""
     gaussian: int = 5
     """Rounds in which all residuals count fully."""
+    whole: int = 20
+    """Rounds in which each step is taken as a whole, though it may go back on the one before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +88,15 @@ class Fit:
         return math.hypot(self.point.sizes["street"], self.point.sizes["motors_noise"])
 
     @property
+    def is_settled(self) -> bool:
+        """Whether the answer no longer changes."""
+        # Velocities may alternate between two sets of outliers, on which no answer depends.
+        return self.converged or self.moved < SETTLED
+
+    @property
     def message(self) -> str:
         """Why the iterations stopped, in words."""
-        # Velocities may alternate between two sets of outliers, on which no answer depends.
-        settled = self.converged or self.moved < SETTLED
-        return "converged" if settled else f"no convergence in {self.rounds} rounds"
+        return "converged" if self.is_settled else f"no convergence in {self.rounds} rounds"
 
 
 def fit(
@@ -110,7 +116,7 @@ def fit(
     """
     model = Model.of(nodes, priors, start, kind)
     point, first, fewest = _begin(model, start, kind, tolerances, like)
-    sizes, before = SizeSteps(), math.inf
+    sizes, before, damping = SizeSteps(), math.inf, Damping()
     for rounds in range(first, tolerances.rounds + 1):
         if report is not None:
             report(rounds)
@@ -130,9 +136,14 @@ def fit(
                 marginal = marginal_gradient(model, point, weighted, solution)
                 point = replace(point, marginal=marginal)
         sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
-        point = stepped(model, point, solution, share)
+        if rounds > tolerances.whole:
+            damping = damping.next(answer_of(model, solution))
+        groups = point.groups
         if rounds >= tolerances.held:
-            point = replace(point, groups=effect_factors(model, point, solution))
+            # They follow from the posterior mean, which is the point after a whole step.
+            whole = stepped(model, point, solution, share)
+            groups = effect_factors(model, whole, solution)
+        point = replace(stepped(model, point, solution, share * damping.share), groups=groups)
     covariance = _covariance(model, point, weighted, solution)
     return Fit(kind, model, point, covariance, found, weighted, rounds, converged, moved)
 
@@ -182,11 +193,30 @@ def share_of(solution: Solution, tolerances: Tolerances) -> float:
     return min(1.0, tolerances.largest_turn / max(largest, 1e-9))
 
 
-def moved_by(model: Model, solution: Solution) -> float:
-    """Return the largest step of the answer, in its own sigmas."""
+def answer_of(model: Model, solution: Solution) -> FloatArray:
+    """Return the step of the answer, in its own sigmas."""
     answer = np.flatnonzero(model.free < AT["axes"].stop)
     sigma = np.sqrt(np.diag(solution.covariance)[answer])
-    return float((np.abs(solution.shared[answer]) / sigma).max(initial=0.0))
+    return np.asarray(solution.shared[answer] / sigma)
+
+
+def moved_by(model: Model, solution: Solution) -> float:
+    """Return the largest step of the answer, in its own sigmas."""
+    return float(np.abs(answer_of(model, solution)).max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Damping:
+    """The share of a step that is taken: less where steps go back and forth as far."""
+
+    share: float = 1.0
+    step: FloatArray | None = None
+
+    def next(self, step: FloatArray) -> Damping:
+        """Return the share for a step of the answer, after the one before it."""
+        last = self.step
+        alternates = last is not None and float(step @ last) < -0.5 * float(last @ last)
+        return Damping(0.5 * self.share if alternates else min(1.0, 1.5 * self.share), step)
 
 
 def stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:

@@ -46,8 +46,8 @@ ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 it is left out then."""
 WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Of a drive, in which there is more of everything than in one turn, longer means are enough."""
-PART = 200.0
-"""Seconds of a long window with which a turn on the spot is tried first."""
+PART, FEWEST_OF_PART = 200.0, 100
+"""Seconds of a long window with which a turn on the spot is tried first, and the fewest samples."""
 ROLLS = 0.2
 """m/s of the speed of the wheels from which a robot certainly drives."""
 MOST_FITS = 3 * len(KINDS)
@@ -163,7 +163,9 @@ class _Trials:
         except np.linalg.LinAlgError:
             return
         known = self.fits.get(name)
-        if is_upright(found) and (known is None or found.evidence < known.evidence):
+        # A fit that goes on from the known one takes its place: that one had not converged.
+        is_better = known is None or like is known or found.evidence < known.evidence
+        if is_upright(found) and is_better:
             self.fits[name] = found
 
     def field_late(self) -> Fit:
@@ -233,7 +235,10 @@ class _Trials:
 
 
 def liveliest_part(samples: Window | DriveLog) -> Window | DriveLog | None:
-    """Return the part of a long window in which the force changes most; None of a short one."""
+    """Return the part of a long window in which the force changes most.
+
+    None of a short window, and where that part has too few samples.
+    """
     time = samples.time
     if len(time) == 0 or time[-1] - time[0] < 2.0 * PART:
         return None
@@ -243,9 +248,12 @@ def liveliest_part(samples: Window | DriveLog) -> Window | DriveLog | None:
     begin = np.arange(time[0], time[-1] - PART, 0.1 * PART)
     gained = np.interp(begin + PART, time, done) - np.interp(begin, time, done)
     first = float(begin[np.argmax(gained)])
+    rows = (time >= first) & (time <= first + PART)
+    if np.count_nonzero(rows) < FEWEST_OF_PART:
+        return None
     if isinstance(samples, DriveLog):
         return samples.between(first, first + PART)
-    return samples.take((time >= first) & (time <= first + PART))
+    return samples.take(rows)
 
 
 def smooth(

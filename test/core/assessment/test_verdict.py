@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -336,6 +337,14 @@ class TestNotShown:
         not_shown = judge(estimate(), Knowledge(reference)).not_shown
         assert (NO_REFERENCE in not_shown) == (not complete)
 
+    def test_a_weak_level_field_counts_from_what_the_reference_allows(self):
+        figures = {"level_share": 0.89}
+        assert grade_of(judge(estimate(figures=figures), KNOWN), "level_share").grade is Grade.WARN
+        doubtful = replace(KNOWN.reference, strength=Belief(KNOWN.reference.strength.value, 1e-6))
+        found = grade_of(judge(estimate(figures=figures), Knowledge(doubtful)), "level_share")
+        assert found.grade is Grade.GOOD
+        assert "known to" in found.words
+
     def test_a_gyro_that_the_method_does_not_use_is_not_called_missing(self):
         one = window(np.full((50, 3), [0.0, 0.0, 9.81]))
         turning = Window(one.time, one.field, one.specific_force, np.full((50, 3), [0.0, 0.0, 0.4]))
@@ -347,7 +356,7 @@ class TestNotShown:
     def test_a_reference_field_that_was_given_is_not_asked_for(self, known):
         covariance = np.zeros((12, 12))
         covariance[11, 11] = (3e-6) ** 2
-        bad = estimate(figures={"heading_sigma": math.radians(1.9)}, covariance=covariance)
+        bad = estimate(figures={"heading_sigma": math.radians(2.5)}, covariance=covariance)
         verdict = judge(bad, KNOWN if known else Knowledge())
         told = " ".join([grade_of(verdict, "heading_sigma").words, *verdict.not_shown])
         assert ("give the reference field" in told) == (not known)

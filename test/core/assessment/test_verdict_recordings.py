@@ -57,9 +57,10 @@ class TestHandHeldTurn:
         assert calibrate(turn, UNKNOWN).verdict.accepted
 
     @pytest.mark.nightly
-    def test_the_whole_recording_is_no_clean_turn(self, recording):
+    def test_the_whole_recording_is_answered_with_what_its_way_adds(self, recording):
         verdict = calibrate(window(recording("broad05")), self.known).verdict
-        assert verdict.quality is Grade.WARN
+        assert verdict.accepted
+        assert "local magnetic disturbances along the way" in verdict.summary
 
     @pytest.mark.nightly
     def test_axes_that_are_not_the_imus_are_refused(self, turn):

@@ -19,6 +19,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
+from magcal_ros.core.smoother.fit import Damping
 from magcal_ros.core.smoother.kinds_of_motion import smooth
 from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS
 
@@ -181,3 +182,12 @@ def test_a_fit_tells_how_much_of_it_is_done():
     assert calibrate(window, known(ROBOT), progress=told.append).verdict.accepted
     assert told == sorted(told)
     assert 0.0 <= told[0] < 0.1 < 0.25 < told[-1] <= 1.0
+
+
+def test_steps_that_go_back_and_forth_are_shortened():
+    forth, small = np.array([1.0, -0.2]), np.array([-0.3, 0.0])
+    damping = Damping().next(forth).next(-forth)
+    assert damping.share == 0.5
+    assert damping.next(forth).share == 0.25
+    assert damping.next(-0.1 * forth).share == 0.75
+    assert Damping().next(forth).next(small).share == 1.0

@@ -1,0 +1,37 @@
+"""A clean turn is not warned of: a warning asks for something that helps."""
+
+from dataclasses import replace
+
+import pytest
+from realistic_robots import by_rested_turn, by_turn
+from turn_kinds import KINDS
+
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.calibrate import calibrate
+
+SENSORS = ("good", "typical", "cheap")
+
+
+def warnings_of(scene, knowledge, gyro):
+    window = scene.window if gyro else replace(scene.window, angular_rate=None)
+    checks = calibrate(window, knowledge).verdict.checks
+    return [check.words for check in checks if check.grade.rank >= Grade.WARN.rank]
+
+
+@pytest.mark.parametrize(
+    ("sensors", "kind", "gyro"),
+    [("cheap", "even", True), ("cheap", "slope", True), ("typical", "uneven", False)],
+)
+def test_a_clean_turn_is_not_warned_of(sensors, kind, gyro):
+    assert not warnings_of(*by_turn(kind, sensors, "open")(5003), gyro)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(("gyro", "most"), [(True, 0.1), (False, 0.2)])
+def test_few_clean_turns_are_warned_of(gyro, most):
+    """Without a gyro a short way there and back is no full turn, and is said to be none."""
+    scenes = [by_turn(kind, each, "open") for kind in KINDS for each in SENSORS]
+    scenes += [by_rested_turn("even", each, "open") for each in SENSORS]
+    warned = [bool(warnings_of(*scene(seed), gyro)) for scene in scenes for seed in range(20, 23)]
+    assert sum(warned) <= most * len(warned)
