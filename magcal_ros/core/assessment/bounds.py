@@ -47,7 +47,7 @@ AGAINST_REFERENCE: tuple[Bound, ...] = (
 """The level field against that of the reference."""
 SIGMA = Bound(
     Figure.HEADING_SIGMA,
-    2.0,
+    1.5,
     12.0,
     "predicted heading error on the level (1σ)",
     "turn the full circle, or through all orientations, more slowly",
@@ -218,7 +218,7 @@ def _adapted(bound: Bound, estimate: Estimate) -> Bound:
 DRIVE_ON = "drive on, with bends to both sides, to all headings"
 DRIVE_BOUNDS: tuple[Bound, ...] = (
     UPRIGHT,
-    replace(SIGMA, excellent=0.7, remedy=DRIVE_ON, after_full=""),
+    replace(SIGMA, good=2.0, excellent=0.7, remedy=DRIVE_ON, after_full=""),
     Bound(
         Figure.HEADINGS_DRIVEN,
         8.0,
