@@ -234,5 +234,10 @@ def check_beside_chance(
     is_small = figure * bound.scale <= bound.good
     if decided or is_small or seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
         return check
+    return doubtful(check)
+
+
+def doubtful(check: Check) -> Check:
+    """Return a check that is too uncertain to say stale."""
     words = f"{check.words}: too uncertain to judge; turn once, in one place away from iron"
     return replace(check, grade=Grade.WARN, words=words)

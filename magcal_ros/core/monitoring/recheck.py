@@ -27,6 +27,7 @@ from magcal_ros.core.monitoring.change import (
     GYRO_BOUND,
     check_beside_chance,
     compass_less_gyro,
+    doubtful,
     fit_waves,
     harmonics,
 )
@@ -129,7 +130,10 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     found, swing = _figures(corrected, corrected[:, 1], calibration)
     arc = Coverage.of(heading).arc
     found[Figure.ARC] = arc, 0.0
-    added = iron_added(drive, calibration) if drive is not None and len(drive) else None
+    iron = _iron_of(drive, calibration) if drive is not None and len(drive) else None
+    added = None if iron is None else iron.check
+    # A street that is driven once bends the field as other iron in the robot would.
+    is_open = iron is not None and added is None
     checks = []
     for bound in RECHECK_BOUNDS:
         if bound.figure in found:
@@ -138,7 +142,8 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
             most = CHANGE.own_share * bound.warn / bound.scale
             chance = math.hypot(min(_own(bound.figure, calibration), most), places)
             graded = check_beside_chance(bound, figure, chance, raw_figure, added is not None)
-            checks.append(graded)
+            is_stale = graded.grade is Grade.REFUSED
+            checks.append(doubtful(graded) if is_stale and is_open else graded)
     checks += [] if added is None else [added]
     gaps = np.diff(window.time)
     is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_gyro_step
@@ -282,7 +287,33 @@ def up_of(window: Window) -> FloatArray:
 
 
 def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
-    """Weigh the hard iron that was added since a calibration; None where a drive is too short."""
+    """Weigh the hard iron that was added since a calibration; None where a drive does not show it.
+
+    A drive may be too short, or its iron too uncertain.
+    """
+    iron = _iron_of(drive, calibration)
+    return None if iron is None else iron.check
+
+
+@dataclass(frozen=True)
+class _Iron:
+    """Hard iron that was added, against the level field, and its standard deviation."""
+
+    share: float
+    sigma: float
+
+    @property
+    def check(self) -> Check | None:
+        """The share beside what chance explains; None if it is too uncertain to be said."""
+        beyond = self.share - CHANGE.clearly * self.sigma
+        if self.sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
+            return None
+        excess = math.sqrt(max(self.share**2 - (CHANGE.chance * self.sigma) ** 2, 0.0))
+        return IRON_BOUND.check(self.share, excess=excess)
+
+
+def _iron_of(drive: DriveLog, calibration: Calibration) -> _Iron | None:
+    """Return the hard iron that was added by the drive's own model; None of too short a drive."""
     reference = ReferenceField(
         Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
         Belief(calibration.inclination, math.radians(INCLINATION_SIGMA_DEG)),
@@ -297,9 +328,5 @@ def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
     added = matrix @ (found.posterior.correction.hard_iron - correction.hard_iron)
     covariance = matrix @ found.posterior.covariance[9:, 9:] @ matrix.T
     level = calibration.strength * math.cos(calibration.inclination)
-    share = math.hypot(*added) / level
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
-    if sigma > CHANGE.largest_sigma:
-        return None
-    excess = math.sqrt(max(share**2 - (CHANGE.chance * sigma) ** 2, 0.0))
-    return IRON_BOUND.check(share, excess=excess)
+    return _Iron(math.hypot(*added) / level, sigma)
