@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.latency import EACH_SAMPLE, OF_FORCE
 from magcal_ros.core.doctor.latency import TUNING as LATENCY
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
-from magcal_ros.core.samples.alignment import BIAS, SCALE, AlignmentFit
+from magcal_ros.core.samples.alignment import BIAS, PARAMETERS, AlignmentFit
 from magcal_ros.core.samples.window import SensorLog, stretch_of_log
 
 
@@ -39,19 +38,20 @@ class SpotTuning:
 TUNING = SpotTuning()
 
 
-def drove_while_turning(log: SensorLog, explanations: Explanations, k: int) -> bool:
+def drove_while_turning(
+    log: SensorLog, gyro: FloatArray = np.eye(3), bias: FloatArray = np.zeros(3)
+) -> bool:
     """Return whether the robot felt more than a turn on the spot explains; False if not shown.
 
-    Takes the same as `latency.field_latency`.
+    The log has a gyro, whose axes are the rows of `gyro` (3, 3) in the body's; `bias` (3,) is
+    roughly that of its rates, rad/s.
     """
     part = stretch_of_log(replace(log, field_time=log.imu_time, field=log.force), 0.0, EACH_SAMPLE)
     if part is None:
         return False
-    fit = AlignmentFit(part, np.eye(3)[None], explanations.gyro[k : k + 1], OF_FORCE, with_up=False)
-    state = fit.start()
-    state[:, SCALE] = explanations.parameters[k, SCALE]
-    rate = (1.0 + state[0, SCALE]) * fit.rate[0]
-    turned = rate - explanations.parameters[k, BIAS]
+    fit = AlignmentFit(part, np.eye(3)[None], gyro[None], OF_FORCE, with_up=False)
+    state, rate = np.zeros((1, PARAMETERS)), fit.rate[0]
+    turned = rate - bias
     gap = max(float(np.median(np.diff(part.time))), 1e-4)
     up = unit(np.median(log.force, axis=0))
     width = max(1, int(TUNING.mean / gap))

@@ -34,7 +34,7 @@ from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orienta
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.alignment import FIELD, IRON, LAG, UP
+from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, UP
 from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
@@ -204,7 +204,7 @@ def motors_finding(
     found = motors_field(log, explanations, k, float(state[LAG]) if lag_is_shown else 0.0)
     if found is None:
         return not_shown("motors", MOTORS, BETWEEN_RESTS)
-    if drove_while_turning(log, explanations, k):
+    if drove_while_turning(log, explanations.gyro[k], state[BIAS]):
         return not_shown("motors", MOTORS, ON_THE_SPOT)
     field, covariance = found
     off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))

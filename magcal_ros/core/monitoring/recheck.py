@@ -13,6 +13,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroS
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import known_sigma
+from magcal_ros.core.doctor.on_the_spot import drove_while_turning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
 from magcal_ros.core.knowledge import (
@@ -34,7 +35,7 @@ from magcal_ros.core.monitoring.change import (
 from magcal_ros.core.samples.coverage import BINS, Coverage
 from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import SensorLog, Window
 from magcal_ros.core.smoother.drives import drive_nodes, fit_iron
 from magcal_ros.core.up import propagated_up
 
@@ -131,9 +132,10 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     arc = Coverage.of(heading).arc
     found[Figure.ARC] = arc, 0.0
     iron = _iron_of(drive, calibration) if drive is not None and len(drive) else None
-    added = None if iron is None else iron.check
+    drove = iron is not None and drove_while_turning(SensorLog.of_window(window))
+    added = None if iron is None else iron.check(CHANGE.clearly if drove else CHANGE.chance)
     # A street that is driven once bends the field as other iron in the robot would.
-    is_open = iron is not None and added is None
+    is_street = iron is not None and (added is None or (drove and added.grade is not Grade.REFUSED))
     checks = []
     for bound in RECHECK_BOUNDS:
         if bound.figure in found:
@@ -143,7 +145,7 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
             chance = math.hypot(min(_own(bound.figure, calibration), most), places)
             graded = check_beside_chance(bound, figure, chance, raw_figure, added is not None)
             is_stale = graded.grade is Grade.REFUSED
-            checks.append(doubtful(graded) if is_stale and is_open else graded)
+            checks.append(doubtful(graded) if is_stale and is_street else graded)
     checks += [] if added is None else [added]
     gaps = np.diff(window.time)
     is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_gyro_step
@@ -292,7 +294,7 @@ def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
     A drive may be too short, or its iron too uncertain.
     """
     iron = _iron_of(drive, calibration)
-    return None if iron is None else iron.check
+    return None if iron is None else iron.check(CHANGE.chance)
 
 
 @dataclass(frozen=True)
@@ -302,13 +304,12 @@ class _Iron:
     share: float
     sigma: float
 
-    @property
-    def check(self) -> Check | None:
-        """The share beside what chance explains; None if it is too uncertain to be said."""
+    def check(self, sigmas: float) -> Check | None:
+        """Weigh the share beside what chance of so many sigmas explains; None if too uncertain."""
         beyond = self.share - CHANGE.clearly * self.sigma
         if self.sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
             return None
-        excess = math.sqrt(max(self.share**2 - (CHANGE.chance * self.sigma) ** 2, 0.0))
+        excess = math.sqrt(max(self.share**2 - (sigmas * self.sigma) ** 2, 0.0))
         return IRON_BOUND.check(self.share, excess=excess)
 
 
