@@ -34,7 +34,7 @@ class Listener:
     def close(self) -> None:
         """End it while rclpy is there."""
         self._executor.shutdown()
-        self._node.destroy_node()
+        self._node.destroy_node()  # type: ignore[no-untyped-call]
 
     def _hear(self, _: bytes) -> None:
         self._heard.set()

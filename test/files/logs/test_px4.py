@@ -64,7 +64,7 @@ def test_the_receiver_tells_time_place_and_course_and_the_autopilot_its_yaw(tmp_
         tmp_path / "a.ulg",
         SAMPLES,
         fixes=[(first + 1.0, 1.7e9, 48.1, 11.5, 0.0, 3.0)],
-        bearings=[(first + 1.0, 90.0), (first + 2.0, 0.0)],
+        bearings=[(first + 1.0, 90.0), (first + 1.5, np.nan), (first + 2.0, 0.0)],
     )
     with open_recording(path) as source:
         assert source.begun == pytest.approx(1.7e9 - 1.0, abs=1e-3)
