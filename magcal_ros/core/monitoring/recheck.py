@@ -56,7 +56,7 @@ SENTENCES = {
 NO_GYRO = "whether the compass turns as the robot does: there is no gyro"
 LOST_GYRO = (
     "whether the compass turns as the robot does: the gyro is followed for "
-    f"{STREAMS.longest_gyro_step:g} s at most between field samples, and these are further apart"
+    f"{STREAMS.longest_field_gap:g} s at most between field samples, and these are further apart"
 )
 NO_YAW = "an error of the yaw that is the same at every heading"
 MOVED = "the hard iron has changed, or the field is distorted here"
@@ -148,7 +148,7 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
             checks.append(doubtful(graded) if is_stale and is_street else graded)
     checks += [] if added is None else [added]
     gaps = np.diff(window.time)
-    is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_gyro_step
+    is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_field_gap
     no_swing = LOST_GYRO if is_lost else NO_GYRO
     not_shown = (NO_YAW, no_swing) if swing is None else (NO_YAW,)
     verdict = Verdict(tuple(checks), not_shown, "")
@@ -181,7 +181,7 @@ def _records(
         rate = rate / np.maximum(across, 1.0 - CHANGE.steepest_nose)
         steps = 0.5 * np.diff(window.time) * (rate[1:] + rate[:-1])
         turned = np.where(is_good, np.append(0.0, np.cumsum(steps)), math.nan)
-    is_parted = (np.diff(window.time) > STREAMS.longest_gyro_step) | (np.diff(is_good) != 0)
+    is_parted = (np.diff(window.time) > STREAMS.longest_field_gap) | (np.diff(is_good) != 0)
     path = np.append(0, np.cumsum(is_parted))
     visit = np.floor((window.time - window.time[0]) / CHANGE.longest_visit)
     sector = np.floor(np.mod(heading, math.tau) * (BINS / math.tau))
@@ -283,7 +283,7 @@ def up_of(window: Window) -> FloatArray:
     """Return up at each sample, propagated by the gyro where samples follow each other closely."""
     if window.angular_rate is None:
         return unit(window.specific_force)
-    gaps = np.flatnonzero(np.diff(window.time) > STREAMS.longest_gyro_step)
+    gaps = np.flatnonzero(np.diff(window.time) > STREAMS.longest_field_gap)
     pieces = np.split(np.arange(len(window)), gaps + 1)
     return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
 
