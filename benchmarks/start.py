@@ -31,6 +31,11 @@ class Listener:
         self._executor = rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(self._node)
 
+    def close(self) -> None:
+        """End it while rclpy is there."""
+        self._executor.shutdown()
+        self._node.destroy_node()  # type: ignore[no-untyped-call]
+
     def _hear(self, _: bytes) -> None:
         self._heard.set()
 
@@ -72,6 +77,8 @@ def main() -> None:
             ours.append(calibrator.time_to_hear(*stage.CALIBRATOR, *options))
         over.set()
         thread.join()
+        relay.close()
+        calibrator.close()
         rclpy.try_shutdown()
     print("exec to first message        relay     calibrator   ratio")
     # What the slower rounds take more is the discovery of DDS, of the relay as well.

@@ -38,13 +38,17 @@ def logged(field, offsets, matrix):
     return matrix @ (MILLIGAUSS * FRD @ np.asarray(field) + offsets)
 
 
-def ardupilot_rows(samples, offsets=(0, 0, 0), matrix=None, compasses=None, fixes=(), yaws=()):
+def ardupilot_rows(
+    samples, offsets=(0, 0, 0), matrix=None, compasses=None, fixes=(), yaws=(), first=None
+):
     """Name and values of every message.
 
     `compasses` gives the fields of several by number, `yaws` stamp and compass bearing in degrees.
+    `first` is the stamp at which the log began; None at the first sample.
     """
     matrix = np.eye(3) if matrix is None else matrix
-    first = min(sample.stamp for sample in samples)
+    begun = min(sample.stamp for sample in samples)
+    first = begun if first is None else first
 
     def at(stamp):
         return BOOT_US + round((stamp - first) * 1e6)
@@ -53,7 +57,7 @@ def ardupilot_rows(samples, offsets=(0, 0, 0), matrix=None, compasses=None, fixe
     named += [(f"COMPASS_DIA_{a}", matrix[k, k]) for k, a in enumerate("XYZ")]
     pairs = zip("XYZ", ((0, 1), (0, 2), (1, 2)), strict=True)
     named += [(f"COMPASS_ODI_{a}", matrix[k]) for a, k in pairs]
-    yield from (("PARM", (BOOT_US, name, float(value))) for name, value in named)
+    yield from (("PARM", (at(begun), name, float(value))) for name, value in named)
     for fix in fixes:  # stamp, latitude, longitude, speed, course (deg)
         stamp, latitude, longitude, speed, course = fix
         gms = round((stamp - first) * 1e3) + 100_000
@@ -157,12 +161,23 @@ DEVICE = 3_000_000_123
 
 
 def write_ulog(
-    path, samples, offset=(0.0, 0.0, 0.0), scale=None, rotation=0, raw=True, fixes=(), bearings=()
+    path,
+    samples,
+    offset=(0.0, 0.0, 0.0),
+    scale=None,
+    rotation=0,
+    raw=True,
+    fixes=(),
+    bearings=(),
+    every=0,
+    other_rotation=None,
+    changed=None,
 ):
     """Write a ULog whose first magnetometer has these CAL_MAG1 parameters, gauss.
 
     `fixes` are stamp, UTC (s), latitude, longitude, velocity north and east; `bearings` are stamp
-    and degrees.
+    and degrees. With `every` the other topic of the field has one in so many samples. A second
+    magnetometer has `other_rotation`. `changed` is a parameter and its value from half on.
     """
     scale = np.eye(3) if scale is None else scale
     pose = rotation_of(rotation)
@@ -175,16 +190,30 @@ def write_ulog(
         named[f"CAL_MAG1_{axis}SCALE"] = float(scale[k, k])
         named[f"CAL_MAG1_{axis}ODIAG"] = float(scale[((0, 1), (0, 2), (1, 2))[k]])
     out += [_parameter(*each) for each in named.items()]
-    field_topic = "sensor_mag" if raw else "vehicle_magnetometer"
-    topics = ("sensor_combined", field_topic, "vehicle_gps_position", "vehicle_attitude")
+    if other_rotation is not None:
+        out += [_parameter("CAL_MAG0_ID", 77), _parameter("CAL_MAG0_ROT", other_rotation)]
+    both = ("sensor_mag", "vehicle_magnetometer") if raw else ("vehicle_magnetometer", "sensor_mag")
+    topics = ["sensor_combined", both[0], "vehicle_gps_position", "vehicle_attitude"]
+    topics += [both[1]] * (every > 0)
     for number, name in enumerate(topics):
         out.append(_message("A", struct.pack("<BH", 0, number) + name.encode()))
-    for sample in samples:
+    if other_rotation is not None:
+        out.append(_message("A", struct.pack("<BH", 1, 9) + b"sensor_mag"))
+    fields = 0
+    for count, sample in enumerate(samples):
         micros = BOOT_US + round((sample.stamp - first) * 1e6)
+        if changed is not None and count == len(samples) // 2:
+            out.append(_parameter(*changed))
         if isinstance(sample, FieldSample):
             own = pose.T @ FRD @ np.asarray(sample.field) * GAUSS
-            shown = own if raw else pose @ scale @ (own - np.asarray(offset))
+            corrected = pose @ scale @ (own - np.asarray(offset))
+            shown, others = (own, corrected) if raw else (corrected, own)
             data = struct.pack("<HQI3f", 1, micros, DEVICE, *shown)
+            fields += 1
+            if every and fields % every == 0:
+                out.append(_message("D", struct.pack("<HQI3f", 4, micros, DEVICE, *others)))
+            if other_rotation is not None:
+                out.append(_message("D", struct.pack("<HQI3f", 9, micros, 77, *own)))
         else:
             rate, force = FRD @ np.asarray(sample.rate), FRD @ np.asarray(sample.force)
             data = struct.pack("<HQ6f", 0, micros, *rate, *force)

@@ -120,9 +120,17 @@ def run(options: argparse.Namespace) -> int:
     if min(len(log.imu_time), len(log.field_time)) >= TUNING.fewest:
         return _tell(options, heard.page_of(log), heard.knowledge.mounting.gains)
     facts = page_as_facts(Page(heard.more), None, Exit.TOO_LITTLE_DATA)
-    counts = f"{len(log.imu_time)} IMU and {len(log.field_time)} field samples"
-    print(document(facts) if options.json else f"Too little data: {counts}.")
+    streams = (("IMU", log.imu_time), ("field", log.field_time))
+    counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
+    words = f"Too little data: {counts}. It takes {TUNING.fewest} of each: record for longer"
+    print(document(facts) if options.json else f"{words}, or at a higher rate.")
     return Exit.TOO_LITTLE_DATA
+
+
+def _counted(time: FloatArray) -> str:
+    """Return how many samples there are, and how fast they come."""
+    gap = float(np.median(np.diff(time))) if len(time) > 2 else 0.0
+    return f"{len(time)} samples" + (f" at {1.0 / gap:.2g} Hz" if gap > 0.0 else "")
 
 
 def _recorded(options: argparse.Namespace) -> Heard:

@@ -54,6 +54,9 @@ SLOTS = ("", "2", "3")
 
 NO_OFFSETS = (math.nan, math.nan, math.nan)
 
+BACKWARDS, LATE = 1.0, 10.0
+"""Seconds by which an autopilot's clock goes back, or a message is late, where it started anew."""
+
 EVERY = 1000
 """Messages between two looks at the clock."""
 
@@ -126,10 +129,11 @@ class _Rows:
         self._imus: dict[int, array[float]] = defaultdict(_numbers)
         self._mags: dict[int, array[float]] = defaultdict(_numbers)
         self._yaw = _numbers()
-        self._parameters: dict[str, float] = {}
+        self._parameters = [(-math.inf, dict[str, float]())]
+        """From when on they hold; a log may span a calibration by the autopilot."""
         self._tables = logs.LogTables()
         self._system: int | None = None
-        self._booted: float | None = None
+        self._booted = self._own = math.nan
 
     def take(self, message: Any) -> None:
         """Take a message of any wanted kind."""
@@ -147,7 +151,7 @@ class _Rows:
         elif kind == "ATT":
             self._yaw.extend((stamp, math.radians(90.0 - m.Yaw)))
         elif kind == "PARM":
-            self._parameters[m.Name] = float(m.Value)
+            self._take_parameter(stamp, m.Name, float(m.Value))
         elif not getattr(m, "I", 0):
             has_fix = m.Status >= logs.FIX_3D
             self._fix(stamp, has_fix, (m.Lat, m.Lng, m.Alt), m.Spd, math.radians(m.GCrs))
@@ -168,18 +172,34 @@ class _Rows:
         elif kind == "ATTITUDE":
             self._yaw.extend((self._by_own_clock(m), 0.5 * math.pi - m.yaw))
         elif kind == "PARAM_VALUE":
-            self._parameters[m.param_id] = float(m.param_value)
+            self._take_parameter(m._timestamp, m.param_id, float(m.param_value))
         else:
             place = (1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
             course = math.radians(0.01 * m.cog)
             self._fix(m._timestamp, m.fix_type >= logs.FIX_3D, place, 0.01 * m.vel, course)
 
+    def _take_parameter(self, stamp: float, name: str, value: float) -> None:
+        """Take a parameter; the first value also holds before it was logged."""
+        if not name.startswith("COMPASS_"):
+            return
+        newest = self._parameters[-1][1]
+        if name not in newest:
+            for _, each in self._parameters:
+                each[name] = value
+        elif newest[name] != value:
+            self._parameters.append((stamp, {**newest, name: value}))
+
     def _by_own_clock(self, m: Any) -> float:
-        """Return a message's stamp by the autopilot's clock, shifted to the receiver's."""
+        """Return a message's stamp by the autopilot's clock, shifted to the receiver's.
+
+        That clock starts anew with the autopilot.
+        """
         micros = getattr(m, "time_usec", None)
         own = 1e-3 * m.time_boot_ms if micros is None else 1e-6 * micros
-        if self._booted is None:
-            self._booted = m._timestamp - own
+        booted = m._timestamp - own
+        if not (own > self._own - BACKWARDS and abs(booted - self._booted) < LATE):
+            self._booted = booted
+        self._own = own
         return float(own + self._booted)
 
     def _fix(
@@ -205,11 +225,17 @@ class _Rows:
             tables.imus[number] = table
         for number, rows in self._mags.items():
             table = np.array(rows).reshape(-1, 7)
-            slot = _slot(number, table[-1, 4:7], self._parameters)
-            raw = _without_calibration(table, slot, self._parameters) * logs.FLU_FROM_FRD * TESLA
+            slot = _slot(number, table[-1, 4:7], self._parameters[-1][1])
+            parts = np.searchsorted([since for since, _ in self._parameters], table[:, 0], "right")
+            raw = np.empty((len(table), 3))
+            for part in np.unique(parts):
+                rows = parts == part
+                held = self._parameters[part - 1][1]
+                raw[rows] = _without_calibration(table[rows], slot, held)
+            raw *= logs.FLU_FROM_FRD * TESLA
             tables.fields[number] = np.column_stack([table[:, 0], raw])
             tables.frames[number] = f"ardupilot_compass{SLOTS[slot]}"
-        if self._telemetry and "COMPASS_OFS_X" not in self._parameters:
+        if self._telemetry and "COMPASS_OFS_X" not in self._parameters[-1][1]:
             tables.notes.append(
                 "the log does not hold the parameters COMPASS_OFS: the field is taken as if they "
                 "were 0. Offsets that are found must be added to those in force"

@@ -98,7 +98,7 @@ def recording_of(
         imu_topic=f"{names.imu}[{one}]",
         field_topic=f"{names.field}[{other}]",
         field_frame=tables.frames.get(other, ""),
-        yaw=_in_order(tables.yaw),
+        yaw=_in_order(tables.yaw[np.isfinite(tables.yaw).all(axis=1)]),
         notes=tuple(notes),
     )
 

@@ -2,8 +2,9 @@
 
 `sensor_mag` is the raw field in gauss, in the sensor's own forward-right-down axes;
 `vehicle_magnetometer` is `R S (raw - OFF)` in the body's, with the parameters CAL_MAGn of the
-device (lib/sensor_calibration). The raw one is taken where it was logged, else the calibration is
-taken off the other.
+device (lib/sensor_calibration). By its default profile PX4 logs the raw one once a second and the
+other one twice. The other one is taken, less its calibration, where it came more often and its
+calibration stayed the same.
 """
 
 from __future__ import annotations
@@ -84,18 +85,28 @@ class _Watched(io.BufferedReader):
         return super().read(size)
 
 
+UNKNOWN_ROTATION = (
+    "the rotation {} of the magnetometer (CAL_MAG_ROT, SENS_BOARD_ROT) is not known here: choose "
+    "another magnetometer with --mag"
+)
+
+
+def is_known(number: int) -> bool:
+    """Whether `rotation_of` takes a number."""
+    return 0 <= number < len(RIGHT_ANGLES)
+
+
 def rotation_of(number: int) -> FloatArray:
     """Return CAL_MAGn_ROT as the rotation from sensor to body, forward-right-down."""
-    if not 0 <= number < len(RIGHT_ANGLES):
-        raise FileTrouble(
-            f"the rotation {number} of the magnetometer (CAL_MAG_ROT, SENS_BOARD_ROT) is not "
-            "known here: choose another magnetometer with --mag"
-        )
+    if not is_known(number):
+        raise FileTrouble(UNKNOWN_ROTATION.format(number))
     return rotation_from_rpy(*(math.radians(angle) for angle in RIGHT_ANGLES[number]))
 
 
 def _tables(log: Any) -> logs.LogTables:
-    parameters = {**log.initial_parameters, **{name: v for _, name, v in log.changed_parameters}}
+    changes = {name: v for _, name, v in log.changed_parameters}
+    parameters = {**log.initial_parameters, **changes}
+    is_settled = not any(name.startswith("CAL_MAG") for name in changes)
     data = {(each.name, each.multi_id): each.data for each in log.data_list}
     shift = _epoch(data.get(("vehicle_gps_position", 0)))
     tables = logs.LogTables()
@@ -114,8 +125,14 @@ def _tables(log: Any) -> logs.LogTables:
             tables.yaw = np.column_stack([stamps, 0.5 * math.pi - yaw])
         elif name == "vehicle_gps_position" and number == 0:
             _take_fixes(tables, topic, stamps)
-    for number in range(MOST_SENSORS):
-        _take_field(tables, data, number, parameters, shift)
+    refused = [
+        words
+        for number in range(MOST_SENSORS)
+        if (words := _take_field(tables, data, number, parameters, shift, is_settled))
+    ]
+    if refused and not tables.fields:
+        raise FileTrouble(refused[0])
+    tables.notes += [f"left out: {words}" for words in refused]
     return tables
 
 
@@ -125,19 +142,29 @@ def _take_field(
     number: int,
     parameters: Mapping[str, float],
     shift: float,
-) -> None:
-    """Add a magnetometer, raw, in the body's forward-left-up axes."""
-    raw, corrected = (data.get((name, number)) for name in ("sensor_mag", "vehicle_magnetometer"))
+    is_settled: bool,
+) -> str:
+    """Add a magnetometer, raw, in the body's forward-left-up axes, or return why it is left out.
+
+    `is_settled` is whether its parameters stayed the same.
+    """
+    raw = data.get(("sensor_mag", number))
+    device = _device(raw) if raw is not None else 0
+    corrected = _corrected(data, number, device)
+    if raw is not None and corrected is not None and is_settled and _is_one(corrected):
+        raw = raw if len(raw["timestamp"]) >= len(corrected["timestamp"]) else None
     topic = raw if raw is not None else corrected
     if topic is None:
-        return
-    device = int(topic["device_id"][-1]) if "device_id" in topic else 0
+        return ""
+    device = device or _device(topic)
     # The topics write a device unsigned, the parameters signed.
     devices = [int(parameters.get(f"CAL_MAG{k}_ID", 0)) % (1 << 32) for k in range(MOST_SENSORS)]
     slot = devices.index(device) if device in devices else None
     mounted = int(parameters.get(f"CAL_MAG{slot}_ROT", -1))
     board = int(parameters.get("SENS_BOARD_ROT", 0))
     rotation = board if mounted < 0 else mounted
+    if not is_known(rotation):
+        return f"{NAMES.field}[{number}]: {UNKNOWN_ROTATION.format(rotation)}"
     pose = rotation_of(rotation)
     if raw is not None:
         field = np.column_stack([raw[axis] for axis in "xyz"]) @ pose.T
@@ -149,6 +176,26 @@ def _take_field(
     stamps = 1e-6 * topic["timestamp"] + shift
     tables.fields[number] = np.column_stack([stamps, field * logs.FLU_FROM_FRD * TESLA])
     tables.frames[number] = f"px4_mag{0 if slot is None else slot}_rot{rotation}"
+    return ""
+
+
+def _device(topic: Mapping[str, FloatArray]) -> int:
+    return int(topic["device_id"][-1]) if "device_id" in topic else 0
+
+
+def _corrected(
+    data: Mapping[tuple[str, int], Mapping[str, FloatArray]], number: int, device: int
+) -> Mapping[str, FloatArray] | None:
+    """Return the corrected field of a device, of which 0 is not known, or else of this number."""
+    topics = [data.get(("vehicle_magnetometer", k)) for k in range(MOST_SENSORS)]
+    same = [each for each in topics if each is not None and _device(each) == device]
+    return same[0] if same else topics[number] if not device else None
+
+
+def _is_one(corrected: Mapping[str, FloatArray]) -> bool:
+    """Whether a corrected field is of one device and one calibration."""
+    marks = (corrected[name] for name in ("device_id", "calibration_count") if name in corrected)
+    return not any(np.ptp(each) for each in marks)
 
 
 def _calibration(

@@ -32,7 +32,7 @@ from magcal_ros.core.samples.streams import (
 from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import Bag, open_bag
-from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
@@ -71,6 +71,10 @@ def open_recording(
     return nullcontext(turned.cut(start, stop))
 
 
+PACKED = (".zip", ".gz", ".tgz", ".tar", ".xz", ".7z")
+"""As phones export, and as bags are passed on."""
+
+
 def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Recording | None:
     """Return a recording that is read whole; None of a bag."""
     kind = path.suffix.lower()
@@ -78,6 +82,10 @@ def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Record
         return ardupilot.read_ardupilot(path, imu, field, progress)
     if path.is_file() and kind == ".ulg":
         return px4.read_px4(path, imu, field, progress)
+    if path.is_file() and kind in PACKED:
+        raise FileTrouble(f"{plain(str(path))} is packed: unpack it, and name what was in it")
+    if path.is_file() and kind == ".csv":
+        raise FileTrouble(f"{plain(str(path))} is one table of a recording: name its folder")
     is_csv = (path / "imu.csv").exists() or (path / "mag.csv").exists()
     if not is_csv and not phone.is_phone_folder(path):
         return None

@@ -4,6 +4,7 @@ import pytest
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.recording import Recording, read_csv_folder
+from magcal_ros.files.sources import open_recording
 
 IMU = "t,ax,ay,az,gx,gy,gz\n1.0,0.1,0.2,9.8,0.01,0.02,0.03\n1.1,0.4,0.5,9.7,nan,nan,nan\n"
 MAG = "t,mx,my,mz\n1.05,1e-5,2e-5,-3e-5\n"
@@ -81,3 +82,10 @@ def test_bytes_that_are_no_text_are_trouble(folder):
     (folder / "mag.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileTrouble, match="is damaged"):
         read_csv_folder(folder)
+
+
+@pytest.mark.parametrize(("name", "words"), [("a.zip", "unpack it"), ("imu.csv", "its folder")])
+def test_what_only_holds_a_recording_is_named(tmp_path, name, words):
+    (tmp_path / name).write_bytes(b"t,ax")
+    with pytest.raises(FileTrouble, match=words):
+        open_recording(tmp_path / name)

@@ -28,12 +28,13 @@ from magcal_ros.core.doctor.health import (
 )
 from magcal_ros.core.doctor.latency import motors_field
 from magcal_ros.core.doctor.motion import MOVE_THE_SENSOR, TURN_BETWEEN_RESTS, MotionFound, compare
+from magcal_ros.core.doctor.on_the_spot import drove_while_turning
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.alignment import FIELD, IRON, LAG, UP
+from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, UP
 from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
@@ -139,6 +140,10 @@ class PlaceTuning:
 TUNING = PlaceTuning()
 MOTORS = "field: motors"
 BETWEEN_RESTS = "stand still, turn, and stand still again"
+ON_THE_SPOT = (
+    "it drove while it turned, and each place has a field of its own; stand still, turn on the "
+    "spot, and stand still again"
+)
 OR_LATE = (
     ". A late field looks like this, too: to tell them apart, start and stop several times while "
     "you turn"
@@ -199,6 +204,8 @@ def motors_finding(
     found = motors_field(log, explanations, k, float(state[LAG]) if lag_is_shown else 0.0)
     if found is None:
         return not_shown("motors", MOTORS, BETWEEN_RESTS)
+    if drove_while_turning(log, explanations.gyro[k], state[BIAS]):
+        return not_shown("motors", MOTORS, ON_THE_SPOT)
     field, covariance = found
     off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
     strength = float(np.linalg.norm(field))

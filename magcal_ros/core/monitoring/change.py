@@ -50,7 +50,7 @@ class ChangeTuning:
     """Radians of heading that may be missing in one stretch where swings are fitted."""
     chance: float = 2.0
     clearly: float = 4.0
-    """Sigmas that chance may reach in a recheck, and in one of many looks."""
+    """Sigmas that chance may reach in a recheck; and in one of many looks, and on a street."""
     own_share: float = 0.25
     """Of the bound of what is stale: so much of a swing the calibration's own sigma explains. A
     rough calibration that swings is to be made again whether or not anything has changed."""
@@ -234,5 +234,10 @@ def check_beside_chance(
     is_small = figure * bound.scale <= bound.good
     if decided or is_small or seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
         return check
+    return doubtful(check)
+
+
+def doubtful(check: Check) -> Check:
+    """Return a check that is too uncertain to say stale."""
     words = f"{check.words}: too uncertain to judge; turn once, in one place away from iron"
     return replace(check, grade=Grade.WARN, words=words)

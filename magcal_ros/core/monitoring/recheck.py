@@ -13,6 +13,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroS
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import known_sigma
+from magcal_ros.core.doctor.on_the_spot import drove_while_turning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
 from magcal_ros.core.knowledge import (
@@ -27,13 +28,14 @@ from magcal_ros.core.monitoring.change import (
     GYRO_BOUND,
     check_beside_chance,
     compass_less_gyro,
+    doubtful,
     fit_waves,
     harmonics,
 )
 from magcal_ros.core.samples.coverage import BINS, Coverage
 from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import SensorLog, Window
 from magcal_ros.core.smoother.drives import drive_nodes, fit_iron
 from magcal_ros.core.up import propagated_up
 
@@ -54,7 +56,7 @@ SENTENCES = {
 NO_GYRO = "whether the compass turns as the robot does: there is no gyro"
 LOST_GYRO = (
     "whether the compass turns as the robot does: the gyro is followed for "
-    f"{STREAMS.longest_gyro_step:g} s at most between field samples, and these are further apart"
+    f"{STREAMS.longest_field_gap:g} s at most between field samples, and these are further apart"
 )
 NO_YAW = "an error of the yaw that is the same at every heading"
 MOVED = "the hard iron has changed, or the field is distorted here"
@@ -129,7 +131,11 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     found, swing = _figures(corrected, corrected[:, 1], calibration)
     arc = Coverage.of(heading).arc
     found[Figure.ARC] = arc, 0.0
-    added = iron_added(drive, calibration) if drive is not None and len(drive) else None
+    iron = _iron_of(drive, calibration) if drive is not None and len(drive) else None
+    drove = iron is not None and drove_while_turning(SensorLog.of_window(window))
+    added = None if iron is None else iron.check(CHANGE.clearly if drove else CHANGE.chance)
+    # A street that is driven once bends the field as other iron in the robot would.
+    is_street = iron is not None and (added is None or (drove and added.grade is not Grade.REFUSED))
     checks = []
     for bound in RECHECK_BOUNDS:
         if bound.figure in found:
@@ -138,10 +144,11 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
             most = CHANGE.own_share * bound.warn / bound.scale
             chance = math.hypot(min(_own(bound.figure, calibration), most), places)
             graded = check_beside_chance(bound, figure, chance, raw_figure, added is not None)
-            checks.append(graded)
+            is_stale = graded.grade is Grade.REFUSED
+            checks.append(doubtful(graded) if is_stale and is_street else graded)
     checks += [] if added is None else [added]
     gaps = np.diff(window.time)
-    is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_gyro_step
+    is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_field_gap
     no_swing = LOST_GYRO if is_lost else NO_GYRO
     not_shown = (NO_YAW, no_swing) if swing is None else (NO_YAW,)
     verdict = Verdict(tuple(checks), not_shown, "")
@@ -174,7 +181,7 @@ def _records(
         rate = rate / np.maximum(across, 1.0 - CHANGE.steepest_nose)
         steps = 0.5 * np.diff(window.time) * (rate[1:] + rate[:-1])
         turned = np.where(is_good, np.append(0.0, np.cumsum(steps)), math.nan)
-    is_parted = (np.diff(window.time) > STREAMS.longest_gyro_step) | (np.diff(is_good) != 0)
+    is_parted = (np.diff(window.time) > STREAMS.longest_field_gap) | (np.diff(is_good) != 0)
     path = np.append(0, np.cumsum(is_parted))
     visit = np.floor((window.time - window.time[0]) / CHANGE.longest_visit)
     sector = np.floor(np.mod(heading, math.tau) * (BINS / math.tau))
@@ -276,13 +283,38 @@ def up_of(window: Window) -> FloatArray:
     """Return up at each sample, propagated by the gyro where samples follow each other closely."""
     if window.angular_rate is None:
         return unit(window.specific_force)
-    gaps = np.flatnonzero(np.diff(window.time) > STREAMS.longest_gyro_step)
+    gaps = np.flatnonzero(np.diff(window.time) > STREAMS.longest_field_gap)
     pieces = np.split(np.arange(len(window)), gaps + 1)
     return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
 
 
 def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
-    """Weigh the hard iron that was added since a calibration; None where a drive is too short."""
+    """Weigh the hard iron that was added since a calibration; None where a drive does not show it.
+
+    A drive may be too short, or its iron too uncertain.
+    """
+    iron = _iron_of(drive, calibration)
+    return None if iron is None else iron.check(CHANGE.chance)
+
+
+@dataclass(frozen=True)
+class _Iron:
+    """Hard iron that was added, against the level field, and its standard deviation."""
+
+    share: float
+    sigma: float
+
+    def check(self, sigmas: float) -> Check | None:
+        """Weigh the share beside what chance of so many sigmas explains; None if too uncertain."""
+        beyond = self.share - CHANGE.clearly * self.sigma
+        if self.sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
+            return None
+        excess = math.sqrt(max(self.share**2 - (sigmas * self.sigma) ** 2, 0.0))
+        return IRON_BOUND.check(self.share, excess=excess)
+
+
+def _iron_of(drive: DriveLog, calibration: Calibration) -> _Iron | None:
+    """Return the hard iron that was added by the drive's own model; None of too short a drive."""
     reference = ReferenceField(
         Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
         Belief(calibration.inclination, math.radians(INCLINATION_SIGMA_DEG)),
@@ -297,9 +329,5 @@ def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
     added = matrix @ (found.posterior.correction.hard_iron - correction.hard_iron)
     covariance = matrix @ found.posterior.covariance[9:, 9:] @ matrix.T
     level = calibration.strength * math.cos(calibration.inclination)
-    share = math.hypot(*added) / level
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
-    if sigma > CHANGE.largest_sigma:
-        return None
-    excess = math.sqrt(max(share**2 - (CHANGE.chance * sigma) ** 2, 0.0))
-    return IRON_BOUND.check(share, excess=excess)
+    return _Iron(math.hypot(*added) / level, sigma)

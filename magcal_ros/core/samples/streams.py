@@ -29,6 +29,9 @@ class StreamTuning:
     max_gap: float = 0.2  # seconds; IMU samples further apart are usually not interpolated between
     longest_gyro_step: float = 0.5
     """Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
+    longest_field_gap: float = 0.6
+    """Seconds, the same of the field on a drive. The gaps of 2 Hz are often a little longer than
+    half a second."""
     remembered: int = 4096  # samples kept of each stream: four seconds of the fastest sensors
     smallest: float = 1e-9  # tesla and m/s²; less is a sensor that reads nothing
     largest_field: float = 1e-3
@@ -120,12 +123,12 @@ def slow_words(gap: float) -> str:
 
 def slow_field_words(gap: float) -> str:
     """Say that field samples so many seconds apart show no drive; empty where one is."""
-    if not gap > STREAMS.longest_gyro_step:
+    if not gap > STREAMS.longest_field_gap:
         return ""
     return (
         f"it comes at {1.0 / gap:.2g} Hz, and between field samples a gyro is followed for "
-        f"{STREAMS.longest_gyro_step:g} s at most: a drive needs the field at "
-        f"{1.0 / STREAMS.longest_gyro_step:g} Hz or more, at best at 10 Hz"
+        f"{STREAMS.longest_field_gap:g} s at most: a drive needs the field at "
+        f"{1.0 / STREAMS.longest_field_gap:.1g} Hz or more, at best at 10 Hz"
     )
 
 

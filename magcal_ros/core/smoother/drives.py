@@ -54,7 +54,6 @@ HELD = (
     "motors_rate",
     "drift",
     "force_moving",
-    "force_offset",
 )
 """The unknowns that are zero after correction by a calibration."""
 MIRRORED = (
@@ -172,6 +171,8 @@ def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = Fa
     scale = priors.scale.copy()
     for name in HELD:
         scale[AT[name]] = 0.0
+    # Up is taken as measured, whose offset along z leans nothing; without it, bends lean up.
+    scale[AT["force_offset"]][:2] = 0.0
     scale[AT["iron"]] = iron
     if may_change:
         scale[AT["installation"]], scale[AT["soft_iron"]] = KEPT_TILT, KEPT_SOFT_IRON

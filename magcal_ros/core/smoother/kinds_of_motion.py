@@ -91,7 +91,7 @@ def nodes_of_log(log: DriveLog, to_body: FloatArray, spacing: Spacing) -> Nodes:
         spacing,
         log.speed if np.isfinite(log.speed).any() else None,
         rested=log.rested,
-        longest_step=STREAMS.longest_gyro_step,
+        longest_step=STREAMS.longest_field_gap,
     )
 
 

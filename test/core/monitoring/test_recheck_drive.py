@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import city, random_vehicle, simulated_drive, travel
+from simulated import Streets, city, random_vehicle, simulated_drive, travel
+from simulated.legs import circles
 from simulated.turns import measure, turn
 
 from magcal_ros.core.assessment.grading import Grade
@@ -47,3 +48,30 @@ def test_a_short_drive_shows_nothing(driven):
     window, calibration = driven
     start = float(window.time[0])
     assert iron_added(log_of(window).between(start, start + 20.0), calibration) is None
+
+
+def test_an_offset_of_the_accelerometer_is_no_iron():
+    """A car that circles and never rests: gravity that seems too weak leans up in its bends."""
+    rng = np.random.default_rng(3)
+    vehicle = random_vehicle(rng)
+    truth = travel(circles(50.0), rng, rate=20.0)
+    options = {"streets": Streets(size=1e-6), "wheels": None, "receiver": None}
+    drive = simulated_drive(truth, rng, vehicle, **options)
+    made = calibrate(measure(vehicle.robot, turn(), rng, gyro=True), vehicle.robot.knowledge())
+    force = drive.force + np.array([0.0, 0.0, -0.15])
+    window = Window(drive.time, drive.field, force, drive.rate)
+    circling = window.take(np.flatnonzero(drive.time > 1008.0))
+    assert iron_added(log_of(circling), made.calibration).grade is Grade.GOOD
+
+
+def test_one_street_is_not_enough_to_call_a_calibration_stale():
+    rng = np.random.default_rng(6)
+    vehicle = random_vehicle(rng)
+    truth = travel(city(rng, 200.0), rng, rate=20.0)
+    drive = simulated_drive(truth, rng, vehicle, streets=Streets(size=5e-6))
+    made = calibrate(measure(vehicle.robot, turn(), rng, gyro=True), vehicle.robot.knowledge())
+    window = Window(drive.time, drive.field, drive.force, drive.rate)
+    part = window.take(np.flatnonzero(drive.time < 1090.0))
+    assert check(part, made.calibration, drive=log_of(part)).state == "doubtful"
+    changed = with_iron(part, 30.0, 0.0, 0.0)
+    assert check(changed, made.calibration, drive=log_of(changed)).state == "stale"

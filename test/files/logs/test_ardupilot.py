@@ -87,6 +87,26 @@ def test_telemetry_is_read_and_says_where_offsets_are_not_known(tmp_path):
     assert "COMPASS_OFS" in source.notes[0]
 
 
+def test_a_calibration_by_the_autopilot_on_the_way_is_taken_off_from_then_on(tmp_path):
+    half, first = len(SAMPLES) // 2, SAMPLES[0].stamp
+    one = write_text_log(tmp_path / "a.log", SAMPLES[:half], offsets=(120, -45, 300))
+    options = {"offsets": (-20, 10, 30), "matrix": SOFT_IRON, "first": first}
+    two = write_text_log(tmp_path / "b.log", SAMPLES[half:], **options)
+    one.write_text(one.read_text() + two.read_text())
+    assert numbers(read(one)[1])[1] == pytest.approx(FIELD, abs=1.2e-7)
+
+
+def test_telemetry_goes_on_where_the_autopilot_started_anew(tmp_path):
+    one = write_tlog(tmp_path / "a.tlog", SAMPLES, start=1.7e9)
+    two = write_tlog(tmp_path / "b.tlog", SAMPLES, start=1.7e9 + 300.0)
+    one.write_bytes(one.read_bytes() + two.read_bytes())
+    _, readings = read(one)
+    _, field = numbers(readings)
+    assert field == pytest.approx(np.concatenate([FIELD, FIELD]), abs=1.2e-7)
+    stamps = [s.stamp for s in readings if isinstance(s, FieldSample)]
+    assert stamps[len(FIELD)] - stamps[0] == pytest.approx(300.0, abs=1e-3)
+
+
 def two_compasses(sample):
     return {0: (1e-5, 0.0, 0.0), 1: sample.field}
 

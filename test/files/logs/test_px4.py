@@ -35,13 +35,36 @@ def test_a_ulog_gives_what_the_sensors_measured_whatever_the_calibration(tmp_pat
     assert source.field_frame == f"px4_mag1_rot{rotation}"
 
 
+def field_of(path):
+    with open_recording(path) as source:
+        return np.array([s.field for s in source.readings() if isinstance(s, FieldSample)]), source
+
+
+@pytest.mark.parametrize("raw", [True, False], ids=["raw", "corrected"])
+def test_the_topic_that_was_logged_more_often_is_taken(tmp_path, raw):
+    """By default PX4 logs the raw field once a second, and the corrected one twice."""
+    options = {"offset": (0.1, -0.2, 0.05), "scale": SCALE, "raw": raw, "every": 2}
+    field, _ = field_of(write_ulog(tmp_path / "a.ulg", SAMPLES, **options))
+    assert field == pytest.approx(FIELD, abs=1e-10)
+    changed = write_ulog(tmp_path / "b.ulg", SAMPLES, **options, changed=("CAL_MAG1_XOFF", 0.3))
+    field, _ = field_of(changed)
+    expected = FIELD if raw else FIELD[1::2]
+    assert field == pytest.approx(expected, abs=1e-10)
+
+
+def test_a_second_magnetometer_of_unknown_rotation_is_left_out(tmp_path):
+    field, source = field_of(write_ulog(tmp_path / "a.ulg", SAMPLES, other_rotation=100))
+    assert field == pytest.approx(FIELD, abs=1e-10)
+    assert "left out: sensor_mag[1]: the rotation 100" in source.notes[0]
+
+
 def test_the_receiver_tells_time_place_and_course_and_the_autopilot_its_yaw(tmp_path):
     first = SAMPLES[0].stamp
     path = write_ulog(
         tmp_path / "a.ulg",
         SAMPLES,
         fixes=[(first + 1.0, 1.7e9, 48.1, 11.5, 0.0, 3.0)],
-        bearings=[(first + 1.0, 90.0), (first + 2.0, 0.0)],
+        bearings=[(first + 1.0, 90.0), (first + 1.5, np.nan), (first + 2.0, 0.0)],
     )
     with open_recording(path) as source:
         assert source.begun == pytest.approx(1.7e9 - 1.0, abs=1e-3)

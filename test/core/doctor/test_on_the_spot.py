@@ -1,0 +1,35 @@
+"""Motors are named where a robot turned on the spot, and the field of another place never."""
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.geometry import exp_rotations
+from magcal_ros.core.samples.window import SensorLog
+
+RATE, STEP = 0.36, 1.0 / 30.0
+
+
+def log_of(radius, added):
+    """Rest, turn at `radius` metres from the axis, and rest; `added` is there while it turns."""
+    rng = np.random.default_rng(4)
+    time = np.arange(-6.0, 31.0, STEP)
+    moves = np.clip(np.minimum(time, 25.0 - time) / 2.0, 0.0, 1.0)
+    rate = RATE * moves
+    turned = exp_rotations(-np.outer(np.cumsum(rate) * STEP, [0.0, 0.0, 1.0]))
+    field = turned @ np.array([0.0, 25e-6, -43e-6]) + np.array([30e-6, -20e-6, 25e-6])
+    field += np.outer(moves > 0.0, added) + 0.3e-6 * rng.normal(size=(len(time), 3))
+    force = np.array([0.3, -0.2, 9.8]) + 0.05 * rng.normal(size=field.shape)
+    force[:, 0] += radius * np.gradient(rate, STEP)
+    force[:, 1] += radius * rate**2
+    rates = np.outer(rate, [0.0, 0.0, 1.0]) + 2e-3 * rng.normal(size=field.shape)
+    return SensorLog(time, force, rates, time, field)
+
+
+@pytest.mark.parametrize(("radius", "is_named"), [(0.0, True), (0.6, True), (11.0, False)])
+def test_a_car_that_drove_to_its_circle_has_no_motors(radius, is_named):
+    (line,) = (
+        f for f in examine(log_of(radius, [3e-6, -2e-6, 4e-6])).findings if f.key == "motors"
+    )
+    assert line.is_wrong == is_named
+    assert ("it drove while it turned" in line.evidence) != is_named
