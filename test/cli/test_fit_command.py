@@ -240,12 +240,13 @@ class TestSeveralTurns:
         assert "Not shown by these recordings:" not in out or "yaw of the installation" not in out
 
     def test_json_has_the_numbers_and_the_advice(self, fit, turns):
-        status, out, _ = fit([turns / "a", turns / "b"], "--json")
+        status, out, _ = fit([turns / name for name in ("a", "b", "short", "a")], "--json")
         document = json.loads(out)
         assert status == document["exit"] == 0
         assert document["numbers"]["installation_yaw_deg"] == pytest.approx(5.0, abs=1.5)
         assert document["numbers"]["installation_yaw_sigma_deg"] < 1.0
-        assert [turn["joined"] for turn in document["several"]["turns"]] == [True, True]
+        joined = [turn["joined"] for turn in document["several"]["turns"]]
+        assert joined == [True, True, False, False]
         assert document["several"]["advice"].startswith("Next turn ")
 
     def test_one_recording_alone_says_nothing_of_several(self, fit, turns):

@@ -16,7 +16,7 @@ from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 
 @pytest.mark.parametrize(
-    "case", first_of([(15e-6, False), (3e-6, True), (3e-6, False), (15e-6, True)], 2)
+    "case", first_of([(15e-6, False), (3e-6, True), (3e-6, False), (15e-6, True)])
 )
 def test_the_heading_at_rest_is_right_and_the_motors_are_named(case):
     size, by_rate = case

@@ -246,7 +246,7 @@ def test_on_a_city_drive_it_says_how_wrong_it_is(recording):
 
 def test_standing_in_a_clean_field_it_says_a_small_figure():
     fusing = Fusing()
-    driven(fusing).go(60.0)
+    driven(fusing).go(30.0)
     assert fusing.sigmas_deg()[-1] < 1.5
     assert abs(fusing.errors_deg()[-1]) < 2.0 * fusing.sigmas_deg()[-1]
 
