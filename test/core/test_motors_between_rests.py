@@ -83,6 +83,7 @@ def test_a_magnetometer_that_saturates_is_said():
     assert "saturates" in outcome.verdict.summary
 
 
+@pytest.mark.nightly
 def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
     motion, window = driven(evenly, ROBOT, 6.0)
     runs = (np.abs(motion.angular_rate[:, 2]) > 0.02).astype(float)

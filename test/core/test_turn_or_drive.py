@@ -93,6 +93,7 @@ def test_a_bias_of_the_gyro_is_not_taken_for_the_acceleration_of_a_drive(turned)
     assert turn_error(scene, estimate.correction) < 3.0 * calibration_sigma(estimate, 0.0)
 
 
+@pytest.mark.nightly
 def test_motors_that_a_rest_has_shown_are_not_driven_away():
     """A drive takes their field for that of a place which was left, and says so by its sigma."""
     rng = np.random.default_rng([1, 2])
@@ -108,7 +109,8 @@ def test_motors_that_a_rest_has_shown_are_not_driven_away():
     assert error < 2.0 * calibration_sigma(outcome.estimate, 0.0)
 
 
-@pytest.mark.parametrize("turned", first_of([("slope", 11), ("there and back", 8)]))
+@pytest.mark.nightly
+@pytest.mark.parametrize("turned", [("slope", 11), ("there and back", 8)])
 def test_a_gyro_that_is_off_by_degrees_per_second_spoils_no_turn(turned):
     kind, number = turned
     scene, known = by_turn(kind, "cheap", "open")(number)
@@ -136,6 +138,7 @@ def of_a_drive(axes):
     return calibrate_drive(log_of(window), BOSTON)
 
 
+@pytest.mark.nightly
 def test_a_drive_whose_magnetometer_has_other_axes_is_refused_for_them():
     outcome = of_a_drive(np.diag([1.0, -1.0, -1.0]))
     assert outcome.reason is Reason.AXES_DISAGREE

@@ -69,7 +69,7 @@ def test_three_known_headings_calibrate_a_robot_that_never_turns(stage, ros_home
     assert third.success, third.message
     assert "from 3 known headings" in third.message
     assert len(actor.status["known_headings"]["headings"]) == 3
-    errors = actor.published_errors([(0.0, 0.0)], headings=6)
+    errors = actor.published_errors([(0.0, 0.0)], headings=3)
     assert rms_deg(errors) < 2.0
     stored, _ = read_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
     assert stored.evidence.method == "known_headings"

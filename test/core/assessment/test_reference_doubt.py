@@ -70,6 +70,7 @@ def test_a_strong_axial_hard_iron_is_usual_where_that_across_the_axis_is_strong_
     assert doubt(outcome_of((4, -4, 52), 65.0)).grade is Grade.WARN
 
 
+@pytest.mark.nightly
 def test_where_the_turn_itself_shows_the_axis_it_is_not_the_references_word():
     right = outcome_of((15, -8, 85), 65.0, wobble=4.0)
     assert doubt(right) is None

@@ -130,6 +130,7 @@ def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes, several):
     assert found.words in outcome.verdict.summary
 
 
+@pytest.mark.nightly
 def test_a_gyro_that_belongs_to_nothing_is_said():
     _, window, knowledge = of(np.eye(3), "lift")
     scrambled = np.random.default_rng(2).permutation(window.angular_rate)

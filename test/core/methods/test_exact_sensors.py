@@ -191,6 +191,7 @@ def test_where_north_is_does_not_matter(heading):
     assert rms_deg(fit(window, robot.knowledge()), robot, level=False) < 0.2
 
 
+@pytest.mark.nightly
 @examples(4)
 @given(st.floats(-math.pi, math.pi))
 def test_turning_both_sensors_about_the_upright_turns_the_answer(angle):

@@ -41,6 +41,7 @@ def test_a_body_that_weakens_the_level_field_is_fitted_and_said(share, gyro):
     assert level_error(outcome.estimate, robot) < 2.0 * DEGREE
 
 
+@pytest.mark.nightly
 def test_a_weak_field_hides_no_mirrored_gyro():
     robot = Robot(soft_iron=np.diag([-0.7, -0.7, 0.0]), noise_field=0.2e-6)
     window = measure(robot, turn(arc=7.0), np.random.default_rng(2), gyro=True)

@@ -72,6 +72,7 @@ def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
     assert fitted.sectors >= 6
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("drive", first_of([(150.0, False), (240.0, False), (240.0, True)]))
 def test_a_drive_read_once_a_second_is_fitted_within_its_sigma(drive):
     seconds, means = drive

@@ -138,8 +138,8 @@ def slowly(every: int, seed: int, *, means: bool) -> Window:
 @pytest.mark.parametrize(
     ("every", "means"),
     [
-        (6, False),
         (30, True),
+        pytest.param(6, False, marks=pytest.mark.nightly),
         *(pytest.param(every, True, marks=pytest.mark.nightly) for every in (6, 15)),
     ],
     ids=str,
