@@ -5,7 +5,6 @@ import math
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Quaternion
-from long_form import first_of
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import qos_profile_sensor_data
@@ -182,7 +181,8 @@ def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
     assert actor.status["state"] == "uncalibrated"
 
 
-@pytest.mark.parametrize("calibrated", first_of([True, False]))
+@pytest.mark.nightly
+@pytest.mark.parametrize("calibrated", [True, False])
 def test_antennas_to_the_other_north_are_named(calibrated, stage, loaded):
     """By the mounting that they find, also where a calibration from a turn stays in force."""
     mode = {"self_calibration": "off"} if calibrated else {}

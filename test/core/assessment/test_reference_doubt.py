@@ -85,6 +85,7 @@ def test_without_a_reference_there_is_none_to_doubt():
     assert doubt(outcome) is None
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("factor", first_of([0.7, 1.4, 0.5, 2.0]))
 def test_a_strength_that_is_off_by_a_factor_is_no_excellent_one(factor):
     rng = np.random.default_rng(1)

@@ -251,6 +251,7 @@ def test_standing_in_a_clean_field_it_says_a_small_figure():
     assert abs(fusing.errors_deg()[-1]) < 2.0 * fusing.sigmas_deg()[-1]
 
 
+@pytest.mark.nightly
 def test_a_large_bias_at_rest_does_not_turn_the_yaw():
     plain, biased = Fusing(), Fusing()
     for fusing, bias in ((plain, 0.0), (biased, 5.0)):

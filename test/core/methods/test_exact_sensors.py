@@ -181,6 +181,7 @@ def test_many_samples_are_averaged_without_losing_them():
     assert estimate.noise_field == pytest.approx(robot.noise_field, rel=0.15)
 
 
+@pytest.mark.nightly
 @examples(4)
 @given(st.floats(-math.pi, math.pi))
 def test_where_north_is_does_not_matter(heading):

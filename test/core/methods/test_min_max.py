@@ -10,6 +10,7 @@ import pytest
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from long_form import first_of
 from simulated.turns import measure, smooth_wobble, turn
 from tip_turns import rms_deg
 from tumbles import QUIET, SQUARE, hand_tumbling, pole_window, tumble, tumbling, with_fields
@@ -73,7 +74,7 @@ def test_time_does_not_matter_and_crowding_does_not_either():
     np.testing.assert_array_equal(plain, found)
 
 
-@pytest.mark.parametrize("motion", [tumbling, hand_tumbling])
+@pytest.mark.parametrize("motion", first_of([tumbling, hand_tumbling]))
 def test_the_predicted_errors_are_not_too_small(motion):
     heading, sigma = [], []
     for seed in range(15):

@@ -144,6 +144,7 @@ def test_a_jump_of_time_makes_no_warning_older(hours):
     assert minutes <= watch.watched.minutes < minutes + 7.0
 
 
+@pytest.mark.nightly
 def test_gaps_and_repeats_do_no_harm():
     class Holed(Watch):
         def add(self, stamp, *rest):

@@ -60,6 +60,7 @@ def test_streets_are_no_change(seed):
     assert gain(driven(seed, 150.0)) < KEEPING.notice_proof
 
 
+@pytest.mark.nightly
 def test_what_the_calibration_itself_is_uncertain_by_is_no_change():
     drive = driven(4, 90.0)
     off = {"iron": (6e-6, 0.0, 0.0)}

@@ -76,6 +76,7 @@ def test_a_smooth_circle_leaves_a_doubt_that_sigma_holds():
     assert math.sqrt(float(np.mean(gap**2))) < 3.0 * found.posterior.heading_sigma
 
 
+@pytest.mark.nightly
 def test_a_bent_field_shows_in_the_swing_of_compass_against_gyro():
     motion, window = driven(evenly, ROBOT, 3.0)
     yaw = np.arctan2(motion.attitude[:, 0, 1], motion.attitude[:, 0, 0])
