@@ -150,7 +150,7 @@ def test_the_topic_tells_the_heading_where_none_is_typed_in(stage):
 
 
 def test_antennas_calibrate_the_compass_and_the_fused_yaw_goes_on_without_them(stage):
-    actor = stage(parameters=PLACE, speed=SPEED)
+    actor = stage(parameters=PLACE, speed=SPEED, imu_rate=50.0)
     fused = []
     actor.node.create_subscription(Imu, "compass/fused/enu/imu", fused.append, 10)
     antennas = Antennas(actor)
