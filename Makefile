@@ -18,6 +18,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-compile
 
 AFTER_OTHERS := nice -n 15
 BY_TWO := --numprocesses 2 --dist worksteal
+BY_THREE := --numprocesses 3 --dist worksteal
 
 .PHONY: demo test lint types unit ros nightly bench soak matrix docs clean
 
@@ -49,7 +50,7 @@ ALONE := --last-failed --last-failed-no-failures none
 # Each process has a DDS domain of its own.
 ros: $(VENV)/.test
 	$(BIN)/python -c "import rclpy"
-	$(ROS_TESTS) $(BY_TWO) $(STALLED) || $(ROS_TESTS) $(ALONE)
+	$(ROS_TESTS) $(BY_THREE) $(STALLED) || $(ROS_TESTS) $(ALONE)
 
 # Everything once more, with statistics over many seeds and ten times as many random cases.
 nightly: $(VENV)/.test

@@ -68,6 +68,9 @@ FIGURES: dict[Figure, Unit] = {
     Figure.WOBBLE: Unit("wobble of the turn's axis (1σ per axis)", DEGREES, "°"),
     Figure.SOFT_IRON: Unit("soft iron was fitted (1 yes, 0 no)"),
     Figure.GYRO_CARRIED: Unit("the turn that the gyro measured explains the samples (1 yes, 0 no)"),
+    Figure.NOT_CONVERGED: Unit("the optimisation ended before it had converged (1 yes, 0 no)"),
+    Figure.ITERATIONS: Unit("steps of the optimisation"),
+    Figure.ON_THE_SPOT: Unit("probability that the robot turned on the spot"),
     Figure.TURNS: Unit("turns that were joined"),
     Figure.TURN_MISFIT: Unit("worst turn off the others, as many times as noise explains"),
 }

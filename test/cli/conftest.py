@@ -10,6 +10,7 @@ from magcal_ros.core.session import recorded
 from magcal_ros.report import turn
 
 CALIBRATE = remembered(recorded.calibrate)
+CALIBRATE_TURNS = remembered(recorded.calibrate_turns)
 
 
 @pytest.fixture(autouse=True)
@@ -21,5 +22,6 @@ def plain_reports(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def one_fit(monkeypatch):
-    """Fit the samples of one turn once, however many commands are given them."""
+    """Fit the same samples once, however many commands are given them."""
     monkeypatch.setattr(recorded, "calibrate", CALIBRATE)
+    monkeypatch.setattr(recorded, "calibrate_turns", CALIBRATE_TURNS)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from drives import ROBOT, STORE2, drive, write_bag, write_csv
+from long_form import first_of
 
 from magcal_ros.cli.main import main
 from magcal_ros.core.earth_field.wmm import Place, model_field
@@ -38,10 +39,10 @@ def drive_of_2021():
 
 @pytest.fixture
 def fit(tmp_path, capsys):
-    """Run `magcal fit --json` by the quickest method; returns exit status, document and stderr."""
+    """Run `magcal fit --json`; returns exit status, document and stderr."""
 
     def run(recording, *arguments):
-        options = ["--output", str(tmp_path / "found"), "--method", "design_tip", "--json"]
+        options = ["--output", str(tmp_path / "found"), "--json"]
         try:
             status = main(["fit", str(recording), *options, *arguments])
         except SystemExit as left:
@@ -62,7 +63,7 @@ def test_the_date_of_a_recording_is_its_stamps(fit, drive_of_2021, tmp_path):
     assert document["numbers"]["strength_ut"] == pytest.approx(reference["strength_ut"], abs=0.5)
 
 
-@pytest.mark.parametrize("date", ["2026-11-21", "2026.89"])
+@pytest.mark.parametrize("date", first_of(["2026-11-21", "2026.89"]))
 def test_the_date_may_be_given(fit, drive_of_2021, tmp_path, date):
     recording = write_csv(tmp_path / "csv", drive_of_2021)
     _, document, _ = fit(recording, *PLACE, "--date", date)

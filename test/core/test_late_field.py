@@ -10,8 +10,7 @@ from realistic_robots import SENSORS, collected, drawn, driven, evenly, heading_
 from simulated.turns import measure
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration import Figure, predicted_heading_sigma
 from magcal_ros.core.geometry import interpolated
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
@@ -33,6 +32,7 @@ def test_from_rest_to_rest_it_is_not_taken_for_motors(seconds):
     assert error < 3.0 * predicted_heading_sigma(outcome.estimate)
 
 
+@pytest.mark.nightly
 def test_a_level_field_that_is_turned_round_is_no_soft_iron():
     """The robot sways while its field is late: 177 degrees wrong, said 2.2, was an optimum."""
     scene, knowledge = drawn(np.random.default_rng([7, 5002]), evenly)

@@ -13,7 +13,8 @@ from magcal_ros.core.samples import Window
 pytestmark = pytest.mark.faults
 
 COUNT = rounds(60, 10_000)
-SLOW = {"maximum_likelihood": rounds(20, 10_000)}
+SLOW = {"maximum_likelihood": rounds(20, 10_000), "smoother_one": rounds(5, 10_000)}
+"""The second is another name of the first."""
 SAMPLES = (0, 1, 2, 3, 4, 5, 7, 10, 30, 100, 400)
 FIELD_SCALES = (5e-5, 5e-5, 5e-5, 1e-3, 50.0, 5e4, 1e-9, 1e-20, 1e-150, 1e150)
 FORCE_SCALES = (9.81, 9.81, 9.81, 1.0, 1e3, 1e-5, 1e4, 1e150)

@@ -129,7 +129,7 @@ def with_change(path, change):
 
 
 class TestRoundTrip:
-    @examples(10, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+    @examples(4, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
     @given(calibration=calibrations, frames=st.tuples(words, words))
     def test_every_number_and_word_comes_back_to_the_last_bit(self, tmp_path, calibration, frames):
         path, origin = tmp_path / "mag.yaml", Origin(*frames, ORIGIN.created)

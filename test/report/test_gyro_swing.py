@@ -45,6 +45,7 @@ def read(folder):
     return Window(mag[:, 0], mag[:, 1:4], motion[:, :3], motion[:, 3:])
 
 
+@pytest.mark.nightly
 def test_a_car_that_leans_outwards_draws_no_larger_swing_than_is_judged(recording):
     """Its accelerometer leans by 7 degrees, which turns the compass without it by 16."""
     window = read(recording("car_circles_neu2025_kiran"))

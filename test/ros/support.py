@@ -13,7 +13,7 @@ from magcal_ros.files.calibration_file import Origin, write_calibration
 
 DEGREE = math.pi / 180.0
 SPEED = 4.0
-IMU_RATE = 50.0
+IMU_RATE = 25.0
 """Hz of the robot's time, and half of it the field: each message costs two processes' time."""
 
 PATIENCE = 60.0

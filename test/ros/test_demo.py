@@ -58,7 +58,7 @@ def test_the_demo_ends_with_a_right_heading_and_leaves_the_calibration(
 
 def test_yaws_of_an_old_pose_that_come_late_do_not_count(loaded):
     """They lie in the queues of a busy machine."""
-    actor = loaded()
+    actor = loaded(imu_rate=50.0)
     late_attitudes = actor.node.create_publisher(Imu, "compass/mag/enu/imu", 10)
     late_yaws = actor.node.create_publisher(Float64, "compass/yaw", 10)
 

@@ -177,10 +177,15 @@ def test_diagnostics_tell_the_state_of_calibration_field_and_inputs(stage, liste
     def levels():
         return {status.level for status in heard[-1].status}
 
-    actor.run(PATIENCE, stop=lambda: levels() == {DiagnosticStatus.OK})
+    def field():
+        return next(s.message for s in heard[-1].status if s.name == "calibrator: Field")
+
+    def all_well():
+        return levels() == {DiagnosticStatus.OK} and field()[0].isdigit()
+
+    actor.run(PATIENCE, stop=all_well)
     assert levels() == {DiagnosticStatus.OK}
-    field = next(s for s in heard[-1].status if s.name == "calibrator: Field")
-    assert float(field.message.split(" ")[0]) == pytest.approx(48.0, abs=1.5)
+    assert float(field().split(" ")[0]) == pytest.approx(48.0, abs=1.5)
 
 
 def _nanoseconds(message):

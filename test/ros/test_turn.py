@@ -14,7 +14,7 @@ from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.simulation import UP_ENU
 
 LEVEL = [(0.0, 0.0)]
-SLOPES = [(8.0, 0.0), (0.0, -8.0)]
+SLOPES = [(6.0, -5.0)]
 
 
 def assert_heading_is_right(actor, headings=3):

@@ -70,6 +70,7 @@ def test_a_strong_axial_hard_iron_is_usual_where_that_across_the_axis_is_strong_
     assert doubt(outcome_of((4, -4, 52), 65.0)).grade is Grade.WARN
 
 
+@pytest.mark.nightly
 def test_where_the_turn_itself_shows_the_axis_it_is_not_the_references_word():
     right = outcome_of((15, -8, 85), 65.0, wobble=4.0)
     assert doubt(right) is None
@@ -84,6 +85,7 @@ def test_without_a_reference_there_is_none_to_doubt():
     assert doubt(outcome) is None
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("factor", first_of([0.7, 1.4, 0.5, 2.0]))
 def test_a_strength_that_is_off_by_a_factor_is_no_excellent_one(factor):
     rng = np.random.default_rng(1)

@@ -40,6 +40,7 @@ def check_all(seeds):
         assert np.array_equal(found.meant, axes), f"lift {number}: {found.words}"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("which", first_of(range(0, 48, 9)))
 def test_after_a_turn_the_truth_is_among_those_named(which):
     found, *_ = of(EVERY[which], "level")
@@ -97,6 +98,7 @@ def test_a_wrong_mount_parameter_is_replaced_as_a_whole():
     assert "x forward, y left, z up" in found.words
 
 
+@pytest.mark.nightly
 def test_without_the_inclination_axes_and_their_opposites_both_stay():
     _, window, _ = of(MIRRORED_Z, "lift")
     found = find_axes(window)
@@ -130,6 +132,7 @@ def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes, several):
     assert found.words in outcome.verdict.summary
 
 
+@pytest.mark.nightly
 def test_a_gyro_that_belongs_to_nothing_is_said():
     _, window, knowledge = of(np.eye(3), "lift")
     scrambled = np.random.default_rng(2).permutation(window.angular_rate)

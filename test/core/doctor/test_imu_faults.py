@@ -31,21 +31,18 @@ def wrong(page):
     return {finding.key for finding in page.findings if finding.is_wrong}
 
 
-@pytest.mark.parametrize("motion", ["turn", "lift", "half minute", "quarter"])
+@pytest.mark.parametrize("motion", first_of(["turn", "half minute", "lift", "quarter"], 2))
 def test_nothing_is_said_of_good_sensors(motion):
     assert wrong(page_of(good_case(np.random.default_rng(11), motion))) == set()
 
 
 ONE_OF_A_KIND = [
     "gravity's sign",
-    "g for m/s²",
     "degrees for rad",
     "gyro x, y swapped",
     "scale +5 %",
-    "bias 1-5 °/s",
     "bursts of 1 s",
     "10 % repeats",
-    "LSB .6 µT",
     "saturation",
     "frozen",
 ]
@@ -110,9 +107,10 @@ def test_an_imu_that_lies_upside_down_is_told_from_gravity_of_the_wrong_sign():
     assert wrong(page_of(case, replace(case.log, force=-case.log.force))) == {"gravity_sign"}
 
 
-def test_what_a_level_turn_cannot_tell_is_one_question_and_no_order():
+@pytest.mark.parametrize("seeds", first_of([range(1, 2), range(3)]))
+def test_what_a_level_turn_cannot_tell_is_one_question_and_no_order(seeds):
     asked = 0
-    for seed in range(3):
+    for seed in seeds:
         case = good_case(np.random.default_rng([6, seed]), "turn")
         mirrored = replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0]))
         (line,) = [f for f in page_of(case, mirrored).findings if f.is_wrong]
@@ -286,6 +284,7 @@ def streets(case):
     return replace(log, rate=rng.normal(0.0, 0.02, log.rate.shape), field=bent + 50e-6)
 
 
+@pytest.mark.nightly
 def test_a_field_that_changes_from_place_to_place_is_no_unit_of_the_gyro():
     case = good_case(np.random.default_rng([5, 6]), MOST_SEEN)
     lines = {f.key: f for f in page_of(case, streets(case)).findings}
@@ -336,9 +335,10 @@ def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():
     assert line.remedy.startswith("look once more: stand still, turn a full")
 
 
-@pytest.mark.parametrize(("times", "words"), [(57.3, "57.3 times too large"), (1.0, "")])
-def test_the_unit_of_the_gyro_is_told_by_a_slow_turn(times, words):
+@pytest.mark.parametrize("case", first_of([(57.3, "57.3 times too large"), (1.0, "")]))
+def test_the_unit_of_the_gyro_is_told_by_a_slow_turn(case):
     """In half a second a robot that turns by 15 degrees a second shows too little of it."""
+    times, words = case
     rng = np.random.default_rng(4)
     time = np.arange(-6.0, 31.0, 1.0 / 30.0)
     rate = 0.26 * np.clip(np.minimum(time, 25.0 - time) / 0.5, 0.0, 1.0)
@@ -351,6 +351,7 @@ def test_the_unit_of_the_gyro_is_told_by_a_slow_turn(times, words):
     assert words in lines["rate_unit"].remedy
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("size", first_of([7e-6, 15e-6]))
 def test_motors_that_follow_the_rate_are_worth_a_look(size):
     """A field that is early by .8 s explains the same turn: both are said."""

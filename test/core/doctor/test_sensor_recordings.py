@@ -29,6 +29,7 @@ def page_of(folder):
         return examine(SensorLog.of(r for r in source.readings() if r is not None))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", first_of([*GOOD, BURSTS]))
 def test_the_axes_of_recordings_are_not_called_wrong(recording, name):
     gathering = Gathering(Mounting())
@@ -61,6 +62,7 @@ def test_a_turn_that_they_spoil_is_refused_for_them(recording):
     )
 
 
+@pytest.mark.nightly
 def test_the_bias_of_a_gyro_is_read_at_rest(recording):
     (bias,) = [f for f in page_of(recording(BIASED)).findings if f.is_wrong]
     assert bias.key == "gyro_bias"

@@ -60,6 +60,7 @@ def test_wrong_odometry_makes_it_no_worse(wheels):
     assert rms[0] < 1.1 * rms[1]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("wheels", first_of([Wheels(rate=1.0), Wheels(jumps=0.01)]))
 def test_wheels_that_speak_seldom_or_glitch_now_and_then_do_no_harm(wheels):
     drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)

@@ -246,11 +246,12 @@ def test_on_a_city_drive_it_says_how_wrong_it_is(recording):
 
 def test_standing_in_a_clean_field_it_says_a_small_figure():
     fusing = Fusing()
-    driven(fusing).go(60.0)
+    driven(fusing).go(30.0)
     assert fusing.sigmas_deg()[-1] < 1.5
     assert abs(fusing.errors_deg()[-1]) < 2.0 * fusing.sigmas_deg()[-1]
 
 
+@pytest.mark.nightly
 def test_a_large_bias_at_rest_does_not_turn_the_yaw():
     plain, biased = Fusing(), Fusing()
     for fusing, bias in ((plain, 0.0), (biased, 5.0)):

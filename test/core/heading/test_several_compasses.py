@@ -171,6 +171,7 @@ def test_what_disturbs_one_alone_is_left_out_within_a_second_and_said(iron):
     assert not scene.several.disagreement
 
 
+@pytest.mark.nightly
 def test_who_is_left_goes_on_where_all_of_them_were():
     scene = two(sigma=1.0e-6, off=(1.0e-6, 1.0e-6, 0.0))
     rows = scene.run(20.0, 0.3)

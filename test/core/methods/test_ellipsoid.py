@@ -10,17 +10,18 @@ import pytest
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from long_form import first_of
 from simulated.turns import Trouble, measure, smooth_wobble, turn
 from tip_turns import rms_deg
 from tumbles import QUIET, SQUARE, hand_tumbling, tumble, tumbling, with_fields
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.methods.ellipsoid import Options, fit
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import DEGREE, Robot, heading_errors
 from magcal_ros.files.recording import read_csv_folder
 
@@ -82,7 +83,7 @@ def test_the_figures_tell_centre_radii_and_axes():
     assert figures["sphere_extent"] > 0.95
 
 
-@pytest.mark.parametrize("motion", [tumbling, hand_tumbling])
+@pytest.mark.parametrize("motion", first_of([tumbling, hand_tumbling]))
 def test_the_predicted_errors_are_the_true_ones(motion):
     iron, iron_sigma, heading, heading_sigma = [], [], [], []
     for seed in range(15):

@@ -10,11 +10,11 @@ from simulated.turns import Motion, measure, turn
 
 from magcal_ros.core.assessment.verdict import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Figure
 from magcal_ros.core.errors import Reason
-from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
+from magcal_ros.core.geometry import rotation_about, rotation_from_rpy
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 
@@ -41,6 +41,7 @@ def test_a_body_that_weakens_the_level_field_is_fitted_and_said(share, gyro):
     assert level_error(outcome.estimate, robot) < 2.0 * DEGREE
 
 
+@pytest.mark.nightly
 def test_a_weak_field_hides_no_mirrored_gyro():
     robot = Robot(soft_iron=np.diag([-0.7, -0.7, 0.0]), noise_field=0.2e-6)
     window = measure(robot, turn(arc=7.0), np.random.default_rng(2), gyro=True)

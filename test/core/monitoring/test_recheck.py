@@ -114,6 +114,7 @@ def test_wobble_and_vibration_are_no_fault(calibration):
     assert result.state == "holds", result.verdict.summary
 
 
+@pytest.mark.nightly
 def test_gaps_and_several_turns_do_not_upset_the_gyro(calibration):
     long = window(seed=9, samples=6000, duration=120.0, arc=9 * math.tau)
     keep = np.ones(len(long), dtype=bool)

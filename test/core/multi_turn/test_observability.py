@@ -31,6 +31,7 @@ def test_the_advised_turn_keeps_its_promise(level, direction):
         assert getattr(kept, name) == pytest.approx(getattr(promise, name), rel=0.35)
 
 
+@pytest.mark.nightly
 def test_after_a_slope_to_the_east_one_to_the_north_or_south_is_advised():
     several = calibrate_turns(windows_on([LEVEL, EAST], 2), KNOWN).several
     assert best_slope(several).pose.endswith(("north", "south"))

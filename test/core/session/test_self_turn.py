@@ -229,6 +229,7 @@ class TestGyro:
         assert scene.now - since < TUNING.gyro_silence + 0.15
         scene.assert_stopped_and_silent()
 
+    @pytest.mark.nightly
     def test_a_short_dropout_is_lived_with(self):
         scene = robot()
         scene.live(3.0)

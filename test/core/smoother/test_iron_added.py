@@ -9,7 +9,7 @@ from simulated.drive import Iron
 from simulated.legs import Leg, city, standing
 from streets import BOSTON, driven, heading_error, log_from
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration import Calibration, Evidence
 from magcal_ros.core.keeping.jobs import KEEPING
 from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.smoother.drives import drive_nodes
@@ -60,8 +60,9 @@ def test_streets_are_no_change(seed):
     assert gain(driven(seed, 150.0)) < KEEPING.notice_proof
 
 
+@pytest.mark.nightly
 def test_what_the_calibration_itself_is_uncertain_by_is_no_change():
-    drive = driven(4, 150.0)
+    drive = driven(4, 90.0)
     off = {"iron": (6e-6, 0.0, 0.0)}
     rough, sure = (gain(drive, sigma=math.radians(sigma), **off) for sigma in (10.0, 0.3))
     assert rough < KEEPING.notice_proof < sure

@@ -12,12 +12,11 @@ from simulated.turns import measure, turn
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration import Figure, predicted_heading_sigma
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 from magcal_ros.core.smoother.fit import Damping
 from magcal_ros.core.smoother.kinds_of_motion import smooth
@@ -76,6 +75,7 @@ def test_a_smooth_circle_leaves_a_doubt_that_sigma_holds():
     assert math.sqrt(float(np.mean(gap**2))) < 3.0 * found.posterior.heading_sigma
 
 
+@pytest.mark.nightly
 def test_a_bent_field_shows_in_the_swing_of_compass_against_gyro():
     motion, window = driven(evenly, ROBOT, 3.0)
     yaw = np.arctan2(motion.attitude[:, 0, 1], motion.attitude[:, 0, 0])
@@ -138,8 +138,8 @@ def slowly(every: int, seed: int, *, means: bool) -> Window:
 @pytest.mark.parametrize(
     ("every", "means"),
     [
-        (6, False),
         (30, True),
+        pytest.param(6, False, marks=pytest.mark.nightly),
         *(pytest.param(every, True, marks=pytest.mark.nightly) for every in (6, 15)),
     ],
     ids=str,
