@@ -20,6 +20,7 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.json"
+MOST_WORDS = 20
 
 Table = dict[str, Any]
 
@@ -41,14 +42,20 @@ def write_tables(tables: list[Table], path: Path = RESULTS) -> None:
 
 
 def fresh_rows(table: Table, printed: str) -> list[list[str]]:
-    """Return the rows as a run prints them; a row that was not printed has no cells."""
+    """Return the rows as a run prints them; a row that was not printed has no cells.
+
+    Words beyond the end of a line are empty.
+    """
     known = table["printed"]
     lines = [line.split() for line in printed.splitlines()]
     rows = []
     for name in known["names"]:
         words = name.split()
         found = [line[len(words) :] for line in lines if line[: len(words)] == words]
-        rows.append([cell.format(*found[0]) for cell in known["cells"]] if found else [])
+        line = [*found[0], *[""] * MOST_WORDS] if found else []
+        rows.append(
+            [cell.format(*line).strip().rstrip("°") for cell in known["cells"]] if found else []
+        )
     return rows
 
 

@@ -304,7 +304,7 @@ def main() -> None:
         better = min(each, key=lambda scores: mean(scores, "square"))
         ours, theirs = (math.degrees(math.sqrt(mean(s, "square"))) for s in (both, better))
         failover, step = (max(getattr(s, key) for s in both) for key in ("failover", "step"))
-        after = f"{failover:8.2f} s{step:6.1f}" if name != CASES[0][0] else "       -     -"
+        after = f"{failover:8.2f} s{step:6.1f}" if name != CASES[0][0] else ""
         print(
             f"{name:24s}{ours:7.2f}°{theirs:13.2f}°{ours / theirs:7.2f}{mean(both, 'nees'):7.2f}"
             f"{mean(better, 'nees'):7.2f}{mean(both, 'published_nees'):14.2f}"
