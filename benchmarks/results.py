@@ -53,9 +53,8 @@ def fresh_rows(table: Table, printed: str) -> list[list[str]]:
         words = name.split()
         found = [line[len(words) :] for line in lines if line[: len(words)] == words]
         line = [*found[0], *[""] * MOST_WORDS] if found else []
-        rows.append(
-            [cell.format(*line).strip().rstrip("°") for cell in known["cells"]] if found else []
-        )
+        cells = [cell.format(*line) for cell in known["cells"]] if found else []
+        rows.append([cell.strip().rstrip("°") for cell in cells])
     return rows
 
 
