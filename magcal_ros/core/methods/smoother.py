@@ -120,6 +120,12 @@ def smoothed(
     return smooth_by_field(window, knowledge)
 
 
+GYRO_DIFFERS = (
+    "the gyro does not turn as field and gravity do; check that the axes of the sensors belong"
+    " together, and their stamps"
+)
+
+
 def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowledge) -> None:
     """Raise `Refusal` if a fit does not determine a calibration."""
     if found.nodes.tied_to is not None:
@@ -127,8 +133,8 @@ def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowle
         return
     if found.mode in DRIVES:
         _check_drive(found, estimate, all(living_axes(window.angular_rate)))
-    elif not gyro_is_usual(found.fit) and (slow := too_slow(window, knowledge)) is not None:
-        raise slow
+    elif not gyro_is_usual(found.fit):
+        raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, GYRO_DIFFERS)
 
 
 def _check_drive(found: Smoothed, estimate: Estimate, all_axes: bool) -> None:
