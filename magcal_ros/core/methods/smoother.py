@@ -51,6 +51,10 @@ SIGMAS = 3.0
 """Significance from which the motors' field and a weakened level field are reported."""
 WEAKENED = 0.1
 """Share of the level field by which no gain of a sensor is too low."""
+GYRO_DIFFERS = (
+    "the gyro does not turn as field and gravity do; check that the axes of the sensors belong"
+    " together, and their stamps"
+)
 
 
 def fit(
@@ -118,12 +122,6 @@ def smoothed(
     if living_axes(window.angular_rate)[2]:
         return smooth(window, knowledge, progress)
     return smooth_by_field(window, knowledge)
-
-
-GYRO_DIFFERS = (
-    "the gyro does not turn as field and gravity do; check that the axes of the sensors belong"
-    " together, and their stamps"
-)
 
 
 def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowledge) -> None:
