@@ -222,8 +222,8 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
     if bound.figure in (Figure.RADIUS_MISFIT, Figure.LEVEL_SHARE):
         allowed = ALLOWED_SIGMAS * level_field_sigma(knowledge)
         note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
-        least = min(figure + allowed, 1.0) if bound.at_least else max(figure - allowed, 0.0)
-        return bound.check(figure, excess=least, note=note)
+        counted = min(figure + allowed, 1.0) if bound.at_least else max(figure - allowed, 0.0)
+        return bound.check(figure, excess=counted, note=note)
     return bound.check(figure)
 
 

@@ -55,7 +55,7 @@ class Tolerances:
     """Rounds in which the sigmas of effects keep their usual sizes, until the rest fits."""
     gaussian: int = 5
     """Rounds in which all residuals count fully."""
-    whole: int = 20
+    undamped: int = 20
     """Rounds in which each step is taken as a whole, though it may go back on the one before."""
 
 
@@ -136,14 +136,17 @@ def fit(
                 marginal = marginal_gradient(model, point, weighted, solution)
                 point = replace(point, marginal=marginal)
         sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
-        if rounds > tolerances.whole:
-            damping = damping.next(answer_of(model, solution))
-        groups = point.groups
+        whole = stepped(model, point, solution, share)
         if rounds >= tolerances.held:
-            # They follow from the posterior mean, which is the point after a whole step.
-            whole = stepped(model, point, solution, share)
-            groups = effect_factors(model, whole, solution)
-        point = replace(stepped(model, point, solution, share * damping.share), groups=groups)
+            # The factors follow from the posterior mean: the point after a whole step.
+            whole = replace(whole, groups=effect_factors(model, whole, solution))
+        if rounds > tolerances.undamped:
+            damping = damping.next(answer_of(model, solution))
+        if damping.share < 1.0:
+            shorter = stepped(model, point, solution, share * damping.share)
+            point = replace(shorter, groups=whole.groups)
+        else:
+            point = whole
     covariance = _covariance(model, point, weighted, solution)
     return Fit(kind, model, point, covariance, found, weighted, rounds, converged, moved)
 

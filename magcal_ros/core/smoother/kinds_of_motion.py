@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, integral
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import STREAMS
@@ -244,7 +244,7 @@ def liveliest_part(samples: Window | DriveLog) -> Window | DriveLog | None:
         return None
     force = samples.force if isinstance(samples, DriveLog) else samples.specific_force
     deviation = np.sum((force - np.median(force, axis=0)) ** 2, axis=1)
-    done = np.concatenate([[0.0], np.cumsum(deviation[1:] * np.diff(time))])
+    done = integral(time, deviation)
     begin = np.arange(time[0], time[-1] - PART, 0.1 * PART)
     gained = np.interp(begin + PART, time, done) - np.interp(begin, time, done)
     first = float(begin[np.argmax(gained)])
