@@ -18,7 +18,7 @@ from magcal_ros.core.methods.checks import check_shape, check_window, refuse_emp
 from magcal_ros.core.samples.drive_log import DriveLog, log_of
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoother.drives import MIRRORED, check_length, drive_nodes
+from magcal_ros.core.smoother.drives import check_length, drive_nodes
 from magcal_ros.core.smoother.factors import QUARTER, distortion, soft_iron, turned_by
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
@@ -95,10 +95,7 @@ def fit_log(log: DriveLog, knowledge: Knowledge, window: Window | None = None) -
     """
     check_length(drive_nodes(log, knowledge.mounting.to_body))
     window = log.window if window is None else window
-    try:
-        found = smooth(log, knowledge)
-    except Refusal as refusal:
-        raise Refusal(Reason.AXES_DISAGREE, MIRRORED) from refusal
+    found = smooth(log, knowledge)
     estimate = estimate_of(found, window, knowledge)
     check(found, estimate, window, knowledge)
     figures = dict(estimate.figures)

@@ -34,7 +34,6 @@ from magcal_ros.core.smoother.unknowns import (
     MICROTESLA,
     SHARED,
     SHIELDING,
-    SYMMETRIC,
     TURNED,
     YAW,
 )
@@ -299,8 +298,7 @@ def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> Shown:
     axial = np.zeros(PARAMETERS)
     axial[9:] = np.linalg.solve(mounting, np.eye(3))[2]
     iron = np.zeros((6, SHARED))
-    for part in SYMMETRIC:
-        iron[:, part] = np.eye(6)
+    iron[:, AT["soft_iron"]] = np.eye(6)
     iron[:2, SHIELDING] = 1.0
     north, down = fit.state.earth[1], -fit.state.earth[2]
     strength = math.hypot(north, down)

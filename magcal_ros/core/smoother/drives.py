@@ -19,6 +19,7 @@ from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import (
     BELIEVED,
+    MIRRORED,
     NO_SOLUTION,
     WHILE_DRIVING,
     is_upright,
@@ -56,10 +57,6 @@ HELD = (
     "force_moving",
 )
 """The unknowns that are zero after correction by a calibration."""
-MIRRORED = (
-    "along the drive the field does not turn as the gyro does; check that the axes of both sensors"
-    " belong together"
-)
 KEPT_TILT, KEPT_SOFT_IRON = math.radians(0.5), 0.002
 """Sigmas of a change of installation and soft iron beside that of the hard iron."""
 

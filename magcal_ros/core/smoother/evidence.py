@@ -63,7 +63,9 @@ def cost_of_shared(model: Model, point: Point, names: Iterable[str] = tuple(AT))
         scale = scales[at][seen]
         cost += float(np.sum((off[at][seen] / scale) ** 2 + 2.0 * np.log(scale)))
         if model.priors.spread[name] > 0.0:
-            mean, variance = model.priors.log_factor(name, known)
-            cost += (math.log(point.groups[name]) - mean) ** 2 / variance
+            # The factor of crooked axes follows from that of the distortion.
+            if name != "axes":
+                x = np.log([point.groups[name]])
+                cost -= 2.0 * float(model.priors.log_density(name, x, known)[0])
             known[name] = point.groups[name]
     return cost

@@ -32,7 +32,6 @@ from magcal_ros.core.smoother.unknowns import (
     SHARED,
     SHIELDING,
     STREET,
-    SYMMETRIC,
     TURNED,
     VELOCITY,
     YAW,
@@ -90,7 +89,7 @@ def installation(shared: FloatArray) -> FloatArray:
 
 def soft_iron(shared: FloatArray) -> FloatArray:
     """Return I + E, shape (3, 3)."""
-    own = np.eye(3) + np.tensordot(sum(shared[at] for at in SYMMETRIC), ELEMENT_MATRICES, 1)
+    own = np.eye(3) + np.tensordot(shared[AT["soft_iron"]], ELEMENT_MATRICES, 1)
     return np.asarray(own + shared[SHIELDING] * LEVEL)
 
 
@@ -162,8 +161,7 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     by[:, :, EARTH] = (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0]
     turned = inside_earth @ turn.T
     for k in range(6):
-        for at in SYMMETRIC:
-            by[:, :, at.start + k] = turned @ ELEMENT_MATRICES[k]
+        by[:, :, AT["soft_iron"].start + k] = turned @ ELEMENT_MATRICES[k]
     by[:, :, SHIELDING] = turned @ LEVEL
     axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: _about_x(shared).T @ Y}
     axes |= dict.fromkeys((YAW, TURNED), turn @ Z)

@@ -292,8 +292,8 @@ def widened(model: Model, point: Point, solution: Solution, shown: dict[str, flo
         name: expected_square(size, shown.get(name, 0.0), beliefs[name])
         for name, size in point.sizes.items()
     }
-    expected = effect_factors(model, point, solution, frozenset({"axes"}))
-    groups = {**point.groups, "axes": max(expected["axes"], point.groups["axes"])}
+    expected = effect_factors(model, point, solution, frozenset({"soft_iron"}))
+    groups = point.groups | {name: expected[name] for name in ("soft_iron", "axes")}
     groups |= _as_large_as_both(point)
     return replace(point, sizes=wide, groups=groups)
 

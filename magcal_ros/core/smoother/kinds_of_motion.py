@@ -40,6 +40,9 @@ BELIEVED = 0.25
 It is approximate (Laplace, at the most likely sizes), and real robots differ from the model."""
 
 NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
+MIRRORED = (
+    "the field does not turn as the gyro does; check that the axes of both sensors belong together"
+)
 
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 """Tolerances of a first, rough fit of a kind of motion, and the difference of evidence from which
@@ -110,6 +113,7 @@ class _Trials:
         self._samples, self._knowledge = window, knowledge
         self._progress, self._started = progress, 0
         self.fits: dict[str, Fit] = {}
+        self._mirrors = False
 
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
@@ -162,10 +166,12 @@ class _Trials:
             found = fit(*start, tolerances, like, report)
         except np.linalg.LinAlgError:
             return
+        if not is_upright(found):
+            self._mirrors = True
+            return
         known = self.fits.get(name)
         # A fit that goes on from the known one takes its place: that one had not converged.
-        is_better = known is None or like is known or found.evidence < known.evidence
-        if is_upright(found) and is_better:
+        if known is None or like is known or found.evidence < known.evidence:
             self.fits[name] = found
 
     def field_late(self) -> Fit:
@@ -229,6 +235,8 @@ class _Trials:
 
     def mixed(self) -> Smoothed:
         """Return the weighted result of the fits."""
+        if not self.fits and self._mirrors:
+            raise Refusal(Reason.AXES_DISAGREE, MIRRORED)
         if not self.fits:
             raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
         return mixed(self.fits, self.nodes, self._knowledge)

@@ -65,7 +65,6 @@ class Model:
         """Return the model of a window for one kind of motion."""
         scale = priors.scale.copy()
         scale[AT["lever_arm"]] *= kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0]
-        scale[AT["soft_iron"]] *= kind.soft_iron
         if not kind.has_wheels:
             scale[AT["mounting_yaw"]] = 0.0
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
@@ -75,7 +74,13 @@ class Model:
         return cls(
             nodes,
             axes,
-            replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, **begins}),
+            replace(
+                priors,
+                scale=scale,
+                spread=spread,
+                iron_over_axes=priors.iron_over_axes * kind.soft_iron,
+                sizes={**priors.sizes, **begins},
+            ),
             kind.velocity,
             travels,
             kind.traffic,

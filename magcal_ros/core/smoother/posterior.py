@@ -30,7 +30,6 @@ from magcal_ros.core.smoother.unknowns import (
     ROLL_PITCH,
     SHARED,
     SHIELDING,
-    SYMMETRIC,
     TURNED,
     YAW,
 )
@@ -154,7 +153,7 @@ def _by_shared(
     out = np.zeros((12, SHARED))
     out[9:, AT["iron"]] = to_sensor / MICROTESLA
     turn, bend = installation(shared), soft_iron(shared)
-    changes = {at.start + k: ELEMENT_MATRICES[k] @ turn for at in SYMMETRIC for k in range(6)}
+    changes = {AT["soft_iron"].start + k: each @ turn for k, each in enumerate(ELEMENT_MATRICES)}
     changes[SHIELDING] = LEVEL @ turn
     roll = rotation_from_rpy(float(shared[ROLL_PITCH.start]), 0.0)
     axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: roll.T @ Y}

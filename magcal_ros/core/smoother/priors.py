@@ -15,6 +15,7 @@ from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
     EXACT_IRON,
+    IRON_OVER_AXES,
     MICROTESLA,
     MODULE,
     NOTHING,
@@ -49,6 +50,8 @@ class Priors:
     """Largest factors."""
     sizes: Mapping[str, Size] = field(default_factory=lambda: dict(SIZES))
     lengths: Lengths = field(default_factory=Lengths)
+    iron_over_axes: float = IRON_OVER_AXES
+    """Median distortion by soft iron over that by crooked axes."""
 
     def about(self, iron: FloatArray, level: float) -> Priors:
         """Return the priors about a start: hard iron, and the level field where it is unknown."""
@@ -81,6 +84,42 @@ class Priors:
         share = ALIKE / (1.0 + (len(others) - 1) * ALIKE)
         left = 1.0 - len(others) * share * ALIKE
         return self.spread[name] * share * sum(others), self.spread[name] ** 2 * left
+
+    def factors_of(
+        self, name: str, known: Mapping[str, float], count: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return possible logarithms of a group's factor, and their log densities.
+
+        No sample separates the two causes of a distortion, crooked axes and soft iron: the factor
+        of the axes is at most that of the distortion.
+        """
+        if name == "axes":
+            axes, density = self._by_cause(np.log([known["soft_iron"]]), known)
+            return axes[0], density[0]
+        x = np.linspace(-3.0 * self.spread[name], math.log(self.most[name]), count)
+        return x, self.log_density(name, x, known)
+
+    def log_density(self, name: str, x: FloatArray, known: Mapping[str, float]) -> FloatArray:
+        """Return the log density of the logarithm of a group's factor, but for a constant."""
+        if name == "soft_iron" and self._varies("axes"):
+            density = self._by_cause(x, known)[1]
+            peak = density.max(axis=1)
+            return np.asarray(peak + np.log(np.sum(np.exp(density - peak[:, None]), axis=1)))
+        mean, variance = self.log_factor(name, known)
+        return np.asarray(-0.5 * (x - mean) ** 2 / variance)
+
+    def _by_cause(self, x: FloatArray, known: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+        """Return the logarithms of what crooked axes may be of a distortion, and their log density.
+
+        `x` are logarithms of the distortion's factor. The squares of both causes add up to its
+        square: with t = log tan(u) they are its shares cos(u) and sin(u). Shapes (x, t).
+        """
+        mean, variance = self.log_factor("axes", known)
+        t = np.linspace(-8.0, 8.0, 81)
+        axes = x[:, None] - 0.5 * np.log1p(np.exp(2.0 * t))
+        iron = axes + t - math.log(self.iron_over_axes)
+        density = -0.5 * ((axes - mean) ** 2 / variance + (iron / self.spread["soft_iron"]) ** 2)
+        return axes, np.where(axes < math.log(self.most["axes"]), density, -math.inf)
 
     def _varies(self, name: str) -> bool:
         """Whether a group and the factor of its sigma are estimated."""

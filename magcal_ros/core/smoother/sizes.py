@@ -152,9 +152,9 @@ def effect_factors(
         alone, column = np.eye(len(rows)), covariance[:, rows]
         own = np.asarray(np.linalg.inv(column[rows]), dtype=np.float64)
         mean = covariance[rows] @ by_samples
-        believed = model.priors.log_factor(name, found)
-        x = np.linspace(-3.0 * spread, math.log(model.priors.most[name]), GRID)
-        factor = _factor(x, believed, own, mean, found[name], is_expected=name in expected)
+        x, believed = model.priors.factors_of(name, found, GRID)
+        as_expected = name in expected or name == "axes"
+        factor = _factor(x, believed, own, mean, found[name], is_expected=as_expected)
         if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:
             # By the matrix inversion lemma.
             covariance -= column @ np.linalg.solve(alone / more + column[rows], column.T)
@@ -164,7 +164,7 @@ def effect_factors(
 
 def _factor(
     x: FloatArray,
-    believed: tuple[float, float],
+    believed: FloatArray,
     posterior: FloatArray,
     mean: FloatArray,
     before: float,
@@ -175,7 +175,7 @@ def _factor(
 
     Of a group the posterior less its prior is what the samples say, with all else integrated out.
     From that the marginal likelihood of any other factor follows in closed form. `x` are the
-    logarithms that are tried, and `believed` their mean and variance before the samples.
+    logarithms that are tried, and `believed` their log density before the samples.
     """
     values, vectors = np.linalg.eigh(posterior - np.eye(len(mean)) / before**2)
     values = np.maximum(values, 0.0)
@@ -183,7 +183,7 @@ def _factor(
     square = np.exp(2.0 * x)[:, None]
     likely = 0.5 * np.sum(square * drawn**2 / (1.0 + square * values), axis=1)
     likely -= 0.5 * np.sum(np.log1p(square * values), axis=1)
-    likely -= 0.5 * (x - believed[0]) ** 2 / believed[1]
+    likely += believed
     if not is_expected:
         return float(np.exp(x[np.argmax(likely)]))
     odds = np.exp(likely - likely.max())

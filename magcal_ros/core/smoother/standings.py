@@ -32,7 +32,6 @@ from magcal_ros.core.smoother.unknowns import (
     SHARED,
     SIZES,
     STREET,
-    UNKNOWNS,
     YAW,
     Size,
 )
@@ -243,18 +242,19 @@ def _priors(knowledge: Knowledge) -> Priors:
     priors = priors_of(knowledge)
     scale = priors.scale.copy()
     for name, at in AT.items():
-        scale[at] *= 0.0 if name in BY_MOTION else _mean_factor(name, priors.spread[name])
+        scale[at] *= 0.0 if name in BY_MOTION else _mean_factor(name, priors)
     # Nothing but known headings shows how the magnetometer is turned about up.
     scale[YAW] = math.hypot(scale[YAW], knowledge.mounting.yaw_sigma)
     return replace(priors, scale=scale)
 
 
-def _mean_factor(name: str, spread: float) -> float:
+def _mean_factor(name: str, priors: Priors) -> float:
     """Return the root mean square of the factor of a group's sigmas (`Unknown`)."""
+    spread = priors.spread[name]
     if spread == 0.0:
         return 1.0
-    x = np.linspace(-6.0 * spread, math.log(UNKNOWNS[name].most), 400)
-    odds = np.exp(-0.5 * (x / spread) ** 2)
+    x = np.linspace(-6.0 * spread, math.log(priors.most[name]), 400)
+    odds = np.exp(priors.log_density(name, x, {}))
     return math.sqrt(float(np.sum(odds * np.exp(2.0 * x)) / np.sum(odds)))
 
 

@@ -37,3 +37,27 @@ def test_other_groups_do_not_depend_on_the_sensor_module():
     mean, variance = PRIORS.log_factor("axes", cheap)
     assert mean > 0.0
     assert variance < PRIORS.spread["axes"] ** 2
+
+
+def test_a_distortion_is_one_of_axes_or_of_soft_iron():
+    """The density of the whole is that of two independent causes whose squares add up."""
+    rng = np.random.default_rng(0)
+    axes = np.exp(PRIORS.spread["axes"] * rng.standard_normal(400_000))
+    axes = axes[axes < PRIORS.most["axes"]]
+    iron = np.exp(PRIORS.spread["soft_iron"] * rng.standard_normal(len(axes)))
+    whole = np.log(np.hypot(axes, PRIORS.iron_over_axes * iron))
+    counted, edges = np.histogram(whole, np.linspace(-2.0, 2.0, 21))
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    density = np.exp(PRIORS.log_density("soft_iron", middle, {}))
+    np.testing.assert_allclose(density / density.sum(), counted / counted.sum(), atol=2e-3)
+    for factor in (0.5, 2.0, 5.0):
+        x, log_density = PRIORS.factors_of("axes", {"soft_iron": factor}, 0)
+        expected = np.average(np.exp(2.0 * x), weights=np.exp(log_density))
+        near = np.abs(whole - math.log(factor)) < 0.05
+        assert math.isclose(expected, np.mean(axes[near] ** 2), rel_tol=0.1)
+
+
+def test_a_large_distortion_is_rather_soft_iron():
+    x, log_density = PRIORS.factors_of("axes", {"soft_iron": 30.0}, 0)
+    expected = math.sqrt(np.average(np.exp(2.0 * x), weights=np.exp(log_density)))
+    assert expected < PRIORS.most["axes"] / 2.0
