@@ -225,11 +225,11 @@ def line(condition: Condition, tally: Tally, runs: int) -> str:
         return f"{condition.name:38s} refused {tally.refused}"
     limit, found = rms(tally.limit), rms(tally.likelihood)
     worst = max(level for level, _ in tally.likelihood)
-    tip = "     -/-     " if not tally.tip else "{:6.2f}/{:<6.2f}".format(*rms(tally.tip))
+    tip = "     - /-     " if not tally.tip else "{:6.2f} /{:<6.2f}".format(*rms(tally.tip))
     return (
-        f"{condition.name:38s} {tip} {found[0]:6.3f}/{found[1]:<6.3f}"
-        f" {limit[0]:6.3f}/{limit[1]:<6.3f}"
-        f" {found[0] / limit[0]:5.2f}/{found[1] / limit[1]:<5.2f} {worst:6.2f}"
+        f"{condition.name:38s} {tip} {found[0]:6.3f} /{found[1]:<6.3f}"
+        f" {limit[0]:6.3f} /{limit[1]:<6.3f}"
+        f" {found[0] / limit[0]:5.2f} /{found[1] / limit[1]:<5.2f} {worst:6.2f}"
         f" {np.mean(tally.nees):5.2f} {np.mean(tally.heading_nees):5.2f}"
         f" {tally.refused:4d} {tally.missed:4d} {1e3 * tally.seconds / runs:6.0f}"
     )

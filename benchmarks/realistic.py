@@ -15,7 +15,8 @@ With `--arcs` they are arcs of 40 to 90° (from `--least` degrees on), as of a t
 by hand, with rests before and after or without, of good, typical and cheap sensors.
 With `--place` the robot stands near iron or indoors instead of in the open, and is judged by the
 field of the open: a turn teaches what the place was, too. *Wrong* is beyond five sigmas and one
-degree.
+degree. Below the kinds of turns of one set of sensors is a row of all of them; `--first` is the
+seed of the first turn of each row.
 """
 
 from __future__ import annotations
@@ -95,10 +96,32 @@ def rms_of(errors: FloatArray) -> float:
     return math.sqrt(float(np.mean(np.square(errors))))
 
 
-def show(name: str, scenes: Scenes, runs: int) -> list[Row]:
+def of_all(rows: list[Row]) -> Row:
+    """Return the turns of several rows as one."""
+    answers = [answer for row in rows for answer in row.answers.values()]
+    return Row(
+        rows[0].gyro,
+        sum(row.refused for row in rows),
+        sum(row.warned for row in rows),
+        dict(enumerate(answers)),
+    )
+
+
+def show_kinds(sensors: str, kinds: dict[str, Scenes], numbers: range, only: str) -> None:
+    """Print the rows of several kinds of turns, and those of all of them."""
+    found = [
+        show(f"{sensors} {kind}", scenes, numbers)
+        for kind, scenes in kinds.items()
+        if only in f"{sensors} {kind}"
+    ]
+    for rows in zip(*found, strict=True):
+        print(of_all(list(rows)).text(f"{sensors}, all"), flush=True)
+
+
+def show(name: str, scenes: Scenes, numbers: range) -> list[Row]:
     """Print a row with the gyro, one without, and what the gyro does to turns answered by both."""
     rows = [Row(gyro=True), Row(gyro=False)]
-    for number in range(runs):
+    for number in numbers:
         for row in rows:
             row.take(number, *scenes(number))
     print("\n".join(row.text(name) for row in rows), flush=True)
@@ -118,26 +141,25 @@ def main() -> None:
     parser.add_argument("--arcs", action="store_true", help="40 to 90° of a turn, instead")
     parser.add_argument("--least", type=float, default=40.0, help="degrees, of those arcs")
     parser.add_argument("--place", default="open", choices=PLACES, help="of those turns")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first turn")
     arguments = parser.parse_args()
+    numbers = range(arguments.first, arguments.first + arguments.runs)
     names = ("refused", "warned", "rms", "sigma", "NEES", ">3s", "wrong")
     print(f"{'effect':28s}{'':5s}" + "".join(f"{name:>8s}" for name in names))
-    if arguments.arcs:
-        for sensors in ("good", "typical", "cheap"):
-            for course in ARCS:
-                arcs = by_arc(course, sensors, arguments.least)
-                if arguments.only in f"{sensors} {course}":
-                    show(f"{sensors}, {course}", arcs, arguments.runs)
-        return
-    if not (arguments.turns or arguments.rested):
+    if not (arguments.turns or arguments.rested or arguments.arcs):
         for name in (*EFFECTS, *COURSES):
             if arguments.only in name:
-                show(name, by_effect(name), arguments.runs)
+                show(name, by_effect(name), numbers)
         return
-    scenes = by_rested_turn if arguments.rested else by_turn
-    for sensors in SENSORS:
-        for kind in RESTED if arguments.rested else KINDS:
-            if arguments.only in f"{sensors} {kind}":
-                show(f"{sensors} {kind}", scenes(kind, sensors, arguments.place), arguments.runs)
+    for sensors in ("good", "typical", "cheap") if arguments.arcs else SENSORS:
+        if arguments.arcs:
+            kinds = {course: by_arc(course, sensors, arguments.least) for course in ARCS}
+        elif arguments.rested:
+            kinds = {kind: by_rested_turn(kind, sensors, arguments.place) for kind in RESTED}
+        else:
+            kinds = {kind: by_turn(kind, sensors, arguments.place) for kind in KINDS}
+        title = sensors if arguments.place == "open" else f"{sensors} {arguments.place}"
+        show_kinds(title, kinds, numbers, arguments.only)
 
 
 if __name__ == "__main__":

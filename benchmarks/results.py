@@ -11,6 +11,7 @@ those that can be compared are listed. With `--write` the fresh figures are stor
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import shlex
 import subprocess
@@ -74,15 +75,14 @@ def differences(table: Table, fresh: list[list[str]]) -> list[str]:
 
 def run(commands: list[str]) -> str:
     """Return what the commands print, one after another."""
-    return "".join(
-        subprocess.run(
-            [sys.executable, str(HERE / script), *arguments],
-            check=True,
-            stdout=subprocess.PIPE,
-            text=True,
-        ).stdout
-        for script, *arguments in map(shlex.split, commands)
-    )
+    return "".join(map(_printed, commands))
+
+
+@functools.cache
+def _printed(command: str) -> str:
+    script, *arguments = shlex.split(command)
+    called = [sys.executable, str(HERE / script), *arguments]
+    return subprocess.run(called, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
 def with_fresh(table: Table, fresh: list[list[str]], commit: str | None) -> Table:
