@@ -250,7 +250,7 @@ def _inclination_misfit(found: Alignment, k: int, sign: int, dip: Belief) -> flo
     slope = (up - along * field / size) / size / level
     variance = float(slope @ found.covariance[k][FIELD, FIELD] @ slope)
     # Drift of the gyro looks like a small tilt, which shows nothing of the field.
-    variance += (TUNING.attitude_error / max(found.tilt_seen, 1e-6)) ** 2
+    variance += (TUNING.attitude_error / max(found.least_tilt, 1e-6)) ** 2
     seen = -math.asin(max(-1.0, min(1.0, along)))
     allowed = TUNING.dip_sigma**2 + dip.sigma**2
     return (seen - dip.value) ** 2 / (allowed + variance)

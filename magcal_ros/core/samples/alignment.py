@@ -83,9 +83,21 @@ class Alignment:
     bias (rad/s) and scale error, and the field's lag (s). Shape (k, 23)."""
     covariance: FloatArray
     """Of the parameters; infinite for candidates that were given up. Shape (k, 23, 23)."""
-    tilt_seen: float
-    """Radians RMS by which the movement was more than a turn about one axis; zero where gravity
-    deviates farther than that, for it may be the gyro's own wandering."""
+    tilt: float
+    """Radians RMS by which the movement was more than a turn about one axis."""
+    gravity_spread: float
+    """Radians RMS by which gravity deviates in the world meanwhile: so much of that may be the
+    gyro's own wandering."""
+
+    @property
+    def tilt_seen(self) -> float:
+        """The tilt, radians RMS; zero where gravity deviates farther."""
+        return self.tilt if self.tilt > self.gravity_spread else 0.0
+
+    @property
+    def least_tilt(self) -> float:
+        """The part of the tilt that is not the gyro's wandering, radians RMS."""
+        return math.sqrt(max(self.tilt**2 - self.gravity_spread**2, 0.0))
 
     @property
     def best(self) -> int:
@@ -117,9 +129,8 @@ def align(stretch: Stretch, axes: FloatArray, gyro: FloatArray, with_up: bool = 
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
     covariance[kept] = np.linalg.inv(information)
     attitude = problem.propagate(some)[0][int(np.argmin(cost))]
-    tilt = _tilt_spread(attitude)
-    seen = tilt if tilt > _gravity_spread(attitude, stretch.up) else 0.0
-    return Alignment(misfit, rms, state, covariance, seen)
+    spreads = _tilt_spread(attitude), _gravity_spread(attitude, stretch.up)
+    return Alignment(misfit, rms, state, covariance, *spreads)
 
 
 def _tilt_spread(attitude: FloatArray) -> float:

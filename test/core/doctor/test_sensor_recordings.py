@@ -67,3 +67,14 @@ def test_the_bias_of_a_gyro_is_read_at_rest(recording):
     (bias,) = [f for f in page_of(recording(BIASED)).findings if f.is_wrong]
     assert bias.key == "gyro_bias"
     assert bias.evidence.startswith("(3.5")
+
+
+@pytest.mark.parametrize("seconds", [28.0, 29.0, 31.0])
+def test_a_car_that_leans_shows_no_inclination(recording, seconds):
+    """Its gyro tilts by no more than the bends lean what the accelerometer shows as up."""
+    gathering = Gathering(Mounting())
+    with open_recording(recording("car_neu2023_ampomah")) as source:
+        gathering.take(source.readings())
+    window = gathering.window()
+    part = window.take(window.time >= window.time[-1] - seconds)
+    assert wrong_axes(part, knowledge_of(51.2, inclination_deg=66.2)) is None
