@@ -80,10 +80,10 @@ def test_of_forty_refusals_in_a_row_the_first_and_the_newest_are_drawn(
 
 
 def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, said, monkeypatch):
-    monkeypatch.setattr(reporter_module, "LONGEST", 1.0)
     reporter = Reporter(thread, said.append)
     run = reporter._worker.run_once
-    for work in ((time.sleep, 600.0), (time.sleep, 0.0)):
+    for longest, work in ((1.0, (time.sleep, 600.0)), (30.0, (time.sleep, 0.0))):
+        monkeypatch.setattr(reporter_module, "LONGEST", longest)
         monkeypatch.setattr(reporter._worker, "run_once", lambda *_, work=work: run(*work))
         reporter.begin(str(tmp_path), subject(), 50)
         assert thread.finish_within(30.0)

@@ -135,6 +135,16 @@ class Explanations:
         """Whether the best way leaves so little that small differences of the fit are believed."""
         return bool(self.rms[self.best] < TUNING.good_fit)
 
+    @property
+    def shows_the_unit(self) -> bool:
+        """Whether the gyro's unit is right: the best way fits well, and not by chance.
+
+        In less than a quarter turn some axes of both sensors fit a field that changes from place to
+        place, whatever the gyro's unit.
+        """
+        axes_fit = bool(self.rms[self.plain] < TUNING.good_fit)
+        return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
+
     def turned(self, k: int) -> float:
         """Return the angle turned about the accelerometer's up, by one way, radians."""
         stretch = self.part

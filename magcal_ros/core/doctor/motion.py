@@ -134,7 +134,7 @@ def _explained(
     inclination = knowledge.reference.inclination
     slips = [f for f in factors or () if f != 1.0]
     ways = [(explain(replace(log, rate=f * log.rate), inclination), f) for f in slips]
-    found = [(float(way.rms.min()), f, way) for way, f in ways if way is not None and way.fits_well]
+    found = [(float(w.rms.min()), f, w) for w, f in ways if w is not None and w.shows_the_unit]
     # Rates that only a slip makes rad/s take the longest to explain as they are.
     if not found or 1.0 in (factors or ()):
         given = explain(log, inclination)

@@ -128,7 +128,8 @@ def slow_field_words(gap: float) -> str:
     return (
         f"it comes at {1.0 / gap:.2g} Hz, and between field samples a gyro is followed for "
         f"{STREAMS.longest_field_gap:g} s at most: a drive needs the field at "
-        f"{1.0 / STREAMS.longest_field_gap:.1g} Hz or more, at best at 10 Hz"
+        f"{1.0 / STREAMS.longest_field_gap:.1g} Hz or more, at best at 10 Hz; `magcal fit` "
+        "calibrates from a slower recording"
     )
 
 

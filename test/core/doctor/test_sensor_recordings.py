@@ -78,3 +78,11 @@ def test_a_car_that_leans_shows_no_inclination(recording, seconds):
     window = gathering.window()
     part = window.take(window.time >= window.time[-1] - seconds)
     assert wrong_axes(part, knowledge_of(51.2, inclination_deg=66.2)) is None
+
+
+def test_a_street_that_bends_the_field_shows_no_unit_of_the_gyro(recording):
+    """The car drives straight on; the field changes by 21 µT from place to place."""
+    folder = recording("car_drive_neu2022_rahul")
+    with open_recording(folder, start=195.2, stop=215.2) as source:
+        page = examine(SensorLog.of(r for r in source.readings() if r is not None))
+    assert [f for f in page.findings if f.is_wrong] == []
