@@ -101,7 +101,7 @@ class Priors:
 
     def log_density(self, name: str, x: FloatArray, known: Mapping[str, float]) -> FloatArray:
         """Return the log density of the logarithm of a group's factor, but for a constant."""
-        if name == "soft_iron" and self._varies("axes"):
+        if name == "soft_iron" and not self.has_exact_axes:
             density = self._by_cause(x, known)[1]
             peak = density.max(axis=1)
             return np.asarray(peak + np.log(np.sum(np.exp(density - peak[:, None]), axis=1)))
@@ -120,6 +120,11 @@ class Priors:
         iron = axes + t - math.log(self.iron_over_axes)
         density = -0.5 * ((axes - mean) ** 2 / variance + (iron / self.spread["soft_iron"]) ** 2)
         return axes, np.where(axes < math.log(self.most["axes"]), density, -math.inf)
+
+    @property
+    def has_exact_axes(self) -> bool:
+        """Whether the magnetometer's axes are square: soft iron alone distorts the field."""
+        return not self._varies("axes")
 
     def _varies(self, name: str) -> bool:
         """Whether a group and the factor of its sigma are estimated."""

@@ -17,6 +17,8 @@ GRID = 60
 """Factors of an effect's sigma that are tried."""
 SMALLEST = 4.0
 """Spreads below the median to which a size may fall; what is smaller makes no difference."""
+LARGEST_STEP = 0.7
+"""Of the logarithm of a noise's size, or of the distortion's factor, in one round."""
 
 
 def noise_sizes(
@@ -117,7 +119,9 @@ def _next_size(size: float, total: float, shown: float, belief: Size) -> float:
         if abs(step) < 1e-4:
             break
     least = belief.usual * math.exp(-SMALLEST * belief.spread)
-    return min(belief.most, max(least, size * math.exp(max(-0.7, min(0.7, change)))))
+    return min(
+        belief.most, max(least, size * math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, change))))
+    )
 
 
 def expected_square(size: float, shown: float, belief: Size) -> float:
@@ -154,6 +158,10 @@ def effect_factors(
         mean = covariance[rows] @ by_samples
         x, believed = model.priors.factors_of(name, found, GRID)
         as_expected = name in expected or name == "axes"
+        if name == "soft_iron" and not (as_expected or model.priors.has_exact_axes):
+            # It multiplies the attitudes: farther than that the posterior is not that of the point.
+            is_near = np.abs(x - math.log(found[name])) < LARGEST_STEP
+            believed = np.where(is_near, believed, -math.inf)
         factor = _factor(x, believed, own, mean, found[name], is_expected=as_expected)
         if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:
             # By the matrix inversion lemma.
