@@ -26,6 +26,7 @@ from magcal_ros.core.samples.alignment import (
     FIELD,
     IRON,
     LAG,
+    NO_BIAS,
     SCALE,
     UP,
     WIDE,
@@ -159,23 +160,26 @@ def _are_right(axes: FloatArray) -> BoolArray:
     return np.asarray((axes == np.eye(3)).all(axis=(1, 2)))
 
 
-def explain(log: SensorLog, inclination: Belief) -> Explanations | None:
-    """Weigh the ways in which axes may lie; None where too little moves."""
+def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> Explanations | None:
+    """Weigh the ways in which axes may lie; None where too little moves.
+
+    `bias` (3,) is that of the gyro's rates by a rest, rad/s: each fit begins with it.
+    """
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0
     if part is None or most_turned(part) < TUNING.least_turn:
         return None
-    senses = _against_the_field(part, proper)
+    senses = _against_the_field(part, proper, bias)
     for _ in range(TUNING.looks):
         more = float(senses.parameters[senses.best, LAG])
         nearer = stretch_of_log(log, lag + more) if abs(more) > TUNING.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
-        senses = _against_the_field(part, proper)
+        senses = _against_the_field(part, proper, bias)
     gyro, field, base = _remaining(part, senses, every, proper)
-    found = align(part, field, gyro)
+    found = align(part, field, gyro, bias=bias)
     # Each field against its opposite, which turns alike.
     twice = np.tile(np.arange(len(field)), 2)
     parameters = found.parameters[twice]
@@ -199,10 +203,10 @@ def most_turned(stretch: Stretch) -> float:
     return float(np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max())
 
 
-def _against_the_field(stretch: Stretch, proper: FloatArray) -> Alignment:
+def _against_the_field(stretch: Stretch, proper: FloatArray, bias: FloatArray) -> Alignment:
     """Fit the field to the gyro alone, as it turns and the other way round, 24 ways each."""
     senses = np.repeat(np.array([np.eye(3), -np.eye(3)]), len(proper), axis=0)
-    return align(stretch, np.concatenate([proper, proper]), senses, with_up=False)
+    return align(stretch, np.concatenate([proper, proper]), senses, with_up=False, bias=bias)
 
 
 def _remaining(

@@ -21,7 +21,7 @@ from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment import BIAS, SCALE, align
+from magcal_ros.core.samples.alignment import BIAS, NO_BIAS, SCALE, align
 from magcal_ros.core.samples.rest import LongestRest, longest_stand
 from magcal_ros.core.samples.streams import slow_words
 from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
@@ -103,7 +103,8 @@ def compare(
     rest = _longest_rest(body)
     factors = rate_factors(part)
     stands_still = rest is not None and rest.is_certain and not _turns_beside(part, rest)
-    given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge)
+    bias = NO_BIAS if rest is None else rest.rate
+    given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge, bias)
     if given is None:
         return _nothing_shown(log, rest if stands_still else None, turned_left)
     body = replace(body, rate=factor * body.rate)
@@ -128,16 +129,19 @@ def compare(
 
 
 def _explained(
-    log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge
+    log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge, bias: FloatArray
 ) -> tuple[Explanations | None, float]:
-    """Explain the movement with the gyro's unit: a known slip where only that fits well."""
+    """Explain the movement with the gyro's unit: a known slip where only that fits well.
+
+    `bias` (3,) is that of the gyro's rates by a rest.
+    """
     inclination = knowledge.reference.inclination
     slips = [f for f in factors or () if f != 1.0]
-    ways = [(explain(replace(log, rate=f * log.rate), inclination), f) for f in slips]
+    ways = [(explain(replace(log, rate=f * log.rate), inclination, f * bias), f) for f in slips]
     found = [(float(w.rms.min()), f, w) for w, f in ways if w is not None and w.shows_the_unit]
     # Rates that only a slip makes rad/s take the longest to explain as they are.
     if not found or 1.0 in (factors or ()):
-        given = explain(log, inclination)
+        given = explain(log, inclination, bias)
         # A gyro that may be right and turned too little shows nothing.
         if not found or given is None or given.fits_well:
             return given, 1.0

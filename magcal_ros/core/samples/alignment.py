@@ -49,6 +49,7 @@ class AlignmentTuning:
 WIDE = AlignmentTuning()
 START_NOISE = np.array([0.1, 0.1])
 """Of field (over its size) and up (radians) in the first rounds: wide, so that all can move."""
+NO_BIAS = np.zeros(3)
 SETTLED = 0.01
 """Change of chi-square below which all candidates have settled."""
 FIRST_STEPS = 5
@@ -105,13 +106,19 @@ class Alignment:
         return int(np.argmin(self.misfit))
 
 
-def align(stretch: Stretch, axes: FloatArray, gyro: FloatArray, with_up: bool = True) -> Alignment:
+def align(
+    stretch: Stretch,
+    axes: FloatArray,
+    gyro: FloatArray,
+    with_up: bool = True,
+    bias: FloatArray = NO_BIAS,
+) -> Alignment:
     """Fit every candidate and say how much worse than the best it explains the samples.
 
-    Takes the same as `AlignmentFit`.
+    Takes the same as `AlignmentFit`; `bias` (3,) is that of the gyro's rates at first, rad/s.
     """
     problem = AlignmentFit(stretch, axes, gyro, WIDE, with_up)
-    some, noise = problem.descend(problem.start(), START_NOISE, FIRST_STEPS), START_NOISE
+    some, noise = problem.descend(problem.start(bias), START_NOISE, FIRST_STEPS), START_NOISE
     information, _, cost = problem.normal_equations(some, noise)
     state, rms, misfit = some.copy(), problem.rms(some), cost - cost.min()
     kept = np.arange(len(axes))
@@ -184,6 +191,7 @@ class AlignmentFit:
         self.stretch = stretch
         self.sensors = 2 if with_up else 1
         self.share = np.ones(self.sensors)
+        self.gyro = gyro
         self.rate = stretch.rate @ gyro
         # A mirrored gyro turns the order of two turns around.
         sense = np.linalg.det(gyro)[:, None, None]
@@ -202,9 +210,10 @@ class AlignmentFit:
             0.5 * antisymmetric / tuning.installation**2 + symmetric / tuning.soft_iron**2
         )
 
-    def start(self) -> FloatArray:
-        """Return the best field and hard iron for each candidate, all else as hoped for."""
+    def start(self, bias: FloatArray = NO_BIAS) -> FloatArray:
+        """Return the best field and hard iron for each candidate, and a bias of its rates (3,)."""
         state = np.zeros((len(self.measured), PARAMETERS))
+        state[:, BIAS] = bias @ self.gyro
         rotation = self.propagate(state)[0]
         count, n = rotation.shape[:2]
         design = np.concatenate(

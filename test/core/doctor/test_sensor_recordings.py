@@ -86,3 +86,11 @@ def test_a_street_that_bends_the_field_shows_no_unit_of_the_gyro(recording):
     with open_recording(folder, start=195.2, stop=215.2) as source:
         page = examine(SensorLog.of(r for r in source.readings() if r is not None))
     assert [f for f in page.findings if f.is_wrong] == []
+
+
+@pytest.mark.parametrize("start", first_of([6.7, 8.0]))
+def test_a_large_bias_that_a_rest_shows_is_all_that_is_wrong(recording, start):
+    """Fits that begin without it end far from the truth, and other axes seem to fit better."""
+    with open_recording(recording(BIASED), start=start, stop=start + 60.0) as source:
+        page = examine(SensorLog.of(r for r in source.readings() if r is not None))
+    assert [f.key for f in page.findings if f.is_wrong] == ["gyro_bias"]
