@@ -101,28 +101,23 @@ def bound_memory(megabytes: float) -> None:
     node sees it. Where the room is refused, the request ends as an error of one callback. Only
     Linux counts what a process takes in this way; elsewhere nothing is bound.
     """
-    if sys.platform == "linux":
-        _limit_memory(_data_bytes() + int(megabytes * 1e6))
+    if sys.platform != "linux":
+        return
+    import resource
+
+    with open("/proc/self/statm", encoding="ascii") as statm:
+        # The sixth number of proc(5) is the data memory, in pages.
+        taken = int(statm.read().split()[5]) * resource.getpagesize()
+    soft, hard = taken + int(megabytes * 1e6), resource.getrlimit(resource.RLIMIT_DATA)[1]
+    if hard != resource.RLIM_INFINITY:
+        soft = min(soft, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
 def unbound_memory() -> None:
     """Take the bound away again, in a process that was started by a bounded one."""
     if sys.platform == "linux":
-        _limit_memory(None)
+        import resource
 
-
-def _limit_memory(soft: int | None) -> None:
-    import resource
-
-    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-    if soft is None or (hard != resource.RLIM_INFINITY and soft > hard):
-        soft = hard
-    resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
-
-
-def _data_bytes() -> int:
-    """Return the data memory of this process, as proc(5) counts it in `statm`."""
-    import resource
-
-    with open("/proc/self/statm", encoding="ascii") as statm:
-        return int(statm.read().split()[5]) * resource.getpagesize()
+        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        resource.setrlimit(resource.RLIMIT_DATA, (hard, hard))

@@ -50,13 +50,12 @@ def find_calibrator(node: Any, wanted: str | None) -> str:
         found = calibrators(node)
         first_seen = first_seen if seen else now
         seen = found
-        if wanted in seen or (not wanted and seen and now - first_seen >= SETTLE):
-            break
-        if now - begin >= PATIENCE:
+        if wanted is not None and wanted in seen:
+            return wanted
+        has_settled = not wanted and seen and now - first_seen >= SETTLE
+        if has_settled or now - begin >= PATIENCE:
             break
         time.sleep(0.1)
-    if wanted is not None and wanted in seen:
-        return wanted
     listed = ", ".join(map(plain, seen))
     if wanted is not None:
         others = f"calibrators that are seen: {listed}" if seen else "no calibrator is seen"

@@ -20,7 +20,6 @@ from magcal_ros.cli.common import (
     reference_in_use,
     table,
 )
-from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
@@ -28,7 +27,6 @@ from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import SENTENCES, STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
-from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.disk import plain, plain_lines, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
@@ -84,30 +82,24 @@ def run_check(options: argparse.Namespace) -> int:
         print(document(content) if options.json else plain_lines(words.rstrip("\n")))
         return Exit.TOO_LITTLE_DATA
     outcome = Outcome(result.verdict, calibration, result.estimate)
-    report = write_report(folder, _subject(window, outcome, options, gathered))
+    subject = Subject(
+        window,
+        Knowledge(gathered.reference.field),
+        outcome,
+        source=f"{plain(str(options.recording))}, checked against "
+        f"{plain(str(options.calibration))}",
+        method=result.estimate.method,
+        title="Compass check",
+        magnetometer_frame=heard,
+        imu_frame=gathered.source.imu_frame,
+    )
+    report = write_report(folder, subject)
     reference = gathered.reference.facts
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     facts["course"] = None if course is None else course.facts()
     words = f"{_words(result, notes)}\n\nReport: {report}"
     print(document(facts) if options.json else plain_lines(words))
     return Exit.REFUSED if not result.verdict.accepted else Exit.GOOD
-
-
-def _subject(
-    window: Window, outcome: Outcome, options: argparse.Namespace, gathered: Gathered
-) -> Subject:
-    assert outcome.estimate is not None
-    return Subject(
-        window,
-        Knowledge(gathered.reference.field),
-        outcome,
-        source=f"{plain(str(options.recording))}, checked against "
-        f"{plain(str(options.calibration))}",
-        method=outcome.estimate.method,
-        title="Compass check",
-        magnetometer_frame=gathered.source.field_frame,
-        imu_frame=gathered.source.imu_frame,
-    )
 
 
 def _words(result: Recheck, notes: list[str]) -> str:

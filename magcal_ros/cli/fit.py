@@ -84,7 +84,10 @@ def add_fit(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read, fit, write the files, and print the result."""
-    folder = _folder(options.output)
+    folder = new_or_named(options.output, "magcal_fit")
+    # What lies there already is never overwritten.
+    if (folder / CALIBRATION).exists():
+        raise FileTrouble(f"{folder / CALIBRATION} exists already: name another --output")
     _check_use(options)
     mounting = recorded.mounting_from(options)
     everything = tuple(_gathered(options, mounting, path) for path in options.recordings)
@@ -143,14 +146,6 @@ def _fit(
     outcome, newest = fit_several(gatherings, names, knowledge, options.method)
     gathered = replace(everything[newest], reference=known.reference)
     return Fitted(gathered, knowledge, outcome, everything)
-
-
-def _folder(chosen: Path | None) -> Path:
-    """Return where to write; what lies there already is never overwritten."""
-    folder = new_or_named(chosen, "magcal_fit")
-    if (folder / CALIBRATION).exists():
-        raise FileTrouble(f"{folder / CALIBRATION} exists already: name another --output")
-    return folder
 
 
 def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> list[Path]:

@@ -161,7 +161,7 @@ def ring(filled: str) -> list[str]:
     return ["".join(row) for row in canvas]
 
 
-class Lines:
+class Lines(contextlib.AbstractContextManager["Lines"]):
     """Shows the progress of a turn, at most a line a second: for pipes and logs."""
 
     def __init__(self) -> None:
@@ -175,9 +175,6 @@ class Lines:
             width = shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else None
             print(words[:width], flush=True)
             self._second, self._said = second, words
-
-    def __enter__(self) -> Lines:
-        return self
 
     def __exit__(self, *_: object) -> None:
         pass

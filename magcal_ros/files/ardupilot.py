@@ -57,9 +57,6 @@ NO_OFFSETS = (math.nan, math.nan, math.nan)
 BACKWARDS, LATE = 1.0, 10.0
 """Seconds by which an autopilot's clock goes back, or a message is late, where it started anew."""
 
-EVERY = 1000
-"""Messages between two looks at the clock."""
-
 
 def read_ardupilot(
     path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
@@ -67,27 +64,20 @@ def read_ardupilot(
     """Read a DataFlash or telemetry log; arguments and errors as of `open_recording`."""
     begun = logs.begun_with(path, 8000)
     telemetry = path.suffix.lower() == ".tlog"
-    if not telemetry:
-        _require_dataflash(path, begun)
-    deadline = logs.Deadline(path)
+    is_text = path.suffix.lower() == ".log" and b"FMT," in begun
+    if not (telemetry or is_text or begun[:2] == BINARY):
+        raise FileTrouble(f"{plain(str(path))} is no DataFlash log: it does not begin as one")
+    deadline = logs.Deadline(path, progress)
     with logs.quietly(path, deadline):
         messages = _telemetry(path) if telemetry else _dataflash(path, begun, deadline)
         read = _Rows(telemetry)
         for count, (message, share) in enumerate(messages):
-            if count % EVERY == 0:
-                deadline.check()
-                if progress is not None:
-                    progress(share)
+            if count % logs.EVERY == 0:
+                deadline.report(share)
             if message is not None:
-                read.take(message)
+                read.take(message.get_type(), message)
         tables = read.tables()
     return logs.recording_of(path, tables, TELEMETRY_NAMES if telemetry else NAMES, imu, mag)
-
-
-def _require_dataflash(path: Path, begun: bytes) -> None:
-    is_text = path.suffix.lower() == ".log" and b"FMT," in begun
-    if not is_text and begun[:2] != BINARY:
-        raise FileTrouble(f"{plain(str(path))} is no DataFlash log: it does not begin as one")
 
 
 def _dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> Iterator[tuple[Any, float]]:
@@ -123,7 +113,8 @@ class _Rows:
     """Takes messages one by one; the numbers are as logged, forward-right-down."""
 
     def __init__(self, telemetry: bool) -> None:
-        self._take = self._take_telemetry if telemetry else self._take_logged
+        self.take = self._take_telemetry if telemetry else self._take_logged
+        """Takes a message of any wanted kind."""
         self._telemetry = telemetry
         # Flat arrays take a tenth of the memory of rows.
         self._imus: dict[int, array[float]] = defaultdict(_numbers)
@@ -134,10 +125,6 @@ class _Rows:
         self._tables = logs.LogTables()
         self._system: int | None = None
         self._booted = self._own = math.nan
-
-    def take(self, message: Any) -> None:
-        """Take a message of any wanted kind."""
-        self._take(message.get_type(), message)
 
     def _take_logged(self, kind: str, m: Any) -> None:
         stamp = m._timestamp

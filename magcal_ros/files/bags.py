@@ -6,19 +6,18 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.disk import FileTrouble, damage_in_words, plain
+from magcal_ros.files.recording import travel_of
 from magcal_ros.files.wire import CDR, ROS1, Format, RosReader, frame_of, is_plain_cdr
 
 if TYPE_CHECKING:
@@ -43,8 +42,6 @@ TRAVEL: dict[str, Callable[[Format, bytes], Any]] = {
 RECEIVER_TOPICS = ("vel", "fix_velocity")
 """How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
 body's. A bag without fixes has no receiver."""
-MOST_FIXES = 10_000
-"""Messages without a fix after which none is looked for any more."""
 
 LATEST = 2**63 - 1
 """Nanoseconds: after every message."""
@@ -105,31 +102,29 @@ class Bag:
 
         return self._read([*self._imu, *self._field], take)
 
-    @cached_property
-    def place(self) -> Place | None:
-        """The place of the first good fix of the span; None if there is none."""
-        fixes = islice(self._read(self._of(FIX_TYPE), self._travelled), MOST_FIXES)
-        return next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
-
     @property
     def begun(self) -> float:
         """When the span begins by the bag's own clock, seconds."""
         return self._first * 1e-9
 
-    @cached_property
+    @property
+    def place(self) -> Place | None:
+        """The place of the first good fix of the span; None if there is none."""
+        return self._journey[1]
+
+    @property
     def travel(self) -> tuple[TravelSample, ...]:
         """The samples of receiver and wheels, by stamp; empty if there are none."""
-        plane, found = LocalPlane(), list[TravelSample]()
+        return self._journey[0]
+
+    @cached_property
+    def _journey(self) -> tuple[tuple[TravelSample, ...], Place | None]:
         heard = self._of(FIX_TYPE, ODOM_TYPE)
         if self._of(FIX_TYPE):
             twists = self._of(TWIST_TYPE, SURE_TWIST_TYPE)
             heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVER_TOPICS]
-        for sample in self._read(heard, self._travelled):
-            if isinstance(sample, Fix):
-                sample = plane.position(sample)
-            if sample is not None and not isinstance(sample, str):
-                found.append(sample)
-        return tuple(sorted(found, key=lambda sample: sample.stamp))
+        found = self._read(heard, self._travelled)
+        return travel_of(each for each in found if not isinstance(each, str))
 
     @cached_property
     def currents(self) -> list[tuple[float, float]]:

@@ -111,10 +111,6 @@ class SensorFile:
     @property
     def path(self) -> Path:
         """Where it is stored: `<node>.<frame>.yaml`; no part of it has a dot of its own."""
-        return self._folder / f"{safe_name(self.node)}.{safe_name(self.frame or FRAMELESS)}.yaml"
-
-    @property
-    def _folder(self) -> Path:
-        folder = own_folder()
-        inner = self.namespace.strip("/")
-        return folder / safe_name(inner) if inner else folder
+        folder, inner = own_folder(), self.namespace.strip("/")
+        folder = folder / safe_name(inner) if inner else folder
+        return folder / f"{safe_name(self.node)}.{safe_name(self.frame or FRAMELESS)}.yaml"

@@ -40,12 +40,22 @@ Progress = Callable[[float], None]
 """Is given the share of a log that has been read, 0 to 1."""
 
 
-class Deadline:
-    """Ends a reading that takes too long."""
+EVERY = 1000
+"""Messages, or pieces of a file, between two looks at the clock."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+
+class Deadline:
+    """Ends a reading that takes too long, and passes on how far it is."""
+
+    def __init__(self, path: Path, progress: Progress | None) -> None:
+        self._path, self._progress = path, progress
         self._end = time.monotonic() + LONGEST_READING
+
+    def report(self, share: float) -> None:
+        """Check the time, and tell the share that has been read, 0 to 1."""
+        self.check()
+        if self._progress is not None:
+            self._progress(share)
 
     def check(self) -> None:
         """Raise FileTrouble if the time is over."""
@@ -89,7 +99,7 @@ def recording_of(
     notes = list(tables.notes)
     one = _chosen(path, tables.imus, names.imu, imu, "--imu", names.no_imu, notes)
     other = _chosen(path, tables.fields, names.field, mag, "--mag", names.no_field, notes)
-    travel, place = travel_of(tables.velocities, tables.fixes)
+    travel, place = travel_of([*tables.velocities, *tables.fixes])
     return Recording(
         _in_order(tables.imus[one]),
         _in_order(tables.fields[other]),

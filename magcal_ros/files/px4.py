@@ -62,8 +62,8 @@ def read_px4(
     if logs.begun_with(path, len(MAGIC)) != MAGIC:
         raise FileTrouble(f"{plain(str(path))} is no ULog: it does not begin as one")
     ulog = logs.library(path, "pyulog", "px4").ULog
-    deadline = logs.Deadline(path)
-    with logs.quietly(path, deadline), _Watched(path, deadline, progress) as handle:
+    deadline = logs.Deadline(path, progress)
+    with logs.quietly(path, deadline), _Watched(path, deadline) as handle:
         tables = _tables(ulog(handle, list(TOPICS)))
     return logs.recording_of(path, tables, NAMES, imu, mag)
 
@@ -71,17 +71,14 @@ def read_px4(
 class _Watched(io.BufferedReader):
     """A file whose reading may end by time, with its progress."""
 
-    def __init__(self, path: Path, deadline: logs.Deadline, progress: logs.Progress | None) -> None:
+    def __init__(self, path: Path, deadline: logs.Deadline) -> None:
         super().__init__(io.FileIO(path))
-        self._deadline, self._progress = deadline, progress
-        self._size, self._count = max(path.stat().st_size, 1), 0
+        self._deadline, self._size, self._count = deadline, max(path.stat().st_size, 1), 0
 
     def read(self, size: int | None = -1, /) -> bytes:
         self._count += 1
-        if self._count % 1000 == 0:
-            self._deadline.check()
-            if self._progress is not None:
-                self._progress(self.tell() / self._size)
+        if self._count % logs.EVERY == 0:
+            self._deadline.report(self.tell() / self._size)
         return super().read(size)
 
 

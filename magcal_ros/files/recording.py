@@ -219,12 +219,17 @@ PLANE_COLUMNS = ("t", "east", "north")
 
 
 def travel_of(
-    others: Iterable[TravelSample], fixes: Sequence[Fix]
+    heard: Iterable[TravelSample | Fix],
 ) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Return fixes and other samples by stamp, and the place of the first good fix."""
-    plane = LocalPlane()
-    found = [*others, *(each for each in map(plane.position, fixes) if each is not None)]
-    place = next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
+    plane, found, first = LocalPlane(), list[TravelSample](), None
+    for each in heard:
+        sample = plane.position(each) if isinstance(each, Fix) else each
+        if sample is not None:
+            found.append(sample)
+            if first is None and isinstance(each, Fix):
+                first = place_of(each)
+    place = first if isinstance(first, Place) else None
     return tuple(sorted(found, key=lambda sample: sample.stamp)), place
 
 
@@ -234,7 +239,7 @@ def read_travel(folder: Path) -> tuple[tuple[TravelSample, ...], Place | None]:
     Both are optional, each with a header line: seconds, m/s (negative backwards), degrees, metres.
     A row that is not finite is no sample.
     """
-    found, fixes = list[TravelSample](), list[Fix]()
+    found = list[TravelSample | Fix]()
     if (folder / "odom.csv").exists():
         _, rows = read_columns(folder / "odom.csv", SPEED_COLUMNS)
         found += [SpeedSample(*row) for row in rows.tolist()]
@@ -244,11 +249,11 @@ def read_travel(folder: Path) -> tuple[tuple[TravelSample, ...], Place | None]:
         if columns == PLANE_COLUMNS:
             found += [PositionSample(*row) for row in rows.tolist()]
         else:
-            fixes = [
+            found += [
                 Fix(True, latitude, longitude, height[0] if height else math.nan, stamp)
                 for stamp, latitude, longitude, *height in rows.tolist()
             ]
-    return travel_of(found, fixes)
+    return travel_of(found)
 
 
 NEEDED = ("t", "mx", "my", "mz", "ax", "ay", "az")

@@ -19,16 +19,8 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import between, length
-from magcal_ros.core.samples.stamps import (
-    bursts_in_words,
-    spread_bursts,
-)
-from magcal_ros.core.samples.streams import (
-    STREAMS,
-    ImuSample,
-    slow_field_words,
-    slow_words,
-)
+from magcal_ros.core.samples.stamps import bursts_in_words, spread_bursts
+from magcal_ros.core.samples.streams import STREAMS, ImuSample, slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import Bag, open_bag
@@ -141,13 +133,11 @@ class RepairedReadings:
         stamps = _stamps(begun)
         if self._for_drive and (slow := slow_field_words(_usual_gap(stamps[1]))):
             raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.field_topic}: {slow}")
-        if slow := slow_words(_usual_gap(stamps[0])):
-            yield from self._filled_up(
-                self._counted(chain(begun, readings)), _usual_gap(stamps[0]), slow
-            )
-            return
-        if not any(map(bursts_in_words, stamps)):
-            yield from self._counted(chain(begun, readings))
+        gap = _usual_gap(stamps[0])
+        slow = slow_words(gap)
+        if slow or not any(map(bursts_in_words, stamps)):
+            every = self._counted(chain(begun, readings))
+            yield from self._filled_up(every, gap, slow) if slow else every
             return
         del readings, begun
         stamps = _stamps(self._source.readings())

@@ -166,10 +166,12 @@ def _map(path: DrivePath | None) -> str:
         for a, b, kind in zip(x, y, kinds, strict=True)
     )
     bounds = ["0", *(f"{step:g}" for step in STEPS_DEG)]
+    names = [f"{a} to {b}°" for a, b in itertools.pairwise(bounds)]
+    names.append(f"more than {bounds[-1]}°")
     legend = " &nbsp; ".join(
         f'<span style="color:{colour}">●</span> {name}: '
         f"{100.0 * float(np.mean(kinds == kind)):.0f} %"
-        for kind, (colour, name) in enumerate(zip(COLOURS, _names(bounds), strict=True))
+        for kind, (colour, name) in enumerate(zip(COLOURS, names, strict=True))
     )
     trusted = 100.0 * float(np.mean(kinds <= 1))
     return (
@@ -199,11 +201,6 @@ def _named(name: str, x: float, y: float) -> str:
         f'<text x="{x + shift:.1f}" y="{y + 6.0:.1f}" text-anchor="{side}" font-size="18">{name}'
         "</text>"
     )
-
-
-def _names(bounds: list[str]) -> list[str]:
-    named = [f"{a} to {b}°" for a, b in itertools.pairwise(bounds)]
-    return [*named, f"more than {bounds[-1]}°"]
 
 
 def _how(path: DrivePath) -> str:
