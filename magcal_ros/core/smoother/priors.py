@@ -27,6 +27,11 @@ from magcal_ros.core.smoother.unknowns import (
     Size,
 )
 
+GRID = 60
+"""Factors of an effect's sigma that are tried."""
+RATIOS = np.linspace(-8.0, 8.0, 81)
+"""Logarithms of the ratios that are tried of a distortion by soft iron to that by crooked axes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Priors:
@@ -85,9 +90,7 @@ class Priors:
         left = 1.0 - len(others) * share * ALIKE
         return self.spread[name] * share * sum(others), self.spread[name] ** 2 * left
 
-    def factors_of(
-        self, name: str, known: Mapping[str, float], count: int
-    ) -> tuple[FloatArray, FloatArray]:
+    def factors_of(self, name: str, known: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
         """Return possible logarithms of a group's factor, and their log densities.
 
         No sample separates the two causes of a distortion, crooked axes and soft iron: the factor
@@ -96,7 +99,7 @@ class Priors:
         if name == "axes":
             axes, density = self._by_cause(np.log([known["soft_iron"]]), known)
             return axes[0], density[0]
-        x = np.linspace(-3.0 * self.spread[name], math.log(self.most[name]), count)
+        x = np.linspace(-3.0 * self.spread[name], math.log(self.most[name]), GRID)
         return x, self.log_density(name, x, known)
 
     def log_density(self, name: str, x: FloatArray, known: Mapping[str, float]) -> FloatArray:
@@ -112,12 +115,11 @@ class Priors:
         """Return the logarithms of what crooked axes may be of a distortion, and their log density.
 
         `x` are logarithms of the distortion's factor. The squares of both causes add up to its
-        square: with t = log tan(u) they are its shares cos(u) and sin(u). Shapes (x, t).
+        square: at a ratio tan(u) they are its shares cos(u) and sin(u). Shapes (x, `RATIOS`).
         """
         mean, variance = self.log_factor("axes", known)
-        t = np.linspace(-8.0, 8.0, 81)
-        axes = x[:, None] - 0.5 * np.log1p(np.exp(2.0 * t))
-        iron = axes + t - math.log(self.iron_over_axes)
+        axes = x[:, None] - 0.5 * np.log1p(np.exp(2.0 * RATIOS))
+        iron = axes + RATIOS - math.log(self.iron_over_axes)
         density = -0.5 * ((axes - mean) ** 2 / variance + (iron / self.spread["soft_iron"]) ** 2)
         return axes, np.where(axes < math.log(self.most["axes"]), density, -math.inf)
 

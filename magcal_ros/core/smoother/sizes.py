@@ -13,8 +13,6 @@ from magcal_ros.core.smoother.model import Model, Point, counted_unknowns
 from magcal_ros.core.smoother.solver import Solution, Weighted
 from magcal_ros.core.smoother.unknowns import AT, VELOCITY, Size
 
-GRID = 60
-"""Factors of an effect's sigma that are tried."""
 SMALLEST = 4.0
 """Spreads below the median to which a size may fall; what is smaller makes no difference."""
 LARGEST_STEP = 0.7
@@ -156,7 +154,7 @@ def effect_factors(
         alone, column = np.eye(len(rows)), covariance[:, rows]
         own = np.asarray(np.linalg.inv(column[rows]), dtype=np.float64)
         mean = covariance[rows] @ by_samples
-        x, believed = model.priors.factors_of(name, found, GRID)
+        x, believed = model.priors.factors_of(name, found)
         as_expected = name in expected or name == "axes"
         if name == "soft_iron" and not (as_expected or model.priors.has_exact_axes):
             # It multiplies the attitudes: farther than that the posterior is not that of the point.

@@ -51,13 +51,13 @@ def test_a_distortion_is_one_of_axes_or_of_soft_iron():
     density = np.exp(PRIORS.log_density("soft_iron", middle, {}))
     np.testing.assert_allclose(density / density.sum(), counted / counted.sum(), atol=2e-3)
     for factor in (0.5, 2.0, 5.0):
-        x, log_density = PRIORS.factors_of("axes", {"soft_iron": factor}, 0)
+        x, log_density = PRIORS.factors_of("axes", {"soft_iron": factor})
         expected = np.average(np.exp(2.0 * x), weights=np.exp(log_density))
         near = np.abs(whole - math.log(factor)) < 0.05
         assert math.isclose(expected, np.mean(axes[near] ** 2), rel_tol=0.1)
 
 
 def test_a_large_distortion_is_rather_soft_iron():
-    x, log_density = PRIORS.factors_of("axes", {"soft_iron": 30.0}, 0)
+    x, log_density = PRIORS.factors_of("axes", {"soft_iron": 30.0})
     expected = math.sqrt(np.average(np.exp(2.0 * x), weights=np.exp(log_density)))
     assert expected < PRIORS.most["axes"] / 2.0
