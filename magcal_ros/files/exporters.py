@@ -18,7 +18,7 @@ from magcal_ros.core.calibration import Calibration, Correction
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry import FRD_FROM_FLU, FloatArray, rotation_angle, rpy_from_rotation
 from magcal_ros.files.disk import plain
-from magcal_ros.files.px4 import rotation_of
+from magcal_ros.files.px4 import mounting_of
 
 GAUSS = 1e4
 """Gauss in a tesla."""
@@ -264,7 +264,8 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
     slot = of_log[1] if of_log else ""
     origin = (
         f"From a log, whose own OFS, DIA, ODI and SCALE were taken off: compass {slot or 1}.",
-        "These numbers replace those in force; the compensation of the motors stays.",
+        "These numbers replace those in force; COMPASS_MOT stays, and COMPASS_ORIENT. Where DIA or",
+        "SCALE change by more than a few percent, run CompassMot again: it is added after them.",
     )
     driver = (
         "RESTS ON readings without COMPASS_OFS in them. MAVLink's RAW_IMU, and so imu/mag of",
@@ -291,9 +292,6 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
     return "".join([header, *lines, f"COMPASS_SCALE{slot},1.0\n"])
 
 
-PX4_FRAME = "px4_mag{slot}_rot{rotation}"
-"""The frame in a calibration from a log of PX4: CAL_MAGn and its ROT."""
-
 SMALLEST_SCALE, LARGEST_SCALE = 0.1, 3.0
 
 
@@ -312,9 +310,8 @@ def px4(calibration: Calibration, frame: str = "") -> str:
     field is turned by more than 5°, or scaled beyond PX4's range.
     """
     held, comments = without_rotation(calibration.correction, "PX4")
-    of_log = re.fullmatch(PX4_FRAME.format(slot=r"(\d)", rotation=r"(\d+)"), frame)
-    slot, rotation = (int(number) for number in of_log.groups()) if of_log else (0, 0)
-    turn = rotation_of(rotation)  # the parameters are in the sensor's own axes
+    of_log = mounting_of(frame)
+    slot, turn, name = of_log or (0, np.eye(3), "")  # the parameters are in the sensor's own axes
     matrix, offset = turn.T @ held.matrix @ turn, turn.T @ held.hard_iron
     scales = np.diag(matrix)
     if scales.min() < SMALLEST_SCALE or scales.max() > LARGEST_SCALE:
@@ -324,8 +321,8 @@ def px4(calibration: Calibration, frame: str = "") -> str:
             "driver, and calibrate again."
         )
     origin = (
-        f"From a log, whose own calibration was taken off: CAL_MAG{slot}, CAL_MAG{slot}_ROT "
-        f"{rotation}.",
+        f"From a log, whose own calibration was taken off: CAL_MAG{slot}, mounted as {name}.",
+        "These numbers replace those in force; the compensation for the power stays.",
     )
     driver = (
         "For the first magnetometer and CAL_MAG0_ROT = 0 or -1.",
