@@ -60,7 +60,7 @@ LATE_BY = 0.1
 MOTORS, BEYOND_USUAL = ("motors_moving", "motors_rate"), 2.0
 """The field of the motors, and the factor of their usual size from which a late field is tried."""
 LARGEST_GAIN = 3.0
-"""By which soft iron may strengthen or weaken the field along an axis: its prior ends there."""
+"""By which soft iron may strengthen the field along an axis: its prior ends there."""
 NEARLY = 0.95
 """Share of the largest gyro noise, beyond which the gyro does not agree with the other sensors."""
 
@@ -335,9 +335,9 @@ def mixed(
 
 
 def is_possible(fit: Fit) -> bool:
-    """Return whether the soft iron of a fit neither mirrors the field nor changes it too far."""
+    """Return whether the soft iron of a fit neither mirrors the field nor strengthens it too far."""
     least, _, most = np.linalg.eigvalsh(soft_iron(fit.state.shared))
-    return bool(least > 1.0 / LARGEST_GAIN and most < LARGEST_GAIN)
+    return bool(least > 0.0 and most < LARGEST_GAIN)
 
 
 def mixture(found: dict[str, Posterior], weights: dict[str, float], mode: str) -> Posterior:
