@@ -148,17 +148,24 @@ def ctu_vras(calibration: Calibration) -> str:
 def fusioncore(calibration: Calibration) -> str:
     """Return a parameter file for FusionCore; field_strength is the corrected field's.
 
+    FusionCore takes the calibrator's yaw. Its own compass is off, and has the numbers all the same.
+
     `corrected = soft_iron (mag - hard_iron)`, tesla, soft iron as a "3x3 scale+rotation matrix in
     row-major order" (docs/configuration.md of github.com/manankharwar/fusioncore).
     """
     correction, tesla = calibration.correction, OF_TESLA
     header = commented(
         calibration,
+        "FusionCore takes the yaw of the node calibrator, which has to run. To use its own compass",
+        "instead, set magnetometer.enabled to true and remove gnss.heading_topic. CAUTION: its",
+        "compass gives every heading a sigma of 0.05 rad (magnetometer.noise_rad), and needs MINUS",
+        "the declination as magnetometer.declination_rad.",
         "corrected = soft_iron * (mag - hard_iron): tesla, for the readings as the driver",
         "publishes them. soft_iron turns them into the IMU's axes: they must not be turned twice.",
     )
     return header + parameter_file(
-        "magnetometer.enabled: true",
+        "gnss.heading_topic: compass/true/enu/imu",
+        "magnetometer.enabled: false",
         f"magnetometer.hard_iron: [{numbers(correction.hard_iron, tesla)}]",
         f"magnetometer.soft_iron: [{numbers(correction.matrix)}]",
         f"magnetometer.field_strength: {number(calibration.strength, tesla)}",

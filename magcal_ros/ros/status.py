@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.heading.compass import Moment
@@ -51,7 +51,7 @@ def status_json(
         "reference": reference.facts,
         "progress": _progress(turn.progress),
         "answer": None if conclusion is None else asdict(conclusion),
-        "verdict": None if outcome is None else _verdict(outcome.verdict),
+        "verdict": None if outcome is None else _verdict(outcome),
         "turns_kept": turn.turns_kept,
         "several": None if several is None else several.facts(),
         "calibration": _calibration(keeper),
@@ -88,7 +88,9 @@ def _progress(progress: Progress | None) -> Mapping[str, Any] | None:
     }
 
 
-def _verdict(verdict: Verdict) -> Mapping[str, Any]:
+def _verdict(outcome: Outcome) -> Mapping[str, Any]:
+    verdict, estimate = outcome.verdict, outcome.estimate
+    installation = None if estimate is None else estimate.installation
     return {
         "accepted": verdict.accepted,
         "quality": verdict.quality.value,
@@ -96,6 +98,9 @@ def _verdict(verdict: Verdict) -> Mapping[str, Any]:
         "summary": verdict.summary,
         "reasons": [check.words for check in verdict.checks],
         "not_shown": list(verdict.not_shown),
+        "installation_rpy_deg": None
+        if installation is None
+        else [round(math.degrees(angle), 6) for angle in astuple(installation)],
     }
 
 
