@@ -233,7 +233,7 @@ class KnownHeadings:
         self.antenna = Antenna(node, magnetometer, pipeline, fits, self.worker, group)
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
-        self._sensors = self._answer = ""
+        self._answer = ""
         self._since: external_heading.TurnSince | None = None
         self._pairs: list[Pair] = []
         self._pairer = Pairer(pipeline.streams)
@@ -255,12 +255,6 @@ class KnownHeadings:
         self._standings, self._since, self._answer = (), None, ""
         self._epoch += 1
         self.antenna.forget()
-
-    def note_sensors(self, sensors: str) -> None:
-        """Take which sensors send now; what others measured is forgotten."""
-        if self._sensors and sensors != self._sensors:
-            self.forget()
-        self._sensors = sensors
 
     def calibrate(self, turns: Magnetometers, tell: Tell) -> None:
         """Collect where the robot stands now, and answer what its heading shows."""

@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from time import monotonic as now
 from typing import Any, Protocol, TypeVar
 
@@ -19,10 +20,10 @@ from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch
-from magcal_ros.core.samples import Drop, FieldSample, ImuSample, Pairer, Streams, Window
+from magcal_ros.core.samples import Drop, FieldSample, Pairer, Streams, Window
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session import turn_events as ev
-from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
+from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.turn_machine import TurnMachine
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs
@@ -85,7 +86,8 @@ class Magnetometer:
         name, log = (node.get_namespace(), node.get_name()), node.get_logger()
         self.keeper = Keeper(name, files, log, self._apply, chosen, number)
         self.control = Control(inputs.streams, self, owner, robot, fits, files)
-        self._reporter = Reporter(BackgroundThread(node, "magcal-report"), log.error)
+        thread = BackgroundThread(node, "magcal-report")
+        self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
         self.compass: Compass | None = None
         self.watch: Watch | None = None
         """Watches the calibration of the first magnetometer."""
@@ -127,7 +129,7 @@ class Magnetometer:
         if self.control.turn.outcome_is_of_others:
             tell(ev.Conclusion(False, "the last fit is of other sensors than the present ones"))
             return
-        self._reporter.put_in_force()
+        self.reporter.put_in_force()
         self.use(outcome.calibration.accepted_by_person(), tell)
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
@@ -137,7 +139,7 @@ class Magnetometer:
 
     def reset(self) -> None:
         """Use no calibration any more."""
-        self.control.forget_turns()
+        self.control.turn.forget()
         self.keeper.forget()
         if self.keeper.calibration is not None:
             self.keeper.reset()
@@ -147,12 +149,6 @@ class Magnetometer:
         if self.control.state is not ev.TurnState.IDLE:
             return None
         return self._pipeline.settled(self.number, self.inputs.field.frame).knowledge
-
-    def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
-        """Begin the report on a turn; returns where it will be written, in words."""
-        yaw = self._pipeline.travel.yaw
-        vehicle = yaw.words if yaw else ""
-        return self._reporter.report(window, settings, outcome, self.inputs, vehicle)
 
     def describe_silence(self) -> str:
         """Say which sensor is missing, and what to look at."""
@@ -168,7 +164,7 @@ class Magnetometer:
 
     def _note_sensors(self) -> None:
         frames = self.inputs.field.frame, self.inputs.imu.frame
-        self.control.note_sensors(*map(known_as, frames))
+        self.control.tell(self.control.turn.note_sensors, *map(known_as, frames))
 
     def _on_field(self, data: bytes) -> None:
         streams = self.inputs.streams
@@ -215,7 +211,7 @@ class Control:
 
     Collecting happens in the executor's thread, a few microseconds a sample. The fit has a process
     of its own and the disk a thread, so the corrected field and the yaw are not interrupted. `turn`
-    is the state machine, to be read.
+    is the state machine.
     """
 
     def __init__(
@@ -245,26 +241,16 @@ class Control:
         """Call back once with the conclusion of the turn that is under way."""
         self._listeners.append(listener)
 
-    def forget_turns(self) -> None:
-        """Let the next turn start afresh."""
-        self._tell(self.turn.forget)
-
-    def note_sensors(self, field: str, imu: str) -> None:
-        """Note the frames of the sensors that are there; turns of others are not joined."""
-        self._tell(self.turn.note_sensors, field, imu)
-
     def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> ev.Conclusion:
         """Open a session; refused while another is under way."""
-        rotation, limits = settings.rotation, settings.limits
-        knowledge, method = settings.knowledge, settings.method
-        order = Order(rotation.speed, limits.timeout, knowledge.mounting.to_body)
-        asked = order if rotation.enabled else None
-        brief = ev.Brief(limits, knowledge, method, settings.accumulate, asked, gyro)
-        was_idle = self.state is ev.TurnState.IDLE
-        answer = self._tell(self.turn.open, brief, now())
-        if was_idle and answer.success:
+        speed = settings.rotation.speed if settings.rotation.enabled else None
+        asked = settings.knowledge, settings.method, settings.accumulate
+        answer = self.tell(self.turn.open, ev.Brief(settings.limits, *asked, speed, gyro), now())
+        if answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
             self._unreported = None
+            # A fit will be asked for soon.
+            self._fits.run(self._worker.start, lambda _: None, lambda _: None)
         return answer
 
     def add(self, sample: FieldSample) -> None:
@@ -272,11 +258,6 @@ class Control:
         if self.state is ev.TurnState.COLLECTING:
             self._pairer.offer(sample)
             self._collect()
-
-    def hear(self, sample: ImuSample) -> None:
-        """Take an IMU sample, if the robot turns itself."""
-        if self.turn.robot.is_under_way:
-            self._tell(self.turn.hear, sample.rate, now())
 
     def finish(self) -> ev.Conclusion | None:
         """End the session now and fit what there is; None means the fit is under way.
@@ -287,29 +268,21 @@ class Control:
         unreported, self._unreported = self._unreported, None
         if unreported is not None:
             return unreported
-        return self._tell(self.turn.finish, now())
-
-    def cancel(self) -> ev.Conclusion:
-        """Cancel the turn under way; the calibration in force stays."""
-        return self._tell(self.turn.cancel)
+        return self.tell(self.turn.finish, now())
 
     def tick(self) -> bool:
         """Let a turn see that time has passed; returns whether one is under way."""
         if self.state is ev.TurnState.COLLECTING:
             self._collect()
-            self._tell(self.turn.tick, self._magnetometer.describe_silence(), now())
+            self.tell(self.turn.tick, self._magnetometer.describe_silence(), now())
         return self.state is not ev.TurnState.IDLE
 
     def look(self) -> bool:
         """Look at a robot that turns itself; returns whether there is still one to look at."""
         self._collect()
         if self.turn.progress is not None:
-            self._tell(self.turn.look, self._owner.look_around(), now())
+            self.tell(self.turn.look, self._owner.look_around(), now())
         return not self.turn.robot.is_quiet
-
-    def give_up(self, reason: str) -> None:
-        """Stop a robot that turns itself and break off its turn."""
-        self._tell(self.turn.stop_robot, reason, now())
 
     def shut_down(self) -> None:
         """Drop a turn under way; what is in force already is saved before this returns."""
@@ -320,9 +293,9 @@ class Control:
     def _collect(self) -> None:
         if self.state is ev.TurnState.COLLECTING:
             for pair in self._pairer.take():
-                self._tell(self.turn.take, pair, now())
+                self.tell(self.turn.take, pair, now())
 
-    def _tell(self, happened: Callable[..., T], *facts: Any) -> T:
+    def tell(self, happened: Callable[..., T], *facts: Any) -> T:
         """Report an event to the turn and carry out its commands; returns its answer."""
         before = self.state
         try:
@@ -331,7 +304,7 @@ class Control:
         except Exception as error:  # short of files even a median fails: its code must be read
             if happened != self.turn.break_off:
                 was_under_way = {before, self.state} != {ev.TurnState.IDLE}
-                self._tell(self.turn.break_off, _broken_off(error), was_under_way)
+                self.tell(self.turn.break_off, _broken_off(error), was_under_way)
             raise
         for command in commands:
             self._do(command)
@@ -339,35 +312,30 @@ class Control:
 
     def _do(self, command: ev.Command) -> None:
         try:
-            self._carry_out(command)
+            match command:
+                case ev.MoveBase(rate):
+                    self._owner.rotator.move(rate)
+                case ev.Preview():
+                    self._preview(command)
+                case ev.FitTurn():
+                    self._fit(command)
+                case ev.PutInForce(calibration):
+                    # A fault in storing it is only said.
+                    saved = partial(self.tell, self.turn.note_saved)
+                    self._magnetometer.use(calibration, lambda done: saved(done.message))
+                case ev.Conclusion():
+                    self._conclude(command)
         except Exception as error:  # whatever has failed, all who wait are answered
             self._owner.note_error(error)
-            self._tell(self.turn.break_off, _broken_off(error))
-
-    def _carry_out(self, command: ev.Command) -> None:
-        if isinstance(command, ev.MoveBase):
-            self._owner.rotator.move(command.rate)
-        elif isinstance(command, ev.Prepare):
-            self._fits.run(self._worker.start, lambda _: None, lambda _: None)
-        elif isinstance(command, ev.Preview):
-            self._preview(command)
-        elif isinstance(command, ev.FitTurn):
-            self._fit(command)
-        elif isinstance(command, ev.PutInForce):
-            # The calibration is in force; a fault in storing it is only said.
-            self._magnetometer.use(
-                command.calibration, lambda done: self._tell(self.turn.note_saved, done.message)
-            )
-        elif isinstance(command, ev.Conclude):
-            self._conclude(command.conclusion)
+            self.tell(self.turn.break_off, _broken_off(error))
 
     def _preview(self, asked: ev.Preview) -> None:
         known, method = asked.brief.knowledge, asked.brief.method
         self._fits.run(
             lambda: self._worker.run(predicted_sigma, asked.window, known, method),
-            lambda sigma: self._tell(self.turn.note_preview, asked.turn, sigma, now()),
+            lambda sigma: self.tell(self.turn.note_preview, asked.turn, sigma, now()),
             # A preview that failed predicts nothing; the fit will tell.
-            lambda _: self._tell(self.turn.note_preview, asked.turn, math.inf, now()),
+            lambda _: self.tell(self.turn.note_preview, asked.turn, math.inf, now()),
         )
 
     def _fit(self, asked: ev.FitTurn) -> None:
@@ -375,14 +343,14 @@ class Control:
         turn = (asked.kept, asked.window, brief.knowledge, brief.method, brief.accumulate)
         self._fits.run(
             lambda: self._worker.run(take_turn, *turn),
-            lambda found: self._tell(self.turn.note_fit, asked.turn, *found),
-            lambda error: self._tell(self.turn.note_failed_fit, asked.turn, in_words(error)),
+            lambda found: self.tell(self.turn.note_fit, asked.turn, *found),
+            lambda error: self.tell(self.turn.note_failed_fit, asked.turn, in_words(error)),
         )
 
     def _report(self, window: Window, outcome: Outcome) -> str:
         assert self._settings is not None
         try:
-            return self._magnetometer.begin_report(window, self._settings, outcome)
+            return self._magnetometer.reporter.report(window, self._settings, outcome)
         except Exception as error:  # the calibration matters more than a page about it
             self._owner.note_error(error)
             return f"No report: {error}."

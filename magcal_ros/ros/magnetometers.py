@@ -83,7 +83,7 @@ class Magnetometers:
             each.inputs.streams.max_gap = settings.max_gap
             each.inputs.look(count_publishers)
             if not settings.accumulate:
-                each.control.forget_turns()
+                each.control.turn.forget()
 
     def complaints(self) -> list[str]:
         """Return what is wrong with the further ones, and between all, in words."""
@@ -176,7 +176,7 @@ class Magnetometers:
     def cancel(self) -> Conclusion:
         """Cancel the turns under way; the calibrations in force stay."""
         busy = self._busy or self.heard[:1]
-        return joined({each.topic: each.control.cancel() for each in busy})
+        return joined({e.topic: e.control.tell(e.control.turn.cancel) for e in busy})
 
     def tick(self) -> bool:
         """Let turns see that time has passed; returns whether one is under way."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from time import monotonic
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -45,6 +46,7 @@ class Calibrator(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
         self._status = ""
+        self._sensors = "", ""
         self._callback_errors = CallbackErrors(self.get_logger().error)
         self._announcer = Announcer(self.get_logger())
         self._up = UpFollower()
@@ -60,8 +62,9 @@ class Calibrator(Node):
         where = self._frames, self._reference, self._travel
         self._pipeline = HeadingPipeline(self, self._up, imu, self._inputs.streams, *where)
         topics = Topics(imu.topic, self._inputs.field.topic, self.resolve_topic_name("cmd_vel"))
-        robot = SelfTurn(topics)
-        self._first = first = self._magnetometer(FIRST, self._inputs, robot, self._sensor_group)
+        self._robot = SelfTurn(topics)
+        first = self._magnetometer(FIRST, self._inputs, self._robot, self._sensor_group)
+        self._first = first
         self._control, self._keeper = first.control, first.keeper
         self._keeping = SelfKeeping(self, first)
         fitting = self._fits, self._sensor_group
@@ -129,7 +132,8 @@ class Calibrator(Node):
 
     def _on_callback_error(self, error: Exception) -> None:
         # What failed may be what watches the turn.
-        self._control.give_up(self._callback_errors.note(error))
+        reason, stop = self._callback_errors.note(error), self._control.turn.stop_robot
+        self._control.tell(stop, reason, monotonic())
 
     def note_error(self, error: Exception) -> None:
         """Take note of an error that ends a turn."""
@@ -148,7 +152,8 @@ class Calibrator(Node):
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
             self._up.add(sample, self._travel.on_imu(sample, self._up))
-            self._control.hear(sample)
+            if self._robot.is_under_way:
+                self._robot.hear(sample.rate, monotonic())
             for each in self._magnetometers.further:
                 each.inputs.streams.add_imu(sample)
             if self._known.follows:
@@ -168,9 +173,12 @@ class Calibrator(Node):
         self._magnetometers.add(magnetometer)
         if magnetometer is self._first:
             imu, field = self._inputs.imu.frame, self._inputs.field.frame
-            self._keeping.note_sensors(f"{field} {imu}")
-            self._known.note_sensors(f"{field} {imu}")
             self._frames.note_sensors(imu, field)
+            if self._sensors not in (("", ""), (imu, field)):
+                # What other sensors measured does not count.
+                self._keeping.machine.forget()
+                self._known.forget()
+            self._sensors = imu, field
 
     def _start(self) -> Conclusion:
         opened = self._magnetometers.start(self._up.gyro_at_rest)
@@ -279,8 +287,7 @@ class Calibrator(Node):
 
     def _publish_status(self) -> None:
         answer, state = self._control.turn.last_conclusion, self._magnetometers.state
-        words = "" if answer is None else answer.message
-        self._announcer.follow_turn(state is not TurnState.IDLE, answer, words)
+        self._announcer.follow_turn(state is not TurnState.IDLE, answer)
         parts = {
             "turns_itself": self._table.settings.rotation.enabled,
             "vehicle_yaw_offset": self._travel.yaw_facts(),

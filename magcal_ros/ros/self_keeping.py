@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -43,7 +42,6 @@ class SelfKeeping:
         self.machine = SelfCalibration()
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
-        self._sensors = ""
         self._idle = 0
         self.lost = 0
         """Fits that were never finished."""
@@ -53,16 +51,8 @@ class SelfKeeping:
 
     def on_field(self, sample: FieldSample, imu: ImuSample | None, travel: Travel) -> None:
         """Take a field sample with the newest IMU sample and what the vehicle does."""
-        if imu is None or not math.isfinite(imu.rate[0]):
-            return
-        if self.machine.add(sample.stamp, sample.field, imu.force, imu.rate, travel.speed):
+        if self.machine.add(sample, imu, travel.speed):
             self._look()
-
-    def note_sensors(self, sensors: str) -> None:
-        """Take note of the present sensors: data of others does not count."""
-        if self._sensors and sensors != self._sensors:
-            self.machine.forget()
-        self._sensors = sensors
 
     def follow(self, mode: str, reports: str) -> None:
         """Take the mode and the folder of the reports, once a second."""
@@ -98,7 +88,7 @@ class SelfKeeping:
             },
             "decisions": [
                 {"decision": made.verb.value, "at_s": round(made.clock, 1), "why": made.words}
-                for made in machine.decisions[-5:]
+                for made in list(machine.decisions)[-5:]
             ],
         }
 
@@ -142,13 +132,11 @@ class SelfKeeping:
             return
         from magcal_ros.core.keeping.story import DriveStory
 
-        machine = self.machine
+        machine, moved = self.machine, self.machine.recorder.seconds
         decisions = tuple((made.clock, made) for made in machine.decisions)
         before = self._magnetometer.keeper.calibration
-        story = DriveStory(
-            decisions, before, calibration, machine.seconds, machine.seconds, machine.in_words, None
-        )
-        log, reports = machine.log(), self._reports
+        story = DriveStory(decisions, before, calibration, moved, moved, machine.in_words, None)
+        log, reports = machine.recorder.log(), self._reports
         self._jobs.run(
             lambda: self.worker.run(write_page, reports_of(reports), story, log),
             lambda page: self._tell(f"report: {page}"),

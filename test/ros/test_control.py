@@ -41,12 +41,12 @@ class House:
     """What a node does for a turn, where nothing is to be done."""
 
     def __init__(self):
-        self.errors = []
+        self.errors, self.reporter = [], self
 
     def use(self, _, tell):
         tell(Conclusion(True, "In force."))
 
-    def begin_report(self, *_):
+    def report(self, *_):
         return ""
 
     def describe_silence(self):
@@ -129,7 +129,7 @@ def test_no_process_is_allowed_any_more():
 
 def test_no_room_for_the_report():
     house = House()
-    house.begin_report = no_room
+    house.report = no_room
     answer = turn_in(house)
     assert answer.success
     assert "No report: [Errno 24] Too many open files" in answer.message

@@ -55,7 +55,7 @@ class TestInTheNode:
         proposed = replace(calibration, correction=replace(calibration.correction, hard_iron=iron))
         machine = house._keeping.machine
         machine.proposal = proposed
-        machine._decisions.append(Decision(90.0, Verb.PROPOSED, "it was better", proposed))
+        machine.decisions.append(Decision(90.0, Verb.PROPOSED, "it was better", proposed))
         stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"])
         assert stage.status["self_calibration"]["decisions"][-1]["why"] == "it was better"
         answer = stage.answer(stage.call("accept"))

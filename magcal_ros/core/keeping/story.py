@@ -99,7 +99,7 @@ class DriveReplay:
             self._initial,
             self._now,
             seconds,
-            self._machine.seconds,
+            self._machine.recorder.seconds,
             self._machine.in_words,
             self._path(),
         )
@@ -115,7 +115,7 @@ class DriveReplay:
         due = self._points[-1][0] + KEEPING.map_every if self._points else -math.inf
         if up is not None and not sample.stamp < due:
             self._points.append((sample.stamp, speed, *sample.field, *up))
-        if self._machine.add(sample.stamp, sample.field, imu.force, imu.rate, speed):
+        if self._machine.add(sample, imu, speed):
             for decision in self._machine.note(answer(self._machine.job(self._knowledge))):
                 self._decisions.append((sample.stamp - self._first, decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):

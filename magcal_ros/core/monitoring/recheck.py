@@ -288,15 +288,6 @@ def up_of(window: Window) -> FloatArray:
     return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
 
 
-def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
-    """Weigh the hard iron that was added since a calibration; None where a drive does not show it.
-
-    A drive may be too short, or its iron too uncertain.
-    """
-    iron = _iron_of(drive, calibration)
-    return None if iron is None else iron.check(CHANGE.chance)
-
-
 @dataclass(frozen=True)
 class _Iron:
     """Hard iron that was added, against the level field, and its standard deviation."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.rotation import Phase, RotationLimits, RotationPlan, RotationProof
 from magcal_ros.core.session.session import Progress
+from magcal_ros.core.session.turn_events import Brief
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,6 @@ GUARD_GONE = (
     "its guard has ended, does not answer, or has stopped it because this node was silent for too "
     "long: end other programs that keep the machine busy"
 )
-
-
-@dataclass(frozen=True)
-class Order:
-    """How the robot is to turn itself."""
-
-    speed: float  # rad/s
-    longest: float  # seconds that it may take at most
-    to_body: FloatArray  # from raw field to nominal body axes. Shape (3, 3).
 
 
 @dataclass(frozen=True)
@@ -95,7 +86,7 @@ class Steering:
 class Waiting:
     """It waits for both sensors, a subscriber of the commands and the guard."""
 
-    order: Order
+    brief: Brief
     since: float
 
 
@@ -106,6 +97,14 @@ class Moving:
     plan: RotationPlan
     proof: RotationProof
     limits: RotationLimits
+
+    @classmethod
+    def of(cls, brief: Brief, now: float) -> Moving:
+        """Begin to turn as a brief says, which has a speed."""
+        assert brief.speed is not None
+        limits = RotationLimits(brief.speed, now, brief.limits.timeout)
+        to_body = brief.knowledge.mounting.to_body
+        return cls(RotationPlan(brief.speed, now), RotationProof(to_body), limits)
 
 
 class SelfTurn:
@@ -134,9 +133,9 @@ class SelfTurn:
         """Whether the turn and its zeros are over."""
         return self._stage is None and not self._zeros
 
-    def open(self, order: Order, now: float) -> None:
+    def open(self, brief: Brief, now: float) -> None:
         """Let the robot turn as soon as it may."""
-        self._stage = Waiting(order, now)
+        self._stage = Waiting(brief, now)
         self._gyro_heard = None
         self._looked = self._paired = now
 
@@ -193,10 +192,7 @@ class SelfTurn:
                 return self.break_off(f"nothing subscribes to {topic}: {remedy}")
         elif around.is_guarded:
             if now - stage.since >= TUNING.stands_first:
-                speed, longest = stage.order.speed, stage.order.longest
-                proof = RotationProof(stage.order.to_body)
-                limits = RotationLimits(speed, now, longest)
-                self._stage, self._paired = Moving(RotationPlan(speed, now), proof, limits), now
+                self._stage, self._paired = Moving.of(stage.brief, now), now
         elif now - stage.since > TUNING.guarded_within:
             return self.break_off(UNGUARDED)
         return Steering()

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 from magcal_ros.core.calibrate import JOINS, Outcome
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples import Pair, Window
 from magcal_ros.core.session import turn_events as ev
@@ -76,10 +75,6 @@ class TurnMachine:
         """Discard the turns kept so far."""
         self._kept = Kept()
 
-    def hear(self, rate: Triple, now: float) -> None:
-        """Take the angular velocity of an IMU message, rad/s; NaN without one."""
-        self.robot.hear(rate, now)
-
     def open(self, brief: ev.Brief, now: float) -> ev.Conclusion:
         """Begin a turn, at `now`, seconds on a steady clock; returns whether it has begun."""
         refusal = self._why_not(brief)
@@ -92,25 +87,22 @@ class TurnMachine:
         session = Session(brief.limits, brief.knowledge.mounting, now, brief.gyro)
         self._stage = ev.Collecting(brief, session)
         self.progress = session.progress(now)
-        self._do(ev.Prepare())
-        if brief.order is None:
-            words = "turn the robot once, a full circle, 0.5 rad/s or less"
-        else:
+        words = "turn the robot once, a full circle, 0.5 rad/s or less"
+        if brief.speed is not None:
             self._steer(self.robot.stop())
-            self.robot.open(brief.order, now)
+            self.robot.open(brief, now)
             words = "the robot turns itself, once each way; keep clear"
         return ev.Conclusion(True, f"collecting: {words}")
 
     def _why_not(self, brief: ev.Brief) -> str:
         """Say why a turn cannot be opened; empty if it can."""
-        if brief.order is not None:
-            speed, longest = brief.order.speed, brief.order.longest
-            needed = planned_duration(speed)
-            if needed > longest:
-                return (
-                    f"a turn each way at rotate.speed_rad_s {speed:g} takes {needed:.0f} s,"
-                    f" longer than window.timeout_s ({longest:g} s): raise one of them"
-                )
+        longest = brief.limits.timeout
+        if brief.speed is not None and planned_duration(brief.speed) > longest:
+            return (
+                f"a turn each way at rotate.speed_rad_s {brief.speed:g} takes"
+                f" {planned_duration(brief.speed):.0f} s,"
+                f" longer than window.timeout_s ({longest:g} s): raise one of them"
+            )
         if self._stage is not None:
             return f"already {self.state.value}: wait for it to end, or call ~/cancel first"
         if brief.accumulate and brief.method != JOINS:
@@ -171,12 +163,11 @@ class TurnMachine:
     def look(self, around: Around, now: float) -> None:
         """Look at a robot that turns itself."""
         assert self.progress is not None
-        steering = self.robot.look(now, self.progress, around)
+        self._follow(self.robot.look(now, self.progress, around), now)
+
+    def _follow(self, steering: Steering, now: float) -> None:
         # Stopping comes first; what it leads to may take a moment.
         self._steer(steering)
-        self._end_with(steering, now)
-
-    def _end_with(self, steering: Steering, now: float) -> None:
         if not isinstance(self._stage, ev.Collecting):
             return
         if steering.broken_off:
@@ -187,9 +178,7 @@ class TurnMachine:
     def stop_robot(self, reason: str, now: float) -> None:
         """Stop a robot that turns itself: what has failed may be what supervises it."""
         if self.robot.is_under_way:
-            steering = self.robot.break_off(reason)
-            self._steer(steering)
-            self._end_with(steering, now)
+            self._follow(self.robot.break_off(reason), now)
 
     def _steer(self, steering: Steering) -> None:
         if steering.rate is not None:
@@ -297,7 +286,7 @@ class TurnMachine:
     def _conclude(self, success: bool, message: str) -> None:
         self._stage = None
         self.last_conclusion = ev.Conclusion(success, message)
-        self._do(ev.Conclude(self.last_conclusion))
+        self._do(self.last_conclusion)
 
 
 def _changes(before: tuple[str, str], after: tuple[str, str]) -> list[str]:

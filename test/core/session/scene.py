@@ -12,11 +12,11 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples import ImuSample, Pairer, Streams
-from magcal_ros.core.session.self_turn import Around, Order, SelfTurn, Topics
+from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
 from magcal_ros.core.session.session import Limits
 from magcal_ros.core.session.turn_events import (
     Brief,
-    Conclude,
+    Conclusion,
     FitTurn,
     MoveBase,
     Preview,
@@ -65,8 +65,7 @@ class Scene:
         self._steps = count()
         self._heard = {ImuSample: -math.inf, "field": -math.inf}
         limits = Limits(**{"timeout": 90.0, **limits})
-        order = None if speed is None else Order(speed, limits.timeout, np.eye(3))
-        self.brief = Brief(limits, Knowledge(), "maximum_likelihood", False, order)
+        self.brief = Brief(limits, Knowledge(), "maximum_likelihood", False, speed)
 
     @property
     def conclusion(self):
@@ -80,8 +79,8 @@ class Scene:
         answer = getattr(self.turn, happened)(*facts)
         for command in self.turn.commands():
             self.asked.append(command)
-            if isinstance(command, Conclude):
-                self.concluded.append(command.conclusion)
+            if isinstance(command, Conclusion):
+                self.concluded.append(command)
             elif isinstance(command, MoveBase):
                 self.command = command.rate
                 self.said.append((self.now, command.rate))
@@ -157,7 +156,7 @@ class Scene:
         if isinstance(sample, ImuSample):
             self._heard[ImuSample] = self.now
             if self.streams.add_imu(sample):
-                self.tell("hear", sample.rate, self.now)
+                self.turn.robot.hear(sample.rate, self.now)
         else:
             self._heard["field"] = self.now
             if self.streams.add_field(sample):
