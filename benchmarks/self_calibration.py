@@ -254,7 +254,7 @@ def bench_good(seeds: range) -> None:
             begun = drive.vehicle.with_iron(np.array([*way, 0.0])).robot.true_correction
             made, ended = taken.decide(calibration_of(begun))
             gains[off].append(error(begun, drive, 0.0) - error(ended.correction, drive, 420.0))
-            changed[off] += any(each.changes for _, each in made)
+            changed[off] += any(each.calibration is not None for _, each in made)
             noticed[off] += any(each.verb is Verb.NOTICED for _, each in made)
     for off, gained in gains.items():
         worse = sum(gain < -WORSE for gain in gained)

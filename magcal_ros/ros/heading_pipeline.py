@@ -232,13 +232,12 @@ class HeadingPipeline:
         self,
         node: Node,
         up: UpFollower,
-        imu: Sensor,
-        streams: Streams,
+        inputs: Inputs,
         frames: SensorFrames,
         reference_source: ReferenceSource,
         travel: Travel,
     ) -> None:
-        self._node, self.up, self._imu, self.streams = node, up, imu, streams
+        self._node, self.up, self._imu, self.streams = node, up, inputs.imu, inputs.streams
         self.frames, self._reference, self.travel = frames, reference_source, travel
         self.motors = Motors(node, up, travel)
         self.headings = HeadingOutput(node, frames)
@@ -271,7 +270,7 @@ class HeadingPipeline:
         self.fused.patience = settings.patience
         learnt = self.motors.follow(Mode(settings.self_calibration), turn is not TurnState.IDLE)
         if learnt is not None:
-            keeper.keep_motors(learnt)
+            keeper.keep(learnt)
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Go on to an IMU message, of which up knows already."""

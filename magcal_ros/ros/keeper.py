@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -66,7 +66,6 @@ class Keeper:
         """What went wrong with the file last time, for the diagnostics; empty if nothing."""
         self._frame = ""
         self._last_read: tuple[object, Loaded] | None = None
-        self._wanted: deque[str] = deque(maxlen=MOST_KNOWN)
         self._is_reading = False
         self._found: OrderedDict[str, Loaded | None] = OrderedDict()
         self._used: Path | None = None
@@ -78,20 +77,18 @@ class Keeper:
         self.calibration, self.origin = calibration, origin
         self._apply(calibration, origin.magnetometer_frame)
 
-    def keep_vehicle_yaw(self, yaw: VehicleYaw) -> None:
-        """Store a yaw with the calibration in force, if there is one."""
-        if self.calibration is not None and self.origin is not None:
-            self.origin = replace(self.origin, vehicle_yaw=yaw)
-            self.save()
-
-    def keep_motors(self, motors: MotorField) -> None:
-        """Store what was learnt of the motors with the calibration in force, if there is one.
+    def keep(self, learnt: VehicleYaw | MotorField) -> None:
+        """Store what was learnt while driving with the calibration in force, if there is one.
 
         Nothing is applied: the caller uses it already.
         """
-        if self.calibration is not None:
-            self.calibration = replace(self.calibration, motors=motors)
-            self.save()
+        if self.calibration is None or self.origin is None:
+            return
+        if isinstance(learnt, VehicleYaw):
+            self.origin = replace(self.origin, vehicle_yaw=learnt)
+        else:
+            self.calibration = replace(self.calibration, motors=learnt)
+        self.save()
 
     def reset(self) -> None:
         """Use none."""
@@ -195,13 +192,11 @@ class Keeper:
             return
         # A driver may leave out the frame at first.
         is_first = not any(self._found)
-        self._found[frame] = None
-        if len(self._found) > MOST_KNOWN:
-            self._found.popitem(last=False)
         if self.calibration is None:
-            self._wanted.append(frame)
             self._read_next()
-        elif is_first:
+            return
+        self._remember(frame)
+        if is_first:
             self._check_sensor(frame)
 
     def forget(self) -> None:
@@ -216,11 +211,16 @@ class Keeper:
         own = chosen_path(chosen) if chosen else SensorFile(frame, *self._name).path
         return numbered(own, self._number)
 
+    def _remember(self, frame: str) -> None:
+        self._found[frame] = None
+        if len(self._found) > MOST_KNOWN:
+            self._found.popitem(last=False)
+
     def _read_next(self) -> None:
-        if self.calibration is not None:
-            self._wanted.clear()
-        if self._wanted and not self._is_reading:
-            self._begin_reading(self._wanted.pop(), of_sensor=True)
+        """Read the file of the present sensor, once, when the one before it is read."""
+        if not self._is_reading and self.calibration is None and self._frame not in self._found:
+            self._remember(self._frame)
+            self._begin_reading(self._frame, of_sensor=True)
 
     def _begin_reading(self, frame: str, of_sensor: bool) -> None:
         self._is_reading = True

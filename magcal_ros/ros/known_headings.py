@@ -81,16 +81,13 @@ class Antenna:
         self._answer, self._north, self._missed = "", "", 0
 
     @property
-    def is_fresh(self) -> bool:
-        """Whether the topic gives a heading now."""
-        return time.monotonic() - self._heard_at < FRESH
-
-    @property
     def silence(self) -> str:
-        """Why it does not, in words that follow its name."""
+        """Why the topic gives no heading now, in words that follow its name; empty if it does."""
+        if time.monotonic() - self._heard_at < FRESH:
+            return ""
         if self._fault:
-            return f" (it sends, but {self._fault})"
-        return "" if self._collector is None else " (its last heading came too long ago)"
+            return f"{self.topic} (it sends, but {self._fault})"
+        return f"{self.topic}{' (its last heading came too long ago)' * bool(self._collector)}"
 
     @property
     def complaints(self) -> list[str]:
@@ -186,13 +183,10 @@ class Antenna:
             return
         self._answer, self._north = outcome.verdict.summary, north
         found, before = outcome.calibration, self._magnetometer.keeper.calibration
-        if self._pipeline.settled().self_calibration == Mode.OFF.value:
+        is_wanted = self._pipeline.settled().self_calibration != Mode.OFF.value
+        if found is None or not (is_wanted and outcome.verdict.accepted):
             return
-        if (
-            found is None
-            or not outcome.verdict.accepted
-            or not external_heading.replaces(found, before)
-        ):
+        if not external_heading.replaces(found, before):
             return
         self._say(f"{self.topic} calibrates the compass: {self._answer}")
         is_another = before is None or not external_heading.is_by_headings(before)
@@ -277,8 +271,8 @@ class KnownHeadings:
             return "already collecting at a known heading: wait for its answer"
         if settings.north_is_missing:
             return NO_NORTH
-        if settings.known_heading is None and not self.antenna.is_fresh:
-            return f"{NO_HEADING}{self.antenna.topic}{self.antenna.silence}"
+        if settings.known_heading is None and self.antenna.silence:
+            return f"{NO_HEADING}{self.antenna.silence}"
         return NO_POSE if self._pipeline.frames.view is None else ""
 
     def on_field(self, sample: FieldSample) -> None:
@@ -289,11 +283,8 @@ class KnownHeadings:
             return
         self._pairer.offer(sample)
         self._pairs += self._pairer.take()
-        pairs = self._pairs
-        if (
-            pairs
-            and pairs[-1].field.stamp - pairs[0].field.stamp >= external_heading.TUNING.seconds
-        ):
+        stamps = [pair.field.stamp for pair in self._pairs]
+        if stamps and stamps[-1] - stamps[0] >= external_heading.TUNING.seconds:
             self._fit()
 
     def on_imu(self, stamp: float) -> None:

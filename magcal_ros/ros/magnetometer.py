@@ -113,24 +113,23 @@ class Magnetometer:
         return self.control.start(settings, gyro)
 
     @property
-    def has_something_to_accept(self) -> bool:
-        """Whether its last turn gave a calibration that a person may accept."""
+    def accept(self) -> Callable[[Tell], None] | None:
+        """What puts the last fit in force; None without one that a person may accept."""
         turn, outcome = self.control.turn, self.control.turn.last_outcome
-        if outcome is None or outcome.calibration is None:
-            return False
-        is_settled = outcome.verdict.accepted or turn.outcome_is_of_others
-        return self.number == FIRST or not is_settled
+        found = None if outcome is None else outcome.calibration
+        if outcome is None or found is None:
+            return None
+        if self.number != FIRST and (outcome.verdict.accepted or turn.outcome_is_of_others):
+            return None
+        if turn.outcome_is_of_others:
+            words = "the last fit is of other sensors than the present ones"
+            return lambda tell: tell(ev.Conclusion(False, words))
 
-    def accept(self, tell: Tell) -> None:
-        """Put what the last turn fitted in force."""
-        outcome = self.control.turn.last_outcome
-        assert outcome is not None
-        assert outcome.calibration is not None
-        if self.control.turn.outcome_is_of_others:
-            tell(ev.Conclusion(False, "the last fit is of other sensors than the present ones"))
-            return
-        self.reporter.put_in_force()
-        self.use(outcome.calibration.accepted_by_person(), tell)
+        def put_in_force(tell: Tell) -> None:
+            self.reporter.put_in_force()
+            self.use(found.accepted_by_person(), tell)
+
+        return put_in_force
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Apply a calibration and store it; only what is stored as well is a success."""
@@ -146,7 +145,7 @@ class Magnetometer:
 
     def drive_knowledge(self) -> Knowledge | None:
         """Return what is known beforehand of a drive; None while a turn is under way."""
-        if self.control.state is not ev.TurnState.IDLE:
+        if self.control.turn.state is not ev.TurnState.IDLE:
             return None
         return self._pipeline.settled(self.number, self.inputs.field.frame).knowledge
 
@@ -232,11 +231,6 @@ class Control:
         self._listeners: list[Tell] = []
         self._unreported: ev.Conclusion | None = None
 
-    @property
-    def state(self) -> ev.TurnState:
-        """What is going on."""
-        return self.turn.state
-
     def when_done(self, listener: Tell) -> None:
         """Call back once with the conclusion of the turn that is under way."""
         self._listeners.append(listener)
@@ -255,7 +249,7 @@ class Control:
 
     def add(self, sample: FieldSample) -> None:
         """Take a field sample of the stream, if a session wants it."""
-        if self.state is ev.TurnState.COLLECTING:
+        if self.turn.state is ev.TurnState.COLLECTING:
             self._pairer.offer(sample)
             self._collect()
 
@@ -272,10 +266,10 @@ class Control:
 
     def tick(self) -> bool:
         """Let a turn see that time has passed; returns whether one is under way."""
-        if self.state is ev.TurnState.COLLECTING:
+        if self.turn.state is ev.TurnState.COLLECTING:
             self._collect()
             self.tell(self.turn.tick, self._magnetometer.describe_silence(), now())
-        return self.state is not ev.TurnState.IDLE
+        return self.turn.state is not ev.TurnState.IDLE
 
     def look(self) -> bool:
         """Look at a robot that turns itself; returns whether there is still one to look at."""
@@ -286,24 +280,24 @@ class Control:
 
     def shut_down(self) -> None:
         """Drop a turn under way; what is in force already is saved before this returns."""
-        if self.state is ev.TurnState.SAVING:
+        if self.turn.state is ev.TurnState.SAVING:
             self._files.finish_within(SAVING_PATIENCE)
         self._worker.end()
 
     def _collect(self) -> None:
-        if self.state is ev.TurnState.COLLECTING:
+        if self.turn.state is ev.TurnState.COLLECTING:
             for pair in self._pairer.take():
                 self.tell(self.turn.take, pair, now())
 
     def tell(self, happened: Callable[..., T], *facts: Any) -> T:
         """Report an event to the turn and carry out its commands; returns its answer."""
-        before = self.state
+        before = self.turn.state
         try:
             answer = happened(*facts)
             commands = self.turn.commands()
         except Exception as error:  # short of files even a median fails: its code must be read
             if happened != self.turn.break_off:
-                was_under_way = {before, self.state} != {ev.TurnState.IDLE}
+                was_under_way = {before, self.turn.state} != {ev.TurnState.IDLE}
                 self.tell(self.turn.break_off, _broken_off(error), was_under_way)
             raise
         for command in commands:

@@ -109,8 +109,7 @@ class Motors:
         rate = self._up.rate if self._up.is_propagated else None
         current = self._current if abs(stamp - self._received) < SILENT else math.nan
         speed = self._travel.speed_near(stamp)
-        if math.isnan(speed):
-            speed = self.commands.speed_near(stamp)
+        speed = self.commands.speed_near(stamp) if math.isnan(speed) else speed
         return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current)
 
     def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from time import monotonic
 from typing import Any
@@ -14,16 +13,15 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
 from magcal_ros.core.samples.streams import Drop, FieldSample, Streams
-from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
+from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, ReferenceSource, Sensor
-from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
-from magcal_ros.ros.magnetometers import Magnetometers, Services
+from magcal_ros.ros.magnetometers import Ask, Magnetometers, Services
 from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.rotator import PERIOD, Rotator
@@ -60,9 +58,9 @@ class Calibrator(Node):
         imu = Sensor(self.resolve_topic_name("imu/data_raw"))
         self._inputs = self._inputs_of(FIRST, imu)
         where = self._frames, self._reference, self._travel
-        self._pipeline = HeadingPipeline(self, self._up, imu, self._inputs.streams, *where)
-        topics = Topics(imu.topic, self._inputs.field.topic, self.resolve_topic_name("cmd_vel"))
-        self._robot = SelfTurn(topics)
+        self._pipeline = HeadingPipeline(self, self._up, self._inputs, *where)
+        topics = imu.topic, self._inputs.field.topic, self.resolve_topic_name("cmd_vel")
+        self._robot = SelfTurn(*topics)
         first = self._magnetometer(FIRST, self._inputs, self._robot, self._sensor_group)
         self._first = first
         self._control, self._keeper = first.control, first.keeper
@@ -106,7 +104,7 @@ class Calibrator(Node):
 
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers
-        slow: dict[str, Callable[[Tell], None]] = {
+        slow: dict[str, Ask] = {
             "accept": lambda tell: magnetometers.accept(self._keeping.accept, tell),
             "save": magnetometers.save,
             "load": magnetometers.load,
@@ -196,12 +194,12 @@ class Calibrator(Node):
         """Let the heading follow what is in force."""
         if magnetometer is self._first:
             self._keeping.machine.put_in_force(self._keeper.calibration)
-        self._pipeline.use(self._magnetometers.keepers)
+        self._pipeline.use({each.number: each.keeper for each in self._magnetometers.heard})
         self._publish_status()
 
     def _reset(self) -> Conclusion:
         self._known.forget()
-        were_in_force = [keeper.calibration for keeper in self._magnetometers.keepers.values()]
+        were_in_force = [each.keeper.calibration for each in self._magnetometers.heard]
         for each in self._magnetometers.heard:
             each.reset()
         if not any(were_in_force):
@@ -219,7 +217,6 @@ class Calibrator(Node):
     def turn_ended(self, magnetometer: Magnetometer) -> None:
         """Publish how a turn ended, before those who wait for it are answered."""
         if magnetometer is self._first:
-            self._frames.note_outcome(self._control.turn.last_outcome)
             self._publish_status()
             self._draw()
             return
@@ -249,13 +246,13 @@ class Calibrator(Node):
         self._files.deliver()
         settings = self._table.settings
         self._magnetometers.look(self.count_publishers, settings)
-        self._pipeline.follow(settings, self._keeper, self._control.state)
+        self._pipeline.follow(settings, self._keeper, self._control.turn.state)
         self._reference.refresh()
-        self._frames.note_up(self._up)
         self._keeping.follow(settings.self_calibration, settings.report_folder)
-        news = self._travel.follow(self._reference.reference.field, self._frames, self._announcer)
+        news = self._travel.follow(self._reference.reference.field, self._announcer)
         if news is not None:
-            self._keeper.keep_vehicle_yaw(news)
+            self._keeper.keep(news)
+        self._frames.follow(self._up, self._control.turn.last_outcome, self._travel.yaw)
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
         complaints += [
             *self._known.antenna.complaints,
@@ -266,23 +263,21 @@ class Calibrator(Node):
         for each in self._magnetometers.heard:
             if each.out is not None:
                 each.out.repeat_bias(now)
-        name = self.get_fully_qualified_name().lstrip("/")
         statuses = [
-            status.calibration_diagnostic(name, self._first),
+            status.calibration_diagnostic(self._first),
             status.field_diagnostic(
-                name, self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
+                self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
             ),
-            self._pipeline.fused.diagnostic(name),
-            status.watch_diagnostic(name, self._first.watch, self._keeping),
-            *self._travel.diagnostics(name),
-            *self._magnetometers.diagnostics(name),
+            self._pipeline.fused.diagnostic(),
+            status.watch_diagnostic(self._first.watch, self._keeping),
+            *self._travel.diagnostics(),
+            *self._magnetometers.diagnostics(),
             status.inputs_diagnostic(
-                name, self._inputs, complaints + self._table.complaints, self._callback_errors.total
+                self._inputs, complaints + self._table.complaints, self._callback_errors.total
             ),
         ]
-        self._diagnostics_out.publish(
-            status.diagnostic_array(statuses, self._inputs.field.frame, now)
-        )
+        name, frame = self.get_fully_qualified_name().lstrip("/"), self._inputs.field.frame
+        self._diagnostics_out.publish(status.diagnostic_array(name, statuses, frame, now))
         self._publish_status()
 
     def _publish_status(self) -> None:

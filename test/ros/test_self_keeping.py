@@ -94,12 +94,12 @@ class TestInTheNode:
         keeping._lost(OSError("no memory"))
         assert "no memory" in said[0]
         assert keeping.facts()["fits_lost"] == 1
-        status = watch_diagnostic("calibrator", None, keeping)
+        status = watch_diagnostic(None, keeping)
         assert status.level == DiagnosticStatus.WARN
         assert "no memory" in status.message
         keeping.machine.job(house._first.drive_knowledge())
         keeping._note(Findings(0.0, (), None, None, {}))
-        assert watch_diagnostic("calibrator", None, keeping).level == DiagnosticStatus.OK
+        assert watch_diagnostic(None, keeping).level == DiagnosticStatus.OK
         assert keeping.facts()["fits_lost"] == 1
 
     def test_what_the_node_ends_itself_is_not_said(self, house):

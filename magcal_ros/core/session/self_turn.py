@@ -48,15 +48,6 @@ GUARD_GONE = (
 
 
 @dataclass(frozen=True)
-class Topics:
-    """What to call the sensors and the commands in words."""
-
-    imu: str = "the IMU"
-    field: str = "the field"
-    command: str = "cmd_vel"
-
-
-@dataclass(frozen=True)
 class Around:
     """The state of sensors, base and guard at one look."""
 
@@ -108,10 +99,15 @@ class Moving:
 
 
 class SelfTurn:
-    """Turns the robot from the first usable samples of a turn until its end."""
+    """Turns the robot from the first usable samples of a turn until its end.
 
-    def __init__(self, topics: Topics = Topics()) -> None:
-        self._topics = topics
+    The texts are names of the sensors and the commands for messages.
+    """
+
+    def __init__(
+        self, imu: str = "the IMU", field: str = "the field", command: str = "cmd_vel"
+    ) -> None:
+        self._imu, self._field, self._command = imu, field, command
         self._stage: Waiting | Moving | None = None
         self._zeros = 0
         """So many zeros are still sent to end a turn."""
@@ -122,11 +118,6 @@ class SelfTurn:
     def is_under_way(self) -> bool:
         """Whether the robot is to turn, or turns."""
         return self._stage is not None
-
-    @property
-    def may_move(self) -> bool:
-        """Whether a rate other than zero may be in force."""
-        return isinstance(self._stage, Moving) or self._zeros > 0
 
     @property
     def is_quiet(self) -> bool:
@@ -176,7 +167,7 @@ class SelfTurn:
 
     def break_off(self, reason: str) -> Steering:
         """Stop the robot and end its turn, with the reason."""
-        moved = self.may_move
+        moved = isinstance(self._stage, Moving) or self._zeros > 0
         rate = self.stop().rate
         return Steering(rate, f"the robot was stopped: {reason}" if moved else reason)
 
@@ -187,9 +178,8 @@ class SelfTurn:
             return Steering()
         if not around.listeners:
             if now - stage.since > TUNING.listeners_within:
-                topic = self._topics.command
                 remedy = "remap cmd_vel to the base's topic"
-                return self.break_off(f"nothing subscribes to {topic}: {remedy}")
+                return self.break_off(f"nothing subscribes to {self._command}: {remedy}")
         elif around.is_guarded:
             if now - stage.since >= TUNING.stands_first:
                 self._stage, self._paired = Moving.of(stage.brief, now), now
@@ -231,22 +221,21 @@ class SelfTurn:
         return self._silence(stage, now, around) or stage.proof.objection(now)
 
     def _silence(self, stage: Moving, now: float, around: Around) -> str:
-        topics = self._topics
         is_pausing = stage.plan.phase is Phase.PAUSE
         is_unpaired = now - self._paired > TUNING.silence and not is_pausing
         by_gyro = self._gyro_heard is not None
         # Pairs end with the older of the two samples, a little before the sensor's silence.
         longest = TUNING.silence / 2.0 if is_unpaired else TUNING.silence
         for topic, age, limit in (
-            (topics.imu, around.imu_age, TUNING.gyro_silence if by_gyro else longest),
-            (topics.field, around.field_age, longest),
+            (self._imu, around.imu_age, TUNING.gyro_silence if by_gyro else longest),
+            (self._field, around.field_age, longest),
         ):
             if age > limit:
                 return f"{topic} has been silent for {age:.1f} s"
         if self._gyro_heard is not None and now - self._gyro_heard > TUNING.gyro_silence:
             return (
                 f"the gyro sends no data: for {now - self._gyro_heard:.1f} s "
-                f"{topics.imu} has had no angular velocity"
+                f"{self._imu} has had no angular velocity"
             )
         if is_unpaired:
             return "no new field sample with an acceleration has come while the robot turned"

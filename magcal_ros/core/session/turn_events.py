@@ -96,7 +96,6 @@ class Fitting:
     """A window is being fitted, on top of the turns that were kept when it began."""
 
     why_ended: str
-    window: Window
     kept: Kept
     state: ClassVar = TurnState.FITTING
 

@@ -68,9 +68,6 @@ class TurnMachine:
         commands, self._commands = self._commands, []
         return commands
 
-    def _do(self, command: ev.Command) -> None:
-        self._commands.append(command)
-
     def forget(self) -> None:
         """Discard the turns kept so far."""
         self._kept = Kept()
@@ -148,7 +145,7 @@ class TurnMachine:
         ):
             window = self.last_window = stage.session.look()
             self._stage = replace(stage, previewed_since=now)
-            self._do(ev.Preview(self._number, window, stage.brief))
+            self._commands.append(ev.Preview(self._number, window, stage.brief))
 
     def note_preview(self, turn: int, sigma: float, now: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
@@ -182,7 +179,7 @@ class TurnMachine:
 
     def _steer(self, steering: Steering) -> None:
         if steering.rate is not None:
-            self._do(ev.MoveBase(steering.rate))
+            self._commands.append(ev.MoveBase(steering.rate))
 
     def _leave_collecting(self) -> None:
         self._steer(self.robot.stop())
@@ -210,8 +207,8 @@ class TurnMachine:
         if self._sensors != self._sensors_of_kept:
             self._sensors_of_kept = self._sensors
             self.forget()
-        self._stage = ev.Fitting(why, window, self._kept)
-        self._do(ev.FitTurn(self._number, self._kept, window, stage.brief))
+        self._stage = ev.Fitting(why, self._kept)
+        self._commands.append(ev.FitTurn(self._number, self._kept, window, stage.brief))
 
     def note_fit(self, turn: int, outcome: Outcome, kept: Kept) -> None:
         """Take the fit of a turn, and what is kept for the next one to join."""
@@ -243,7 +240,7 @@ class TurnMachine:
             self._conclude(False, f"{words} {unchanged}.{ending}")
         elif outcome.verdict.accepted:
             self._stage = ev.Saving(words, ending)
-            self._do(ev.PutInForce(outcome.calibration))
+            self._commands.append(ev.PutInForce(outcome.calibration))
         else:
             remedy = "~/accept applies this one anyway"
             self._conclude(False, f"{words} {unchanged}; {remedy}.{ending}")
@@ -286,7 +283,7 @@ class TurnMachine:
     def _conclude(self, success: bool, message: str) -> None:
         self._stage = None
         self.last_conclusion = ev.Conclusion(success, message)
-        self._do(self.last_conclusion)
+        self._commands.append(self.last_conclusion)
 
 
 def _changes(before: tuple[str, str], after: tuple[str, str]) -> list[str]:

@@ -12,7 +12,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples import ImuSample, Pairer, Streams
-from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
+from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.session import Limits
 from magcal_ros.core.session.turn_events import (
     Brief,
@@ -43,9 +43,7 @@ class Scene:
     def __init__(self, speed=None, gain=1.0, gyro=True, outcome=GOOD, sigma=0.001, **limits):
         self.now = 500.0
         self.gain, self.outcome, self.sigma = gain, outcome, sigma
-        self.turn = TurnMachine(
-            SelfTurn(Topics("/imu", "/mag", "/cmd_vel")), lambda *_: "Report: here."
-        )
+        self.turn = TurnMachine(SelfTurn("/imu", "/mag", "/cmd_vel"), lambda *_: "Report: here.")
         self.ride = Ride(
             ROBOT,
             np.random.default_rng(3),
