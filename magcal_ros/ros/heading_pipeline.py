@@ -268,7 +268,9 @@ class HeadingPipeline:
     def follow(self, settings: Settings, keeper: Keeper, turn: TurnState) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
         self.fused.patience = settings.patience
-        learnt = self.motors.follow(Mode(settings.self_calibration), turn is not TurnState.IDLE)
+        kept = None if keeper.calibration is None else keeper.calibration.motors
+        mode, is_turning = Mode(settings.self_calibration), turn is not TurnState.IDLE
+        learnt = self.motors.follow(mode, is_turning, kept)
         if learnt is not None:
             keeper.keep(learnt)
 

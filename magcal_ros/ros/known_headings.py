@@ -234,10 +234,13 @@ class KnownHeadings:
         self._given: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
-        self._is_collecting = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(TICK, self._on_tick, clock=steady)
         self._timer.cancel()
+
+    @property
+    def _is_collecting(self) -> bool:
+        return math.isfinite(self._deadline)
 
     @property
     def follows(self) -> bool:
@@ -261,7 +264,6 @@ class KnownHeadings:
         self._pairs, self.antenna.collected = [], []
         self._pairer = Pairer(self._pipeline.streams)
         self._deadline = time.monotonic() + external_heading.TUNING.patience
-        self._is_collecting = True
         self._timer.reset()
 
     def _why_not(self, turns: Magnetometers, settings: Settings) -> str:
@@ -320,7 +322,7 @@ class KnownHeadings:
 
     def _fit(self) -> None:
         # The timer cancels itself: another thread might do it while its callback is due.
-        self._is_collecting = False
+        self._deadline = math.inf
         settings, follower = self._pipeline.settled(), self._pipeline.up
         heard, self.antenna.collected = self.antenna.collected or [], None
         given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)

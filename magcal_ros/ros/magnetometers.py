@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from magcal_ros.core.heading.several_compasses import SeveralCompasses
+from magcal_ros.core.heading.several_compasses import SeveralCompasses, Share
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.ros.keeper import Tell
@@ -109,14 +109,14 @@ class Magnetometers:
 
     def facts(self) -> list[dict[str, Any]]:
         """Return the part of `~/status` on them; nothing while only the first is there."""
-        shares = self._several.shares
+        shares = {each.number: Share(0.0) for each in self.heard} | self._several.shares
         return [
             {
                 "topic": each.topic,
                 "calibrated": each.keeper.calibration is not None,
                 "created": each.keeper.origin.created if each.keeper.origin else "",
-                "weight": round(shares[each.number].weight, 2) if each.number in shares else 0.0,
-                "why": shares[each.number].why if each.number in shares else "",
+                "weight": round(shares[each.number].weight, 2),
+                "why": shares[each.number].why,
             }
             for each in (self.heard if self.further else ())
         ]

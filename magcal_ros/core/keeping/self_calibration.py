@@ -59,9 +59,8 @@ class SelfCalibration:
         self._not_before = self._changed = -math.inf
         self._looked = -math.inf
         self._round = 0
-        self._pending = 0
+        self._is_pending = self._is_outdated = False
         self.lost = 0
-        self._generation = 0
 
     @property
     def in_words(self) -> str:
@@ -84,7 +83,7 @@ class SelfCalibration:
         self._on_probation.clear()
         self._first = self._trial = self.proposal = None
         self._not_before = self._changed = self._looked = -math.inf
-        self._generation += 1
+        self._is_outdated = True
 
     def put_in_force(self, calibration: Calibration | None) -> None:
         """Take note that another calibration is in force, by whomever.
@@ -100,7 +99,7 @@ class SelfCalibration:
         self._in_force, self.proposal = calibration, None
         self._on_probation.clear()
         self._first = None
-        self._generation += 1
+        self._is_outdated = True
         if old is not None:
             self.before.append(old)
         rolled = last is not None and last.verb is Verb.ROLLED_BACK
@@ -124,7 +123,7 @@ class SelfCalibration:
             return False
         if not self.recorder.add(sample.stamp, sample.field, imu.force, imu.rate, speed):
             return False
-        if self._pending or self.recorder.seconds < KEEPING.look_every:
+        if self._is_pending or self.recorder.seconds < KEEPING.look_every:
             return False
         wait = KEEPING.look_again if Kind.IRON in self._on_probation else KEEPING.look_every
         # What ends one job may well end the next: each time it is given twice as long to pass.
@@ -132,7 +131,8 @@ class SelfCalibration:
 
     def job(self, knowledge: Knowledge) -> DriveJob:
         """Return what is to be computed for the look that is due; its findings come to `note`."""
-        self._pending, self._looked = self._generation + 1, self.recorder.clock
+        self._is_pending, self._is_outdated = True, False
+        self._looked = self.recorder.clock
         self._round += 1
         in_force, windows = self._in_force, KEEPING.windows
         contests = {kind.value: each.steps for kind, each in self._on_probation.items()}
@@ -146,7 +146,7 @@ class SelfCalibration:
 
     def fail(self) -> None:
         """Take note that a job was lost; a later look tries again."""
-        self._pending = 0
+        self._is_pending = False
         self.lost += 1
 
     def note(self, findings: Findings) -> list[Decision]:
@@ -154,8 +154,8 @@ class SelfCalibration:
 
         A calibration of a decision is to be put in force, or offered where it is `PROPOSED`.
         """
-        is_current = self._pending == self._generation + 1
-        self._pending = self.lost = 0
+        is_current = self._is_pending and not self._is_outdated
+        self._is_pending, self.lost = False, 0
         if not is_current:
             return []
         made = self._weigh(findings)
