@@ -327,9 +327,9 @@ class Control:
         known, method = asked.brief.knowledge, asked.brief.method
         self._fits.run(
             lambda: self._worker.run(predicted_sigma, asked.window, known, method),
-            lambda sigma: self.tell(self.turn.note_preview, asked.turn, sigma, now()),
+            lambda sigma: self.tell(self.turn.note_preview, asked, sigma, now()),
             # A preview that failed predicts nothing; the fit will tell.
-            lambda _: self.tell(self.turn.note_preview, asked.turn, math.inf, now()),
+            lambda _: self.tell(self.turn.note_preview, asked, math.inf, now()),
         )
 
     def _fit(self, asked: ev.FitTurn) -> None:
@@ -337,8 +337,8 @@ class Control:
         turn = (asked.kept, asked.window, brief.knowledge, brief.method, brief.accumulate)
         self._fits.run(
             lambda: self._worker.run(take_turn, *turn),
-            lambda found: self.tell(self.turn.note_fit, asked.turn, *found),
-            lambda error: self.tell(self.turn.note_failed_fit, asked.turn, in_words(error)),
+            lambda found: self.tell(self.turn.note_fit, asked, *found),
+            lambda error: self.tell(self.turn.note_failed_fit, asked, in_words(error)),
         )
 
     def _report(self, window: Window, outcome: Outcome) -> str:

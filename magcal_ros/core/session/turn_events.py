@@ -42,16 +42,14 @@ class Brief:
 class Preview:
     """Predict how certain a fit would be; answered by `note_preview`."""
 
-    turn: int
     window: Window
     brief: Brief
 
 
 @dataclass(frozen=True, eq=False)
 class FitTurn:
-    """Fit a turn; answered by `note_fit` or `note_failed_fit`."""
+    """Fit a turn on top of those kept; answered by `note_fit` or `note_failed_fit`."""
 
-    turn: int
     kept: Kept
     window: Window
     brief: Brief
@@ -87,16 +85,17 @@ class Collecting:
     brief: Brief
     session: Session
     state: ClassVar = TurnState.COLLECTING
-    previewed_since: float | None = None
+    asked: Preview | None = None
+    asked_at: float = 0.0
     next_preview: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Fitting:
-    """A window is being fitted, on top of the turns that were kept when it began."""
+    """A window is being fitted."""
 
     why_ended: str
-    kept: Kept
+    asked: FitTurn
     state: ClassVar = TurnState.FITTING
 
 

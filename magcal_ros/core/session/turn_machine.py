@@ -43,7 +43,6 @@ class TurnMachine:
         self.last_outcome: Outcome | None = None
         self.last_conclusion: ev.Conclusion | None = None
         self._stage: ev.TurnStage | None = None
-        self._number = 0
         self._kept = Kept()
         self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NO_SENSORS
         self._commands: list[ev.Command] = []
@@ -79,7 +78,6 @@ class TurnMachine:
             return ev.Conclusion(False, refusal)
         if not brief.accumulate:
             self.forget()
-        self._number += 1
         self.last_window = None
         session = Session(brief.limits, brief.knowledge.mounting, now, brief.gyro)
         self._stage = ev.Collecting(brief, session)
@@ -139,23 +137,22 @@ class TurnMachine:
         """Ask at intervals how certain a fit would be already, and once the circle is complete."""
         waits = progress.coverage.is_complete and not stage.session.was_seen_whole
         if (
-            stage.previewed_since is None
+            stage.asked is None
             and progress.coverage.arc > TUNING.preview_arc
             and (now > stage.next_preview or waits)
         ):
             window = self.last_window = stage.session.look()
-            self._stage = replace(stage, previewed_since=now)
-            self._commands.append(ev.Preview(self._number, window, stage.brief))
+            asked = ev.Preview(window, stage.brief)
+            self._stage = replace(stage, asked=asked, asked_at=now)
+            self._commands.append(asked)
 
-    def note_preview(self, turn: int, sigma: float, now: float) -> None:
+    def note_preview(self, asked: ev.Preview, sigma: float, now: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
         stage = self._stage
-        if turn != self._number or not isinstance(stage, ev.Collecting):
-            return
-        if stage.previewed_since is not None:
+        if isinstance(stage, ev.Collecting) and stage.asked is asked:
             stage.session.note_sigma(sigma)
-            pause = (now - stage.previewed_since) * (1.0 / TUNING.preview_share - 1.0)
-            self._stage = replace(stage, previewed_since=None, next_preview=now + pause)
+            pause = (now - stage.asked_at) * (1.0 / TUNING.preview_share - 1.0)
+            self._stage = replace(stage, asked=None, next_preview=now + pause)
 
     def look(self, around: Around, now: float) -> None:
         """Look at a robot that turns itself."""
@@ -207,23 +204,24 @@ class TurnMachine:
         if self._sensors != self._sensors_of_kept:
             self._sensors_of_kept = self._sensors
             self.forget()
-        self._stage = ev.Fitting(why, self._kept)
-        self._commands.append(ev.FitTurn(self._number, self._kept, window, stage.brief))
+        asked = ev.FitTurn(self._kept, window, stage.brief)
+        self._stage = ev.Fitting(why, asked)
+        self._commands.append(asked)
 
-    def note_fit(self, turn: int, outcome: Outcome, kept: Kept) -> None:
+    def note_fit(self, asked: ev.FitTurn, outcome: Outcome, kept: Kept) -> None:
         """Take the fit of a turn, and what is kept for the next one to join."""
         stage = self._stage
-        if turn != self._number or not isinstance(stage, ev.Fitting):
+        if not isinstance(stage, ev.Fitting) or stage.asked is not asked:
             return
         # Turns that were forgotten while this one was fitted do not come back with it.
-        if self._kept is stage.kept:
+        if self._kept is asked.kept:
             self._kept = kept
         self.last_window = outcome.window or self.last_window
         self._judge(outcome, stage.why_ended)
 
-    def note_failed_fit(self, turn: int, words: str) -> None:
+    def note_failed_fit(self, asked: ev.FitTurn, words: str) -> None:
         """Take note that a fit ended with an error of the program."""
-        if turn == self._number and isinstance(self._stage, ev.Fitting):
+        if isinstance(self._stage, ev.Fitting) and self._stage.asked is asked:
             self._conclude(False, f"the fit failed unexpectedly: {words}")
 
     def _judge(self, outcome: Outcome, why: str) -> None:

@@ -89,14 +89,14 @@ class Scene:
                 self.later(self.fit_takes, *self.fitted(command))
             elif isinstance(command, Preview):
                 when = self.now + self.preview_takes
-                self.later(self.preview_takes, "note_preview", command.turn, self.sigma, when)
+                self.later(self.preview_takes, "note_preview", command, self.sigma, when)
         return answer
 
     def fitted(self, command):
         if isinstance(self.outcome, Exception):
-            return "note_failed_fit", command.turn, repr(self.outcome)
+            return "note_failed_fit", command, repr(self.outcome)
         outcome = replace(self.outcome, window=command.window)
-        return "note_fit", command.turn, outcome, Kept(count=command.kept.count + 1)
+        return "note_fit", command, outcome, Kept(count=command.kept.count + 1)
 
     def later(self, seconds, *event):
         self._later.append((self.now + seconds, event))
