@@ -38,7 +38,7 @@ from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.story import DriveReplay, DriveStory
+from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
@@ -66,9 +66,7 @@ def some_fence(seed: int) -> Fence:
 
 
 def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveStory:
-    replay = DriveReplay(BOSTON, begun)
-    replay.take(drive._sensors(), drive.speeds if speed else ())
-    return replay.story()
+    return replayed(BOSTON, begun, drive._sensors(), drive.speeds if speed else ())
 
 
 class Heard(SelfCalibration):
@@ -98,7 +96,7 @@ class Heard(SelfCalibration):
 
 def heard(drive: Drive) -> Heard:
     taken = Heard()
-    DriveReplay(BOSTON, None, taken).take(drive._sensors(), drive.speeds)
+    replayed(BOSTON, None, drive._sensors(), drive.speeds, taken)
     return taken
 
 

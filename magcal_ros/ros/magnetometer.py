@@ -42,9 +42,6 @@ class Owner(Protocol):
 
     rotator: Rotator
 
-    def look_around(self) -> Around:
-        """Return the state of sensors, base and guard."""
-
     def note_error(self, error: Exception) -> None:
         """Note an error that ends a turn."""
 
@@ -98,14 +95,14 @@ class Magnetometer:
 
     def look_at_sensors(self) -> None:
         """Take note of sensors that send for the first time, or under another name."""
-        self._note_sensors()
+        frames = self.inputs.field.frame, self.inputs.imu.frame
+        self.control.tell(self.control.turn.note_sensors, *map(known_as, frames))
         self._owner.sensors_changed(self)
         if self.inputs.field.last_heard is not None:
             self.keeper.note_sensor(self.inputs.field.frame)
 
     def start(self, gyro: GyroAtRest | None) -> ev.Conclusion:
         """Collect the turn that begins."""
-        self._note_sensors()
         settings = self._pipeline.settled(self.number, self.inputs.field.frame)
         if self.number != FIRST:
             # The first magnetometer's turn commands the robot.
@@ -160,10 +157,6 @@ class Magnetometer:
             self.out.put_in_force(self.compass, magnetometer_frame)
         self.watch = Watch(calibration) if self.number == FIRST and calibration else None
         self._owner.calibration_changed(self)
-
-    def _note_sensors(self) -> None:
-        frames = self.inputs.field.frame, self.inputs.imu.frame
-        self.control.tell(self.control.turn.note_sensors, *map(known_as, frames))
 
     def _on_field(self, data: bytes) -> None:
         streams = self.inputs.streams
@@ -271,11 +264,11 @@ class Control:
             self.tell(self.turn.tick, self._magnetometer.describe_silence(), now())
         return self.turn.state is not ev.TurnState.IDLE
 
-    def look(self) -> bool:
+    def look(self, around: Around) -> bool:
         """Look at a robot that turns itself; returns whether there is still one to look at."""
         self._collect()
         if self.turn.progress is not None:
-            self.tell(self.turn.look, self._owner.look_around(), now())
+            self.tell(self.turn.look, around, now())
         return not self.turn.robot.is_quiet
 
     def shut_down(self) -> None:

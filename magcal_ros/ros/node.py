@@ -145,7 +145,8 @@ class Calibrator(Node):
             streams.imu_drops[Drop.UNREADABLE] += 1
             return
         if self._inputs.imu.heard(frame):
-            self._first.look_at_sensors()
+            for each in self._magnetometers.heard:
+                each.look_at_sensors()
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
@@ -208,12 +209,6 @@ class Calibrator(Node):
             True, "no calibration is in force any more; its file stays and is used at next start"
         )
 
-    def look_around(self) -> Around:
-        """Return what is around a robot that turns itself."""
-        ages = self._inputs.imu.age(), self._inputs.field.age()
-        is_allowed = self._table.settings.rotation.enabled
-        return Around(*ages, self.rotator.listeners, is_allowed, self.rotator.is_guarded)
-
     def turn_ended(self, magnetometer: Magnetometer) -> None:
         """Publish how a turn ended, before those who wait for it are answered."""
         if magnetometer is self._first:
@@ -225,7 +220,9 @@ class Calibrator(Node):
         self.get_logger().info(f"{magnetometer.topic}: {conclusion.message}")
 
     def _on_look(self) -> None:
-        if not self._control.look():
+        base, is_allowed = self.rotator, self._table.settings.rotation.enabled
+        ages = self._inputs.imu.age(), self._inputs.field.age()
+        if not self._control.look(Around(*ages, base.listeners, is_allowed, base.is_guarded)):
             self.rotator.rest()
             self._look.cancel()
 

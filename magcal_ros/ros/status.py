@@ -129,25 +129,19 @@ def _calibration(keeper: Keeper) -> Mapping[str, Any] | None:
 def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
     """Say whether a calibration is in force, which, how good it was, and if it is this sensor's."""
     keeper, control, level = first.keeper, first.control, DiagnosticStatus.OK
-    calibration, origin = keeper.calibration, keeper.origin
+    calibration, facts = keeper.calibration, _calibration(keeper)
     values = {"state": control.turn.state.value}
     if control.turn.last_conclusion is not None:
         values["last answer"] = control.turn.last_conclusion.message
-    if calibration is None or origin is None:
+    if calibration is None or facts is None:
         level = DiagnosticStatus.WARN
         message = "not calibrated: call ~/calibrate and turn the robot once"
     else:
-        evidence = calibration.evidence
-        message = evidence.summary
-        values |= {
-            "method": evidence.method,
-            "created": origin.created,
-            "quality": evidence.quality,
-            "confidence": evidence.confidence,
-        }
-        if "warn" in (evidence.quality, evidence.confidence):
+        message = calibration.evidence.summary
+        values |= {key: facts[key] for key in ("method", "created", "quality", "confidence")}
+        if "warn" in (values["quality"], values["confidence"]):
             level = DiagnosticStatus.WARN
-        made_for, there = origin.magnetometer_frame, known_as(first.inputs.field.frame)
+        made_for, there = facts["magnetometer_frame"], known_as(first.inputs.field.frame)
         if made_for and there and made_for != there:
             level = DiagnosticStatus.ERROR
             message = (
