@@ -64,23 +64,21 @@ class Announcer:
     def tell(self, subject: str, text: str, *, wrong: bool = False) -> None:
         """Log something on a subject, if it differs from what was logged last.
 
-        What comes sooner than ten seconds after the last line waits for `catch_up`, and only the
+        What comes sooner than ten seconds after the last line waits for `complain`, and only the
         newest of it is logged.
         """
         line = self._lines.setdefault(subject, _Line())
         line.text, line.wrong = text, wrong
         self._say_if_due(line)
 
-    def catch_up(self) -> None:
-        """Log what had to wait; to be called about once a second."""
-        for line in self._lines.values():
-            self._say_if_due(line)
-
     def complain(self, complaints: Iterable[str]) -> None:
         """Log what is wrong: once it has lasted, and again when it comes back.
 
-        A complaint in which only numbers change is the same one.
+        A complaint in which only numbers change is the same one. What `tell` was told and had to
+        wait is logged as well: to be called about once a second.
         """
+        for line in self._lines.values():
+            self._say_if_due(line)
         now = self._clock()
         found = {_NUMBER.sub("#", text): text for text in complaints}
         self._wrong_since = {kind: self._wrong_since.get(kind, now) for kind in found}

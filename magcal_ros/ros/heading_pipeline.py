@@ -188,7 +188,6 @@ class ReferenceSource:
             say.tell("north", words, wrong=True)
         if before.source != self._reference.source:
             say.tell("reference", f"reference field: {self._reference.words}")
-        say.catch_up()
 
     def _resolve(self) -> Reference:
         settings = self._settings = self._table.settings
@@ -232,12 +231,12 @@ class HeadingPipeline:
         self,
         node: Node,
         up: UpFollower,
-        inputs: Inputs,
+        imu: Sensor,
         frames: SensorFrames,
         reference_source: ReferenceSource,
         travel: Travel,
     ) -> None:
-        self._node, self.up, self._imu, self.streams = node, up, inputs.imu, inputs.streams
+        self._node, self.up, self.imu = node, up, imu
         self.frames, self._reference, self.travel = frames, reference_source, travel
         self.motors = Motors(node, up, travel)
         self.headings = HeadingOutput(node, frames)
@@ -279,18 +278,17 @@ class HeadingPipeline:
         reference = self._reference.reference.field
         self.fused.on_imu(seconds, stamp, self.body_frame(), reference)
 
-    def moment_of(self, compass: Compass, sample: FieldSample) -> Moment:
-        """Return the corrected field, up and heading of a field sample."""
-        up = self.up.at(sample.stamp, self.streams.max_gap)
+    def moment_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> Moment:
+        """Return the corrected field, up and heading of a field sample of these streams."""
+        up = self.up.at(sample.stamp, streams.max_gap)
         running = None if compass.motors is None else self.motors.running(sample.stamp)
         turning = self.up.rate if self.up.is_propagated else None
-        return Moment.of(compass, sample, up, self.streams.newest_rate, running, turning)
+        return Moment.of(compass, sample, up, streams.newest_rate, running, turning)
 
     def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
         """Publish the heading that follows from a magnetometer's message."""
         if self.fused.is_needed:  # a calibration of a further magnetometer is in force
-            now = self.streams.imu_stamps.newest
-            joined = self.several.add(number, moment, now, self.fused.yaw)
+            joined = self.several.add(number, moment, self.up.newest_stamp, self.fused.yaw)
             if joined is None:
                 return
             moment = joined
@@ -301,7 +299,7 @@ class HeadingPipeline:
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""
-        return self._imu.frame or (self._origin.imu_frame if self._origin else "")
+        return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
     def settled(self, number: int = FIRST, frame: str = "") -> Settings:
         """Return the parameters as they hold for a turn of one magnetometer."""
@@ -310,4 +308,4 @@ class HeadingPipeline:
     def origin_of(self, magnetometer_frame: str) -> Origin:
         """Return where a calibration that is made now comes from."""
         node = self._node.get_fully_qualified_name()
-        return Origin.now(magnetometer_frame, self._imu.frame, node, self.travel.yaw)
+        return Origin.now(magnetometer_frame, self.imu.frame, node, self.travel.yaw)

@@ -230,7 +230,7 @@ class KnownHeadings:
         self._answer = ""
         self._since: external_heading.TurnSince | None = None
         self._pairs: list[Pair] = []
-        self._pairer = Pairer(pipeline.streams)
+        self._pairer = Pairer(magnetometer.inputs.streams)
         self._given: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
@@ -262,7 +262,7 @@ class KnownHeadings:
             return
         self._tell, self._given = tell, settings.known_heading
         self._pairs, self.antenna.collected = [], []
-        self._pairer = Pairer(self._pipeline.streams)
+        self._pairer = Pairer(self._magnetometer.inputs.streams)
         self._deadline = time.monotonic() + external_heading.TUNING.patience
         self._timer.reset()
 

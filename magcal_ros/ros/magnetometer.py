@@ -26,7 +26,7 @@ from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.turn_machine import TurnMachine
 from magcal_ros.files.default_paths import known_as
-from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs
+from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, Tell
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.parameters import Settings
@@ -69,19 +69,21 @@ class Magnetometer:
         node: Node,
         owner: Owner,
         pipeline: HeadingPipeline,
-        inputs: Inputs,
-        chosen: Callable[[], str],
+        settings: Callable[[], Settings],
         fits: BackgroundThread,
         files: BackgroundThread,
         robot: SelfTurn,
-        group: CallbackGroup | None = None,
-        number: int = FIRST,
+        group: CallbackGroup | None,
+        number: int,
     ) -> None:
-        self.number, self.inputs = number, inputs
         self._node, self._owner, self._pipeline = node, owner, pipeline
-        self._topic, self.topic = topic_of(number), inputs.field.topic
+        self.number, self._topic = number, topic_of(number)
+        self.topic = node.resolve_topic_name(self._topic)
+        streams = Streams(settings().max_gap)
+        self.inputs = inputs = Inputs(pipeline.imu, Sensor(self.topic), streams)
         name, log = (node.get_namespace(), node.get_name()), node.get_logger()
-        self.keeper = Keeper(name, files, log, self._apply, chosen, number)
+        kept = files, log, self._apply, lambda: settings().calibration_file, number
+        self.keeper = Keeper(name, *kept)
         self.control = Control(inputs.streams, self, owner, robot, fits, files)
         thread = BackgroundThread(node, "magcal-report")
         self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
@@ -174,7 +176,7 @@ class Magnetometer:
             return
         self._owner.sample_came(self, sample)
         if self.compass is not None and self.out is not None:
-            moment = self._pipeline.moment_of(self.compass, sample)
+            moment = self._pipeline.moment_of(self.compass, sample, streams)
             self.out.publish(moment.field, arrived, self._pipeline.body_frame())
             self._pipeline.take(self.number, moment, arrived)
             if self.watch is not None:

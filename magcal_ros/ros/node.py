@@ -12,13 +12,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from magcal_ros.core.samples.streams import Drop, FieldSample, Streams
+from magcal_ros.core.samples.streams import Drop, FieldSample
 from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors
-from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, ReferenceSource, Sensor
+from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, ReferenceSource, Sensor
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
 from magcal_ros.ros.magnetometers import Ask, Magnetometers, Services
@@ -56,13 +56,12 @@ class Calibrator(Node):
         self._travel = Travel(self, self._fits, self._sensor_group, self._reference.on_fix)
         self.rotator = Rotator(self)
         imu = Sensor(self.resolve_topic_name("imu/data_raw"))
-        self._inputs = self._inputs_of(FIRST, imu)
         where = self._frames, self._reference, self._travel
-        self._pipeline = HeadingPipeline(self, self._up, self._inputs, *where)
-        topics = imu.topic, self._inputs.field.topic, self.resolve_topic_name("cmd_vel")
-        self._robot = SelfTurn(*topics)
-        first = self._magnetometer(FIRST, self._inputs, self._robot, self._sensor_group)
-        self._first = first
+        self._pipeline = HeadingPipeline(self, self._up, imu, *where)
+        field, commands = map(self.resolve_topic_name, (topic_of(FIRST), "cmd_vel"))
+        self._robot = SelfTurn(imu.topic, field, commands)
+        self._first = first = self._magnetometer(FIRST, self._robot, self._sensor_group)
+        self._inputs = first.inputs
         self._control, self._keeper = first.control, first.keeper
         self._keeping = SelfKeeping(self, first)
         fitting = self._fits, self._sensor_group
@@ -81,7 +80,7 @@ class Calibrator(Node):
             callback_group=self._sensor_group,
         )
         for number in range(FIRST + 1, self._table.settings.magnetometers + 1):
-            self._magnetometer(number, self._inputs_of(number, imu), SelfTurn())
+            self._magnetometer(number, SelfTurn(), None)
         # Deadlines and heartbeats go on while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick = self.create_timer(TICK, self._on_tick, clock=steady)
@@ -92,15 +91,11 @@ class Calibrator(Node):
         self._keeper.begin()
         self._publish_status()
 
-    def _inputs_of(self, number: int, imu: Sensor) -> Inputs:
-        field = Sensor(self.resolve_topic_name(topic_of(number)))
-        return Inputs(imu, field, Streams(self._table.settings.max_gap))
-
     def _magnetometer(
-        self, number: int, inputs: Inputs, robot: SelfTurn, group: SensorGroup | None = None
+        self, number: int, robot: SelfTurn, group: SensorGroup | None
     ) -> Magnetometer:
-        shared = self._pipeline, inputs, lambda: self._table.settings.calibration_file
-        return Magnetometer(self, self, *shared, self._fits, self._files, robot, group, number)
+        shared = self._pipeline, lambda: self._table.settings, self._fits, self._files
+        return Magnetometer(self, self, *shared, robot, group, number)
 
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers

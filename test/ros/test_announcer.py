@@ -80,8 +80,8 @@ def test_changes_by_the_thousand_become_one_line_in_ten_seconds(stage):
     assert lines[0] == ("info", "place 0")
     assert len(lines) == 2
     stage.now += PAUSE
-    stage.announcer.catch_up()
-    stage.announcer.catch_up()
+    stage.announcer.complain([])
+    stage.announcer.complain([])
     assert stage.take() == [("info", "place 119999")]
 
 
@@ -127,7 +127,7 @@ def test_rclpys_own_logger_takes_every_announcement_in_any_order(capfd):
         announcer.follow_turn(True, None)
         announcer.follow_turn(False, Conclusion(True, f"verdict {number}"))
         now[0] += PAUSE
-        announcer.catch_up()
+        announcer.complain([])
         now[0] += PAUSE
     said = capfd.readouterr()
     for words in ("a 0", "a 0 again", "d 2", "d 2 again", "g is wrong", "verdict 2"):
