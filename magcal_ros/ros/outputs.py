@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import math
 from collections.abc import Sequence
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from std_msgs.msg import ColorRGBA, Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry import FloatArray, true_yaw, unit
 from magcal_ros.core.geometry.planes import Circle, fit_circle_in_space
@@ -46,18 +48,15 @@ class FieldOutput:
         self._field_out = node.create_publisher(MagneticField, f"{topic}_unbiased", RELIABLE)
         self._bias_out = node.create_publisher(MagneticField, f"{topic}_bias", LATCHED)
         self._field = wire.field_template()
-        self._covariance_in = b""
-        self._covariance: tuple[float, ...] = ()
         self._bias: MagneticField | None = None
-        self._compass: Compass | None = None
 
     def put_in_force(self, compass: Compass | None, magnetometer_frame: str = "") -> None:
         """Use a compass from the next message on; None stops the outputs."""
-        self._compass = compass
-        self._covariance_in = b""
         self._bias = None
         if compass is not None:
             correction = compass.calibration.correction
+            # Drivers send the same covariance with every message.
+            self._rotated = lru_cache(maxsize=1)(partial(_rotated, correction))
             self._bias = wire.bias_message(correction, magnetometer_frame)
             self.repeat_bias(None)
 
@@ -74,17 +73,14 @@ class FieldOutput:
             covariance = self._rotated(arrived.covariance)
             self._field_out.publish(self._field.fill(arrived.stamp, frame, field + covariance))
 
-    def _rotated(self, covariance: bytes) -> tuple[float, ...]:
-        """Return the covariance in body axes; drivers send the same with every message."""
-        if self._compass is not None and covariance != self._covariance_in:
-            sigma = np.frombuffer(covariance, "<f8").reshape(3, 3)
-            with np.errstate(over="ignore", invalid="ignore"):
-                rotated = self._compass.calibration.correction.covariance(sigma)
-            # By convention zeros stand for a covariance that is not known.
-            is_known = np.isfinite(rotated).all()
-            self._covariance = tuple(rotated.ravel().tolist()) if is_known else (0.0,) * 9
-            self._covariance_in = covariance
-        return self._covariance
+
+def _rotated(correction: Correction, covariance: bytes) -> tuple[float, ...]:
+    """Return a message's covariance in body axes."""
+    sigma = np.frombuffer(covariance, "<f8").reshape(3, 3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        rotated = correction.covariance(sigma)
+    # By convention zeros stand for a covariance that is not known.
+    return tuple(rotated.ravel().tolist()) if np.isfinite(rotated).all() else (0.0,) * 9
 
 
 class AttitudeOutput:
