@@ -148,7 +148,7 @@ class ReferenceSource:
     """Subscribes to gps/fix and keeps the reference field up to date."""
 
     def __init__(self, node: Node, table: Parameters) -> None:
-        self._node, self._table = node, table
+        self._node, self.table = node, table
         self._fixes = Fixes()
         self._calibration: Calibration | None = None
         self._settings: Settings | None = None
@@ -160,16 +160,9 @@ class ReferenceSource:
     @property
     def reference(self) -> Reference:
         """The reference field in use, by the parameters of this moment."""
-        if self._table.settings is not self._settings:
+        if self.table.settings is not self._settings:
             self.refresh()
         return self._reference
-
-    @property
-    def settings(self) -> Settings:
-        """The parameters, with the reference field in use in place of the one given by hand."""
-        settings = self._table.settings
-        knowledge = replace(settings.knowledge, reference=self.reference.field)
-        return replace(settings, knowledge=knowledge)
 
     def use(self, calibration: Calibration | None) -> None:
         """Compare the place where a calibration was made with this one from now on."""
@@ -190,7 +183,7 @@ class ReferenceSource:
             say.tell("reference", f"reference field: {self._reference.words}")
 
     def _resolve(self) -> Reference:
-        settings = self._settings = self._table.settings
+        settings = self._settings = self.table.settings
         given = settings.knowledge.reference
         place = settings.given.place or self._fixes.place
         found = resolve(given, settings.given.local, place, None if place is None else self._year())
@@ -302,8 +295,14 @@ class HeadingPipeline:
         return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
     def settled(self, number: int = FIRST, frame: str = "") -> Settings:
-        """Return the parameters as they hold for a turn of one magnetometer."""
-        return self.frames.settled(self._reference.settings, number, frame)
+        """Return the parameters as they hold for a turn of one magnetometer.
+
+        The reference field in use stands in place of the one that was given by hand.
+        """
+        settings, reference = self._reference.table.settings, self._reference.reference.field
+        mounting = self.frames.mounting(number, frame)
+        known = replace(settings.knowledge, reference=reference, mounting=mounting)
+        return replace(settings, knowledge=known)
 
     def origin_of(self, magnetometer_frame: str) -> Origin:
         """Return where a calibration that is made now comes from."""

@@ -230,8 +230,8 @@ class Calibrator(Node):
         self._draw()
 
     def _draw(self) -> None:
-        to_body = self._frames.settled(self._table.settings).knowledge.mounting.to_body
-        self._markers.draw(self._control.turn, to_body, self._pipeline.body_frame())
+        to_body, frame = self._frames.mounting().to_body, self._pipeline.body_frame()
+        self._markers.draw(self._control.turn, to_body, frame)
 
     def _on_heartbeat(self) -> None:
         self._fits.deliver()

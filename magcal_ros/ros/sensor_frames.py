@@ -166,16 +166,15 @@ class SensorFrames:
         """Return the frame that attitudes are published in."""
         return self._settings().base_frame or imu_frame
 
-    def settled(self, settings: Settings, number: int = 1, frame: str = "") -> Settings:
-        """Return the parameters with the described pose of a magnetometer, if there is one."""
+    def mounting(self, number: int = 1, frame: str = "") -> Mounting:
+        """Return how a magnetometer sits in the IMU, as it is given or described."""
         self._follow_parameters()
-        mounting = replace(settings.knowledge.mounting, pose=self._poses.magnetometer)
-        if number > 1:
-            frames, given = replace(self._frames, magnetometer=frame), settings.mounts.get(number)
-            # The known gains are those of the first.
-            poses = sensor_poses(frames, self._description.tree, given)
-            mounting = Mounting(pose=poses.magnetometer)
-        return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
+        settings = self._settings()
+        if number == 1:
+            return replace(settings.knowledge.mounting, pose=self._poses.magnetometer)
+        frames, given = replace(self._frames, magnetometer=frame), settings.mounts.get(number)
+        # The known gains are those of the first.
+        return Mounting(pose=sensor_poses(frames, self._description.tree, given).magnetometer)
 
     def follow(self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None) -> None:
         """Compare the description with what was measured, once a second.
