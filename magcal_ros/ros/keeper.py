@@ -64,7 +64,7 @@ class Keeper:
         self.origin: Origin | None = None
         self.trouble = ""
         """What went wrong with the file last time, for the diagnostics; empty if nothing."""
-        self._frame = ""
+        self._frame, self._was_named = "", False
         self._last_read: tuple[object, Loaded] | None = None
         self._is_reading = False
         self._found: OrderedDict[str, Loaded | None] = OrderedDict()
@@ -179,7 +179,7 @@ class Keeper:
     def begin(self) -> None:
         """Load a file that was chosen by its name, before any message arrives."""
         if self._chosen():
-            self._begin_reading("", of_sensor=False)
+            self._read_next()
 
     def note_sensor(self, frame: str) -> None:
         """Load the calibration of the sensor whose field comes now, in the background.
@@ -191,7 +191,7 @@ class Keeper:
             self._use_found(self._found[frame])
             return
         # A driver may leave out the frame at first.
-        is_first = not any(self._found)
+        is_first, self._was_named = not self._was_named, self._was_named or bool(frame)
         if self.calibration is None:
             self._read_next()
             return
@@ -218,13 +218,11 @@ class Keeper:
 
     def _read_next(self) -> None:
         """Read the file of the present sensor, once, when the one before it is read."""
-        if not self._is_reading and self.calibration is None and self._frame not in self._found:
-            self._remember(self._frame)
-            self._begin_reading(self._frame, of_sensor=True)
-
-    def _begin_reading(self, frame: str, of_sensor: bool) -> None:
+        frame, chosen, resets = self._frame, self._chosen(), self._resets
+        if self._is_reading or self.calibration is not None or frame in self._found:
+            return
         self._is_reading = True
-        chosen, resets = self._chosen(), self._resets
+        self._remember(frame)
 
         def read_if_there() -> Loaded | None:
             path = self._path(frame, chosen)
@@ -233,9 +231,9 @@ class Keeper:
         def note(loaded: Loaded | None) -> None:
             self._is_reading = False
             loaded = loaded if resets == self._resets else None
-            if of_sensor and frame in self._found:
+            if frame in self._found:
                 self._found[frame] = loaded
-            if not of_sensor or frame == self._frame:
+            if frame == self._frame:
                 self._use_found(loaded)
             self._read_next()
 
