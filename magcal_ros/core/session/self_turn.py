@@ -74,14 +74,6 @@ class Steering:
 
 
 @dataclass(frozen=True)
-class Waiting:
-    """It waits for both sensors, a subscriber of the commands and the guard."""
-
-    brief: Brief
-    since: float
-
-
-@dataclass(frozen=True)
 class Moving:
     """The robot turns."""
 
@@ -108,10 +100,11 @@ class SelfTurn:
         self, imu: str = "the IMU", field: str = "the field", command: str = "cmd_vel"
     ) -> None:
         self._imu, self._field, self._command = imu, field, command
-        self._stage: Waiting | Moving | None = None
+        self._stage: Brief | Moving | None = None
+        """A brief while it waits for both sensors, a subscriber of the commands and the guard."""
         self._zeros = 0
         """So many zeros are still sent to end a turn."""
-        self._looked = self._paired = 0.0
+        self._opened = self._looked = self._paired = 0.0
         self._gyro_heard: float | None = None
 
     @property
@@ -126,9 +119,9 @@ class SelfTurn:
 
     def open(self, brief: Brief, now: float) -> None:
         """Let the robot turn as soon as it may."""
-        self._stage = Waiting(brief, now)
+        self._stage = brief
         self._gyro_heard = None
-        self._looked = self._paired = now
+        self._opened = self._looked = self._paired = now
 
     def hear(self, rate: Triple, now: float) -> None:
         """Note the angular velocity (rad/s, NaN without one) of an IMU message."""
@@ -151,7 +144,7 @@ class SelfTurn:
         if self._zeros:
             self._zeros -= 1
             return Steering(0.0)
-        if isinstance(stage, Waiting):
+        if isinstance(stage, Brief):
             return self._wait(stage, now, around)
         if isinstance(stage, Moving):
             return self._lead(stage, now, since, progress, around)
@@ -171,19 +164,20 @@ class SelfTurn:
         rate = self.stop().rate
         return Steering(rate, f"the robot was stopped: {reason}" if moved else reason)
 
-    def _wait(self, stage: Waiting, now: float, around: Around) -> Steering:
+    def _wait(self, brief: Brief, now: float, around: Around) -> Steering:
+        waited = now - self._opened
         if not around.is_allowed:
             return self.break_off("rotate.enabled was switched off")
         if max(around.imu_age, around.field_age) >= TUNING.silence:
             return Steering()
         if not around.listeners:
-            if now - stage.since > TUNING.listeners_within:
+            if waited > TUNING.listeners_within:
                 remedy = "remap cmd_vel to the base's topic"
                 return self.break_off(f"nothing subscribes to {self._command}: {remedy}")
         elif around.is_guarded:
-            if now - stage.since >= TUNING.stands_first:
-                self._stage, self._paired = Moving.of(stage.brief, now), now
-        elif now - stage.since > TUNING.guarded_within:
+            if waited >= TUNING.stands_first:
+                self._stage, self._paired = Moving.of(brief, now), now
+        elif waited > TUNING.guarded_within:
             return self.break_off(UNGUARDED)
         return Steering()
 
