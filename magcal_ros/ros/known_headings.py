@@ -242,11 +242,6 @@ class KnownHeadings:
     def _is_collecting(self) -> bool:
         return math.isfinite(self._deadline)
 
-    @property
-    def follows(self) -> bool:
-        """Whether it needs each IMU sample."""
-        return self._since is not None or self.antenna.is_heard
-
     def forget(self) -> None:
         """Begin anew with the next heading."""
         self._standings, self._since, self._answer = (), None, ""

@@ -150,8 +150,7 @@ class Calibrator(Node):
                 self._robot.hear(sample.rate, monotonic())
             for each in self._magnetometers.further:
                 each.inputs.streams.add_imu(sample)
-            if self._known.follows:
-                self._known.on_imu(sample.stamp)
+            self._known.on_imu(sample.stamp)
             self._pipeline.on_imu(sample.stamp, stamp)
 
     def sample_came(self, magnetometer: Magnetometer, sample: FieldSample) -> None:
