@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from time import monotonic as now
 from typing import Any, Protocol, TypeVar
@@ -72,7 +71,7 @@ class Magnetometer:
         settings: Callable[[], Settings],
         fits: BackgroundThread,
         files: BackgroundThread,
-        robot: SelfTurn,
+        robot: SelfTurn | None,
         group: CallbackGroup | None,
         number: int,
     ) -> None:
@@ -106,9 +105,6 @@ class Magnetometer:
     def start(self, gyro: GyroAtRest | None) -> ev.Conclusion:
         """Collect the turn that begins."""
         settings = self._pipeline.settled(self.number, self.inputs.field.frame)
-        if self.number != FIRST:
-            # The first magnetometer's turn commands the robot.
-            settings = replace(settings, rotation=replace(settings.rotation, enabled=False))
         return self.control.start(settings, gyro)
 
     @property
@@ -205,7 +201,7 @@ class Control:
 
     Collecting happens in the executor's thread, a few microseconds a sample. The fit has a process
     of its own and the disk a thread, so the corrected field and the yaw are not interrupted. `turn`
-    is the state machine.
+    is the state machine. Without a `robot` it commands none: another magnetometer's turn may.
     """
 
     def __init__(
@@ -213,10 +209,11 @@ class Control:
         streams: Streams,
         magnetometer: Magnetometer,
         owner: Owner,
-        robot: SelfTurn,
+        robot: SelfTurn | None,
         fits: BackgroundThread,
         files: BackgroundThread,
     ) -> None:
+        self._commands_robot = robot is not None
         self._magnetometer, self._owner, self._fits, self._files = magnetometer, owner, fits, files
         self._streams = streams
         self._pairer = Pairer(streams)
@@ -232,7 +229,8 @@ class Control:
 
     def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> ev.Conclusion:
         """Open a session; refused while another is under way."""
-        speed = settings.rotation.speed if settings.rotation.enabled else None
+        turns_itself = settings.rotation.enabled and self._commands_robot
+        speed = settings.rotation.speed if turns_itself else None
         asked = settings.knowledge, settings.method, settings.accumulate
         answer = self.tell(self.turn.open, ev.Brief(settings.limits, *asked, speed, gyro), now())
         if answer.success:

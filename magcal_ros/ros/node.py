@@ -80,7 +80,7 @@ class Calibrator(Node):
             callback_group=self._sensor_group,
         )
         for number in range(FIRST + 1, self._table.settings.magnetometers + 1):
-            self._magnetometer(number, SelfTurn(), None)
+            self._magnetometer(number, None, None)
         # Deadlines and heartbeats go on while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick = self.create_timer(TICK, self._on_tick, clock=steady)
@@ -92,7 +92,7 @@ class Calibrator(Node):
         self._publish_status()
 
     def _magnetometer(
-        self, number: int, robot: SelfTurn, group: SensorGroup | None
+        self, number: int, robot: SelfTurn | None, group: SensorGroup | None
     ) -> Magnetometer:
         shared = self._pipeline, lambda: self._table.settings, self._fits, self._files
         return Magnetometer(self, self, *shared, robot, group, number)
