@@ -236,8 +236,8 @@ class Control:
         if answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
             self._unreported = None
-            # A fit will be asked for soon.
-            self._fits.run(self._worker.start, lambda _: None, lambda _: None)
+            # A fit will be asked for soon; whatever fails here ends the turn.
+            self.tell(self._fits.run, self._worker.start, lambda _: None, lambda _: None)
         return answer
 
     def add(self, sample: FieldSample) -> None:
