@@ -134,15 +134,14 @@ class Keeper:
         """Put the calibration of the file in force."""
         chosen, frame = self._chosen(), self._frame
 
-        def fail(error: Exception) -> None:
-            self.trouble = str(error)
-            tell(Conclusion(False, str(error)))
+        def done(found: Loaded | Exception) -> None:
+            if isinstance(found, Exception):
+                self.trouble = str(found)
+                tell(Conclusion(False, str(found)))
+            else:
+                tell(Conclusion(True, self.use(found)))
 
-        self._files.run(
-            lambda: self.read(chosen, frame),
-            lambda loaded: tell(Conclusion(True, self.use(loaded))),
-            fail,
-        )
+        self._files.run(lambda: self.read(chosen, frame), done, done)
 
     def read(self, chosen: str, frame: str) -> Loaded:
         """Read the file of a sensor, in any thread; one that has not changed is not read again.
@@ -228,22 +227,19 @@ class Keeper:
             path = self._path(frame, chosen)
             return None if promptly(lambda: is_missing(path), path) else self.read(chosen, frame)
 
-        def note(loaded: Loaded | None) -> None:
+        def done(found: Loaded | Exception | None) -> None:
             self._is_reading = False
-            loaded = loaded if resets == self._resets else None
-            if frame in self._found:
-                self._found[frame] = loaded
-            if frame == self._frame:
-                self._use_found(loaded)
+            if isinstance(found, Exception):
+                self.trouble = str(found)
+                self._log.error(f"{found} Running uncalibrated.")
+            elif resets == self._resets:
+                if frame in self._found:
+                    self._found[frame] = found
+                if frame == self._frame:
+                    self._use_found(found)
             self._read_next()
 
-        def fail(error: Exception) -> None:
-            self._is_reading = False
-            self.trouble = str(error)
-            self._log.error(f"{error} Running uncalibrated.")
-            self._read_next()
-
-        self._files.run(read_if_there, note, fail)
+        self._files.run(read_if_there, done, done)
 
     def _use_found(self, loaded: Loaded | None) -> None:
         if loaded is None or self.calibration is not None:
