@@ -143,8 +143,6 @@ class DriveRecorder:
     ----------
     seconds : float
         Of movement that is kept.
-    gyro : GyroAtRest, optional
-        What a rest beforehand has shown; a rest on the way shows more.
 
     Attributes
     ----------
@@ -152,11 +150,7 @@ class DriveRecorder:
         Where its clock began, seconds; NaN before the first movement.
     """
 
-    def __init__(
-        self,
-        seconds: float = 600.0,
-        gyro: GyroAtRest | None = None,
-    ) -> None:
+    def __init__(self, seconds: float = 600.0) -> None:
         self._longest_silence = CHUNKS_OF_REST * TUNING.chunk * TUNING.row
         self._chunks: deque[FloatArray] = deque(
             maxlen=int(seconds / (TUNING.row * TUNING.chunk)) + 1
@@ -165,14 +159,12 @@ class DriveRecorder:
         self._rested: deque[_Rest] = deque(maxlen=TUNING.rests)
         self._held: deque[FloatArray] = deque()
         self.begin_anew()
-        self._gyro = gyro
 
     def begin_anew(self) -> None:
         """Forget the drive."""
         self._chunks.clear()
         self._recent.clear()
         self._rested.clear()
-        self._gyro = None
         self._rows: list[tuple[float, ...]] = []
         self._sums = [0.0] * COLUMNS
         self._count = 0
@@ -201,7 +193,7 @@ class DriveRecorder:
     def gyro(self) -> GyroAtRest | None:
         """What the newest rest has shown of the gyro; None where there was none."""
         if not self._rested:
-            return self._gyro
+            return None
         x, y, z = self._rested[-1].rate.tolist()
         return GyroAtRest((x, y, z), self._rested[-1].sigma)
 
@@ -262,7 +254,7 @@ class DriveRecorder:
         rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
         time, rate, gyro = rows[:, 0], rows[:, RATE], self.gyro
         if gyro is not None:
-            rate = rate - (self._bias_at(time) if self._rested else gyro.rate)
+            rate = rate - self._bias_at(time)
         sigma = math.inf if gyro is None else gyro.later_sigma
         rested = rows[:, RESTED] > 0.0
         return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma, rested)

@@ -7,7 +7,6 @@ import pytest
 
 from magcal_ros.core.samples import STREAMS
 from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.rest import GyroAtRest
 
 BIAS = np.radians([3.5, -2.0, 1.9])
 STEP = 0.02
@@ -65,17 +64,6 @@ def test_it_is_taken_off_what_was_driven_before_too(ride):
     ride.go(12.0)
     after = ride.recorder.log().between(0.0, 19.0)
     assert np.abs(left_over(after, 0.4)).max() < 1e-3
-
-
-def test_what_was_known_before_counts_until_a_rest_tells_more():
-    known = GyroAtRest(tuple(BIAS + 1e-3), 1e-3)
-    ride = Ride(DriveRecorder(gyro=known))
-    ride.go(10.0, rate=0.4)
-    log = ride.recorder.log()
-    assert log.bias_sigma == known.later_sigma > known.sigma
-    assert left_over(log, 0.4) == pytest.approx(np.full(3, -1e-3), abs=5e-4)
-    ride.go(12.0)
-    assert ride.recorder.gyro.rate == pytest.approx(BIAS, abs=5e-4)
 
 
 def test_a_bias_that_changes_is_followed_by_the_newest_rests(ride):
