@@ -188,7 +188,7 @@ def _filtered(ticks: TickTable) -> tuple[ComplexArray, ComplexArray, ComplexArra
     valid = np.isfinite(change) & (np.abs(gap - ticks.seconds) < 0.5 * ticks.seconds)
     counts = np.append(0, np.cumsum(valid))
 
-    def banded(values: ComplexArray) -> ComplexArray:
+    def banded(values: FloatArray | ComplexArray) -> ComplexArray:
         sums = np.append(0.0, np.cumsum(np.where(valid, values, 0.0)))
         low, mean = (_running(sums, counts, w) for w in (MOUNTING.smooth, MOUNTING.highpass))
         return np.where(valid, low - mean, 0.0)
