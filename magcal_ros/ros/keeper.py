@@ -233,6 +233,12 @@ class Keeper:
                 self.trouble = str(found)
                 self._log.error(f"{found} Running uncalibrated.")
             elif resets == self._resets:
+                if found is None and not frame and chosen:
+                    # At the start; a path that is named later is not told to the network.
+                    self._log.warning(
+                        f"{self._path(frame, chosen)} does not exist: no calibration is in force. "
+                        "The next calibration is saved there"
+                    )
                 if frame in self._found:
                     self._found[frame] = found
                 if frame == self._frame:

@@ -39,7 +39,7 @@ class Lines(list):
     def info(self, line):
         self.append(line)
 
-    error = info
+    error = warning = info
 
 
 @pytest.fixture
@@ -175,6 +175,17 @@ def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
     files.go()
     assert "Running uncalibrated" in log[0]
     assert "bad.yaml" in keeper.trouble
+
+
+def test_a_chosen_file_that_is_not_there_is_said_once(ros_home):
+    chosen, files, log = ros_home / "chosen.yaml", Elsewhere(), Lines()
+    keeper = Keeper(("/", "calibrator"), files, log, lambda *_: None, lambda: str(chosen))
+    keeper.begin()
+    files.go()
+    keeper.note_sensor("left")
+    files.go()
+    assert len(log) == 1
+    assert f"{chosen} does not exist: no calibration is in force" in log[0]
 
 
 def test_a_chosen_file_of_another_sensor_goes_out_of_force_when_that_is_met(ros_home):
