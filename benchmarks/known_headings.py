@@ -47,7 +47,8 @@ from magcal_ros.core.session.at_known_heading import HeadingLog, fit_log
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.simulation import DEGREE, Robot
 from magcal_ros.core.smoother.standings import Standing
-from magcal_ros.core.up import GyroBias, UpFollower
+from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.core.up.propagation import GyroBias
 
 HEADINGS = 24
 TOLD: dict[str, Callable[[float, float], float]] = {

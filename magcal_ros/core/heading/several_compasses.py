@@ -18,7 +18,7 @@ from magcal_ros.core.heading.compass import Compass, Heading, Moment
 from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDoubt
 from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.up import Up
+from magcal_ros.core.up.follower import Up
 
 LASTING = 3.0
 """Seconds over which a disagreement without a reason is averaged, for when only one is left."""

@@ -10,9 +10,9 @@ from magcal_ros.core.calibrate import calibrate, calibrate_turns
 from magcal_ros.core.doctor.blame import mount_of, parameter_line
 from magcal_ros.core.doctor.page import examine_window
 from magcal_ros.core.errors import Reason
-from magcal_ros.core.geometry import rotation_from_rpy, signed_permutations
+from magcal_ros.core.geometry.rotations import rotation_from_rpy, signed_permutations
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, Robot
 
 EVERY = signed_permutations()

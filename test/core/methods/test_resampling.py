@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibration import Correction
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.design_tip import fit
 from magcal_ros.core.methods.resampling import jackknife_covariance
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import (
     DEGREE,
     LEVEL_TILT,

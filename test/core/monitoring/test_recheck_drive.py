@@ -11,8 +11,8 @@ from simulated.turns import measure, turn
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.monitoring.recheck import check, iron_added
-from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.window import Window
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples import STREAMS
 from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.samples.rest import GyroAtRest
+from magcal_ros.core.samples.streams import STREAMS
 
 BIAS = np.radians([3.5, -2.0, 1.9])
 STEP = 0.02

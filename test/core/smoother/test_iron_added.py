@@ -9,7 +9,7 @@ from simulated.drive import Iron
 from simulated.legs import Leg, city, standing
 from streets import BOSTON, driven, heading_error, log_from
 
-from magcal_ros.core.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.keeping.jobs import KEEPING
 from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.smoother.drives import drive_nodes

@@ -7,8 +7,7 @@ import pytest
 from drives import drive
 from log_writers import write_ulog
 
-from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.streams import VelocitySample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, VelocitySample
 from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.px4 import RIGHT_ANGLES, rotation_of
 from magcal_ros.files.sources import open_recording
