@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, freeze
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
 STRENGTH_SIGMA_UT = 1.5
@@ -111,8 +111,7 @@ class Mounting:
     in one turn; yaw shows in turns on different tilts only."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "gains", frozen_array(self.gains, (3,), "soft-iron gains"))
-        object.__setattr__(self, "pose", frozen_array(self.pose, (3, 3), "mounting pose"))
+        freeze(self, gains=(3,), pose=(3, 3))
         if (self.gains <= 0.0).any():
             raise ValueError("soft-iron gains must be positive")
         if not 0.0 < self.yaw_sigma < math.inf:

@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction, MotorField
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, freeze
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
 
@@ -85,9 +85,7 @@ class Estimate:
     """The field of the running motors, if the method finds it."""
 
     def __post_init__(self) -> None:
-        shape = (PARAMETERS, PARAMETERS)
-        object.__setattr__(self, "covariance", frozen_array(self.covariance, shape, "covariance"))
-        object.__setattr__(self, "axis", frozen_array(self.axis, (3,), "axis"))
+        freeze(self, covariance=(PARAMETERS, PARAMETERS), axis=(3,))
 
     @property
     def circle_radius(self) -> float:
@@ -169,11 +167,9 @@ class Calibration:
     """The field of the running motors; None if it was not observed."""
 
     def __post_init__(self) -> None:
-        shape = (PARAMETERS, PARAMETERS)
-        covariance = frozen_array(self.covariance, shape, "covariance")
-        if (np.diag(covariance) < 0.0).any():
+        freeze(self, covariance=(PARAMETERS, PARAMETERS))
+        if (np.diag(self.covariance) < 0.0).any():
             raise ValueError("covariance has a negative variance")
-        object.__setattr__(self, "covariance", covariance)
 
     @classmethod
     def from_estimate(cls, estimate: Estimate, evidence: Evidence) -> Calibration:

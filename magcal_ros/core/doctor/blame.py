@@ -132,14 +132,9 @@ class AxesFound:
         return np.eye(3) if self.right else np.asarray(self.candidates[0])
 
     @property
-    def mirrored(self) -> bool:
-        """Whether the likeliest axes are such as no mounting makes."""
-        return is_mirrored(self.meant)
-
-    @property
     def mount_rpy_deg(self) -> tuple[int, int, int] | None:
         """What the parameter `mount_rpy_deg` should be; None if no mounting corrects the axes."""
-        return None if self.mirrored else mount_of(self.meant, self.pose)
+        return None if is_mirrored(self.meant) else mount_of(self.meant, self.pose)
 
     @property
     def words(self) -> str:

@@ -14,7 +14,7 @@ from enum import Enum
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
 
 THINNEST = 1e-6
 """Width over length of points below which they are a line, or in space a plane."""
@@ -32,8 +32,7 @@ class Conic:
     angle: float  # radians from x to the first half axis, in (-pi/2, pi/2]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", frozen_array(self.centre, (2,), "centre"))
-        object.__setattr__(self, "radii", frozen_array(self.radii, (2,), "radii"))
+        freeze(self, centre=(2,), radii=(2,))
 
     @property
     def radius(self) -> float:
@@ -229,8 +228,7 @@ class Ellipsoid:
     (3, 3)."""
 
     def __post_init__(self) -> None:
-        for name, shape in (("centre", (3,)), ("radii", (3,)), ("axes", (3, 3))):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
+        freeze(self, centre=(3,), radii=(3,), axes=(3, 3))
 
     @property
     def radius(self) -> float:

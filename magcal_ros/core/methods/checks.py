@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.assessment.bounds import FULL_ARC_DEG
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, integral
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.planes import plane_normal
 from magcal_ros.core.knowledge import Knowledge
@@ -147,9 +147,8 @@ def _turned_by_gyro(window: Window) -> float:
     """Return the range of the gyro's angle about up, radians; zero without a gyro."""
     if window.angular_rate is None or len(window) < 2:
         return 0.0
-    steps = 0.5 * (window.angular_rate[1:] + window.angular_rate[:-1])
-    steps = steps * np.diff(window.time)[:, None]
-    return float(np.ptp(np.cumsum(steps @ unit(window.specific_force.mean(axis=0)))))
+    about_up = window.angular_rate @ unit(window.specific_force.mean(axis=0))
+    return float(np.ptp(integral(window.time, about_up)))
 
 
 def visible_motion(values: FloatArray) -> bool:

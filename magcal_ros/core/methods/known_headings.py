@@ -239,16 +239,14 @@ def declination_hint(
     )
 
 
-def next_heading(
-    standings: Sequence[Standing], knowledge: Knowledge, tries: int = 8
-) -> tuple[float, float]:
+def next_heading(standings: Sequence[Standing], knowledge: Knowledge) -> tuple[float, float]:
     """Return which further heading would show most, and the heading's sigma with it, radians.
 
     The heading is to magnetic north, of what the last standing's `forward` points along.
     """
     found = fit_headings(standings, knowledge)
     last = standings[-1].heading
-    headings = [wrapped(last + k * math.tau / tries) for k in range(1, tries)]
+    headings = [wrapped(last + k * 0.5 * QUARTER) for k in range(1, 8)]
     sigmas = [sigma_with(found, standings, knowledge, heading) for heading in headings]
     best = int(np.argmin(sigmas))
     return headings[best], sigmas[best]

@@ -18,7 +18,7 @@ from magcal_ros.core.geometry.arrays import (
     FloatArray,
     IntArray,
     block_means,
-    frozen_array,
+    freeze,
     runs,
 )
 from magcal_ros.core.geometry.rotations import exp_rotation
@@ -38,7 +38,12 @@ class GyroAtRest(NamedTuple):
     @property
     def later_sigma(self) -> float:
         """Sigma of the bias that is left when this is taken off later on, rad/s per axis."""
-        return math.hypot(self.sigma, CHANGES_BY * length(self.rate))
+        return sigma_later(self.rate, self.sigma)
+
+
+def sigma_later(rate: Triple, sigma: float) -> float:
+    """Return the sigma of what is left of a bias by a rest, rad/s per axis, when it is old."""
+    return math.hypot(sigma, CHANGES_BY * length(rate))
 
 
 class LongestRest(NamedTuple):
@@ -92,8 +97,7 @@ class RestBeside:
     3)."""
 
     def __post_init__(self) -> None:
-        for name, shape in (("field", (3,)), ("force", (3,)), ("rate", (3,)), ("turned", (3, 3))):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
+        freeze(self, field=(3,), force=(3,), rate=(3,), turned=(3, 3))
 
 
 def apart_from_rests(

@@ -13,7 +13,7 @@ from magcal_ros.core.geometry.arrays import (
     FloatArray,
     IntArray,
     block_means,
-    frozen_array,
+    freeze,
     integral,
     interpolated,
 )
@@ -54,18 +54,10 @@ class Window:
     infinite where none was."""
 
     def __post_init__(self) -> None:
-        time = frozen_array(self.time, (-1,), "time")
-        n = len(time)
-        object.__setattr__(self, "time", time)
-        object.__setattr__(self, "field", frozen_array(self.field, (n, 3), "field"))
-        force = frozen_array(self.specific_force, (n, 3), "specific force")
-        object.__setattr__(self, "specific_force", force)
-        if self.angular_rate is not None:
-            rate = frozen_array(self.angular_rate, (n, 3), "angular rate")
-            object.__setattr__(self, "angular_rate", rate)
-        if self.turned is not None:
-            object.__setattr__(self, "turned", frozen_array(self.turned, (n, 3, 3), "turned"))
-        if (np.diff(time) <= 0.0).any():
+        freeze(self, time=(-1,))
+        rows = (len(self.time), 3)
+        freeze(self, field=rows, specific_force=rows, angular_rate=rows, turned=(*rows, 3))
+        if (np.diff(self.time) <= 0.0).any():
             raise ValueError("the stamps of a window must increase")
 
     @property

@@ -54,7 +54,7 @@ def test_a_turn_and_a_lift_decide_among_all_48(which):
     found, *_ = of(EVERY[which], "lift")
     assert len(found.candidates) == 1
     assert np.array_equal(found.meant, EVERY[which])
-    assert found.mirrored == (which >= 24)
+    assert (found.mount_rpy_deg is None) == (which >= 24)
 
 
 @pytest.mark.nightly

@@ -1,6 +1,7 @@
 """Simulated drives for the smoother, and how far a calibration is off."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from simulated.drive import random_vehicle, simulated_drive
@@ -27,7 +28,10 @@ def driven(seed, seconds=300.0, legs=None, vehicle=None, **options):
 def log_from(drive, *, speed=False):
     """What is remembered of it."""
     window = Window(drive.time, drive.field, drive.force, drive.rate)
-    return log_of(window, drive.truth.speed if speed else None)
+    log = log_of(window)
+    if not speed:
+        return log
+    return replace(log, speed=np.interp(log.time, drive.time, drive.truth.speed))
 
 
 def heading_error(correction, robot):
