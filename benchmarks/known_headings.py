@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shared_cases  # noqa: F401
+from honesty_cases import sigma_at
 from simulated.drive import Drive, Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
@@ -82,7 +83,7 @@ class Scene:
         corrected = estimate.correction.apply(field)
         magnetic = yaws + self.robot.declination
         off = wrap_angle(yaw_from_up_and_field(up, corrected) - magnetic)
-        return off, estimate.heading_sigma(up, corrected) ** 2
+        return off, sigma_at(estimate, up, corrected) ** 2
 
 
 def drawn(

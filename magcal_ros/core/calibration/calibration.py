@@ -92,15 +92,6 @@ class Estimate:
         """Horizontal part of the reference field after the fit, tesla."""
         return self.strength * math.cos(self.inclination)
 
-    def heading_sigma(self, up: FloatArray, field_body: FloatArray) -> FloatArray:
-        """Return the yaw's sigma by the covariance of the twelve numbers alone, radians.
-
-        `up` and the true field (tesla), both (..., 3), are in body axes; the result is (...).
-        """
-        jacobian = yaw_jacobian(self.correction, up, field_body)
-        variance = np.einsum("...i,ij,...j->...", jacobian, self.covariance, jacobian)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
 
 def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray) -> FloatArray:
     """Return the derivative of the yaw by the twelve numbers, shape (..., 12), radians each.

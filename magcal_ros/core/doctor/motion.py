@@ -100,7 +100,10 @@ def compare(
     usual = float(np.median(np.linalg.norm(np.diff(part.field, axis=0), axis=1)))
     if usual >= TUNING.largest_noise:
         return _nothing_shown(log, None, turned_left)
-    rest = _longest_rest(body)
+    inside = (body.field_time >= body.imu_time[0]) & (body.field_time <= body.imu_time[-1])
+    time = body.field_time[inside]
+    rates = interpolated(time, body.imu_time, body.rate)
+    rest = longest_stand(time, body.field[inside], rates)
     factors = rate_factors(part)
     stands_still = rest is not None and rest.is_certain and not _turns_beside(part, rest)
     bias = NO_BIAS if rest is None else rest.rate
@@ -147,12 +150,6 @@ def _explained(
             return given, 1.0
     _, factor, way = min(found, key=lambda one: one[0])
     return way, factor
-
-
-def _longest_rest(log: SensorLog) -> LongestRest | None:
-    inside = (log.field_time >= log.imu_time[0]) & (log.field_time <= log.imu_time[-1])
-    time = log.field_time[inside]
-    return longest_stand(time, log.field[inside], interpolated(time, log.imu_time, log.rate))
 
 
 def _turns_beside(stretch: Stretch, rest: LongestRest) -> bool:
