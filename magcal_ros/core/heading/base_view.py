@@ -14,7 +14,7 @@ from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.geometry.vec3 import Triple, dot
+from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.compass import SMALLEST_FORWARD, Heading
 
 
@@ -158,7 +158,7 @@ class BaseView:
         """
         if self._is_imu:
             return seen
-        east, north, up = _rows(seen)
+        east, north, up = rotation_from_rpy(seen.roll, seen.pitch, seen.yaw).tolist()
         forward, left, top = self._forward, self._left, self._up
         fe, fn, fu = dot(east, forward), dot(north, forward), dot(up, forward)
         yaw = math.atan2(fn, fe)
@@ -184,18 +184,6 @@ class BaseView:
             seen.noise_variance,
             seen.lasting_variance,
         )
-
-
-def _rows(seen: Heading) -> tuple[Triple, Triple, Triple]:
-    """Return east, north and up in IMU axes, the rows of Rz(yaw) Ry(pitch) Rx(roll)."""
-    cr, sr = math.cos(seen.roll), math.sin(seen.roll)
-    cp, sp = math.cos(seen.pitch), math.sin(seen.pitch)
-    cy, sy = math.cos(seen.yaw), math.sin(seen.yaw)
-    return (
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    )
 
 
 def _by_tilt(seen: Heading) -> tuple[float, float]:
