@@ -16,6 +16,9 @@ INCLINATION_SIGMA_DEG = 1.0
 DECLINATION_SIGMA_DEG = 0.5
 """Local deviation of the field outdoors (1 σ); indoors it is about 7 µT, 5° and 5°."""
 
+CLEAR = 3.0
+"""Sigmas beyond which a deviation is no chance, and two sources contradict each other."""
+
 
 @dataclass(frozen=True)
 class Belief:

@@ -14,6 +14,7 @@ from enum import Enum
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import angle_between
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 
@@ -136,7 +137,7 @@ class Guide:
             swing = float(np.linalg.norm(field - first)) / max(float(np.linalg.norm(first)), 1e-12)
             self._done_moving |= abs(self._angle) > TUNING.angle or swing > TUNING.swing
         else:
-            self._done_moving |= _apart(force, resting) > TUNING.lift
+            self._done_moving |= angle_between(force, resting) > TUNING.lift
         if not (self._done_moving and self._stands(TUNING.rest)):
             return False
         return stage is not GuideStep.TURN or self._has_stopped()
@@ -166,18 +167,10 @@ class Guide:
         lean, swing = TUNING.still
         away = np.linalg.norm(last[:, 2] - field, axis=1)
         is_calm = bool((away < swing * np.linalg.norm(field)).all())
-        return is_calm and all(_apart(each, force) < lean for each in last[:, 0])
+        return is_calm and all(angle_between(each, force) < lean for each in last[:, 0])
 
     def _end(self, stage: GuideStep, is_seen: bool, now: float) -> None:
         self.ended[stage] = is_seen
         self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
         self._since, self._angle, self._done_moving = now, 0.0, False
         self._stage_start = len(self._blocks)
-
-
-def _apart(one: FloatArray, other: FloatArray) -> float:
-    """Return the angle between two vectors, radians; zero where one is none."""
-    size = float(np.linalg.norm(one) * np.linalg.norm(other))
-    if not size > 0.0:
-        return 0.0
-    return math.acos(min(1.0, max(-1.0, float(one @ other) / size)))

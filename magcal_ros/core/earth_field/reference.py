@@ -19,6 +19,7 @@ from magcal_ros.core.earth_field.wmm import (
 )
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.knowledge import (
+    CLEAR,
     DECLINATION_SIGMA_DEG,
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
@@ -158,10 +159,6 @@ class LocalPlane:
         east = math.radians(math.remainder(place.longitude_deg - origin.longitude_deg, 360.0))
         shrink = math.cos(math.radians(origin.latitude_deg))
         return PositionSample(fix.stamp, EARTH_RADIUS * east * shrink, EARTH_RADIUS * north)
-
-
-DOUBTFUL = 3.0
-"""Sigmas from the model beyond which a given or calibrated number is warned of."""
 
 
 class Unit(NamedTuple):
@@ -311,7 +308,7 @@ def _contradictions(given: ReferenceField, here: Sequence[Belief], spot: str) ->
         unit = UNITS[name]
         # The strength in tesla is far below pi.
         off = float(wrap_angle(by_hand.value - theirs.value))
-        if not by_hand.is_unknown and abs(off) > DOUBTFUL * theirs.sigma:
+        if not by_hand.is_unknown and abs(off) > CLEAR * theirs.sigma:
             yield (
                 f"the {name} is given as {by_hand.value * unit.scale:.1f}"
                 f"{unit.sign}, but the {spot} says {theirs.value * unit.scale:.1f}{unit.sign}: "
@@ -348,8 +345,8 @@ def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
         return ""
     strength, dip = reference.strength, reference.inclination
     is_same = (
-        abs(calibration.strength - strength.value) <= DOUBTFUL * strength.sigma
-        and abs(calibration.inclination - dip.value) <= DOUBTFUL * dip.sigma
+        abs(calibration.strength - strength.value) <= CLEAR * strength.sigma
+        and abs(calibration.inclination - dip.value) <= CLEAR * dip.sigma
     )
     if is_same or strength.is_exact or dip.is_exact:
         return ""

@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.arrays import FloatArray, freeze
+from magcal_ros.core.geometry.attitude import angle_between
 from magcal_ros.core.geometry.rotations import rpy_from_rotation
 
 FIXED = "fixed"
@@ -138,7 +139,7 @@ class SensorPoses:
         """
         if self.imu is None:
             return ""
-        lean = math.acos(min(1.0, max(-1.0, float(self.imu[2] @ up))))
+        lean = angle_between(self.imu[2], up)
         if lean < STEEPEST_GROUND:
             return ""
         return (

@@ -126,9 +126,8 @@ def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
         reference = knowledge.reference
         guessed = reference.strength.is_unknown and reference.inclination.is_unknown
         mended = estimate is not None and refusal.reason in SHORT + GUESSED * guessed
-        return Turn(
-            name, window, estimate, found, why.reason, "" if mended else str(why).rstrip(".")
-        )
+        unfit = "" if mended else str(why).rstrip(".")
+        return Turn(name, window, estimate, found, why.reason, unfit)
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
         return Turn(name, window, estimate, found, wrong.reason, str(wrong))

@@ -21,6 +21,7 @@ from magcal_ros.core.geometry.arrays import (
     freeze,
     runs,
 )
+from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
 
@@ -177,7 +178,7 @@ def longest_stand(time: FloatArray, field: FloatArray, rate: FloatArray) -> Long
     if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
         return None
     # A robot that stands all the time has not swung its field; its level part is about so large.
-    radius = 0.3 * float(np.median(np.linalg.norm(field, axis=1)))
+    radius = 0.3 * usual_size(field)
     found = _steady(field, rate, _split(time), radius)
     if not found:
         return None

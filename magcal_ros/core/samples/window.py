@@ -17,6 +17,7 @@ from magcal_ros.core.geometry.arrays import (
     integral,
     interpolated,
 )
+from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
@@ -224,7 +225,7 @@ def stretch_of_log(
     )
     step = np.diff(angle, axis=0)
     size = field_size(field)
-    gravity = float(np.median(np.linalg.norm(force, axis=1)))
+    gravity = usual_size(force)
     return Stretch(
         field / size,
         force / max(gravity, 1e-12),

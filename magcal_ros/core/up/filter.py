@@ -19,9 +19,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
-
-CLEAR = 3.0
-"""Sigmas beyond which a deviation is no chance."""
+from magcal_ros.core.knowledge import CLEAR
 
 
 @dataclass(frozen=True)
