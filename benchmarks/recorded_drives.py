@@ -25,7 +25,7 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.keeping.jobs import difference
-from magcal_ros.core.keeping.story import DriveReplay, DriveStory
+from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.samples.streams import FieldSample
 
 WORSE = 0.3
@@ -58,17 +58,17 @@ def main() -> None:
 def told(drive: Drive, begun: Calibration | None, first: float, last: float) -> DriveStory:
     time = drive.everything.time
     start, stop = (time[0] + share * (time[-1] - time[0]) for share in (first, last))
-    replay = DriveReplay(drive.knowledge, begun)
-    replay.take((each for each in drive.recording.samples() if start <= each.stamp <= stop), ())
-    return replay.story()
+    samples = (each for each in drive.recording.samples() if start <= each.stamp <= stop)
+    return replayed(drive.knowledge, begun, samples, ())
 
 
 def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
     """Add iron on the way, and say what comes of it: degrees from what is then right."""
     iron = ADDED * np.array([math.cos(way), math.sin(way), 0.0])
     start = drive.everything.time[0] + CHANGE_AT
-    replay = DriveReplay(drive.knowledge, begun)
-    replay.take(
+    story = replayed(
+        drive.knowledge,
+        begun,
         (
             each._replace(field=tuple(np.add(each.field, iron).tolist()))
             if isinstance(each, FieldSample) and each.stamp > start
@@ -81,7 +81,7 @@ def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
     right = replace(begun, correction=Correction(old.matrix, old.hard_iron + iron))
     print(f"{drive.name:28s}10 µT added at {CHANGE_AT:.0f} s, off by", end=" ")
     print(f"{math.degrees(difference(begun, right)):.0f}°:", end=" ")
-    for at, made in replay.story().decisions:
+    for at, made in story.decisions:
         left = ""
         if made.calibration is not None:
             left = f" ({math.degrees(difference(made.calibration, right)):.1f}°)"

@@ -36,13 +36,13 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.story import DriveReplay, DriveStory
+from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import DriveFit, drive_nodes, fit_drive
 
@@ -66,9 +66,7 @@ def some_fence(seed: int) -> Fence:
 
 
 def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveStory:
-    replay = DriveReplay(BOSTON, begun)
-    replay.take(drive._sensors(), drive.speeds if speed else ())
-    return replay.story()
+    return replayed(BOSTON, begun, drive._sensors(), drive.speeds if speed else ())
 
 
 class Heard(SelfCalibration):
@@ -76,12 +74,10 @@ class Heard(SelfCalibration):
 
     def __init__(self) -> None:
         super().__init__(Mode.OFF)
-        self.rows: list[tuple[float, Triple, Triple, Triple, float]] = []
+        self.rows: list[tuple[FieldSample, ImuSample | None, float]] = []
 
-    def add(
-        self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
-    ) -> bool:
-        self.rows.append((stamp, field, force, rate, speed))
+    def add(self, sample: FieldSample, imu: ImuSample | None, speed: float = math.nan) -> bool:
+        self.rows.append((sample, imu, speed))
         return False
 
     def decide(self, begun: Calibration) -> tuple[list[tuple[float, Decision]], Calibration]:
@@ -91,8 +87,8 @@ class Heard(SelfCalibration):
         for row in self.rows:
             if machine.add(*row):
                 for decision in machine.note(answer(machine.job(BOSTON))):
-                    made.append((row[0] - self.rows[0][0], decision))
-                    if decision.changes and decision.calibration is not None:
+                    made.append((row[0].stamp - self.rows[0][0].stamp, decision))
+                    if decision.calibration is not None:
                         now = decision.calibration
                         machine.put_in_force(now)
         return made, now
@@ -100,7 +96,7 @@ class Heard(SelfCalibration):
 
 def heard(drive: Drive) -> Heard:
     taken = Heard()
-    DriveReplay(BOSTON, None, taken).take(drive._sensors(), drive.speeds)
+    replayed(BOSTON, None, drive._sensors(), drive.speeds, taken)
     return taken
 
 
@@ -256,7 +252,7 @@ def bench_good(seeds: range) -> None:
             begun = drive.vehicle.with_iron(np.array([*way, 0.0])).robot.true_correction
             made, ended = taken.decide(calibration_of(begun))
             gains[off].append(error(begun, drive, 0.0) - error(ended.correction, drive, 420.0))
-            changed[off] += any(each.changes for _, each in made)
+            changed[off] += any(each.calibration is not None for _, each in made)
             noticed[off] += any(each.verb is Verb.NOTICED for _, each in made)
     for off, gained in gains.items():
         worse = sum(gain < -WORSE for gain in gained)

@@ -27,24 +27,43 @@ FORMATS = {
         "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,Yaw,U",
     ),
     "ATT": (133, "QccccCC", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw"),
+    "XKFS": (134, "QBBBBB", "TimeUS,C,MI,BI,GI,AI"),
+    "XKF4": (135, "QBb", "TimeUS,C,PI"),
 }  # fmt: skip
-STRUCT = {"B": "B", "n": "4s", "N": "16s", "Z": "64s", "Q": "Q", "f": "f", "h": "h", "H": "H",
-          "I": "I", "L": "i", "c": "h", "C": "H", "e": "i"}  # fmt: skip
+STRUCT = {"B": "B", "b": "b", "n": "4s", "N": "16s", "Z": "64s", "Q": "Q", "f": "f", "h": "h",
+          "H": "H", "I": "I", "L": "i", "c": "h", "C": "H", "e": "i"}  # fmt: skip
 SCALED = {"L": 1e7, "c": 100.0, "C": 100.0, "e": 100.0}
 
 
-def logged(field, offsets, matrix):
-    """The corrected field of ArduPilot, mG, of a raw one in tesla, forward-left-up."""
-    return matrix @ (MILLIGAUSS * FRD @ np.asarray(field) + offsets)
+def logged(field, offsets, matrix, scale=1.0, motors=(0.0, 0.0, 0.0)):
+    """The corrected field of ArduPilot, mG, of a raw one in tesla, forward-left-up.
+
+    AP_Compass_Backend::correct_field: offsets, scale, matrix, then the part of the motors.
+    """
+    return matrix @ (scale * (MILLIGAUSS * FRD @ np.asarray(field) + offsets)) + np.asarray(motors)
 
 
 def ardupilot_rows(
-    samples, offsets=(0, 0, 0), matrix=None, compasses=None, fixes=(), yaws=(), first=None
+    samples,
+    offsets=(0, 0, 0),
+    matrix=None,
+    compasses=None,
+    fixes=(),
+    yaws=(),
+    first=None,
+    slot="",
+    scale=1.0,
+    motors=None,
+    parameters=(),
+    lane=None,
+    imus=(0,),
 ):
     """Name and values of every message.
 
     `compasses` gives the fields of several by number, `yaws` stamp and compass bearing in degrees.
-    `first` is the stamp at which the log began; None at the first sample.
+    `first` is the stamp at which the log began; None at the first sample. The calibration has the
+    parameters of `slot`, `motors` gives its part of the motors (mG) by stamp. `parameters` are
+    others. `lane` is the EKF's lane and its compass; of the IMUs the last one tells the truth.
     """
     matrix = np.eye(3) if matrix is None else matrix
     begun = min(sample.stamp for sample in samples)
@@ -53,11 +72,16 @@ def ardupilot_rows(
     def at(stamp):
         return BOOT_US + round((stamp - first) * 1e6)
 
-    named = [(f"COMPASS_OFS_{a}", v) for a, v in zip("XYZ", offsets, strict=True)]
-    named += [(f"COMPASS_DIA_{a}", matrix[k, k]) for k, a in enumerate("XYZ")]
+    named = [(f"COMPASS_OFS{slot}_{a}", v) for a, v in zip("XYZ", offsets, strict=True)]
+    named += [(f"COMPASS_DIA{slot}_{a}", matrix[k, k]) for k, a in enumerate("XYZ")]
     pairs = zip("XYZ", ((0, 1), (0, 2), (1, 2)), strict=True)
-    named += [(f"COMPASS_ODI_{a}", matrix[k]) for a, k in pairs]
+    named += [(f"COMPASS_ODI{slot}_{a}", matrix[k]) for a, k in pairs]
+    named += [(f"COMPASS_SCALE{slot}", scale), *dict(parameters).items()]
     yield from (("PARM", (at(begun), name, float(value))) for name, value in named)
+    if lane is not None:
+        for number, compass in ((lane[0], lane[1]), (1 - lane[0], 1 - lane[1])):
+            yield "XKFS", (at(begun), number, compass, 0, 0, 0)
+            yield "XKF4", (at(begun), number, lane[0])
     for fix in fixes:  # stamp, latitude, longitude, speed, course (deg)
         stamp, latitude, longitude, speed, course = fix
         gms = round((stamp - first) * 1e3) + 100_000
@@ -67,13 +91,17 @@ def ardupilot_rows(
         yield "ATT", (at(stamp), 0.0, 0.0, 0.0, 0.0, 0.0, bearing % 360.0)
     for sample in samples:
         if isinstance(sample, ImuSample):
-            rate, force = FRD @ np.asarray(sample.rate), FRD @ np.asarray(sample.force)
-            yield "IMU", (at(sample.stamp), 0, *rate, *force)
+            for k in imus:
+                share = 1.0 if k == imus[-1] else 0.5
+                rate, force = share * FRD @ np.asarray(sample.rate), FRD @ np.asarray(sample.force)
+                yield "IMU", (at(sample.stamp), k, *rate, *force)
             continue
         fields = {0: sample.field} if compasses is None else compasses(sample)
+        part = (0.0, 0.0, 0.0) if motors is None else motors(sample.stamp)
         for number, field in fields.items():
-            milli = np.round(logged(field, offsets, matrix)).astype(int)
-            yield "MAG", (at(sample.stamp), number, *milli, *offsets, 0, 0, 0, 1)
+            milli = np.trunc(logged(field, offsets, matrix, scale, part)).astype(int)
+            others = np.trunc([*offsets, *part]).astype(int)  # cut, not rounded, by a cast in C++
+            yield "MAG", (at(sample.stamp), number, *milli, *others, 1)
 
 
 def _packed(name, values):
@@ -108,7 +136,8 @@ def write_text_log(path, samples, **options):
     return path
 
 
-def write_tlog(path, samples, offsets=(0, 0, 0), with_parameters=True, start=1.7e9):
+def write_tlog(path, samples, offsets=(0, 0, 0), with_parameters=True, start=1.7e9, raw=True):
+    """Write telemetry, in which SCALED_IMU repeats RAW_IMU; the latter may be missing."""
     from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
     link = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -130,10 +159,12 @@ def write_tlog(path, samples, offsets=(0, 0, 0), with_parameters=True, start=1.7
         elif imu is not None:
             force = np.round(FRD @ np.asarray(imu.force) / 9.80665e-3).astype(int)
             rate = np.round(FRD @ np.asarray(imu.rate) * 1e3).astype(int)
-            field = np.round(logged(sample.field, offsets, np.eye(3))).astype(int)
+            field = np.trunc(logged(sample.field, offsets, np.eye(3))).astype(int)
             micros = BOOT_US + round((sample.stamp - first) * 1e6)
-            values = (micros, *map(int, (*force, *rate, *field)))
-            send(sample.stamp, mavlink.MAVLink_raw_imu_message(*values))
+            values = tuple(map(int, (*force, *rate, *field)))
+            if raw:
+                send(sample.stamp, mavlink.MAVLink_raw_imu_message(micros, *values))
+            send(sample.stamp, mavlink.MAVLink_scaled_imu_message(micros // 1000, *values))
     path.write_bytes(b"".join(out))
     return path
 
@@ -156,6 +187,11 @@ ULOG_FORMATS = {
     "vehicle_gps_position": "uint64_t timestamp;uint64_t time_utc_usec;int32_t lat;int32_t lon;"
     "int32_t alt;float vel_n_m_s;float vel_e_m_s;uint8_t fix_type;",
 }
+RARE_FORMATS = {
+    "estimator_status": "uint64_t timestamp;uint32_t mag_device_id;",
+    "magnetometer_bias_estimate": "uint64_t timestamp;float[4] bias_x;float[4] bias_y;"
+    "float[4] bias_z;bool[4] valid;",
+}
 DEVICE = 3_000_000_123
 """Above the largest signed number, as devices on CAN are."""
 
@@ -172,24 +208,37 @@ def write_ulog(
     every=0,
     other_rotation=None,
     changed=None,
+    parameters=(),
+    pose=None,
+    bias=None,
+    power=None,
+    selected=None,
+    switched=False,
 ):
     """Write a ULog whose first magnetometer has these CAL_MAG1 parameters, gauss.
 
     `fixes` are stamp, UTC (s), latitude, longitude, velocity north and east; `bearings` are stamp
     and degrees. With `every` the other topic of the field has one in so many samples. A second
     magnetometer has `other_rotation`. `changed` is a parameter and its value from half on.
+    `parameters` are others, `pose` the rotation to the body that they make. `bias` (body, gauss) is
+    taken off the corrected field from a third on, `power` (gauss, by stamp) is added to the raw
+    one. `selected` is the device that is used. In a log that `switched` the corrected topic shows
+    another device up to half.
     """
     scale = np.eye(3) if scale is None else scale
-    pose = rotation_of(rotation)
+    pose = rotation_of(rotation) if pose is None else pose
     first = min(sample.stamp for sample in samples)
     out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", BOOT_US), _message("B", bytes(40))]
-    out += [_message("F", f"{name}:{form}".encode()) for name, form in ULOG_FORMATS.items()]
+    rare = {} if selected is None else {"estimator_status": 10}
+    rare |= {} if bias is None else {"magnetometer_bias_estimate": 11}
+    formats = ULOG_FORMATS | {name: RARE_FORMATS[name] for name in rare}
+    out += [_message("F", f"{name}:{form}".encode()) for name, form in formats.items()]
     named = {"CAL_MAG1_ID": DEVICE - (1 << 32), "CAL_MAG1_ROT": rotation}
     for k, axis in enumerate("XYZ"):
         named[f"CAL_MAG1_{axis}OFF"] = float(offset[k])
         named[f"CAL_MAG1_{axis}SCALE"] = float(scale[k, k])
         named[f"CAL_MAG1_{axis}ODIAG"] = float(scale[((0, 1), (0, 2), (1, 2))[k]])
-    out += [_parameter(*each) for each in named.items()]
+    out += [_parameter(*each) for each in {**named, **dict(parameters)}.items()]
     if other_rotation is not None:
         out += [_parameter("CAL_MAG0_ID", 77), _parameter("CAL_MAG0_ROT", other_rotation)]
     both = ("sensor_mag", "vehicle_magnetometer") if raw else ("vehicle_magnetometer", "sensor_mag")
@@ -199,14 +248,30 @@ def write_ulog(
         out.append(_message("A", struct.pack("<BH", 0, number) + name.encode()))
     if other_rotation is not None:
         out.append(_message("A", struct.pack("<BH", 1, 9) + b"sensor_mag"))
+    for name, number in rare.items():
+        out.append(_message("A", struct.pack("<BH", 0, number) + name.encode()))
+    if selected is not None:
+        out.append(_message("D", struct.pack("<HQI", 10, BOOT_US, selected)))
+    third, taken_off = samples[len(samples) // 3].stamp, np.zeros(3)
     fields = 0
     for count, sample in enumerate(samples):
         micros = BOOT_US + round((sample.stamp - first) * 1e6)
         if changed is not None and count == len(samples) // 2:
             out.append(_parameter(*changed))
         if isinstance(sample, FieldSample):
+            if bias is not None and sample.stamp > third and not taken_off.any():
+                taken_off = np.asarray(bias)
+                rows = np.zeros((3, 4))
+                rows[:, 0] = bias
+                estimate = (*rows.ravel(), True, False, False, False)
+                out.append(_message("D", struct.pack("<HQ12f4?", 11, micros, *estimate)))
             own = pose.T @ FRD @ np.asarray(sample.field) * GAUSS
-            corrected = pose @ scale @ (own - np.asarray(offset))
+            part = np.zeros(3) if power is None else np.asarray(power(sample.stamp))
+            corrected = pose @ scale @ (own + part - np.asarray(offset)) - taken_off
+            if switched and count < len(samples) // 2:
+                other = struct.pack("<HQI3f", 1, micros, 77, 0.1, 0.2, 0.3)
+                out.append(_message("D", other))
+                continue
             shown, others = (own, corrected) if raw else (corrected, own)
             data = struct.pack("<HQI3f", 1, micros, DEVICE, *shown)
             fields += 1

@@ -4,6 +4,7 @@
 run in the images of `.github/workflows/ci.yml`.
 """
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -19,7 +20,17 @@ CONSUMERS = yaml.safe_load((CHECKOUT / "test" / "consumers.yaml").read_text())
 FILTERS = CONSUMERS["robot_localization"]["parameters"]
 EXECUTABLES = {"magcal_ros": {"calibrator"}, "robot_localization": set(FILTERS)}
 HEARD = {
-    "calibrator": {"imu/data_raw", "imu/mag", "gps/fix", "odom", "cmd_vel"},
+    "calibrator": {
+        "imu/data_raw",
+        "imu/mag",
+        "imu/mag_2",
+        "gps/fix",
+        "gps/vel",
+        "heading",
+        "odom",
+        "battery",
+        "cmd_vel",
+    },
     "ekf_node": {"imu/data_raw", "odom", "odometry/filtered"},
     "navsat_transform_node": {"imu", "gps/fix", "odometry/filtered"},
 }
@@ -27,9 +38,11 @@ HEARD = {
 
 STAND_INS = {
     "launch": ["LaunchDescription"],
-    "launch.actions": ["DeclareLaunchArgument"],
+    "launch.actions": ["DeclareLaunchArgument", "IncludeLaunchDescription", "OpaqueFunction"],
+    "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
     "launch.substitutions": ["LaunchConfiguration", "PathJoinSubstitution"],
     "launch_ros.actions": ["Node"],
+    "launch_ros.parameter_descriptions": ["ParameterValue"],
     "launch_ros.substitutions": ["FindPackageShare"],
 }
 
@@ -37,10 +50,14 @@ STAND_INS = {
 class Made(SimpleNamespace):
     """What a launch file has made of one class, with its arguments."""
 
+    def perform(self, context):
+        """Return what the user gave for an argument: nothing, unless the context has it."""
+        return context.get(self.given[0], "")
 
-@pytest.fixture(params=LAUNCHES, ids=lambda path: path.name)
-def described(request, monkeypatch):
-    """Return what a launch file describes: its arguments and nodes by name, and their files."""
+
+@pytest.fixture
+def stand_ins(monkeypatch):
+    """Put the stand-ins in the place of ROS's modules."""
     monkeypatch.setitem(sys.modules, "launch_ros", ModuleType("launch_ros"))
     for name, classes in STAND_INS.items():
         module = ModuleType(name)
@@ -48,12 +65,30 @@ def described(request, monkeypatch):
             made = lambda *given, kind=each, **named: Made(kind=kind, given=given, named=named)  # noqa: E731
             setattr(module, each, made)
         monkeypatch.setitem(sys.modules, name, module)
-    (entities,) = runpy.run_path(str(request.param))["generate_launch_description"]().given
+
+
+def description_of(path, context):
+    """Return the arguments and nodes of a launch file by name, as a user starts it."""
+    (entities,) = runpy.run_path(str(path))["generate_launch_description"]().given
+    made_later = [each for each in entities if each.kind == "OpaqueFunction"]
+    entities = [each for each in entities if each.kind != "OpaqueFunction"]
+    entities += [made for each in made_later for made in each.named["function"](context)]
     arguments = {
         each.given[0]: each.named for each in entities if each.kind == "DeclareLaunchArgument"
     }
     nodes = {each.named["name"]: each.named for each in entities if each.kind == "Node"}
     assert len(arguments) + len(nodes) == len(entities)
+    return arguments, nodes
+
+
+CALIBRATOR = CHECKOUT / "launch" / "calibrator.launch.py"
+TEXTS = {"base_frame": "base_link", "calibration_file": "/somewhere/compass.yaml"}
+
+
+@pytest.fixture(params=LAUNCHES, ids=lambda path: path.name)
+def described(request, stand_ins):
+    """Return what a launch file describes with all arguments given, and its file of parameters."""
+    arguments, nodes = description_of(request.param, TEXTS)
     path = arguments["params_file"]["default_value"]
     package, *rest = path.given[0]
     assert package.given == ("magcal_ros",)
@@ -63,7 +98,7 @@ def described(request, monkeypatch):
 def mentioned(value):
     """Return the names of all arguments that a value of a launch file refers to."""
     if isinstance(value, Made):
-        return set(value.given) if value.kind == "LaunchConfiguration" else set()
+        return set(value.given) if value.kind == "LaunchConfiguration" else mentioned(value.given)
     if isinstance(value, dict):
         return mentioned(list(value.values()))
     return set().union(*map(mentioned, value)) if isinstance(value, list | tuple) else set()
@@ -90,6 +125,29 @@ def test_every_argument_is_declared_used_and_explained(described):
     arguments, nodes, _ = described
     assert mentioned(nodes) == set(arguments)
     assert all(each["description"] for each in arguments.values())
+
+
+def test_an_argument_that_is_not_given_leaves_the_parameter_to_the_file(stand_ins):
+    _, nodes = description_of(CALIBRATOR, {})
+    assert set(nodes["calibrator"]["parameters"][1]) == {"use_sim_time"}
+    _, nodes = description_of(CALIBRATOR, TEXTS)
+    assert set(nodes["calibrator"]["parameters"][1]) == {"use_sim_time", *TEXTS}
+    assert set(TEXTS) <= set(OURS)
+
+
+def test_the_example_that_includes_our_launch_file_gives_arguments_it_has(stand_ins):
+    page = (CHECKOUT / "doc" / "questions.md").read_text()
+    (block,) = re.findall(r"(?ms)^```python\n(.*?)^```$", page)
+    scope = {}
+    exec(compile(block, "questions.md", "exec"), scope)
+    ((entity,),) = scope["generate_launch_description"]().given
+    (source,) = entity.given
+    (path,) = source.given
+    package, *rest = path.given[0]
+    assert package.given == ("magcal_ros",)
+    assert CHECKOUT.joinpath(*rest) == CALIBRATOR
+    arguments, _ = description_of(CALIBRATOR, {})
+    assert {name for name, _ in entity.named["launch_arguments"]} <= set(arguments)
 
 
 def test_every_executable_and_remapped_topic_exists(described):

@@ -23,7 +23,7 @@ from magcal_ros.cli.common import (
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.keeping.story import DriveReplay, DriveStory
+from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import SENTENCES, STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
@@ -169,15 +169,14 @@ def run_drive(options: argparse.Namespace) -> int:
     folder = new_or_named(options.output, "magcal_drive")
     with recorded.opened(options, options.recording) as source:
         reference = reference_in_use(options, source.place, source.begun)
-        replay = DriveReplay(Knowledge(reference.field, recorded.mounting_from(options)), begun)
+        knowledge = Knowledge(reference.field, recorded.mounting_from(options))
         repaired = RepairedReadings(source, for_drive=True, known=begun)
         travel = source.travel
         with recorded.at_work(
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f} % of it", sys.stderr
         ):
-            replay.take(repaired, travel)
+            story = replayed(knowledge, begun, repaired, travel)
         frames = source.field_frame, source.imu_frame
-        story = replay.story()
         if story.ended is not None and travel:
             north = reference.field.declination
             course = recorded_course(story.ended, repaired, travel, north)

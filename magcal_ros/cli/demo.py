@@ -20,7 +20,6 @@ from magcal_ros.cli.live_view import best_view, joined, keep_traffic_here
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import rpy_from_rotation
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
     LEVEL_TILT,
@@ -52,6 +51,20 @@ ROBOT = Robot(
 TAKES = 200.0
 """Seconds that the demo takes in real time, most of them at 24 headings on five grounds."""
 
+NEXT_STEPS = """\
+The simulated robot's calibration is in
+  {file}
+A node loads it when it is started with
+  -p calibration_file:={file}
+Without this parameter it loads
+  ~/.ros/magcal/<node>.<frame>.yaml
+where it also saves a calibration. On your robot, start the node on your topics
+and let the command show the turn, as README.md says:
+  ros2 run magcal_ros calibrator --ros-args -r imu/data_raw:=/your/imu \\
+    -r imu/mag:=/your/magnetometer -p reference.latitude_deg:=48.1 \\
+    -p reference.longitude_deg:=11.6
+  ros2 run magcal_ros magcal calibrate"""
+
 LARGEST_ERROR_DEG = 1.0
 """The demo fails if the heading is worse than this afterwards."""
 
@@ -82,7 +95,10 @@ def run_demo(options: argparse.Namespace) -> int:
     keep_traffic_here()
     print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
     seconds = TAKES / options.speed
-    print(f"The robot turns once and is looked at afterwards: about {seconds:.0f} s.\n")
+    print(f"The robot turns once and is looked at afterwards: about {seconds:.0f} s.")
+    if options.speed != 1.0:
+        print(f"All of it goes {options.speed:g} times as fast as real.")
+    print()
     process = _start_node(options.output)
     try:
         with joined("magcal_demo") as node:
@@ -123,7 +139,7 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
     calibration, _ = read_calibration(output)
     slopes = [(8.0, 0.0), (0.0, 8.0), (-8.0, 0.0), (0.0, -8.0)]
     after = tuple(_rms(rehearsal.published_errors(each)) for each in ([(0.0, 0.0)], slopes))
-    print(_comparison(calibration))
+    print(_comparison(calibration, rehearsal.status["verdict"]["installation_rpy_deg"]))
     print("heading error, RMS over 24 headings      level   8° slopes")
     for name, (level, slope) in (
         ("before: raw field, true tilt", _without_noise(Correction.identity())),
@@ -131,7 +147,7 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
         ("after, without the sensors' noise", _without_noise(calibration.correction)),
     ):
         print(f"  {name:36s}{level:7.2f}°  {slope:7.2f}°")
-    print(plain_lines(f"\nThe calibration is in {output}; a node loads it when it starts."))
+    print(plain_lines(f"\n{NEXT_STEPS.format(file=output.resolve())}"))
     return Exit.GOOD if max(after) <= LARGEST_ERROR_DEG else Exit.FAILED
 
 
@@ -145,14 +161,14 @@ def _rms(errors: Sequence[float] | FloatArray) -> float:
     return math.degrees(math.sqrt(float(np.mean(np.square(errors)))))
 
 
-def _comparison(calibration: Calibration) -> str:
+def _comparison(calibration: Calibration, installation_rpy_deg: Sequence[float]) -> str:
     found = calibration.correction.hard_iron * 1e6
     true = ROBOT.hard_iron * 1e6
-    roll, pitch, _ = rpy_from_rotation(calibration.correction.matrix)
+    roll, pitch, _ = installation_rpy_deg
     rows = [
         *((f"hard iron {axis} (µT)", t, f) for axis, t, f in zip("xyz", true, found, strict=True)),
-        ("roll of the sensor (°)", math.degrees(ROBOT.roll), math.degrees(roll)),
-        ("pitch of the sensor (°)", math.degrees(ROBOT.pitch), math.degrees(pitch)),
+        ("roll of the sensor (°)", math.degrees(ROBOT.roll), roll),
+        ("pitch of the sensor (°)", math.degrees(ROBOT.pitch), pitch),
     ]
     lines = [f"{'':28s}{'true':>9s}{'found':>9s}{'error':>9s}"]
     lines += [f"  {name:26s}{t:9.2f}{f:9.2f}{f - t:9.2f}" for name, t, f in rows]

@@ -1,9 +1,13 @@
 """ArduPilot's logs: DataFlash (.BIN, .log) and telemetry (.tlog), read by pymavlink.
 
-MAG holds the corrected field, `D (raw + OFS) SCALE + motor part` in milligauss, body axes
-forward-right-down (AP_Compass_Backend::correct_field); the offsets stand beside it, D and SCALE
-are parameters. What the calibration in force added is taken off; the compensation of the motors
-stays, as it goes on in flight. RAW_IMU and SCALED_IMU of telemetry hold the same field.
+MAG holds the corrected field, `D SCALE (raw + OFS) + motors` in milligauss, cut to whole numbers
+(AP_Compass_Backend::correct_field; releases before 3.6 add the motors' part before D). The raw
+field is that of the sensor after COMPASS_ORIENT and, for a sensor on the board, after
+AHRS_ORIENTATION, so all of it, and the IMU, is in the vehicle's axes, forward-right-down. The
+offsets stand beside it, D and SCALE are parameters. What the calibration in force added is taken
+off. The compensation of the motors (COMPASS_MOT) stays, as it goes on in flight: without it the
+mean field of the motors would be part of the hard iron, and would be taken off twice. RAW_IMU and
+SCALED_IMU of telemetry hold the same field.
 """
 
 from __future__ import annotations
@@ -11,7 +15,8 @@ from __future__ import annotations
 import math
 from array import array
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +25,11 @@ import numpy as np
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.files import logs
+from magcal_ros.files.dataflash import BINARY, DataFlash, read_dataflash
 from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
-BINARY = b"\xa3\x95"
-"""The first bytes of a binary log."""
 
 TESLA = 1e-7
 """In a milligauss."""
@@ -42,20 +46,28 @@ TELEMETRY_NAMES = logs.Names(
     "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's card",
     "look at COMPASS_ENABLE and the wiring, and record again",
 )
-KINDS = {"IMU": 0, "IMU2": 1, "IMU3": 2, "MAG": 0, "MAG2": 1, "MAG3": 2}
-"""Messages of the sensors, and their number in releases that name it so."""
+REPEATED = -1
+RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
+"""Messages of telemetry, and the number of their sensors. SCALED_IMU repeats RAW_IMU."""
 
-RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": 0, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
+TELEMETRY_KINDS = {*RAW_KINDS, "ATTITUDE", "GPS_RAW_INT", "PARAM_VALUE"}
+
 AUTOPILOT = 1
 """Component of MAVLink: cameras and gimbals have others."""
 
 SLOTS = ("", "2", "3")
-"""How the parameters of the compasses are numbered."""
+"""How the parameters of the compasses, and of the IMUs, are numbered."""
 
-NO_OFFSETS = (math.nan, math.nan, math.nan)
+PARAMETERS = ("COMPASS_", "EK3_", "INS_USE")
+"""How those begin that are read."""
+
+SMALLEST_SCALE, LARGEST_SCALE = 1.0 / 1.5, 1.5
+"""Of COMPASS_SCALE; the autopilot ignores others (Compass::have_scale_factor)."""
 
 BACKWARDS, LATE = 1.0, 10.0
 """Seconds by which an autopilot's clock goes back, or a message is late, where it started anew."""
+
+SENSORS = 3
 
 
 def read_ardupilot(
@@ -69,82 +81,125 @@ def read_ardupilot(
         raise FileTrouble(f"{plain(str(path))} is no DataFlash log: it does not begin as one")
     deadline = logs.Deadline(path, progress)
     with logs.quietly(path, deadline):
-        messages = _telemetry(path) if telemetry else _dataflash(path, begun, deadline)
-        read = _Rows(telemetry)
-        for count, (message, share) in enumerate(messages):
-            if count % logs.EVERY == 0:
-                deadline.report(share)
-            if message is not None:
-                read.take(message.get_type(), message)
-        tables = read.tables()
+        if telemetry:
+            logged = _telemetry(path, deadline)
+        else:
+            logged = _logged(read_dataflash(path, begun, deadline))
+        tables = _raw_tables(logged, telemetry)
+        deadline.report(1.0)
     return logs.recording_of(path, tables, TELEMETRY_NAMES if telemetry else NAMES, imu, mag)
 
 
-def _dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> Iterator[tuple[Any, float]]:
-    """Yield the wanted messages of a log and the share that has been read."""
-    dataflash = logs.library(path, "pymavlink.DFReader", "ardupilot")
-    kind: Any = dataflash.DFReader_binary if begun[:2] == BINARY else dataflash.DFReader_text
+@dataclass
+class _Logged:
+    """The numbers of a log by sensor, as logged, forward-right-down."""
 
-    def recv_msg(reader: Any) -> Any:
-        # Without a receiver the library goes through the whole log before it gives a message.
-        deadline.check()
-        return kind.recv_msg(reader)
+    imus: dict[int, FloatArray] = field(default_factory=dict)
+    """Stamp, specific force, rate."""
+    mags: dict[int, FloatArray] = field(default_factory=dict)
+    """Stamp, field, offsets and motors' part, milligauss; NaN where they are not logged."""
+    parameters: list[tuple[float, dict[str, float]]] = field(
+        default_factory=lambda: [(-math.inf, dict[str, float]())]
+    )
+    """From when on they hold; a log may span a calibration by the autopilot."""
+    lane: tuple[int, int] | None = None
+    """Lane of the EKF that was in use most of the time, and its compass."""
+    tables: logs.LogTables = field(default_factory=logs.LogTables)
 
-    timed: Any = type("TimedReader", (kind,), {"recv_msg": recv_msg})
-    wanted = [*KINDS, "GPS", "ATT", "PARM"]
-    with timed(str(path)) as reader:
-        while (message := reader.recv_match(type=wanted, strict=True)) is not None:
-            yield message, 0.01 * reader.percent
+    def take_parameter(self, stamp: float, name: str, value: float) -> None:
+        """Take a parameter; the first value also holds before it was logged."""
+        if not name.startswith(PARAMETERS):
+            return
+        newest = self.parameters[-1][1]
+        if name not in newest:
+            for _, each in self.parameters:
+                each[name] = value
+        elif newest[name] != value:
+            self.parameters.append((stamp, {**newest, name: value}))
+
+    def take_fix(
+        self,
+        stamp: float,
+        has_fix: bool,
+        place: tuple[float, float, float],
+        speed: float,
+        course: float,
+    ) -> None:
+        """Take what a receiver says."""
+        self.tables.fixes.append(Fix(has_fix, *place, stamp))
+        if has_fix and math.isfinite(speed + course):
+            self.tables.velocities.append(logs.velocity(stamp, speed, course))
 
 
-def _telemetry(path: Path) -> Iterator[tuple[Any, float]]:
-    """Yield the same of telemetry, and None for any other message and for damage."""
+def _logged(found: DataFlash) -> _Logged:
+    out = _Logged()
+    for stamp, name, value in found.parameters:
+        out.take_parameter(stamp, name, value)
+    for number, part in _instances(found, "IMU"):
+        healthy = (part[:, 8] != 0.0) & (part[:, 9] != 0.0)
+        out.imus[number] = part[healthy][:, [0, *range(2, 8)]]
+    for number, part in _instances(found, "MAG"):
+        out.mags[number] = part[part[:, 11] != 0.0][:, [0, *range(2, 11)]]
+    if "ATT" in found.tables:
+        stamps, bearing = found.tables["ATT"].T
+        out.tables.yaw = np.column_stack([stamps, np.radians(90.0 - bearing)])
+    for stamp, number, status, *place, speed, course in found.tables.get(
+        "GPS", np.empty(0)
+    ).tolist():
+        if not number > 0.0:  # the first one, which old releases do not number
+            has_fix = status >= logs.FIX_3D
+            out.take_fix(stamp, has_fix, tuple(place), speed, math.radians(course))
+    if "XKFS" in found.tables and "XKF4" in found.tables:
+        lane = _most_common(found.tables["XKF4"][:, 1])
+        selected = found.tables["XKFS"]
+        out.lane = lane, _most_common(selected[selected[:, 1] == lane, 2])
+    return out
+
+
+def _instances(found: DataFlash, kind: str) -> Iterable[tuple[int, FloatArray]]:
+    """Yield a sensor's number and its rows; old releases number them by the message's name."""
+    for usual, name in enumerate((kind, f"{kind}2", f"{kind}3")):
+        table = found.tables.get(name)
+        if table is not None:
+            numbers = np.where(np.isnan(table[:, 1]), usual, table[:, 1])
+            for number in np.unique(numbers):
+                yield int(number), table[numbers == number]
+
+
+def _most_common(numbers: FloatArray) -> int:
+    values, counts = np.unique(numbers, return_counts=True)
+    return int(values[counts.argmax()]) if len(values) else 0
+
+
+def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
     reader = logs.library(path, "pymavlink.mavutil", "ardupilot").mavlogfile(str(path))
-    wanted = {*RAW_KINDS, "ATTITUDE", "GPS_RAW_INT", "PARAM_VALUE"}
+    read, count = _Telemetry(), 0
     try:
         while (message := reader.recv_msg()) is not None:
-            is_wanted = message.get_type() in wanted
-            yield message if is_wanted else None, 0.01 * reader.percent
+            if count % logs.EVERY == 0:
+                deadline.report(0.01 * reader.percent)
+            count += 1
+            read.take(message.get_type(), message)
     finally:
         reader.close()
+    return read.logged()
 
 
-class _Rows:
-    """Takes messages one by one; the numbers are as logged, forward-right-down."""
+class _Telemetry:
+    """Takes messages one by one."""
 
-    def __init__(self, telemetry: bool) -> None:
-        self.take = self._take_telemetry if telemetry else self._take_logged
-        """Takes a message of any wanted kind."""
-        self._telemetry = telemetry
+    def __init__(self) -> None:
         # Flat arrays take a tenth of the memory of rows.
         self._imus: dict[int, array[float]] = defaultdict(_numbers)
         self._mags: dict[int, array[float]] = defaultdict(_numbers)
         self._yaw = _numbers()
-        self._parameters = [(-math.inf, dict[str, float]())]
-        """From when on they hold; a log may span a calibration by the autopilot."""
-        self._tables = logs.LogTables()
+        self._out = _Logged()
         self._system: int | None = None
         self._booted = self._own = math.nan
 
-    def _take_logged(self, kind: str, m: Any) -> None:
-        stamp = m._timestamp
-        if kind.startswith("IMU"):
-            row = [m.AccX, m.AccY, m.AccZ, m.GyrX, m.GyrY, m.GyrZ]
-            self._imus[getattr(m, "I", KINDS[kind])].extend((stamp, *row))
-        elif kind.startswith("MAG"):
-            if getattr(m, "Health", 1):
-                row = [m.MagX, m.MagY, m.MagZ, m.OfsX, m.OfsY, m.OfsZ]
-                self._mags[getattr(m, "I", KINDS[kind])].extend((stamp, *row))
-        elif kind == "ATT":
-            self._yaw.extend((stamp, math.radians(90.0 - m.Yaw)))
-        elif kind == "PARM":
-            self._take_parameter(stamp, m.Name, float(m.Value))
-        elif not getattr(m, "I", 0):
-            has_fix = m.Status >= logs.FIX_3D
-            self._fix(stamp, has_fix, (m.Lat, m.Lng, m.Alt), m.Spd, math.radians(m.GCrs))
-
-    def _take_telemetry(self, kind: str, m: Any) -> None:
-        if m.get_srcComponent() != AUTOPILOT:
+    def take(self, kind: str, m: Any) -> None:
+        """Take a message of any kind."""
+        if kind not in TELEMETRY_KINDS or m.get_srcComponent() != AUTOPILOT:
             return
         if self._system is None:
             self._system = m.get_srcSystem()
@@ -155,26 +210,16 @@ class _Rows:
             force = (value * logs.GRAVITY for value in (m.xacc, m.yacc, m.zacc))
             row = [1e-3 * value for value in (*force, m.xgyro, m.ygyro, m.zgyro)]
             self._imus[RAW_KINDS[kind]].extend((stamp, *row))
-            self._mags[RAW_KINDS[kind]].extend((stamp, m.xmag, m.ymag, m.zmag, *NO_OFFSETS))
+            self._mags[RAW_KINDS[kind]].extend((stamp, m.xmag, m.ymag, m.zmag))
         elif kind == "ATTITUDE":
             self._yaw.extend((self._by_own_clock(m), 0.5 * math.pi - m.yaw))
         elif kind == "PARAM_VALUE":
-            self._take_parameter(m._timestamp, m.param_id, float(m.param_value))
+            self._out.take_parameter(m._timestamp, m.param_id, float(m.param_value))
         else:
             place = (1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
             course = math.radians(0.01 * m.cog)
-            self._fix(m._timestamp, m.fix_type >= logs.FIX_3D, place, 0.01 * m.vel, course)
-
-    def _take_parameter(self, stamp: float, name: str, value: float) -> None:
-        """Take a parameter; the first value also holds before it was logged."""
-        if not name.startswith("COMPASS_"):
-            return
-        newest = self._parameters[-1][1]
-        if name not in newest:
-            for _, each in self._parameters:
-                each[name] = value
-        elif newest[name] != value:
-            self._parameters.append((stamp, {**newest, name: value}))
+            has_fix = m.fix_type >= logs.FIX_3D
+            self._out.take_fix(m._timestamp, has_fix, place, 0.01 * m.vel, course)
 
     def _by_own_clock(self, m: Any) -> float:
         """Return a message's stamp by the autopilot's clock, shifted to the receiver's.
@@ -189,49 +234,110 @@ class _Rows:
         self._own = own
         return float(own + self._booted)
 
-    def _fix(
-        self,
-        stamp: float,
-        has_fix: bool,
-        place: tuple[float, float, float],
-        speed: float,
-        course: float,
-    ) -> None:
-        self._tables.fixes.append(Fix(has_fix, *place, stamp))
-        if has_fix and math.isfinite(speed + course):
-            self._tables.velocities.append(logs.velocity(stamp, speed, course))
-
-    def tables(self) -> logs.LogTables:
-        """Return everything in SI units, forward-left-up axes, calibrations taken off."""
-        tables = self._tables
-        tables.yaw = np.array(self._yaw).reshape(-1, 2)
-        for number, rows in self._imus.items():
-            table = np.array(rows).reshape(-1, 7)
-            table[:, 1:4] *= logs.FLU_FROM_FRD
-            table[:, 4:7] *= logs.FLU_FROM_FRD
-            tables.imus[number] = table
+    def logged(self) -> _Logged:
+        """Return what was taken."""
+        out = self._out
+        for sensors in (self._imus, self._mags):
+            repeated = sensors.pop(REPEATED, _numbers())
+            if repeated:
+                sensors.setdefault(0, repeated)
+        out.tables.yaw = np.array(self._yaw).reshape(-1, 2)
+        out.imus = {k: np.array(rows).reshape(-1, 7) for k, rows in self._imus.items()}
         for number, rows in self._mags.items():
-            table = np.array(rows).reshape(-1, 7)
-            slot = _slot(number, table[-1, 4:7], self._parameters[-1][1])
-            parts = np.searchsorted([since for since, _ in self._parameters], table[:, 0], "right")
-            raw = np.empty((len(table), 3))
-            for part in np.unique(parts):
-                rows = parts == part
-                held = self._parameters[part - 1][1]
-                raw[rows] = _without_calibration(table[rows], slot, held)
-            raw *= logs.FLU_FROM_FRD * TESLA
-            tables.fields[number] = np.column_stack([table[:, 0], raw])
-            tables.frames[number] = f"ardupilot_compass{SLOTS[slot]}"
-        if self._telemetry and "COMPASS_OFS_X" not in self._parameters[-1][1]:
-            tables.notes.append(
-                "the log does not hold the parameters COMPASS_OFS: the field is taken as if they "
-                "were 0. Offsets that are found must be added to those in force"
-            )
-        return tables
+            table = np.array(rows).reshape(-1, 4)
+            out.mags[number] = np.pad(table, ((0, 0), (0, 6)), constant_values=math.nan)
+        return out
 
 
 def _numbers() -> array[float]:
     return array("d")
+
+
+def _raw_tables(logged: _Logged, telemetry: bool) -> logs.LogTables:
+    """Return everything in SI units, forward-left-up axes, calibrations taken off."""
+    tables, newest = logged.tables, logged.parameters[-1][1]
+    for number, table in logged.imus.items():
+        if not len(table):
+            continue
+        table[:, 1:4] *= logs.FLU_FROM_FRD
+        table[:, 4:7] *= logs.FLU_FROM_FRD
+        tables.imus[number] = table
+    for number, table in logged.mags.items():
+        if len(table):
+            _take_field(tables, number, table, logged.parameters)
+    # Logs without the EKF's choice may have it as parameters, the latter up to release 4.0.
+    primary = newest.get("EK3_PRIMARY"), newest.get("COMPASS_PRIMARY")
+    lane, compass = logged.lane or (None if each is None else int(each) for each in primary)
+    used = None if lane is None else _imu_of(lane, newest)
+    tables.imu_order = _order(tables.imus, newest, "INS_USE", used)
+    tables.field_order = _order(tables.fields, newest, "COMPASS_USE", compass)
+    if telemetry and "COMPASS_OFS_X" not in newest:
+        tables.notes.append(
+            "the log does not hold the parameters COMPASS_OFS: the field is taken as if they "
+            "were 0. Offsets that are found must be added to those in force"
+        )
+    return tables
+
+
+def _take_field(
+    tables: logs.LogTables,
+    number: int,
+    table: FloatArray,
+    parameters: list[tuple[float, dict[str, float]]],
+) -> None:
+    """Add a compass, raw; what an earlier orientation turned is left out."""
+    newest = parameters[-1][1]
+    slot = _slot(number, table[-1, 4:7], newest)
+    orientation = f"COMPASS_ORIENT{SLOTS[slot]}"
+    parts = np.searchsorted([since for since, _ in parameters], table[:, 0], "right")
+    raw, is_turned = np.empty((len(table), 3)), np.zeros(len(table), dtype=bool)
+    for part in np.unique(parts):
+        rows, held = parts == part, parameters[part - 1][1]
+        raw[rows] = _without_calibration(table[rows], slot, held)
+        is_turned[rows] = held.get(orientation) != newest.get(orientation)
+    raw *= logs.FLU_FROM_FRD * TESLA
+    tables.fields[number] = np.column_stack([table[:, 0], raw])[~is_turned]
+    tables.frames[number] = f"ardupilot_compass{SLOTS[slot]}"
+    notes = tables.field_notes.setdefault(number, [])
+    if is_turned.any():
+        notes.append(f"{orientation} was changed on the way: the field is taken from then on only")
+    motors = np.linalg.norm(np.nan_to_num(table[:, 7:10]), axis=1).max()
+    if motors > 0.0:
+        notes.append(
+            f"the field has the compensation of the motors in it (COMPASS_MOT, up to "
+            f"{1e6 * TESLA * motors:.1f} µT): leave it as it is, the result rests on it"
+        )
+
+
+def _imu_of(lane: int, parameters: Mapping[str, float]) -> int | None:
+    """Return the IMU of a lane of the EKF: lanes are counted over the IMUs of EK3_IMU_MASK."""
+    mask = int(parameters.get("EK3_IMU_MASK", 3.0))
+    of_lanes = [k for k in range(SENSORS) if mask >> k & 1]
+    return of_lanes[lane] if 0 <= lane < len(of_lanes) else None
+
+
+def _order(
+    sensors: Mapping[int, FloatArray],
+    parameters: Mapping[str, float],
+    switch: str,
+    used: int | None,
+) -> logs.Order:
+    """Return the order in which sensors are taken.
+
+    First is the one that the autopilot used, then those that may be used and were healthy most of
+    the time, in the autopilot's order.
+    """
+    longest = max((len(each) for each in sensors.values()), default=0)
+
+    def rank(number: int) -> tuple[bool, bool, bool, int]:
+        is_off = parameters.get(f"{switch}{SLOTS[min(number, SENSORS - 1)]}") == 0.0
+        return is_off, number != used, len(sensors[number]) < 0.5 * longest, number
+
+    numbers = tuple(sorted(sensors, key=rank))
+    if numbers and numbers[0] == used:
+        return logs.Order(numbers, "which the autopilot used")
+    is_said = any(name.startswith(switch) for name in parameters)
+    return logs.Order(numbers, f"the first by {switch} and health" if is_said else "")
 
 
 def _slot(number: int, offsets: FloatArray, parameters: Mapping[str, float]) -> int:
@@ -259,11 +365,15 @@ def _without_calibration(
     matrix = np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
     if not np.isfinite(matrix).all() or not matrix.diagonal().any():
         matrix = np.eye(3)
-    scale = parameters.get(f"COMPASS_SCALE{name}", 0.0) or 1.0
-    offsets = table[:, 4:7]
-    if np.isnan(offsets).all():
-        offsets = np.nan_to_num(_three(parameters, f"COMPASS_OFS{name}_", "XYZ"))
-    return np.linalg.solve(matrix * scale, table[:, 1:4].T).T - offsets
+    scale = parameters.get(f"COMPASS_SCALE{name}", 1.0)
+    if not SMALLEST_SCALE <= scale <= LARGEST_SCALE:
+        scale = 1.0
+    # The logged offsets are cut to whole numbers, the parameters are not.
+    exact, offsets = _three(parameters, f"COMPASS_OFS{name}_", "XYZ"), table[:, 4:7]
+    is_same = np.isnan(offsets) | (np.abs(exact - offsets) < 1.0)
+    offsets = np.nan_to_num(np.where(is_same, exact, offsets))
+    uncut = table[:, 1:4] + 0.5 * np.sign(table[:, 1:4])
+    return np.linalg.solve(matrix * scale, uncut.T).T - offsets
 
 
 def _three(parameters: Mapping[str, float], prefix: str, axes: Iterable[str]) -> FloatArray:

@@ -21,7 +21,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
 from magcal_ros.core.geometry.rotations import rotation_angle, rpy_from_rotation
 from magcal_ros.files.disk import plain
-from magcal_ros.files.px4 import rotation_of
+from magcal_ros.files.px4 import mounting_of
 
 GAUSS = 1e4
 """Gauss in a tesla."""
@@ -151,17 +151,24 @@ def ctu_vras(calibration: Calibration) -> str:
 def fusioncore(calibration: Calibration) -> str:
     """Return a parameter file for FusionCore; field_strength is the corrected field's.
 
+    FusionCore takes the calibrator's yaw. Its own compass is off, and has the numbers all the same.
+
     `corrected = soft_iron (mag - hard_iron)`, tesla, soft iron as a "3x3 scale+rotation matrix in
     row-major order" (docs/configuration.md of github.com/manankharwar/fusioncore).
     """
     correction, tesla = calibration.correction, OF_TESLA
     header = commented(
         calibration,
+        "FusionCore takes the yaw of the node calibrator, which has to run. To use its own compass",
+        "instead, set magnetometer.enabled to true and remove gnss.heading_topic. CAUTION: its",
+        "compass gives every heading a sigma of 0.05 rad (magnetometer.noise_rad), and needs MINUS",
+        "the declination as magnetometer.declination_rad.",
         "corrected = soft_iron * (mag - hard_iron): tesla, for the readings as the driver",
         "publishes them. soft_iron turns them into the IMU's axes: they must not be turned twice.",
     )
     return header + parameter_file(
-        "magnetometer.enabled: true",
+        "gnss.heading_topic: compass/true/enu/imu",
+        "magnetometer.enabled: false",
         f"magnetometer.hard_iron: [{numbers(correction.hard_iron, tesla)}]",
         f"magnetometer.soft_iron: [{numbers(correction.matrix)}]",
         f"magnetometer.field_strength: {number(calibration.strength, tesla)}",
@@ -267,7 +274,8 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
     slot = of_log[1] if of_log else ""
     origin = (
         f"From a log, whose own OFS, DIA, ODI and SCALE were taken off: compass {slot or 1}.",
-        "These numbers replace those in force; the compensation of the motors stays.",
+        "These numbers replace those in force; COMPASS_MOT stays, and COMPASS_ORIENT. Where DIA or",
+        "SCALE change by more than a few percent, run CompassMot again: it is added after them.",
     )
     driver = (
         "RESTS ON readings without COMPASS_OFS in them. MAVLink's RAW_IMU, and so imu/mag of",
@@ -294,9 +302,6 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
     return "".join([header, *lines, f"COMPASS_SCALE{slot},1.0\n"])
 
 
-PX4_FRAME = "px4_mag{slot}_rot{rotation}"
-"""The frame in a calibration from a log of PX4: CAL_MAGn and its ROT."""
-
 SMALLEST_SCALE, LARGEST_SCALE = 0.1, 3.0
 
 
@@ -315,9 +320,8 @@ def px4(calibration: Calibration, frame: str = "") -> str:
     field is turned by more than 5°, or scaled beyond PX4's range.
     """
     held, comments = without_rotation(calibration.correction, "PX4")
-    of_log = re.fullmatch(PX4_FRAME.format(slot=r"(\d)", rotation=r"(\d+)"), frame)
-    slot, rotation = (int(number) for number in of_log.groups()) if of_log else (0, 0)
-    turn = rotation_of(rotation)  # the parameters are in the sensor's own axes
+    of_log = mounting_of(frame)
+    slot, turn, name = of_log or (0, np.eye(3), "")  # the parameters are in the sensor's own axes
     matrix, offset = turn.T @ held.matrix @ turn, turn.T @ held.hard_iron
     scales = np.diag(matrix)
     if scales.min() < SMALLEST_SCALE or scales.max() > LARGEST_SCALE:
@@ -327,8 +331,8 @@ def px4(calibration: Calibration, frame: str = "") -> str:
             "driver, and calibrate again."
         )
     origin = (
-        f"From a log, whose own calibration was taken off: CAL_MAG{slot}, CAL_MAG{slot}_ROT "
-        f"{rotation}.",
+        f"From a log, whose own calibration was taken off: CAL_MAG{slot}, mounted as {name}.",
+        "These numbers replace those in force; the compensation for the power stays.",
     )
     driver = (
         "For the first magnetometer and CAL_MAG0_ROT = 0 or -1.",

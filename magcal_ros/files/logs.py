@@ -7,7 +7,7 @@ import importlib
 import io
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -66,6 +66,15 @@ class Deadline:
             )
 
 
+@dataclass(frozen=True)
+class Order:
+    """In which order sensors are taken; of those that are not named the first one."""
+
+    numbers: Sequence[int] = ()
+    reason: str = ""
+    """Why the first one comes first."""
+
+
 @dataclass
 class LogTables:
     """The rows of a log by sensor, in the autopilot's order; SI units, forward-left-up axes."""
@@ -75,6 +84,10 @@ class LogTables:
     """As in `Recording`, by the number of the sensor."""
     frames: dict[int, str] = field(default_factory=dict)
     """The name of each magnetometer that is stored in a calibration, for `export`."""
+    field_notes: dict[int, list[str]] = field(default_factory=dict)
+    """What is said if the magnetometer is taken."""
+    imu_order: Order = Order()
+    field_order: Order = Order()
     fixes: list[Fix] = field(default_factory=list)
     velocities: list[VelocitySample] = field(default_factory=list)
     yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -97,8 +110,12 @@ def recording_of(
 ) -> Recording:
     """Choose the sensors and return what they recorded; a FileTrouble if none gives data."""
     notes = list(tables.notes)
-    one = _chosen(path, tables.imus, names.imu, imu, "--imu", names.no_imu, notes)
-    other = _chosen(path, tables.fields, names.field, mag, "--mag", names.no_field, notes)
+    order, of_fields = tables.imu_order, tables.field_order
+    one = _chosen(path, tables.imus, order, names.imu, imu, "--imu", names.no_imu, notes)
+    other = _chosen(
+        path, tables.fields, of_fields, names.field, mag, "--mag", names.no_field, notes
+    )
+    notes += tables.field_notes.get(other, ())
     travel, place = travel_of([*tables.velocities, *tables.fixes])
     return Recording(
         _in_order(tables.imus[one]),
@@ -116,6 +133,7 @@ def recording_of(
 def _chosen(
     path: Path,
     sensors: Mapping[int, FloatArray],
+    order: Order,
     name: str,
     wanted: str,
     option: str,
@@ -123,8 +141,9 @@ def _chosen(
     notes: list[str],
 ) -> int:
     """Return the number of the sensor to take."""
-    numbers = sorted(sensors)
-    every = ", ".join(f"{name}[{k}]" for k in numbers)
+    rank = {number: place for place, number in enumerate(order.numbers)}
+    numbers = sorted(sensors, key=lambda number: (rank.get(number, len(rank)), number))
+    every = ", ".join(f"{name}[{k}]" for k in sorted(numbers))
     if wanted:
         found = [k for k in numbers if wanted in (f"{name}[{k}]", str(k))]
         if not found:
@@ -146,9 +165,10 @@ def _chosen(
     if len(numbers) > 1:
         dead = [f"{name}[{k}]" for k in numbers if k not in working]
         told = f" ({', '.join(dead)} never changes)" if dead else ""
+        reason = f", {order.reason}" if order.reason and working[0] == order.numbers[0] else ""
         notes.append(
-            f"the log has {every}{told}: {name}[{working[0]}] is taken, choose another with "
-            f"{option}"
+            f"the log has {every}{told}: {name}[{working[0]}] is taken{reason}; choose another "
+            f"with {option}"
         )
     return working[0]
 

@@ -1,16 +1,20 @@
 """PX4's logs (.ulg), read by pyulog.
 
 `sensor_mag` is the raw field in gauss, in the sensor's own forward-right-down axes;
-`vehicle_magnetometer` is `R S (raw - OFF)` in the body's, with the parameters CAL_MAGn of the
-device (lib/sensor_calibration). By its default profile PX4 logs the raw one once a second and the
-other one twice. The other one is taken, less its calibration, where it came more often and its
-calibration stayed the same.
+`vehicle_magnetometer` is `L R S (raw + P COMP - OFF) - bias` in the body's, with the parameters
+CAL_MAGn of the device (lib/sensor_calibration, VehicleMagnetometer): L levels the board
+(SENS_BOARD_X_OFF, Y, Z), R is CAL_MAGn_ROT or SENS_BOARD_ROT, P the throttle or current of
+CAL_MAG_COMP_TYP, bias the estimate made while disarmed. By its default profile PX4 logs the raw one
+once a second and the other one twice or more. The other one is taken, less its calibration, where
+it came more often and its calibration stayed the same, or where PX4 compensates for the power: that
+part stays in the field, as PX4 goes on with it.
 """
 
 from __future__ import annotations
 
 import io
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +23,7 @@ import numpy as np
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files import logs
@@ -37,7 +41,11 @@ TOPICS = (
     "vehicle_magnetometer",
     "vehicle_gps_position",
     "vehicle_attitude",
+    "magnetometer_bias_estimate",
 )
+SELECTIONS = ("sensor_selection", "estimator_selector_status", "estimator_status")
+"""Topics of which the first that names a magnetometer tells which one is used."""
+
 NAMES = logs.Names(
     "sensor_combined",
     "sensor_mag",
@@ -55,6 +63,11 @@ RIGHT_ANGLES = (
 )  # fmt: skip
 """Roll, pitch and yaw of MAV_SENSOR_ORIENTATION, degrees, by its number."""
 
+CUSTOM = 100
+"""The number of the rotation whose angles are the parameters CAL_MAGn_ROLL, PITCH, YAW."""
+
+DEFAULT_PRIORITY = 50.0
+
 
 def read_px4(
     path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
@@ -65,7 +78,7 @@ def read_px4(
     ulog = logs.library(path, "pyulog", "px4").ULog
     deadline = logs.Deadline(path, progress)
     with logs.quietly(path, deadline), _Watched(path, deadline) as handle:
-        tables = _tables(ulog(handle, list(TOPICS)))
+        tables = _tables(ulog(handle, [*TOPICS, *SELECTIONS]))
     return logs.recording_of(path, tables, NAMES, imu, mag)
 
 
@@ -89,16 +102,42 @@ UNKNOWN_ROTATION = (
 )
 
 
-def is_known(number: int) -> bool:
-    """Whether `rotation_of` takes a number."""
-    return 0 <= number < len(RIGHT_ANGLES)
-
-
 def rotation_of(number: int) -> FloatArray:
     """Return CAL_MAGn_ROT as the rotation from sensor to body, forward-right-down."""
-    if not is_known(number):
+    if not 0 <= number < len(RIGHT_ANGLES):
         raise FileTrouble(UNKNOWN_ROTATION.format(number))
-    return rotation_from_rpy(*(math.radians(angle) for angle in RIGHT_ANGLES[number]))
+    return _rotation(*RIGHT_ANGLES[number])
+
+
+def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
+    return rotation_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw))
+
+
+def _pose(slot: int | None, parameters: Mapping[str, float]) -> tuple[FloatArray, str]:
+    """Return the rotation from a sensor to the body, and how the sensor's frame names it."""
+    mounted = int(parameters.get(f"CAL_MAG{slot}_ROT", -1))
+    number = int(parameters.get("SENS_BOARD_ROT", 0)) if mounted < 0 else mounted
+    level = [parameters.get(f"SENS_BOARD_{axis}_OFF", 0.0) for axis in "XYZ"]
+    if number == CUSTOM:
+        names = ("ROLL", "PITCH", "YAW")
+        own = _rotation(*(parameters.get(f"CAL_MAG{slot}_{name}", 0.0) for name in names))
+    else:
+        own = rotation_of(number)
+        if not any(level):
+            return own, f"rot{number}"
+    angles = [round(math.degrees(v), 2) + 0.0 for v in rpy_from_rotation(_rotation(*level) @ own)]
+    return _rotation(*angles), "rpy" + "_".join(f"{angle:g}" for angle in angles)
+
+
+def mounting_of(frame: str) -> tuple[int, FloatArray, str] | None:
+    """Return slot, rotation to the body and its name, of the frame of a log's magnetometer."""
+    angle = r"(-?[\d.]+)"
+    found = re.fullmatch(rf"px4_mag(\d)_(rot(\d+)|rpy{angle}_{angle}_{angle})", frame)
+    if found is None:
+        return None
+    slot, name, number, *angles = found.groups()
+    pose = rotation_of(int(number)) if number else _rotation(*map(float, angles))
+    return int(slot), pose, name
 
 
 def _tables(log: Any) -> logs.LogTables:
@@ -131,6 +170,7 @@ def _tables(log: Any) -> logs.LogTables:
     if refused and not tables.fields:
         raise FileTrouble(refused[0])
     tables.notes += [f"left out: {words}" for words in refused]
+    tables.field_order = _order(data, parameters)
     return tables
 
 
@@ -146,35 +186,80 @@ def _take_field(
 
     `is_settled` is whether its parameters stayed the same.
     """
-    raw = data.get(("sensor_mag", number))
+    raw = _of_one(data.get(("sensor_mag", number)))
     device = _device(raw) if raw is not None else 0
     corrected = _corrected(data, number, device)
-    if raw is not None and corrected is not None and is_settled and _is_one(corrected):
-        raw = raw if len(raw["timestamp"]) >= len(corrected["timestamp"]) else None
     topic = raw if raw is not None else corrected
     if topic is None:
         return ""
     device = device or _device(topic)
-    # The topics write a device unsigned, the parameters signed.
-    devices = [int(parameters.get(f"CAL_MAG{k}_ID", 0)) % (1 << 32) for k in range(MOST_SENSORS)]
-    slot = devices.index(device) if device in devices else None
-    mounted = int(parameters.get(f"CAL_MAG{slot}_ROT", -1))
-    board = int(parameters.get("SENS_BOARD_ROT", 0))
-    rotation = board if mounted < 0 else mounted
-    if not is_known(rotation):
-        return f"{NAMES.field}[{number}]: {UNKNOWN_ROTATION.format(rotation)}"
-    pose = rotation_of(rotation)
-    if raw is not None:
-        field = np.column_stack([raw[axis] for axis in "xyz"]) @ pose.T
+    slot = _slot(device, parameters)
+    has_power = bool(parameters.get("CAL_MAG_COMP_TYP", 0)) and any(
+        parameters.get(f"CAL_MAG{slot}_{axis}COMP", 0.0) for axis in "XYZ"
+    )
+    if raw is not None and corrected is not None and is_settled:
+        more = len(corrected["timestamp"]) > len(raw["timestamp"])
+        topic = corrected if more or has_power else raw
+    try:
+        pose, name = _pose(slot, parameters)
+    except FileTrouble as trouble:
+        return f"{NAMES.field}[{number}]: {trouble}"
+    if topic is raw:
+        field = np.column_stack([topic[axis] for axis in "xyz"]) @ pose.T
     else:
         offset, matrix = _calibration(slot, parameters)
-        corrected_field = _vectors(topic, "magnetometer_ga")
-        inner = np.linalg.solve(matrix, (corrected_field @ pose).T).T + offset
-        field = inner @ pose.T
+        bias = _bias(data, number, topic["timestamp"])
+        inner = (_vectors(topic, "magnetometer_ga") + bias) @ pose
+        field = (np.linalg.solve(matrix, inner.T).T + offset) @ pose.T
     stamps = 1e-6 * topic["timestamp"] + shift
     tables.fields[number] = np.column_stack([stamps, field * logs.FLU_FROM_FRD * TESLA])
-    tables.frames[number] = f"px4_mag{0 if slot is None else slot}_rot{rotation}"
+    tables.frames[number] = f"px4_mag{0 if slot is None else slot}_{name}"
+    if has_power:
+        tables.field_notes[number] = [
+            "PX4 compensates for the power (CAL_MAG_COMP_TYP), and the log has the raw field only: "
+            "set it to 0 with what is exported, or log vehicle_magnetometer"
+            if topic is raw
+            else "the field has the compensation for the power in it (CAL_MAG_COMP_TYP): leave it "
+            "as it is, the result rests on it"
+        ]
     return ""
+
+
+def _order(
+    data: Mapping[tuple[str, int], Mapping[str, FloatArray]], parameters: Mapping[str, float]
+) -> logs.Order:
+    """Return the magnetometers, the one that PX4 selected first, then by CAL_MAGn_PRIO."""
+    named = [_selected(data[name, 0]) for name in SELECTIONS if (name, 0) in data]
+    selected = next((device for device in named if device), 0)
+    devices = {
+        k: _device(data[name, k])
+        for name in ("vehicle_magnetometer", "sensor_mag")
+        for k in range(MOST_SENSORS)
+        if (name, k) in data
+    }
+
+    def rank(number: int) -> tuple[bool, float, int]:
+        slot = _slot(devices[number], parameters)
+        priority = parameters.get(f"CAL_MAG{slot}_PRIO", DEFAULT_PRIORITY)
+        return devices[number] != selected, -priority, number
+
+    numbers = tuple(sorted(devices, key=rank))
+    if numbers and selected and devices[numbers[0]] == selected:
+        return logs.Order(numbers, "which PX4 selected")
+    is_said = any(name.endswith("_PRIO") for name in parameters)
+    return logs.Order(numbers, "the first by CAL_MAG_PRIO" if is_said else "")
+
+
+def _selected(topic: Mapping[str, FloatArray]) -> int:
+    devices = topic.get("mag_device_id", np.zeros(1))
+    values, counts = np.unique(devices, return_counts=True)
+    return int(values[counts.argmax()])
+
+
+def _slot(device: int, parameters: Mapping[str, float]) -> int | None:
+    # The topics write a device unsigned, the parameters signed.
+    devices = [int(parameters.get(f"CAL_MAG{k}_ID", 0)) % (1 << 32) for k in range(MOST_SENSORS)]
+    return devices.index(device) if device and device in devices else None
 
 
 def _device(topic: Mapping[str, FloatArray]) -> int:
@@ -185,15 +270,34 @@ def _corrected(
     data: Mapping[tuple[str, int], Mapping[str, FloatArray]], number: int, device: int
 ) -> Mapping[str, FloatArray] | None:
     """Return the corrected field of a device, of which 0 is not known, or else of this number."""
-    topics = [data.get(("vehicle_magnetometer", k)) for k in range(MOST_SENSORS)]
+    topics = [_of_one(data.get(("vehicle_magnetometer", k))) for k in range(MOST_SENSORS)]
     same = [each for each in topics if each is not None and _device(each) == device]
     return same[0] if same else topics[number] if not device else None
 
 
-def _is_one(corrected: Mapping[str, FloatArray]) -> bool:
-    """Whether a corrected field is of one device and one calibration."""
-    marks = (corrected[name] for name in ("device_id", "calibration_count") if name in corrected)
-    return not any(np.ptp(each) for each in marks)
+def _of_one(topic: Mapping[str, FloatArray] | None) -> Mapping[str, FloatArray] | None:
+    """Return what is of the last device and the last calibration.
+
+    With SENS_MAG_MODE at 1 the first topic is of the device that is selected at the moment.
+    """
+    if topic is None:
+        return None
+    marks = [topic[name] for name in ("device_id", "calibration_count") if name in topic]
+    same = np.all([mark == mark[-1] for mark in marks], axis=0) if marks else ...
+    return {name: values[same] for name, values in topic.items()}
+
+
+def _bias(
+    data: Mapping[tuple[str, int], Mapping[str, FloatArray]], number: int, stamps: FloatArray
+) -> FloatArray:
+    """Return what the estimate of the bias took off, body axes, gauss. Shape (n, 3)."""
+    topic = data.get(("magnetometer_bias_estimate", 0))
+    if topic is None:
+        return np.zeros((len(stamps), 3))
+    valid = topic[f"valid[{number}]"] != 0
+    known = np.column_stack([topic[f"bias_{axis}[{number}]"][valid] for axis in "xyz"])
+    held = np.searchsorted(topic["timestamp"][valid], stamps, "right")
+    return np.vstack([np.zeros(3), known])[held]
 
 
 def _calibration(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import time
@@ -9,6 +10,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol
+
+from magcal_ros.core.session.turn_events import Conclusion
 
 PAUSE = 10.0
 """Seconds between two lines on one subject."""
@@ -42,14 +45,6 @@ class _Line:
     at: float = -PAUSE
 
 
-@dataclass
-class _Complaint:
-    """Something that is wrong at the moment."""
-
-    since: float
-    said: bool = False
-
-
 class Announcer:
     """Logs what has changed, at most once in ten seconds for each subject."""
 
@@ -61,46 +56,46 @@ class Announcer:
     ) -> None:
         self._log, self._clock, self._lasting = log, clock, lasting
         self._lines: dict[str, _Line] = {}
-        self._wrong: dict[str, _Complaint] = {}
+        self._wrong_since: dict[str, float] = {}
         self._complained_at: dict[str, float] = {}
         self._turning = False
-        self._answer: object = None
+        self._answer: Conclusion | None = None
 
     def tell(self, subject: str, text: str, *, wrong: bool = False) -> None:
         """Log something on a subject, if it differs from what was logged last.
 
-        What comes sooner than ten seconds after the last line waits for `catch_up`, and only the
+        What comes sooner than ten seconds after the last line waits for `complain`, and only the
         newest of it is logged.
         """
         line = self._lines.setdefault(subject, _Line())
         line.text, line.wrong = text, wrong
         self._say_if_due(line)
 
-    def catch_up(self) -> None:
-        """Log what had to wait; to be called about once a second."""
-        for line in self._lines.values():
-            self._say_if_due(line)
-
     def complain(self, complaints: Iterable[str]) -> None:
         """Log what is wrong: once it has lasted, and again when it comes back.
 
-        A complaint in which only numbers change is the same one.
+        A complaint in which only numbers change is the same one. What `tell` was told and had to
+        wait is logged as well: to be called about once a second.
         """
+        for line in self._lines.values():
+            self._say_if_due(line)
         now = self._clock()
         found = {_NUMBER.sub("#", text): text for text in complaints}
-        self._wrong = {kind: self._wrong.get(kind, _Complaint(now)) for kind in found}
-        self._complained_at = {k: at for k, at in self._complained_at.items() if now - at < PAUSE}
-        for kind, complaint in self._wrong.items():
-            lasts = now - complaint.since >= self._lasting
-            if lasts and not complaint.said and kind not in self._complained_at:
-                complaint.said, self._complained_at[kind] = True, now
+        self._wrong_since = {kind: self._wrong_since.get(kind, now) for kind in found}
+        said = self._complained_at
+        said = {kind: at for kind, at in said.items() if kind in found or now - at < PAUSE}
+        for kind, since in self._wrong_since.items():
+            last = said.get(kind, -math.inf)
+            if last < since and now - last >= PAUSE and now - since >= self._lasting:
+                said[kind] = now
                 self._log.warning(found[kind])
+        self._complained_at = said
 
-    def follow_turn(self, turning: bool, answer: object, words: str) -> None:
+    def follow_turn(self, turning: bool, answer: Conclusion | None) -> None:
         """Log that a turn begins, and the words of each new answer."""
-        if answer is not self._answer:
+        if answer is not None and answer is not self._answer:
             self._answer, self._turning = answer, False
-            self._log.info(f"the turn is over: {words}")
+            self._log.info(f"the turn is over: {answer.message}")
         elif turning and not self._turning:
             self._turning = True
             self._log.info("a turn begins")

@@ -170,9 +170,7 @@ def _say(words: bytes) -> None:
         os.write(sys.stdout.fileno(), words + b"\n")
 
 
-def is_needed(
-    line: int, silence: float = SILENCE, answer: Callable[[bytes], object] = lambda _: None
-) -> bool:
+def is_needed(line: int, silence: float, answer: Callable[[bytes], object]) -> bool:
     """Read the node's line; returns whether it went (silent for so many s) in a turn."""
     deadline, heard = math.inf, b""
     while True:

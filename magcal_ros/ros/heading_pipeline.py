@@ -148,7 +148,7 @@ class ReferenceSource:
     """Subscribes to gps/fix and keeps the reference field up to date."""
 
     def __init__(self, node: Node, table: Parameters) -> None:
-        self._node, self._table = node, table
+        self._node, self.table = node, table
         self._fixes = Fixes()
         self._calibration: Calibration | None = None
         self._settings: Settings | None = None
@@ -160,16 +160,9 @@ class ReferenceSource:
     @property
     def reference(self) -> Reference:
         """The reference field in use, by the parameters of this moment."""
-        if self._table.settings is not self._settings:
+        if self.table.settings is not self._settings:
             self.refresh()
         return self._reference
-
-    @property
-    def settings(self) -> Settings:
-        """The parameters, with the reference field in use in place of the one given by hand."""
-        settings = self._table.settings
-        knowledge = replace(settings.knowledge, reference=self.reference.field)
-        return replace(settings, knowledge=knowledge)
 
     def use(self, calibration: Calibration | None) -> None:
         """Compare the place where a calibration was made with this one from now on."""
@@ -188,10 +181,9 @@ class ReferenceSource:
             say.tell("north", words, wrong=True)
         if before.source != self._reference.source:
             say.tell("reference", f"reference field: {self._reference.words}")
-        say.catch_up()
 
     def _resolve(self) -> Reference:
-        settings = self._settings = self._table.settings
+        settings = self._settings = self.table.settings
         given = settings.knowledge.reference
         place = settings.given.place or self._fixes.place
         found = resolve(given, settings.given.local, place, None if place is None else self._year())
@@ -233,12 +225,11 @@ class HeadingPipeline:
         node: Node,
         up: UpFollower,
         imu: Sensor,
-        streams: Streams,
         frames: SensorFrames,
         reference_source: ReferenceSource,
         travel: Travel,
     ) -> None:
-        self._node, self.up, self._imu, self.streams = node, up, imu, streams
+        self._node, self.up, self.imu = node, up, imu
         self.frames, self._reference, self.travel = frames, reference_source, travel
         self.motors = Motors(node, up, travel)
         self.headings = HeadingOutput(node, frames)
@@ -269,27 +260,28 @@ class HeadingPipeline:
     def follow(self, settings: Settings, keeper: Keeper, turn: TurnState) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
         self.fused.patience = settings.patience
-        learnt = self.motors.follow(Mode(settings.self_calibration), turn is not TurnState.IDLE)
+        kept = None if keeper.calibration is None else keeper.calibration.motors
+        mode, is_turning = Mode(settings.self_calibration), turn is not TurnState.IDLE
+        learnt = self.motors.follow(mode, is_turning, kept)
         if learnt is not None:
-            keeper.keep_motors(learnt)
+            keeper.keep(learnt)
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Go on to an IMU message, of which up knows already."""
         reference = self._reference.reference.field
         self.fused.on_imu(seconds, stamp, self.body_frame(), reference)
 
-    def moment_of(self, compass: Compass, sample: FieldSample) -> Moment:
-        """Return the corrected field, up and heading of a field sample."""
-        up = self.up.at(sample.stamp, self.streams.max_gap)
+    def moment_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> Moment:
+        """Return the corrected field, up and heading of a field sample of these streams."""
+        up = self.up.at(sample.stamp, streams.max_gap)
         running = None if compass.motors is None else self.motors.running(sample.stamp)
         turning = self.up.rate if self.up.is_propagated else None
-        return Moment.of(compass, sample, up, self.streams.newest_rate, running, turning)
+        return Moment.of(compass, sample, up, streams.newest_rate, running, turning)
 
     def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
         """Publish the heading that follows from a magnetometer's message."""
         if self.fused.is_needed:  # a calibration of a further magnetometer is in force
-            now = self.streams.imu_stamps.newest
-            joined = self.several.add(number, moment, now, self.fused.yaw)
+            joined = self.several.add(number, moment, self.up.newest_stamp, self.fused.yaw)
             if joined is None:
                 return
             moment = joined
@@ -300,13 +292,19 @@ class HeadingPipeline:
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""
-        return self._imu.frame or (self._origin.imu_frame if self._origin else "")
+        return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
     def settled(self, number: int = FIRST, frame: str = "") -> Settings:
-        """Return the parameters as they hold for a turn of one magnetometer."""
-        return self.frames.settled(self._reference.settings, number, frame)
+        """Return the parameters as they hold for a turn of one magnetometer.
+
+        The reference field in use stands in place of the one that was given by hand.
+        """
+        settings, reference = self._reference.table.settings, self._reference.reference.field
+        mounting = self.frames.mounting(number, frame)
+        known = replace(settings.knowledge, reference=reference, mounting=mounting)
+        return replace(settings, knowledge=known)
 
     def origin_of(self, magnetometer_frame: str) -> Origin:
         """Return where a calibration that is made now comes from."""
         node = self._node.get_fully_qualified_name()
-        return Origin.now(magnetometer_frame, self._imu.frame, node, self.travel.yaw)
+        return Origin.now(magnetometer_frame, self.imu.frame, node, self.travel.yaw)

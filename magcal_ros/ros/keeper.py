@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -65,9 +65,8 @@ class Keeper:
         self.origin: Origin | None = None
         self.trouble = ""
         """What went wrong with the file last time, for the diagnostics; empty if nothing."""
-        self._frame = ""
+        self._frame, self._was_named = "", False
         self._last_read: tuple[object, Loaded] | None = None
-        self._wanted: deque[str] = deque(maxlen=MOST_KNOWN)
         self._is_reading = False
         self._found: OrderedDict[str, Loaded | None] = OrderedDict()
         self._used: Path | None = None
@@ -79,20 +78,18 @@ class Keeper:
         self.calibration, self.origin = calibration, origin
         self._apply(calibration, origin.magnetometer_frame)
 
-    def keep_vehicle_yaw(self, yaw: VehicleYaw) -> None:
-        """Store a yaw with the calibration in force, if there is one."""
-        if self.calibration is not None and self.origin is not None:
-            self.origin = replace(self.origin, vehicle_yaw=yaw)
-            self.save()
-
-    def keep_motors(self, motors: MotorField) -> None:
-        """Store what was learnt of the motors with the calibration in force, if there is one.
+    def keep(self, learnt: VehicleYaw | MotorField) -> None:
+        """Store what was learnt while driving with the calibration in force, if there is one.
 
         Nothing is applied: the caller uses it already.
         """
-        if self.calibration is not None:
-            self.calibration = replace(self.calibration, motors=motors)
-            self.save()
+        if self.calibration is None or self.origin is None:
+            return
+        if isinstance(learnt, VehicleYaw):
+            self.origin = replace(self.origin, vehicle_yaw=learnt)
+        else:
+            self.calibration = replace(self.calibration, motors=learnt)
+        self.save()
 
     def reset(self) -> None:
         """Use none."""
@@ -138,15 +135,14 @@ class Keeper:
         """Put the calibration of the file in force."""
         chosen, frame = self._chosen(), self._frame
 
-        def fail(error: Exception) -> None:
-            self.trouble = str(error)
-            tell(Conclusion(False, str(error)))
+        def done(found: Loaded | Exception) -> None:
+            if isinstance(found, Exception):
+                self.trouble = str(found)
+                tell(Conclusion(False, str(found)))
+            else:
+                tell(Conclusion(True, self.use(found)))
 
-        self._files.run(
-            lambda: self.read(chosen, frame),
-            lambda loaded: tell(Conclusion(True, self.use(loaded))),
-            fail,
-        )
+        self._files.run(lambda: self.read(chosen, frame), done, done)
 
     def read(self, chosen: str, frame: str) -> Loaded:
         """Read the file of a sensor, in any thread; one that has not changed is not read again.
@@ -183,7 +179,7 @@ class Keeper:
     def begin(self) -> None:
         """Load a file that was chosen by its name, before any message arrives."""
         if self._chosen():
-            self._begin_reading("", of_sensor=False)
+            self._read_next()
 
     def note_sensor(self, frame: str) -> None:
         """Load the calibration of the sensor whose field comes now, in the background.
@@ -195,14 +191,12 @@ class Keeper:
             self._use_found(self._found[frame])
             return
         # A driver may leave out the frame at first.
-        is_first = not any(self._found)
-        self._found[frame] = None
-        if len(self._found) > MOST_KNOWN:
-            self._found.popitem(last=False)
+        is_first, self._was_named = not self._was_named, self._was_named or bool(frame)
         if self.calibration is None:
-            self._wanted.append(frame)
             self._read_next()
-        elif is_first:
+            return
+        self._remember(frame)
+        if is_first:
             self._check_sensor(frame)
 
     def forget(self) -> None:
@@ -217,36 +211,36 @@ class Keeper:
         own = chosen_path(chosen) if chosen else SensorFile(frame, *self._name).path
         return numbered(own, self._number)
 
-    def _read_next(self) -> None:
-        if self.calibration is not None:
-            self._wanted.clear()
-        if self._wanted and not self._is_reading:
-            self._begin_reading(self._wanted.pop(), of_sensor=True)
+    def _remember(self, frame: str) -> None:
+        self._found[frame] = None
+        if len(self._found) > MOST_KNOWN:
+            self._found.popitem(last=False)
 
-    def _begin_reading(self, frame: str, of_sensor: bool) -> None:
+    def _read_next(self) -> None:
+        """Read the file of the present sensor, once, when the one before it is read."""
+        frame, chosen, resets = self._frame, self._chosen(), self._resets
+        if self._is_reading or self.calibration is not None or frame in self._found:
+            return
         self._is_reading = True
-        chosen, resets = self._chosen(), self._resets
+        self._remember(frame)
 
         def read_if_there() -> Loaded | None:
             path = self._path(frame, chosen)
             return None if promptly(lambda: is_missing(path), path) else self.read(chosen, frame)
 
-        def note(loaded: Loaded | None) -> None:
+        def done(found: Loaded | Exception | None) -> None:
             self._is_reading = False
-            loaded = loaded if resets == self._resets else None
-            if of_sensor and frame in self._found:
-                self._found[frame] = loaded
-            if not of_sensor or frame == self._frame:
-                self._use_found(loaded)
+            if isinstance(found, Exception):
+                self.trouble = str(found)
+                self._log.error(f"{found} Running uncalibrated.")
+            elif resets == self._resets:
+                if frame in self._found:
+                    self._found[frame] = found
+                if frame == self._frame:
+                    self._use_found(found)
             self._read_next()
 
-        def fail(error: Exception) -> None:
-            self._is_reading = False
-            self.trouble = str(error)
-            self._log.error(f"{error} Running uncalibrated.")
-            self._read_next()
-
-        self._files.run(read_if_there, note, fail)
+        self._files.run(read_if_there, done, done)
 
     def _use_found(self, loaded: Loaded | None) -> None:
         if loaded is None or self.calibration is not None:

@@ -81,16 +81,13 @@ class Antenna:
         self._answer, self._north, self._missed = "", "", 0
 
     @property
-    def is_fresh(self) -> bool:
-        """Whether the topic gives a heading now."""
-        return time.monotonic() - self._heard_at < FRESH
-
-    @property
     def silence(self) -> str:
-        """Why it does not, in words that follow its name."""
+        """Why the topic gives no heading now, in words that follow its name; empty if it does."""
+        if time.monotonic() - self._heard_at < FRESH:
+            return ""
         if self._fault:
-            return f" (it sends, but {self._fault})"
-        return "" if self._collector is None else " (its last heading came too long ago)"
+            return f"{self.topic} (it sends, but {self._fault})"
+        return f"{self.topic}{' (its last heading came too long ago)' * bool(self._collector)}"
 
     @property
     def complaints(self) -> list[str]:
@@ -186,13 +183,10 @@ class Antenna:
             return
         self._answer, self._north = outcome.verdict.summary, north
         found, before = outcome.calibration, self._magnetometer.keeper.calibration
-        if self._pipeline.settled().self_calibration == Mode.OFF.value:
+        is_wanted = self._pipeline.settled().self_calibration != Mode.OFF.value
+        if found is None or not (is_wanted and outcome.verdict.accepted):
             return
-        if (
-            found is None
-            or not outcome.verdict.accepted
-            or not external_heading.replaces(found, before)
-        ):
+        if not external_heading.replaces(found, before):
             return
         self._say(f"{self.topic} calibrates the compass: {self._answer}")
         is_another = before is None or not external_heading.is_by_headings(before)
@@ -233,34 +227,26 @@ class KnownHeadings:
         self.antenna = Antenna(node, magnetometer, pipeline, fits, self.worker, group)
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
-        self._sensors = self._answer = ""
+        self._answer = ""
         self._since: external_heading.TurnSince | None = None
         self._pairs: list[Pair] = []
-        self._pairer = Pairer(pipeline.streams)
+        self._pairer = Pairer(magnetometer.inputs.streams)
         self._given: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
-        self._is_collecting = False
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(TICK, self._on_tick, clock=steady)
         self._timer.cancel()
 
     @property
-    def follows(self) -> bool:
-        """Whether it needs each IMU sample."""
-        return self._since is not None or self.antenna.is_heard
+    def _is_collecting(self) -> bool:
+        return math.isfinite(self._deadline)
 
     def forget(self) -> None:
         """Begin anew with the next heading."""
         self._standings, self._since, self._answer = (), None, ""
         self._epoch += 1
         self.antenna.forget()
-
-    def note_sensors(self, sensors: str) -> None:
-        """Take which sensors send now; what others measured is forgotten."""
-        if self._sensors and sensors != self._sensors:
-            self.forget()
-        self._sensors = sensors
 
     def calibrate(self, turns: Magnetometers, tell: Tell) -> None:
         """Collect where the robot stands now, and answer what its heading shows."""
@@ -271,9 +257,8 @@ class KnownHeadings:
             return
         self._tell, self._given = tell, settings.known_heading
         self._pairs, self.antenna.collected = [], []
-        self._pairer = Pairer(self._pipeline.streams)
+        self._pairer = Pairer(self._magnetometer.inputs.streams)
         self._deadline = time.monotonic() + external_heading.TUNING.patience
-        self._is_collecting = True
         self._timer.reset()
 
     def _why_not(self, turns: Magnetometers, settings: Settings) -> str:
@@ -283,8 +268,8 @@ class KnownHeadings:
             return "already collecting at a known heading: wait for its answer"
         if settings.north_is_missing:
             return NO_NORTH
-        if settings.known_heading is None and not self.antenna.is_fresh:
-            return f"{NO_HEADING}{self.antenna.topic}{self.antenna.silence}"
+        if settings.known_heading is None and self.antenna.silence:
+            return f"{NO_HEADING}{self.antenna.silence}"
         return NO_POSE if self._pipeline.frames.view is None else ""
 
     def on_field(self, sample: FieldSample) -> None:
@@ -295,11 +280,8 @@ class KnownHeadings:
             return
         self._pairer.offer(sample)
         self._pairs += self._pairer.take()
-        pairs = self._pairs
-        if (
-            pairs
-            and pairs[-1].field.stamp - pairs[0].field.stamp >= external_heading.TUNING.seconds
-        ):
+        stamps = [pair.field.stamp for pair in self._pairs]
+        if stamps and stamps[-1] - stamps[0] >= external_heading.TUNING.seconds:
             self._fit()
 
     def on_imu(self, stamp: float) -> None:
@@ -335,7 +317,7 @@ class KnownHeadings:
 
     def _fit(self) -> None:
         # The timer cancels itself: another thread might do it while its callback is due.
-        self._is_collecting = False
+        self._deadline = math.inf
         settings, follower = self._pipeline.settled(), self._pipeline.up
         heard, self.antenna.collected = self.antenna.collected or [], None
         given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)

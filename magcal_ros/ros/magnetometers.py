@@ -14,10 +14,10 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from magcal_ros.core.heading.several_compasses import SeveralCompasses
+from magcal_ros.core.heading.several_compasses import SeveralCompasses, Share
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
-from magcal_ros.ros.keeper import Keeper, Tell
+from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.wire import diagnostic
@@ -57,7 +57,7 @@ class Magnetometers:
         """Put in force what waits to be accepted, first what was learnt while driving."""
         asked: dict[str, Ask] = {} if proposed is None else {self.heard[0].topic: proposed}
         for each in self.heard:
-            if each.has_something_to_accept:
+            if each.accept is not None:
                 asked.setdefault(each.topic, each.accept)
         if self.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
@@ -69,7 +69,7 @@ class Magnetometers:
     def start(self, gyro: GyroAtRest | None) -> Conclusion:
         """Let those that send collect the turn that begins."""
         first = self.heard[0]
-        if self.state is not TurnState.IDLE and first.control.state is TurnState.IDLE:
+        if self.state is not TurnState.IDLE and first.control.turn.state is TurnState.IDLE:
             words = f"already {self.state.value} another magnetometer's turn: wait"
             return Conclusion(False, words)
         opened = first.start(gyro)
@@ -83,7 +83,7 @@ class Magnetometers:
             each.inputs.streams.max_gap = settings.max_gap
             each.inputs.look(count_publishers)
             if not settings.accumulate:
-                each.control.forget_turns()
+                each.control.turn.forget()
 
     def complaints(self) -> list[str]:
         """Return what is wrong with the further ones, and between all, in words."""
@@ -109,19 +109,19 @@ class Magnetometers:
 
     def facts(self) -> list[dict[str, Any]]:
         """Return the part of `~/status` on them; nothing while only the first is there."""
-        shares = self._several.shares
+        shares = {each.number: Share(0.0) for each in self.heard} | self._several.shares
         return [
             {
                 "topic": each.topic,
                 "calibrated": each.keeper.calibration is not None,
                 "created": each.keeper.origin.created if each.keeper.origin else "",
-                "weight": round(shares[each.number].weight, 2) if each.number in shares else 0.0,
-                "why": shares[each.number].why if each.number in shares else "",
+                "weight": round(shares[each.number].weight, 2),
+                "why": shares[each.number].why,
             }
             for each in (self.heard if self.further else ())
         ]
 
-    def diagnostics(self, name: str) -> list[DiagnosticStatus]:
+    def diagnostics(self) -> list[DiagnosticStatus]:
         """Say how each takes part in the heading; nothing while only the first is there."""
         if not self.further:
             return []
@@ -137,7 +137,7 @@ class Magnetometers:
             if fact["why"]:
                 values[f"{fact['topic']}"] = fact["why"]
         words = "; ".join(complaints) or words
-        return [diagnostic(name, "Magnetometers", words, values, level)]
+        return [diagnostic("Magnetometers", words, values, level)]
 
     @property
     def are_calibrated(self) -> bool:
@@ -145,18 +145,13 @@ class Magnetometers:
         return any(each.keeper.calibration is not None for each in self.further)
 
     @property
-    def keepers(self) -> dict[int, Keeper]:
-        """The keepers of the calibrations, by the magnetometers' numbers."""
-        return {each.number: each.keeper for each in self.heard}
-
-    @property
     def _busy(self) -> list[Magnetometer]:
-        return [each for each in self.heard if each.control.state is not TurnState.IDLE]
+        return [each for each in self.heard if each.control.turn.state is not TurnState.IDLE]
 
     @property
     def state(self) -> TurnState:
         """What is going on; collecting as long as one of them does."""
-        states = [each.control.state for each in self._busy]
+        states = [each.control.turn.state for each in self._busy]
         if TurnState.COLLECTING in states:
             return TurnState.COLLECTING
         return states[0] if states else TurnState.IDLE
@@ -168,7 +163,7 @@ class Magnetometers:
 
     def finish(self) -> Conclusion | None:
         """End the turns now and fit what there is; None means the fits are under way."""
-        collecting = [e for e in self._busy if e.control.state is TurnState.COLLECTING]
+        collecting = [e for e in self._busy if e.control.turn.state is TurnState.COLLECTING]
         for each in collecting:
             each.control.finish()
         return None if collecting else self.heard[0].control.finish()
@@ -176,7 +171,7 @@ class Magnetometers:
     def cancel(self) -> Conclusion:
         """Cancel the turns under way; the calibrations in force stay."""
         busy = self._busy or self.heard[:1]
-        return joined({each.topic: each.control.cancel() for each in busy})
+        return joined({e.topic: e.control.tell(e.control.turn.cancel) for e in busy})
 
     def tick(self) -> bool:
         """Let turns see that time has passed; returns whether one is under way."""
@@ -225,7 +220,7 @@ class Services:
         node: Node,
         turns: Magnetometers,
         short: Mapping[str, Callable[[], Conclusion]],
-        slow: Mapping[str, Callable[[Tell], None]],
+        slow: Mapping[str, Ask],
         note: Callable[[Exception], object],
     ) -> None:
         self._node, self._turns, self._note = node, turns, note
@@ -234,7 +229,7 @@ class Services:
         # being reentrant it lets a second call in, to be refused with the reason.
         waiting = ReentrantCallbackGroup()
         actions: dict[str, Action] = {"calibrate": self._calibrate, "finish": self._finish, **short}
-        actions |= {name: self._wait_for(action) for name, action in slow.items()}
+        actions |= {name: partial(self._told, ask) for name, ask in slow.items()}
         for name, action in actions.items():
             node.create_service(
                 Trigger,
@@ -246,22 +241,26 @@ class Services:
 
     async def _calibrate(self) -> Conclusion:
         opened = self._start()
-        return await self._conclusion() if opened.success else opened
+        return await self._told(self._turns.when_done) if opened.success else opened
 
     async def _finish(self) -> Conclusion:
         if self._turns.state is TurnState.IDLE:
             return self._turns.finish() or Conclusion(False, "")
-        done = self._conclusion()
-        self._turns.finish()
-        return await done
 
-    def _wait_for(self, action: Callable[[Tell], None]) -> Callable[[], Awaitable[Conclusion]]:
-        async def answer() -> Conclusion:
-            future = self._future()
-            action(future.set_result)
-            return await future
+        def ask(tell: Tell) -> None:
+            self._turns.when_done(tell)
+            self._turns.finish()
 
-        return answer
+        return await self._told(ask)
+
+    async def _told(self, ask: Ask) -> Conclusion:
+        """Ask, and wait for the answer."""
+        future: Future = Future(executor=self._node.executor)
+        # An rclpy before 2026 does not wake for a future that a coroutine waits for, but for a
+        # callback of it.
+        future.add_done_callback(lambda _: None)
+        ask(future.set_result)
+        return await future
 
     def _answer(self, action: Action) -> Callable[[Any, Any], Any]:
         async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -276,15 +275,3 @@ class Services:
             return response
 
         return answer
-
-    def _future(self) -> Future:
-        future: Future = Future(executor=self._node.executor)
-        # An rclpy before 2026 does not wake for a future that a coroutine waits for, but for a
-        # callback of it.
-        future.add_done_callback(lambda _: None)
-        return future
-
-    def _conclusion(self) -> Future:
-        future = self._future()
-        self._turns.when_done(future.set_result)
-        return future

@@ -40,7 +40,6 @@ class Commands:
         self._node, self._up = node, up
         self.topic = node.resolve_topic_name("cmd_vel")
         self._subscription: Subscription | None = None
-        self._kind = ""
         self._speed, self._received = math.nan, -math.inf
 
     @property
@@ -64,19 +63,19 @@ class Commands:
             for each in self._node.get_publishers_info_by_topic(self.topic)
             if (each.node_name, each.node_namespace) != own
         ]
-        kind = next((each for each in spoken if each in kinds), "")
-        if kind and kind != self._kind:
+        kind = next((kinds[each] for each in spoken if each in kinds), None)
+        present = None if self._subscription is None else self._subscription.msg_type
+        if kind is not None and kind is not present:
             self.leave()
-            self._kind = kind
             self._subscription = self._node.create_subscription(
-                kinds[kind], self.topic, self._on_command, SENSOR_DATA
+                kind, self.topic, self._on_command, SENSOR_DATA
             )
 
     def leave(self) -> None:
         """Subscribe no longer."""
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
-        self._subscription, self._kind, self._speed = None, "", math.nan
+        self._subscription, self._speed = None, math.nan
 
     def _on_command(self, message: Twist | TwistStamped) -> None:
         # A command holds from when it comes, on the clock of the sensors.
@@ -96,9 +95,7 @@ class Motors:
         self._current, self._received = math.nan, -math.inf
         self._compass: Compass | None = None
         self._learning: MotorLearning | None = None
-        self._kept: MotorField | None = None
-        self._mode, self._has_learnt, self._waited = Mode.PROPOSE, False, 0
-        self._has_input = False
+        self._learns, self._has_learnt, self._waited = False, False, 0
         self.commands = Commands(node, up)
         self._topic = node.resolve_topic_name("battery")
         self._odom = node.resolve_topic_name("odom")
@@ -109,8 +106,7 @@ class Motors:
         rate = self._up.rate if self._up.is_propagated else None
         current = self._current if abs(stamp - self._received) < SILENT else math.nan
         speed = self._travel.speed_near(stamp)
-        if math.isnan(speed):
-            speed = self.commands.speed_near(stamp)
+        speed = self.commands.speed_near(stamp) if math.isnan(speed) else speed
         return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current)
 
     def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
@@ -119,26 +115,28 @@ class Motors:
             self._use(compass)
         if compass is None:
             return sample
-        if self._has_input and self._mode is not Mode.OFF and self._up.is_propagated:
+        learns = self._learns and self._up.is_propagated
+        if not learns and compass.motors is None:
+            return sample
+        running = self.running(sample.stamp)
+        if learns:
             if self._learning is None:
                 self._learning = MotorLearning(compass.calibration_with_motors)
-            running = self.running(sample.stamp)
             is_done = self._learning.add(sample.stamp, sample.field, self._up.rate, running)
             self._has_learnt = is_done or self._has_learnt
         if compass.motors is None:
             return sample
-        running = self.running(sample.stamp)
         return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
 
-    def follow(self, mode: Mode, is_turning: bool) -> MotorField | None:
-        """Use what was learnt, once a second; returns what is to be kept, where that is new."""
+    def follow(self, mode: Mode, is_turning: bool, kept: MotorField | None) -> MotorField | None:
+        """Use what was learnt, once a second; returns what is to be kept in place of `kept`."""
         self.commands.follow(not self._travel.has_wheels and not is_turning)
         if mode is Mode.OFF:
             self._learning = None
-        self._mode = mode
         # Asked once a second, as it holds for long, and not for each message.
         known = self._current, self.commands.speed_near(self._up.newest_stamp)
-        self._has_input = self._travel.has_wheels or any(map(math.isfinite, known))
+        has_input = self._travel.has_wheels or any(map(math.isfinite, known))
+        self._learns = has_input and mode is not Mode.OFF
         if self._learning is None or self._compass is None or not self._has_learnt:
             return None
         self._has_learnt = False
@@ -147,16 +145,15 @@ class Motors:
         self._waited += 1
         if mode is not Mode.APPLY or self._waited < PAUSE:
             return None
-        if not motors.improves_on(self._kept, BETTER):
+        if not motors.improves_on(kept, BETTER):
             return None
-        self._kept, self._waited = motors, 0
+        self._waited = 0
         return motors
 
     def _use(self, compass: Compass | None) -> None:
         """Take another calibration; the motors are the same, and so are their inputs."""
         before = None if self._compass is None else self._compass.motors
         self._compass, self._learning, self._has_learnt = compass, None, False
-        self._kept = None if compass is None else compass.motors
         if compass is not None and compass.motors is not None and before is not None:
             compass.use_motors(compass.motors.and_of(before))
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
+from time import monotonic
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -12,17 +12,16 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from magcal_ros.core.samples.streams import Drop, FieldSample, Streams
-from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
+from magcal_ros.core.samples.streams import Drop, FieldSample
+from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors
-from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, ReferenceSource, Sensor
-from magcal_ros.ros.keeper import Tell
+from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, ReferenceSource, Sensor
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
-from magcal_ros.ros.magnetometers import Magnetometers, Services
+from magcal_ros.ros.magnetometers import Ask, Magnetometers, Services
 from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.rotator import PERIOD, Rotator
@@ -45,6 +44,7 @@ class Calibrator(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
         self._status = ""
+        self._sensors = "", ""
         self._callback_errors = CallbackErrors(self.get_logger().error)
         self._announcer = Announcer(self.get_logger())
         self._up = UpFollower()
@@ -56,12 +56,12 @@ class Calibrator(Node):
         self._travel = Travel(self, self._fits, self._sensor_group, self._reference.on_fix)
         self.rotator = Rotator(self)
         imu = Sensor(self.resolve_topic_name("imu/data_raw"))
-        self._inputs = self._inputs_of(FIRST, imu)
         where = self._frames, self._reference, self._travel
-        self._pipeline = HeadingPipeline(self, self._up, imu, self._inputs.streams, *where)
-        topics = Topics(imu.topic, self._inputs.field.topic, self.resolve_topic_name("cmd_vel"))
-        robot = SelfTurn(topics)
-        self._first = first = self._magnetometer(FIRST, self._inputs, robot, self._sensor_group)
+        self._pipeline = HeadingPipeline(self, self._up, imu, *where)
+        field, commands = map(self.resolve_topic_name, (topic_of(FIRST), "cmd_vel"))
+        self._robot = SelfTurn(imu.topic, field, commands)
+        self._first = first = self._magnetometer(FIRST, self._robot, self._sensor_group)
+        self._inputs = first.inputs
         self._control, self._keeper = first.control, first.keeper
         self._keeping = SelfKeeping(self, first)
         fitting = self._fits, self._sensor_group
@@ -80,7 +80,7 @@ class Calibrator(Node):
             callback_group=self._sensor_group,
         )
         for number in range(FIRST + 1, self._table.settings.magnetometers + 1):
-            self._magnetometer(number, self._inputs_of(number, imu), SelfTurn())
+            self._magnetometer(number, None, None)
         # Deadlines and heartbeats go on while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick = self.create_timer(TICK, self._on_tick, clock=steady)
@@ -91,19 +91,15 @@ class Calibrator(Node):
         self._keeper.begin()
         self._publish_status()
 
-    def _inputs_of(self, number: int, imu: Sensor) -> Inputs:
-        field = Sensor(self.resolve_topic_name(topic_of(number)))
-        return Inputs(imu, field, Streams(self._table.settings.max_gap))
-
     def _magnetometer(
-        self, number: int, inputs: Inputs, robot: SelfTurn, group: SensorGroup | None = None
+        self, number: int, robot: SelfTurn | None, group: SensorGroup | None
     ) -> Magnetometer:
-        shared = self._pipeline, inputs, lambda: self._table.settings.calibration_file
-        return Magnetometer(self, self, *shared, self._fits, self._files, robot, group, number)
+        shared = self._pipeline, lambda: self._table.settings, self._fits, self._files
+        return Magnetometer(self, self, *shared, robot, group, number)
 
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers
-        slow: dict[str, Callable[[Tell], None]] = {
+        slow: dict[str, Ask] = {
             "accept": lambda tell: magnetometers.accept(self._keeping.accept, tell),
             "save": magnetometers.save,
             "load": magnetometers.load,
@@ -129,7 +125,8 @@ class Calibrator(Node):
 
     def _on_callback_error(self, error: Exception) -> None:
         # What failed may be what watches the turn.
-        self._control.give_up(self._callback_errors.note(error))
+        reason, stop = self._callback_errors.note(error), self._control.turn.stop_robot
+        self._control.tell(stop, reason, monotonic())
 
     def note_error(self, error: Exception) -> None:
         """Take note of an error that ends a turn."""
@@ -143,16 +140,17 @@ class Calibrator(Node):
             streams.imu_drops[Drop.UNREADABLE] += 1
             return
         if self._inputs.imu.heard(frame):
-            self._first.look_at_sensors()
+            for each in self._magnetometers.heard:
+                each.look_at_sensors()
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
             self._up.add(sample, self._travel.on_imu(sample, self._up))
-            self._control.hear(sample)
+            if self._robot.is_under_way:
+                self._robot.hear(sample.rate, monotonic())
             for each in self._magnetometers.further:
                 each.inputs.streams.add_imu(sample)
-            if self._known.follows:
-                self._known.on_imu(sample.stamp)
+            self._known.on_imu(sample.stamp)
             self._pipeline.on_imu(sample.stamp, stamp)
 
     def sample_came(self, magnetometer: Magnetometer, sample: FieldSample) -> None:
@@ -168,9 +166,12 @@ class Calibrator(Node):
         self._magnetometers.add(magnetometer)
         if magnetometer is self._first:
             imu, field = self._inputs.imu.frame, self._inputs.field.frame
-            self._keeping.note_sensors(f"{field} {imu}")
-            self._known.note_sensors(f"{field} {imu}")
             self._frames.note_sensors(imu, field)
+            if self._sensors not in (("", ""), (imu, field)):
+                # What other sensors measured does not count.
+                self._keeping.machine.forget()
+                self._known.forget()
+            self._sensors = imu, field
 
     def _start(self) -> Conclusion:
         opened = self._magnetometers.start(self._up.gyro_at_rest)
@@ -188,12 +189,12 @@ class Calibrator(Node):
         """Let the heading follow what is in force."""
         if magnetometer is self._first:
             self._keeping.machine.put_in_force(self._keeper.calibration)
-        self._pipeline.use(self._magnetometers.keepers)
+        self._pipeline.use({each.number: each.keeper for each in self._magnetometers.heard})
         self._publish_status()
 
     def _reset(self) -> Conclusion:
         self._known.forget()
-        were_in_force = [keeper.calibration for keeper in self._magnetometers.keepers.values()]
+        were_in_force = [each.keeper.calibration for each in self._magnetometers.heard]
         for each in self._magnetometers.heard:
             each.reset()
         if not any(were_in_force):
@@ -202,16 +203,9 @@ class Calibrator(Node):
             True, "no calibration is in force any more; its file stays and is used at next start"
         )
 
-    def look_around(self) -> Around:
-        """Return what is around a robot that turns itself."""
-        ages = self._inputs.imu.age(), self._inputs.field.age()
-        is_allowed = self._table.settings.rotation.enabled
-        return Around(*ages, self.rotator.listeners, is_allowed, self.rotator.is_guarded)
-
     def turn_ended(self, magnetometer: Magnetometer) -> None:
         """Publish how a turn ended, before those who wait for it are answered."""
         if magnetometer is self._first:
-            self._frames.note_outcome(self._control.turn.last_outcome)
             self._publish_status()
             self._draw()
             return
@@ -220,7 +214,9 @@ class Calibrator(Node):
         self.get_logger().info(f"{magnetometer.topic}: {conclusion.message}")
 
     def _on_look(self) -> None:
-        if not self._control.look():
+        base, is_allowed = self.rotator, self._table.settings.rotation.enabled
+        ages = self._inputs.imu.age(), self._inputs.field.age()
+        if not self._control.look(Around(*ages, base.listeners, is_allowed, base.is_guarded)):
             self.rotator.rest()
             self._look.cancel()
 
@@ -233,21 +229,21 @@ class Calibrator(Node):
         self._draw()
 
     def _draw(self) -> None:
-        to_body = self._frames.settled(self._table.settings).knowledge.mounting.to_body
-        self._markers.draw(self._control.turn, to_body, self._pipeline.body_frame())
+        to_body, frame = self._frames.mounting().to_body, self._pipeline.body_frame()
+        self._markers.draw(self._control.turn, to_body, frame)
 
     def _on_heartbeat(self) -> None:
         self._fits.deliver()
         self._files.deliver()
         settings = self._table.settings
         self._magnetometers.look(self.count_publishers, settings)
-        self._pipeline.follow(settings, self._keeper, self._control.state)
+        self._pipeline.follow(settings, self._keeper, self._control.turn.state)
         self._reference.refresh()
-        self._frames.note_up(self._up)
         self._keeping.follow(settings.self_calibration, settings.report_folder)
-        news = self._travel.follow(self._reference.reference.field, self._frames, self._announcer)
+        news = self._travel.follow(self._reference.reference.field, self._announcer)
         if news is not None:
-            self._keeper.keep_vehicle_yaw(news)
+            self._keeper.keep(news)
+        self._frames.follow(self._up, self._control.turn.last_outcome, self._travel.yaw)
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
         complaints += [
             *self._known.antenna.complaints,
@@ -258,29 +254,26 @@ class Calibrator(Node):
         for each in self._magnetometers.heard:
             if each.out is not None:
                 each.out.repeat_bias(now)
-        name = self.get_fully_qualified_name().lstrip("/")
         statuses = [
-            status.calibration_diagnostic(name, self._first),
+            status.calibration_diagnostic(self._first),
             status.field_diagnostic(
-                name, self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
+                self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
             ),
-            self._pipeline.fused.diagnostic(name),
-            status.watch_diagnostic(name, self._first.watch, self._keeping),
-            *self._travel.diagnostics(name),
-            *self._magnetometers.diagnostics(name),
+            self._pipeline.fused.diagnostic(),
+            status.watch_diagnostic(self._first.watch, self._keeping),
+            *self._travel.diagnostics(),
+            *self._magnetometers.diagnostics(),
             status.inputs_diagnostic(
-                name, self._inputs, complaints + self._table.complaints, self._callback_errors.total
+                self._inputs, complaints + self._table.complaints, self._callback_errors.total
             ),
         ]
-        self._diagnostics_out.publish(
-            status.diagnostic_array(statuses, self._inputs.field.frame, now)
-        )
+        name, frame = self.get_fully_qualified_name().lstrip("/"), self._inputs.field.frame
+        self._diagnostics_out.publish(status.diagnostic_array(name, statuses, frame, now))
         self._publish_status()
 
     def _publish_status(self) -> None:
         answer, state = self._control.turn.last_conclusion, self._magnetometers.state
-        words = "" if answer is None else answer.message
-        self._announcer.follow_turn(state is not TurnState.IDLE, answer, words)
+        self._announcer.follow_turn(state is not TurnState.IDLE, answer)
         parts = {
             "turns_itself": self._table.settings.rotation.enabled,
             "vehicle_yaw_offset": self._travel.yaw_facts(),

@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import math
 from collections.abc import Sequence
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from std_msgs.msg import ColorRGBA, Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw, unit
@@ -47,18 +49,15 @@ class FieldOutput:
         self._field_out = node.create_publisher(MagneticField, f"{topic}_unbiased", RELIABLE)
         self._bias_out = node.create_publisher(MagneticField, f"{topic}_bias", LATCHED)
         self._field = wire.field_template()
-        self._covariance_in = b""
-        self._covariance: tuple[float, ...] = ()
         self._bias: MagneticField | None = None
-        self._compass: Compass | None = None
 
     def put_in_force(self, compass: Compass | None, magnetometer_frame: str = "") -> None:
         """Use a compass from the next message on; None stops the outputs."""
-        self._compass = compass
-        self._covariance_in = b""
         self._bias = None
         if compass is not None:
             correction = compass.calibration.correction
+            # Drivers send the same covariance with every message.
+            self._rotated = lru_cache(maxsize=1)(partial(_rotated, correction))
             self._bias = wire.bias_message(correction, magnetometer_frame)
             self.repeat_bias(None)
 
@@ -75,17 +74,14 @@ class FieldOutput:
             covariance = self._rotated(arrived.covariance)
             self._field_out.publish(self._field.fill(arrived.stamp, frame, field + covariance))
 
-    def _rotated(self, covariance: bytes) -> tuple[float, ...]:
-        """Return the covariance in body axes; drivers send the same with every message."""
-        if self._compass is not None and covariance != self._covariance_in:
-            sigma = np.frombuffer(covariance, "<f8").reshape(3, 3)
-            with np.errstate(over="ignore", invalid="ignore"):
-                rotated = self._compass.calibration.correction.covariance(sigma)
-            # By convention zeros stand for a covariance that is not known.
-            is_known = np.isfinite(rotated).all()
-            self._covariance = tuple(rotated.ravel().tolist()) if is_known else (0.0,) * 9
-            self._covariance_in = covariance
-        return self._covariance
+
+def _rotated(correction: Correction, covariance: bytes) -> tuple[float, ...]:
+    """Return a message's covariance in body axes."""
+    sigma = np.frombuffer(covariance, "<f8").reshape(3, 3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        rotated = correction.covariance(sigma)
+    # By convention zeros stand for a covariance that is not known.
+    return tuple(rotated.ravel().tolist()) if np.isfinite(rotated).all() else (0.0,) * 9
 
 
 class AttitudeOutput:
@@ -118,16 +114,16 @@ class HeadingOutput:
 
     def __init__(self, node: Node, frames: SensorFrames) -> None:
         self._node, self._frames = node, frames
-        self._magnetic = AttitudeOutput(node, "compass/mag/enu/imu")
-        self._true = AttitudeOutput(node, "compass/true/enu/imu")
         self._yaw_out = node.create_publisher(Float64, "compass/yaw", RELIABLE)
         self._azimuth = azimuth_type()
-        self._azimuth_outs: dict[str, Publisher] = {}
-        if self._azimuth is not None:
-            self._azimuth_outs = {
-                north: node.create_publisher(self._azimuth, f"compass/{north}/enu/rad", RELIABLE)
-                for north in ("mag", "true")
-            }
+        self._attitudes: dict[str, AttitudeOutput] = {}
+        self._azimuths: dict[str, Publisher] = {}
+        for north in ("mag", "true"):
+            topic = f"compass/{north}/enu"
+            self._attitudes[north] = AttitudeOutput(node, f"{topic}/imu")
+            if self._azimuth is not None:
+                out = node.create_publisher(self._azimuth, f"{topic}/rad", RELIABLE)
+                self._azimuths[north] = out
         self._doubt: FieldDoubt | None = None
         self.moment: Moment | None = None
         """The newest field message under the calibration in force, with the published variance."""
@@ -160,14 +156,14 @@ class HeadingOutput:
         if moment.heading is None or view is None:
             return
         frame, heading = self._frames.frame(frame), view.heading(moment.heading)
-        self._magnetic.publish(stamp, frame, heading)
-        if declination is not None:
-            self._true.publish(stamp, frame, heading, reference)
         if _is_wanted(self._yaw_out):
             self._yaw_out.publish(Float64(data=true_yaw(heading.yaw, declination or 0.0)))
-        for north, out in self._azimuth_outs.items():
-            known = None if north == "mag" else reference
-            if _is_wanted(out) and (known is None or declination is not None):
+        for north, known in (("mag", None), ("true", reference)):
+            if known is not None and declination is None:
+                continue
+            self._attitudes[north].publish(stamp, frame, heading, known)
+            out = self._azimuths.get(north)
+            if out is not None and _is_wanted(out):
                 out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
     def _with_doubt(self, moment: Moment) -> Moment:
@@ -248,12 +244,12 @@ class FusedOutput:
             self.yaw.detector.patience = self.patience
             self.yaw.correct(moment.stamp, moment.field, moment.up, moment.heading)
 
-    def diagnostic(self, name: str) -> DiagnosticStatus:
+    def diagnostic(self) -> DiagnosticStatus:
         """Say whether the yaw is published, and whether the field corrects it."""
         silence, level = self._silence(), DiagnosticStatus.OK
         if silence:
             level = level if self.yaw is None else DiagnosticStatus.WARN
-            return wire.diagnostic(name, "Fused", silence, level=level)
+            return wire.diagnostic("Fused", silence, level=level)
         assert self.yaw is not None
         detector, heading = self.yaw.detector, self.yaw.heading()
         departure = f"{detector.departure:.1f} sigma"
@@ -269,7 +265,7 @@ class FusedOutput:
         if heading is not None:
             values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
             values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
-        return wire.diagnostic(name, "Fused", message, values, level)
+        return wire.diagnostic("Fused", message, values, level)
 
     def _silence(self) -> str:
         """Say why nothing is published; empty if something is."""

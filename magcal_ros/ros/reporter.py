@@ -15,6 +15,7 @@ from magcal_ros.files.default_paths import chosen_path, known_as, own_folder
 from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import BackgroundThread
+from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
@@ -34,24 +35,45 @@ class Reporter:
     Of the reports that wait, only the newest is drawn.
     """
 
-    def __init__(self, thread: BackgroundThread, say: Callable[[str], object]) -> None:
+    def __init__(
+        self,
+        thread: BackgroundThread,
+        say: Callable[[str], object],
+        inputs: Inputs,
+        travel: Travel,
+    ) -> None:
         self._thread, self._say = thread, say
+        self._inputs, self._travel = inputs, travel
         self._worker = WorkerProcess()
         self._newest: Path | None = None
 
-    def begin(self, parent: str, subject: Subject, keep: int) -> str:
-        """Start a report in a new folder and return its place in words; empty if there is none."""
-        self._newest = None
-        if parent == NO_REPORTS:
-            return ""
-        from magcal_ros.report import new_folder, remove_old
+    def report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
+        """Start the report on a turn in a new folder; returns its place in words, if there is one.
 
+        A node that never calibrates does not load what draws reports.
+        """
+        self._newest = None
+        if settings.report_folder == NO_REPORTS:
+            return ""
+        from magcal_ros.report import Subject, new_folder, remove_old
+
+        imu, field, yaw = self._inputs.imu, self._inputs.field, self._travel.yaw
+        subject = Subject(
+            window,
+            settings.knowledge,
+            outcome,
+            source=f"{field.topic} and {imu.topic}",
+            method=settings.method,
+            magnetometer_frame=known_as(field.frame),
+            imu_frame=known_as(imu.frame),
+            vehicle=yaw.words if yaw else "",
+        )
         try:
-            place = reports_of(parent)
+            place = reports_of(settings.report_folder)
             folder = self._newest = new_folder(place, subject.created)
-            if subject.outcome.verdict.accepted:
+            if outcome.verdict.accepted:
                 self.put_in_force()
-            remove_old(place, keep)
+            remove_old(place, settings.reports_kept)
         except MagcalError as error:
             return f"No report: {error}"
         except OSError as error:
@@ -62,25 +84,6 @@ class Reporter:
             lambda error: self._say(f"no report in {folder}: {in_words(error)}"),
         )
         return f"Report: {folder / 'report.html'}."
-
-    def report(
-        self, window: Window, settings: Settings, outcome: Outcome, inputs: Inputs, vehicle: str
-    ) -> str:
-        """Begin the report on a turn; returns where it will be written, in words."""
-        # A node that never calibrates should not load what draws reports.
-        from magcal_ros.report import Subject
-
-        subject = Subject(
-            window,
-            settings.knowledge,
-            outcome,
-            source=f"{inputs.field.topic} and {inputs.imu.topic}",
-            method=settings.method,
-            magnetometer_frame=known_as(inputs.field.frame),
-            imu_frame=known_as(inputs.imu.frame),
-            vehicle=vehicle,
-        )
-        return self.begin(settings.report_folder, subject, settings.reports_kept)
 
     def put_in_force(self) -> None:
         """Keep the newest turn's report: its calibration was put in force."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +14,7 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.keeping.jobs import Decision, DriveJob, Findings, Mode, Verb
+from magcal_ros.core.keeping.jobs import DriveJob, Findings, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -43,7 +42,6 @@ class SelfKeeping:
         self.machine = SelfCalibration()
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
-        self._sensors = ""
         self._idle = 0
         self.lost = 0
         """Fits that were never finished."""
@@ -53,16 +51,8 @@ class SelfKeeping:
 
     def on_field(self, sample: FieldSample, imu: ImuSample | None, travel: Travel) -> None:
         """Take a field sample with the newest IMU sample and what the vehicle does."""
-        if imu is None or not math.isfinite(imu.rate[0]):
-            return
-        if self.machine.add(sample.stamp, sample.field, imu.force, imu.rate, travel.speed):
+        if self.machine.add(sample, imu, travel.travelling.speed):
             self._look()
-
-    def note_sensors(self, sensors: str) -> None:
-        """Take note of the present sensors: data of others does not count."""
-        if self._sensors and sensors != self._sensors:
-            self.machine.forget()
-        self._sensors = sensors
 
     def follow(self, mode: str, reports: str) -> None:
         """Take the mode and the folder of the reports, once a second."""
@@ -85,20 +75,20 @@ class SelfKeeping:
 
     def facts(self) -> dict[str, Any]:
         """Return the part of `~/status` on self-calibration."""
-        machine = self.machine
+        machine, proposal = self.machine, self.machine.proposal
         return {
             "mode": machine.mode.value,
             "doing": machine.in_words,
             "fits_lost": self.lost,
             "proposal": None
-            if machine.proposal is None
+            if proposal is None
             else {
-                "summary": machine.proposal.evidence.summary,
-                "why": " ".join(machine.proposal.evidence.reasons),
+                "summary": proposal.evidence.summary,
+                "why": " ".join(proposal.evidence.reasons),
             },
             "decisions": [
                 {"decision": made.verb.value, "at_s": round(made.clock, 1), "why": made.words}
-                for made in machine.decisions[-5:]
+                for made in list(machine.decisions)[-5:]
             ],
         }
 
@@ -120,17 +110,16 @@ class SelfKeeping:
     def _note(self, findings: Findings) -> None:
         self.trouble = ""
         for decision in self.machine.note(findings):
-            self._tell(f"{decision.verb.value.replace('_', ' ')}: {decision.words}")
-            if decision.calibration is not None:
-                self._leave_page(decision.calibration)
-                self._act(decision, decision.calibration)
-
-    def _act(self, decision: Decision, calibration: Calibration) -> None:
-        if decision.verb is Verb.PROPOSED:
-            self._tell("call ~/accept to put it in force")
-        else:
+            verb, calibration = decision.verb, decision.calibration
+            self._tell(f"{verb.value.replace('_', ' ')}: {decision.words}")
+            if calibration is None:
+                continue
+            self._leave_page(calibration)
+            if verb is Verb.PROPOSED:
+                self._tell("call ~/accept to put it in force")
+                continue
             # Refined, it is the same calibration still, and the one before it is the way back.
-            is_another = decision.verb is not Verb.REFINED
+            is_another = verb is not Verb.REFINED
             self._magnetometer.use(calibration, lambda done: self._tell(done.message), is_another)
 
     def _tell(self, words: str) -> None:
@@ -142,13 +131,11 @@ class SelfKeeping:
             return
         from magcal_ros.core.keeping.story import DriveStory
 
-        machine = self.machine
+        machine, moved = self.machine, self.machine.recorder.seconds
         decisions = tuple((made.clock, made) for made in machine.decisions)
         before = self._magnetometer.keeper.calibration
-        story = DriveStory(
-            decisions, before, calibration, machine.seconds, machine.seconds, machine.in_words, None
-        )
-        log, reports = machine.log(), self._reports
+        story = DriveStory(decisions, before, calibration, moved, moved, machine.in_words, None)
+        log, reports = machine.recorder.log(), self._reports
         self._jobs.run(
             lambda: self.worker.run(write_page, reports_of(reports), story, log),
             lambda page: self._tell(f"report: {page}"),

@@ -157,54 +157,45 @@ class SensorFrames:
         self._look()
 
     @property
-    def poses(self) -> SensorPoses:
-        """The poses of the sensors, by the parameters in use."""
-        if self._settings() is not self._used:
-            self._look()
-        return self._poses
-
-    @property
     def view(self) -> BaseView | None:
         """Converts the IMU's attitude to the base's; None while its pose is not known."""
-        if self._settings() is not self._used:
-            self._look()
+        self._follow_parameters()
         return self._view
 
     def frame(self, imu_frame: str) -> str:
         """Return the frame that attitudes are published in."""
         return self._settings().base_frame or imu_frame
 
-    def settled(self, settings: Settings, number: int = 1, frame: str = "") -> Settings:
-        """Return the parameters with the described pose of a magnetometer, if there is one."""
-        mounting = replace(settings.knowledge.mounting, pose=self.poses.magnetometer)
-        if number > 1:
-            frames, given = replace(self._frames, magnetometer=frame), settings.mounts.get(number)
-            # The known gains are those of the first.
-            poses = sensor_poses(frames, self._description.tree, given)
-            mounting = Mounting(pose=poses.magnetometer)
-        return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
+    def mounting(self, number: int = 1, frame: str = "") -> Mounting:
+        """Return how a magnetometer sits in the IMU, as it is given or described."""
+        self._follow_parameters()
+        settings = self._settings()
+        if number == 1:
+            return replace(settings.knowledge.mounting, pose=self._poses.magnetometer)
+        frames, given = replace(self._frames, magnetometer=frame), settings.mounts.get(number)
+        # The known gains are those of the first.
+        return Mounting(pose=sensor_poses(frames, self._description.tree, given).magnetometer)
 
-    def note_up(self, follower: UpFollower) -> None:
-        """Compare the description with gravity while the robot stands."""
+    def follow(self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None) -> None:
+        """Compare the description with what was measured, once a second.
+
+        That is gravity while the robot stands, the last turn, and the yaw of the IMU in the vehicle
+        that was found while driving.
+        """
+        estimate = None if outcome is None else outcome.estimate
+        self._found = None if estimate is None else estimate.installation
+        if yaw != self._vehicle_yaw:
+            self._vehicle_yaw = yaw
+            self._look()
         up = follower.newest
         if follower.is_at_rest and up is not None:
             self._contradiction = self._poses.contradiction(np.array(up), self._frames)
 
-    def note_outcome(self, outcome: Outcome | None) -> None:
-        """Compare the description with the result of the last turn."""
-        estimate = None if outcome is None else outcome.estimate
-        self._found = None if estimate is None else estimate.installation
-
-    def note_vehicle_yaw(self, yaw: VehicleYaw | None) -> None:
-        """Take the yaw of the IMU in the vehicle that was found while driving."""
-        if yaw != self._vehicle_yaw:
-            self._vehicle_yaw = yaw
-            self._look()
-
     @property
     def complaints(self) -> list[str]:
         """What is missing or contradicts the samples, in words."""
-        poses = self.poses
+        self._follow_parameters()
+        poses = self._poses
         words = [*poses.complaints, self._contradiction, self._against_drive]
         if self._frames.base:
             words.append(self._description.trouble)
@@ -222,6 +213,10 @@ class SensorFrames:
         return Frames(
             known_as(self._settings().base_frame), self._imu_frame, self._magnetometer_frame
         )
+
+    def _follow_parameters(self) -> None:
+        if self._settings() is not self._used:
+            self._look()
 
     def _look(self) -> None:
         settings = self._used = self._settings()

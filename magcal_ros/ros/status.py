@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.heading.compass import Moment
@@ -51,7 +51,7 @@ def status_json(
         "reference": reference.facts,
         "progress": _progress(turn.progress),
         "answer": None if conclusion is None else asdict(conclusion),
-        "verdict": None if outcome is None else _verdict(outcome.verdict),
+        "verdict": None if outcome is None else _verdict(outcome),
         "turns_kept": turn.turns_kept,
         "several": None if several is None else several.facts(),
         "calibration": _calibration(keeper),
@@ -88,7 +88,9 @@ def _progress(progress: Progress | None) -> Mapping[str, Any] | None:
     }
 
 
-def _verdict(verdict: Verdict) -> Mapping[str, Any]:
+def _verdict(outcome: Outcome) -> Mapping[str, Any]:
+    verdict, estimate = outcome.verdict, outcome.estimate
+    installation = None if estimate is None else estimate.installation
     return {
         "accepted": verdict.accepted,
         "quality": verdict.quality.value,
@@ -96,6 +98,9 @@ def _verdict(verdict: Verdict) -> Mapping[str, Any]:
         "summary": verdict.summary,
         "reasons": [check.words for check in verdict.checks],
         "not_shown": list(verdict.not_shown),
+        "installation_rpy_deg": None
+        if installation is None
+        else [round(math.degrees(angle), 6) for angle in astuple(installation)],
     }
 
 
@@ -126,28 +131,22 @@ def _calibration(keeper: Keeper) -> Mapping[str, Any] | None:
     }
 
 
-def calibration_diagnostic(name: str, first: Magnetometer) -> DiagnosticStatus:
+def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
     """Say whether a calibration is in force, which, how good it was, and if it is this sensor's."""
     keeper, control, level = first.keeper, first.control, DiagnosticStatus.OK
-    calibration, origin = keeper.calibration, keeper.origin
-    values = {"state": control.state.value}
+    calibration, facts = keeper.calibration, _calibration(keeper)
+    values = {"state": control.turn.state.value}
     if control.turn.last_conclusion is not None:
         values["last answer"] = control.turn.last_conclusion.message
-    if calibration is None or origin is None:
+    if calibration is None or facts is None:
         level = DiagnosticStatus.WARN
         message = "not calibrated: call ~/calibrate and turn the robot once"
     else:
-        evidence = calibration.evidence
-        message = evidence.summary
-        values |= {
-            "method": evidence.method,
-            "created": origin.created,
-            "quality": evidence.quality,
-            "confidence": evidence.confidence,
-        }
-        if "warn" in (evidence.quality, evidence.confidence):
+        message = calibration.evidence.summary
+        values |= {key: facts[key] for key in ("method", "created", "quality", "confidence")}
+        if "warn" in (values["quality"], values["confidence"]):
             level = DiagnosticStatus.WARN
-        made_for, there = origin.magnetometer_frame, known_as(first.inputs.field.frame)
+        made_for, there = facts["magnetometer_frame"], known_as(first.inputs.field.frame)
         if made_for and there and made_for != there:
             level = DiagnosticStatus.ERROR
             message = (
@@ -156,11 +155,11 @@ def calibration_diagnostic(name: str, first: Magnetometer) -> DiagnosticStatus:
             )
     if keeper.trouble:
         level, message = DiagnosticStatus.ERROR, keeper.trouble
-    return diagnostic(name, "Calibration", message, values, level)
+    return diagnostic("Calibration", message, values, level)
 
 
 def field_diagnostic(
-    name: str, moment: Moment | None, calibration: Calibration | None, reference: Reference
+    moment: Moment | None, calibration: Calibration | None, reference: Reference
 ) -> DiagnosticStatus:
     """Say whether the field looks like the calibrated one, and what it is compared with."""
     values, level = dict[str, str](), DiagnosticStatus.OK
@@ -183,10 +182,10 @@ def field_diagnostic(
     if reference.complaints:
         level = max(level, DiagnosticStatus.WARN)
     words = "; ".join([message, *reference.complaints])
-    return diagnostic(name, "Field", words, values, level)
+    return diagnostic("Field", words, values, level)
 
 
-def watch_diagnostic(name: str, watch: Watch | None, keeping: SelfKeeping) -> DiagnosticStatus:
+def watch_diagnostic(watch: Watch | None, keeping: SelfKeeping) -> DiagnosticStatus:
     """Say whether the calibration has held over the last minutes, and whether it keeps itself."""
     values = {"self-calibration": keeping.facts()["doing"], "fits lost": str(keeping.lost)}
     words, is_wrong = ["nothing to watch before a calibration is in force"], bool(keeping.trouble)
@@ -196,11 +195,11 @@ def watch_diagnostic(name: str, watch: Watch | None, keeping: SelfKeeping) -> Di
         values |= {f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in watched.findings}
     words += [keeping.trouble] if keeping.trouble else []
     level = DiagnosticStatus.WARN if is_wrong else DiagnosticStatus.OK
-    return diagnostic(name, "Watch", "; ".join(words), values, level)
+    return diagnostic("Watch", "; ".join(words), values, level)
 
 
 def inputs_diagnostic(
-    name: str, inputs: Inputs, complaints: list[str], callback_errors: int
+    inputs: Inputs, complaints: list[str], callback_errors: int
 ) -> DiagnosticStatus:
     """Say whether both sensors arrive, what is wrong with their messages, and what went wrong."""
     both = (inputs.imu, inputs.streams.imu_drops), (inputs.field, inputs.streams.field_drops)
@@ -210,15 +209,16 @@ def inputs_diagnostic(
         values |= {f"{sensor.topic} {drop.value}": str(n) for drop, n in drops.items()}
     values["callback errors"] = str(callback_errors)
     level = DiagnosticStatus.ERROR if complaints else DiagnosticStatus.OK
-    return diagnostic(name, "Inputs", "; ".join(complaints) or "both sensors arrive", values, level)
+    return diagnostic("Inputs", "; ".join(complaints) or "both sensors arrive", values, level)
 
 
 def diagnostic_array(
-    statuses: Iterable[DiagnosticStatus], frame: str, stamp: Time
+    node: str, statuses: Iterable[DiagnosticStatus], frame: str, stamp: Time
 ) -> DiagnosticArray:
-    """Return statuses that say which sensor they are about: the frame names it among several."""
+    """Return statuses that say which node and sensor they are about: its frame names the sensor."""
     array = DiagnosticArray(status=list(statuses))
     array.header.stamp = stamp
     for status in array.status:
+        status.name = f"{node}: {status.name}"
         status.hardware_id = plain(frame) or "magnetometer"
     return array

@@ -267,10 +267,6 @@ class BackgroundThread:
         self._node, self._name = node, name
         self._waiting: SimpleQueue[Callable[[], Done]] = SimpleQueue()
         self._done: SimpleQueue[Done] = SimpleQueue()
-        self._idle = threading.Event()
-        self._idle.set()
-        self._open = 0
-        self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
 
     def run(
@@ -299,9 +295,6 @@ class BackgroundThread:
                 self._hand_over(lambda: otherwise(fault))
                 return
             self._thread = thread
-        with self._lock:
-            self._open += 1
-            self._idle.clear()
         self._waiting.put(job)
 
     def deliver(self) -> None:
@@ -311,15 +304,20 @@ class BackgroundThread:
 
     def finish_within(self, patience: float) -> bool:
         """Wait so many seconds for the work that was asked for; returns whether it is done."""
-        return self._idle.wait(patience)
+        if self._thread is None:
+            return True
+        is_done = threading.Event()
+
+        def last() -> Done:
+            is_done.set()
+            return lambda: None
+
+        self._waiting.put(last)
+        return is_done.wait(patience)
 
     def _work(self) -> None:
         while True:
             self._hand_over(self._waiting.get()())
-            with self._lock:
-                self._open -= 1
-                if not self._open:
-                    self._idle.set()
 
     def _hand_over(self, done: Done) -> None:
         self._done.put(done)

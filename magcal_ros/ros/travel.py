@@ -32,7 +32,6 @@ from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySamp
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros import wire
 from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
 from magcal_ros.ros.wire import Unreadable
 
@@ -51,6 +50,7 @@ class Travel:
     """Receives `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
 
     `subscriptions` are those of wheels, velocity and fixes; their callbacks take bytes.
+    `travelling` follows what they say.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Travel:
         self._plane = LocalPlane()
         self._unusable: dict[str, str] = {}
         self._topics: dict[SpeedSource | None, str] = {}
-        self._travelling = Travelling(run=self._run)
+        self.travelling = Travelling(run=self._run)
         self.front = Front()
         self.kept: VehicleYaw | None = None
         """The yaw that lies beside the calibration in force."""
@@ -93,24 +93,19 @@ class Travel:
 
     def on_imu(self, sample: ImuSample, follower: UpFollower) -> Triple | None:
         """Take an IMU sample; returns the vehicle's own acceleration, m/s², where it is known."""
-        return self._travelling.add_imu(sample, follower.gyro_bias.rate)
-
-    @property
-    def speed(self) -> float:
-        """The newest speed, m/s; NaN where it is unknown."""
-        return self._travelling.speed
+        return self.travelling.add_imu(sample, follower.gyro_bias.rate)
 
     @property
     def has_wheels(self) -> bool:
         """Whether the speed of wheels comes often enough to time starts and stops by it."""
-        track = self._travelling.speedometer.track
+        track = self.travelling.speedometer.track
         if track is None or track.source is not SpeedSource.ODOMETRY:
             return False
         return math.isfinite(track.newest) and not track.is_slow
 
     def speed_near(self, stamp: float) -> float:
         """Return what wheels say, m/s; NaN without a measurement near a stamp, seconds."""
-        track = self._travelling.speedometer.tracks[SpeedSource.ODOMETRY]
+        track = self.travelling.speedometer.tracks[SpeedSource.ODOMETRY]
         if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
             return math.nan
         return track.last
@@ -118,44 +113,35 @@ class Travel:
     def on_moment(self, moment: Moment) -> None:
         """Take what a field message comes to."""
         if moment.heading is not None:
-            self._travelling.add_yaw(moment.heading.yaw)
+            self.travelling.add_yaw(moment.heading.yaw)
 
     def use(self, kept: VehicleYaw | None) -> None:
         """Another calibration is in force; take what lies beside it."""
-        self._travelling.forget_compass()
+        self.travelling.forget_compass()
         if kept is not None:
             self.kept = kept
-            self._travelling.believe(kept.offset, kept.sigma)
+            self.travelling.believe(kept.offset, kept.sigma)
 
-    def _find_front(self, reference: ReferenceField) -> VehicleYaw | None:
-        """Estimate the front again; returns a yaw that is to be kept, if there is one."""
-        travelling = self._travelling
+    def follow(self, reference: ReferenceField, announcer: Announcer) -> VehicleYaw | None:
+        """Estimate the front, once a second, and log what is new; returns what is to be kept."""
+        travelling, verdict = self.travelling, self.verdict
         if not travelling.is_heard:
             return None
         north = reference.declination, reference.declination_sigma
         self.front = vehicle_front(travelling.known_mounting, travelling.course, *north)
+        if verdict:
+            announcer.tell("course", verdict, wrong=True)
         found = self.front.yaw
         if found is None or found.sigma > FRONT.useful or not self._is_better(found, BETTER):
             return None
         self.kept = found
+        announcer.tell("front", found.words)
         return found
-
-    def follow(
-        self, reference: ReferenceField, frames: SensorFrames, announcer: Announcer
-    ) -> VehicleYaw | None:
-        """Use what is known, once a second, and log what is new; returns what is to be kept."""
-        news = self._find_front(reference)
-        frames.note_vehicle_yaw(self.yaw)
-        if self.verdict:
-            announcer.tell("course", self.verdict, wrong=True)
-        if news is not None:
-            announcer.tell("front", news.words)
-        return news
 
     @property
     def complaints(self) -> list[str]:
         """What is wrong with speeds, compass or declination, in words."""
-        watch = self._travelling.mounting
+        watch = self.travelling.mounting
         words = [
             fault_words(self._topics[source], fault, watch.seen[source])
             for source, fault in watch.faults.items()
@@ -169,10 +155,10 @@ class Travel:
     @property
     def verdict(self) -> str:
         """Why the course contradicts the calibration in force; empty if it does not."""
-        if self._travelling.known_mounting is None:
+        if self.travelling.known_mounting is None:
             # A vehicle that moves sideways would make every compass look wrong.
             return ""
-        return course_fault(check_by_course(self._travelling.course))
+        return course_fault(check_by_course(self.travelling.course))
 
     def yaw_facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the yaw of the IMU in the vehicle; None if unknown."""
@@ -184,7 +170,7 @@ class Travel:
 
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the drive; None where no speed and no fix came."""
-        travelling, yaw = self._travelling, self.yaw
+        travelling, yaw = self.travelling, self.yaw
         if not travelling.is_heard and yaw is None:
             return None
         course = travelling.course
@@ -200,20 +186,20 @@ class Travel:
             "verdict": self.verdict,
         }
 
-    def diagnostics(self, name: str) -> list[DiagnosticStatus]:
+    def diagnostics(self) -> list[DiagnosticStatus]:
         """Return what the drive has shown so far; nothing where no speed and no fix has come."""
-        if not self._travelling.is_heard:
+        if not self.travelling.is_heard:
             return []
         yaw, verdict = self.yaw, self.verdict
         front = "the vehicle's front is not known yet" if yaw is None else yaw.words
         wrong = [*self.complaints, *([verdict] if verdict else [])]
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
         values = {key: str(value) for key, value in (self.facts() or {}).items()}
-        return [wire.diagnostic(name, "Drive", "; ".join([front, *wrong]), values, level)]
+        return [wire.diagnostic("Drive", "; ".join([front, *wrong]), values, level)]
 
     def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         def fail(error: Exception) -> None:
-            self._travelling.give_up_fit()
+            self.travelling.give_up_fit()
             self._node.get_logger().error(f"a fit of the drive has failed: {error!r}")
 
         self._thread.run(work, then, fail)
@@ -222,7 +208,7 @@ class Travel:
         self, source: SpeedSource, read: Callable[[bytes], Sample | str], data: bytes
     ) -> None:
         """Take a message; where it holds no sample, keep why as a complaint."""
-        if source is SpeedSource.ODOMETRY and not self._travelling.wants_speed(
+        if source is SpeedSource.ODOMETRY and not self.travelling.wants_speed(
             wire.read_stamp(data)
         ):
             return
@@ -235,13 +221,13 @@ class Travel:
             return
         self._unusable.pop(self._topics[source], None)
         if not isinstance(found, Fix):
-            self._travelling.add_travel(found)
+            self.travelling.add_travel(found)
             return
         # What is wrong with fixes is said where the place is looked up.
         self._tell_fix(found)
         position = self._plane.position(found)
         if position is not None:
-            self._travelling.add_travel(position)
+            self.travelling.add_travel(position)
 
 
 def _degrees(angle: float) -> float | None:

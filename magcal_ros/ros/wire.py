@@ -213,7 +213,6 @@ def azimuth_message(
 
 
 def diagnostic(
-    name: str,
     part: str,
     message: str,
     values: Mapping[str, str] | None = None,
@@ -221,4 +220,4 @@ def diagnostic(
 ) -> DiagnosticStatus:
     """Return the diagnostic of a part of the node."""
     pairs = [KeyValue(key=key, value=value) for key, value in (values or {}).items()]
-    return DiagnosticStatus(name=f"{name}: {part}", level=level, message=message, values=pairs)
+    return DiagnosticStatus(name=part, level=level, message=message, values=pairs)

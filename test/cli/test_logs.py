@@ -13,6 +13,7 @@ from long_form import first_of
 
 from magcal_ros.cli import recorded
 from magcal_ros.cli.main import main
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files.px4 import rotation_of
@@ -50,25 +51,57 @@ def level_circle(field):
 
 
 def test_ardupilot_flies_with_what_was_found_in_its_log(tmp_path, capsys):
+    """With two compasses, and motors whose field of 0 to 12 µT it compensates before and after."""
     pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
-    path = write_bin(tmp_path / "a.BIN", SAMPLES, offsets=(-200, 150, 80))
+
+    def motors(stamp):
+        return np.array([80.0, -60.0, 70.0]) * (0.8 + 0.2 * math.sin(stamp))
+
+    def compasses(sample):
+        added = -1e-7 * FRD @ motors(sample.stamp)
+        return {0: 0.5 * np.array(sample.field), 1: np.array(sample.field) + added}
+
+    path = write_bin(
+        tmp_path / "a.BIN",
+        SAMPLES,
+        offsets=(-200, 150, 80),
+        slot="2",
+        compasses=compasses,
+        lane=(0, 1),
+        motors=motors,
+    )
     found = exported(fitted(path, tmp_path), "ardupilot", capsys)
-    offsets = np.array([found[f"COMPASS_OFS_{axis}"] for axis in "XYZ"])
+    offsets = np.array([found[f"COMPASS_OFS2_{axis}"] for axis in "XYZ"])
     assert offsets == pytest.approx(-1e7 * FRD @ ROBOT.hard_iron, abs=25.0)
-    matrix = symmetric(found, "COMPASS_DIA_{}", "COMPASS_ODI_{}")
-    corrected = np.array([logged(field, offsets, matrix) for field in FIELDS])
-    before = np.array([logged(field, np.zeros(3), np.eye(3)) for field in FIELDS])
+    matrix = symmetric(found, "COMPASS_DIA2_{}", "COMPASS_ODI2_{}")
+    stamps = [s.stamp for s in SAMPLES if isinstance(s, FieldSample)]
+
+    def applied(offsets, matrix):
+        rows = zip(FIELDS, map(motors, stamps), strict=True)
+        return np.array(
+            [logged(f - 1e-7 * FRD @ part, offsets, matrix, 1.0, part) for f, part in rows]
+        )
+
+    corrected, before = applied(offsets, matrix), applied(np.zeros(3), np.eye(3))
     assert level_circle(corrected) < 0.02 < level_circle(before)
 
 
 @pytest.mark.parametrize("rotation", first_of([6, 0]))
 def test_px4_flies_with_what_was_found_in_its_log(tmp_path, capsys, rotation):
     pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
-    path = write_ulog(tmp_path / "a.ulg", SAMPLES, offset=(0.1, 0.2, -0.1), rotation=rotation)
+    level = rotation_from_rpy(*np.radians([3.0, -2.0, 1.0]))
+    path = write_ulog(
+        tmp_path / "a.ulg",
+        SAMPLES,
+        offset=(0.1, 0.2, -0.1),
+        rotation=rotation,
+        pose=level @ rotation_of(rotation),
+        parameters={f"SENS_BOARD_{a}_OFF": v for a, v in zip("XYZ", (3.0, -2.0, 1.0), strict=True)},
+    )
     found = exported(fitted(path, tmp_path), "px4", capsys)
     offset = np.array([found[f"CAL_MAG1_{axis}OFF"] for axis in "XYZ"])
     scale = symmetric(found, "CAL_MAG1_{}SCALE", "CAL_MAG1_{}ODIAG")
-    turn = rotation_of(rotation)
+    turn = level @ rotation_of(rotation)
     own = GAUSS * FIELDS @ FRD @ turn
     assert level_circle((own - offset) @ scale @ turn.T) < 0.02 < level_circle(own)
 

@@ -9,7 +9,9 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.heading.compass import Heading, Moment
 from magcal_ros.core.simulation import Robot
+from magcal_ros.core.up.follower import Up
 
 PERIOD = 0.1
 SPEED = 0.8
@@ -113,7 +115,9 @@ def drive(watch, calibration, robots, minutes, way=Way(), seed=1, start=1000.0, 
 def feed(watch, *columns):
     said = []
     for k, (stamp, field, force, heading, turning) in enumerate(zip(*columns, strict=True)):
-        watch.add(stamp, tuple(field), tuple(force), heading, tuple(turning))
+        up = Up(tuple(np.array(force) / np.linalg.norm(force)), 0.0)
+        seen = Heading(0.0, 0.0, heading, 0.0, 0.0, 0.0, 0.0)
+        watch.take(Moment(stamp, tuple(field), up, seen, tuple(turning)))
         if k % 300 == 299:
             said.append((stamp, watch.watched))
     return said

@@ -6,6 +6,7 @@ pytest.importorskip("rclpy")
 
 from rclpy.logging import get_logger
 
+from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.ros.announcer import LASTING, PAUSE, Announcer
 
 
@@ -79,8 +80,8 @@ def test_changes_by_the_thousand_become_one_line_in_ten_seconds(stage):
     assert lines[0] == ("info", "place 0")
     assert len(lines) == 2
     stage.now += PAUSE
-    stage.announcer.catch_up()
-    stage.announcer.catch_up()
+    stage.announcer.complain([])
+    stage.announcer.complain([])
     assert stage.take() == [("info", "place 119999")]
 
 
@@ -93,14 +94,13 @@ def test_subjects_do_not_wait_for_each_other_and_nothing_is_repeated(stage):
 
 
 def test_a_turn_is_told_from_its_begin_to_its_verdict(stage):
-    first, second = object(), object()
+    first, second = Conclusion(True, "good"), Conclusion(False, "refused")
     follow = stage.announcer.follow_turn
-    follow(False, None, "")
-    for turning, answer, words in (
-        (True, None, ""), (True, None, ""), (False, first, "good"), (False, first, "good"),
-        (True, first, "good"), (False, second, "refused"),
+    follow(False, None)
+    for turning, answer in (
+        (True, None), (True, None), (False, first), (False, first), (True, first), (False, second),
     ):  # fmt: skip
-        follow(turning, answer, words)
+        follow(turning, answer)
     assert stage.take() == [
         ("info", "a turn begins"),
         ("info", "the turn is over: good"),
@@ -112,7 +112,7 @@ def test_a_turn_is_told_from_its_begin_to_its_verdict(stage):
 def test_a_year_of_complaints_takes_no_memory(stage):
     for k in range(10_000):
         stage.complain_for(LASTING + 2, f"{chr(0x4E00 + k)} is wrong")
-    assert len(stage.announcer._wrong) <= 1
+    assert len(stage.announcer._wrong_since) <= 1
     assert len(stage.announcer._complained_at) <= PAUSE
 
 
@@ -124,10 +124,10 @@ def test_rclpys_own_logger_takes_every_announcement_in_any_order(capfd):
             announcer.tell(subject, f"{subject} {number}", wrong=wrong)
             announcer.tell(subject, f"{subject} {number} again", wrong=not wrong)
         announcer.complain([f"{chr(ord('e') + number)} is wrong"])
-        announcer.follow_turn(True, None, "")
-        announcer.follow_turn(False, object(), f"verdict {number}")
+        announcer.follow_turn(True, None)
+        announcer.follow_turn(False, Conclusion(True, f"verdict {number}"))
         now[0] += PAUSE
-        announcer.catch_up()
+        announcer.complain([])
         now[0] += PAUSE
     said = capfd.readouterr()
     for words in ("a 0", "a 0 again", "d 2", "d 2 again", "g is wrong", "verdict 2"):

@@ -41,12 +41,12 @@ class House:
     """What a node does for a turn, where nothing is to be done."""
 
     def __init__(self):
-        self.errors = []
+        self.errors, self.reporter = [], self
 
     def use(self, _, tell):
         tell(Conclusion(True, "In force."))
 
-    def begin_report(self, *_):
+    def report(self, *_):
         return ""
 
     def describe_silence(self):
@@ -91,7 +91,7 @@ def turn_in(house):
         control.finish()
     except OSError as error:
         house.note_error(error)
-    assert control.state is TurnState.IDLE
+    assert control.turn.state is TurnState.IDLE
     control.shut_down()
     first, second = told
     assert first is second
@@ -129,7 +129,7 @@ def test_no_process_is_allowed_any_more():
 
 def test_no_room_for_the_report():
     house = House()
-    house.begin_report = no_room
+    house.report = no_room
     answer = turn_in(house)
     assert answer.success
     assert "No report: [Errno 24] Too many open files" in answer.message
@@ -161,7 +161,7 @@ def test_no_room_for_looking_at_the_turn(monkeypatch, what):
     monkeypatch.setattr(Session, what, no_room)
     with pytest.raises(OSError, match="Too many open files"):
         control.finish()
-    assert control.state is TurnState.IDLE
+    assert control.turn.state is TurnState.IDLE
     (answer,) = told
     assert not answer.success
     assert "broken off by an error ([Errno 24] Too many open files)" in answer.message
@@ -175,7 +175,7 @@ def test_a_turn_that_cannot_be_opened_is_not_under_way(monkeypatch):
     monkeypatch.setattr(Session, "progress", no_room)
     with pytest.raises(OSError, match="Too many open files"):
         control.start(settings_of_a_turn())
-    assert control.state is TurnState.IDLE
+    assert control.turn.state is TurnState.IDLE
     monkeypatch.undo()
     assert control.start(settings_of_a_turn()).success
     control.shut_down()
@@ -184,7 +184,7 @@ def test_a_turn_that_cannot_be_opened_is_not_under_way(monkeypatch):
 def test_a_verdict_that_nobody_waited_for_is_told_to_the_next_finish_and_once():
     control = begun_in(House())
     until = time.monotonic() + 60.0
-    while control.state is not TurnState.IDLE and time.monotonic() < until:
+    while control.turn.state is not TurnState.IDLE and time.monotonic() < until:
         control.tick()
     answer = control.finish()
     assert answer.success, answer.message

@@ -1,6 +1,7 @@
 """The demo as `make demo` runs it, eight times as fast."""
 
 import math
+import re
 import subprocess
 import sys
 
@@ -42,6 +43,13 @@ def check(printed, folder):
     assert published < 1.0
     assert slopes < 1.0
     assert max(errors(printed, "after, without the sensors' noise")) < 0.3
+    said = re.search(r"roll (\S+)°, pitch (\S+)°", " ".join(printed.split())).groups()
+    rows = [
+        re.search(rf"{name} of the sensor.*?(\S+) +\S+\n", printed) for name in ("roll", "pitch")
+    ]
+    assert tuple(row[1] for row in rows) == said
+    assert "8 times as fast as real" in printed
+    assert f"-p calibration_file:={folder / 'calibration.yaml'}" in printed
     calibration, _ = read_calibration(folder / "calibration.yaml")
     assert abs(calibration.correction.hard_iron[0] - 15e-6) < 0.3e-6
 

@@ -32,9 +32,29 @@ class Draws:
         pass
 
 
-def subject(second=0, accepted=False):
+SENSOR = SimpleNamespace(topic="/mag", frame="mag")
+
+
+@pytest.fixture(autouse=True)
+def window_says_when(monkeypatch):
+    """A report is of the second that stands in place of its window."""
+    monkeypatch.setattr(
+        "magcal_ros.report.Subject",
+        lambda second, *_, **__: SimpleNamespace(created=NOW + timedelta(seconds=second)),
+    )
+
+
+def report(reporter, folder, second=0, accepted=False, kept=50):
     outcome = SimpleNamespace(verdict=SimpleNamespace(accepted=accepted))
-    return SimpleNamespace(created=NOW + timedelta(seconds=second), outcome=outcome)
+    settings = SimpleNamespace(
+        report_folder=str(folder), reports_kept=kept, knowledge=None, method=""
+    )
+    return reporter.report(second, settings, outcome)
+
+
+def reporter_of(thread, said):
+    inputs, travel = SimpleNamespace(imu=SENSOR, field=SENSOR), SimpleNamespace(yaw=None)
+    return Reporter(thread, said.append, inputs, travel)
 
 
 @pytest.fixture
@@ -49,7 +69,7 @@ def said():
 
 @pytest.fixture
 def reporter(thread, said):
-    reporter = Reporter(thread, said.append)
+    reporter = reporter_of(thread, said)
     reporter._worker = Draws()
     return reporter
 
@@ -59,7 +79,7 @@ def test_of_forty_refusals_in_a_row_the_first_and_the_newest_are_drawn(
 ):
     draws = reporter._worker
     for k in range(40):
-        assert "Report: " in reporter.begin(str(tmp_path), subject(k), 50)
+        assert "Report: " in report(reporter, tmp_path, k)
         wait_until(lambda: draws.started)
     assert len(draws.started) == 1
     for _ in range(2):
@@ -74,18 +94,18 @@ def test_of_forty_refusals_in_a_row_the_first_and_the_newest_are_drawn(
     assert len(said) == 38
     assert "newer turns came before it was drawn" in said[0]
     draws.may_end.release()
-    reporter.begin(str(tmp_path), subject(50), 50)
+    report(reporter, tmp_path, 50)
     assert thread.finish_within(30.0)
     assert len(draws.started) == 3
 
 
 def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, said, monkeypatch):
-    reporter = Reporter(thread, said.append)
+    reporter = reporter_of(thread, said)
     run = reporter._worker.run_once
     for longest, work in ((1.0, (time.sleep, 600.0)), (30.0, (time.sleep, 0.0))):
         monkeypatch.setattr(reporter_module, "LONGEST", longest)
         monkeypatch.setattr(reporter._worker, "run_once", lambda *_, work=work: run(*work))
-        reporter.begin(str(tmp_path), subject(), 50)
+        report(reporter, tmp_path)
         assert thread.finish_within(30.0)
     thread.deliver()
     (words,) = said
@@ -95,7 +115,7 @@ def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, sa
 def test_the_newest_are_kept_and_those_put_in_force(tmp_path, thread, reporter):
     for k in range(8):
         reporter._worker.may_end.release()
-        reporter.begin(str(tmp_path), subject(k, accepted=k in (0, 2)), 3)
+        report(reporter, tmp_path, k, accepted=k in (0, 2), kept=3)
         if k == 1:
             reporter.put_in_force()
         assert thread.finish_within(30.0)

@@ -55,7 +55,7 @@ class TestInTheNode:
         proposed = replace(calibration, correction=replace(calibration.correction, hard_iron=iron))
         machine = house._keeping.machine
         machine.proposal = proposed
-        machine._decisions.append(Decision(90.0, Verb.PROPOSED, "it was better", proposed))
+        machine.decisions.append(Decision(90.0, Verb.PROPOSED, "it was better", proposed))
         stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"])
         assert stage.status["self_calibration"]["decisions"][-1]["why"] == "it was better"
         answer = stage.answer(stage.call("accept"))
@@ -94,12 +94,12 @@ class TestInTheNode:
         keeping._lost(OSError("no memory"))
         assert "no memory" in said[0]
         assert keeping.facts()["fits_lost"] == 1
-        status = watch_diagnostic("calibrator", None, keeping)
+        status = watch_diagnostic(None, keeping)
         assert status.level == DiagnosticStatus.WARN
         assert "no memory" in status.message
         keeping.machine.job(house._first.drive_knowledge())
         keeping._note(Findings(0.0, (), None, None, {}))
-        assert watch_diagnostic("calibrator", None, keeping).level == DiagnosticStatus.OK
+        assert watch_diagnostic(None, keeping).level == DiagnosticStatus.OK
         assert keeping.facts()["fits_lost"] == 1
 
     def test_what_the_node_ends_itself_is_not_said(self, house):

@@ -155,11 +155,6 @@ class Decision:
     """What and why, one sentence."""
     calibration: Calibration | None = None  # what is to be put in force, where something is
 
-    @property
-    def changes(self) -> bool:
-        """Whether another calibration is to be put in force, or offered."""
-        return self.calibration is not None
-
 
 class Mode(str, Enum):
     """What may be done with a proved candidate."""
@@ -236,17 +231,6 @@ class Step(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Contest:
-    """Two calibrations to be compared on road."""
-
-    name: str  # whose it is, to tell the answers apart
-    old: Correction
-    new: tuple[Step, ...]
-    """One after another, each for the road that it was not fitted to; what is before the first does
-    not count."""
-
-
-@dataclass(frozen=True, eq=False)
 class DriveJob:
     """One look at a drive; all that a worker needs, and it can be sent to one."""
 
@@ -258,7 +242,9 @@ class DriveJob:
     not_before: float  # clock before which no window begins, seconds: something changed there
     changed: float
     """Clock of the change after which what is in force was fitted; minus infinity without one."""
-    contests: tuple[Contest, ...]
+    contests: dict[str, tuple[Step, ...]]
+    """What is compared with what is in force, by names: steps, each for the road that it was not
+    fitted to; what is before the first does not count."""
 
 
 @dataclass(frozen=True, eq=False)

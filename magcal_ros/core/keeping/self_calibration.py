@@ -12,11 +12,9 @@ from dataclasses import replace
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma, known_sigma
-from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.jobs import (
     KEEPING,
     METHOD,
-    Contest,
     Decision,
     DriveCandidate,
     DriveJob,
@@ -34,7 +32,8 @@ from magcal_ros.core.keeping.jobs import (
     is_same,
 )
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.drive_log import DriveLog, DriveRecorder
+from magcal_ros.core.samples.drive_log import DriveRecorder
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 TRIAL = "trial"
 
@@ -43,39 +42,25 @@ class SelfCalibration:
     """Follows a drive and decides.
 
     `before` are the calibrations that were in force, the newest last, `proposal` is what waits for
-    a person, and `lost` counts the jobs that were not finished since the last one that was.
+    a person, `decisions` are the last ones, the oldest first, and `lost` counts the jobs that were
+    not finished since the last one that was. `recorder` remembers the movement.
     """
 
     def __init__(self, mode: Mode = Mode.PROPOSE) -> None:
         self.mode = mode
         self.proposal: Calibration | None = None
-        self._recorder = DriveRecorder(KEEPING.memory)
+        self.recorder = DriveRecorder(KEEPING.memory)
         self._in_force: Calibration | None = None
         self.before: deque[Calibration] = deque(maxlen=KEEPING.kept)
         self._on_probation: dict[Kind, Probation] = {}
         self._first: DriveCandidate | None = None
         self._trial: Trial | None = None
-        self._decisions: deque[Decision] = deque(maxlen=KEEPING.remembered)
+        self.decisions: deque[Decision] = deque(maxlen=KEEPING.remembered)
         self._not_before = self._changed = -math.inf
         self._looked = -math.inf
         self._round = 0
-        self._pending = 0
+        self._is_pending = self._is_outdated = False
         self.lost = 0
-        self._generation = 0
-
-    @property
-    def decisions(self) -> tuple[Decision, ...]:
-        """The last decisions, the oldest first."""
-        return tuple(self._decisions)
-
-    @property
-    def seconds(self) -> float:
-        """Movement that is remembered."""
-        return self._recorder.seconds
-
-    def log(self) -> DriveLog:
-        """Return what is remembered of the drive."""
-        return self._recorder.log()
 
     @property
     def in_words(self) -> str:
@@ -88,17 +73,17 @@ class SelfCalibration:
             each = self._on_probation.values()
             worded = " and ".join(probation.candidate.in_words for probation in each)
             return f"on probation: {worded}"
-        if self._recorder.rests:
+        if self.recorder.rests:
             return "waiting for movement"
-        return f"watching, {self.seconds / 60.0:.0f} min of driving remembered"
+        return f"watching, {self.recorder.seconds / 60.0:.0f} min of driving remembered"
 
     def forget(self) -> None:
         """Forget the drive and its results: the sensors have changed, or the mode has."""
-        self._recorder.begin_anew()
+        self.recorder.begin_anew()
         self._on_probation.clear()
         self._first = self._trial = self.proposal = None
         self._not_before = self._changed = self._looked = -math.inf
-        self._generation += 1
+        self._is_outdated = True
 
     def put_in_force(self, calibration: Calibration | None) -> None:
         """Take note that another calibration is in force, by whomever.
@@ -108,13 +93,13 @@ class SelfCalibration:
         old = self._in_force
         if is_same(calibration, old):
             return
-        last = self._decisions[-1] if self._decisions else None
+        last = self.decisions[-1] if self.decisions else None
         wanted = self.proposal if last is None or self.proposal is not None else last.calibration
         decided = calibration is not None and is_same(calibration, wanted)
         self._in_force, self.proposal = calibration, None
         self._on_probation.clear()
         self._first = None
-        self._generation += 1
+        self._is_outdated = True
         if old is not None:
             self.before.append(old)
         rolled = last is not None and last.verb is Verb.ROLLED_BACK
@@ -123,44 +108,45 @@ class SelfCalibration:
             return
         self._trial = None
         if decided and old is not None and not rolled:
-            self._trial = Trial(old, self._recorder.clock)
+            self._trial = Trial(old, self.recorder.clock)
         if not decided or rolled:
             self._changed = -math.inf
         if not decided:
             self._not_before = -math.inf
 
-    def add(
-        self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
-    ) -> bool:
-        """Take a sample as `DriveRecorder.add` does; returns whether a look is due."""
-        if self.mode is Mode.OFF or not self._recorder.add(stamp, field, force, rate, speed):
+    def add(self, sample: FieldSample, imu: ImuSample | None, speed: float = math.nan) -> bool:
+        """Take a sample with the newest of the IMU, which counts only if it has a rate.
+
+        The speed is in m/s, NaN where it is unknown. Returns whether a look is due.
+        """
+        if self.mode is Mode.OFF or imu is None or not math.isfinite(imu.rate[0]):
             return False
-        if self._pending or self._recorder.seconds < KEEPING.look_every:
+        if not self.recorder.add(sample.stamp, sample.field, imu.force, imu.rate, speed):
+            return False
+        if self._is_pending or self.recorder.seconds < KEEPING.look_every:
             return False
         wait = KEEPING.look_again if Kind.IRON in self._on_probation else KEEPING.look_every
         # What ends one job may well end the next: each time it is given twice as long to pass.
-        return self._recorder.clock - self._looked >= wait * 2.0**self.lost
+        return self.recorder.clock - self._looked >= wait * 2.0**self.lost
 
     def job(self, knowledge: Knowledge) -> DriveJob:
         """Return what is to be computed for the look that is due; its findings come to `note`."""
-        self._pending, self._looked = self._generation + 1, self._recorder.clock
+        self._is_pending, self._is_outdated = True, False
+        self._looked = self.recorder.clock
         self._round += 1
         in_force, windows = self._in_force, KEEPING.windows
-        contests = []
+        contests = {kind.value: each.steps for kind, each in self._on_probation.items()}
+        if self._trial is not None:
+            contests[TRIAL] = (Step(self._trial.since, self._trial.calibration.correction),)
         if in_force is not None:
             # One window a look is enough where something is in force already.
             windows = windows[self._round % len(windows) :][:1]
-            for kind, probation in self._on_probation.items():
-                contests.append(Contest(kind.value, in_force.correction, probation.steps))
-            if self._trial is not None:
-                old = Step(self._trial.since, self._trial.calibration.correction)
-                contests.append(Contest(TRIAL, in_force.correction, (old,)))
         since = self._not_before, self._changed
-        return DriveJob(self._recorder.log(), knowledge, in_force, windows, *since, tuple(contests))
+        return DriveJob(self.recorder.log(), knowledge, in_force, windows, *since, contests)
 
     def fail(self) -> None:
         """Take note that a job was lost; a later look tries again."""
-        self._pending = 0
+        self._is_pending = False
         self.lost += 1
 
     def note(self, findings: Findings) -> list[Decision]:
@@ -168,14 +154,14 @@ class SelfCalibration:
 
         A calibration of a decision is to be put in force, or offered where it is `PROPOSED`.
         """
-        is_current = self._pending == self._generation + 1
-        self._pending = self.lost = 0
+        is_current = self._is_pending and not self._is_outdated
+        self._is_pending, self.lost = False, 0
         if not is_current:
             return []
         made = self._weigh(findings)
-        if not math.isnan(self._recorder.begun):
-            made = [replace(each, clock=each.clock - self._recorder.begun) for each in made]
-        self._decisions.extend(made)
+        if not math.isnan(self.recorder.begun):
+            made = [replace(each, clock=each.clock - self.recorder.begun) for each in made]
+        self.decisions.extend(made)
         return made
 
     def _weigh(self, findings: Findings) -> list[Decision]:
@@ -183,13 +169,11 @@ class SelfCalibration:
         if in_force is None:
             return self._begin(findings)
         made = self._tried(findings)
-        if made and made[-1].changes:
-            return made
-        made += self._proved(findings, in_force) or self._refined(findings, in_force)
-        if made and made[-1].changes:
-            return made
-        made += self._take_up(findings, in_force)
-        return made + self._notice(findings, in_force)
+        if not _changes(made):
+            made += self._proved(findings, in_force) or self._refined(findings, in_force)
+        if not _changes(made):
+            made += self._take_up(findings, in_force) + self._notice(findings, in_force)
+        return made
 
     def _begin(self, findings: Findings) -> list[Decision]:
         """With nothing in force two windows that agree are enough."""
@@ -332,3 +316,8 @@ class SelfCalibration:
         if self.mode is Mode.PROPOSE:
             self.proposal, verb = calibration, Verb.PROPOSED
         return Decision(clock, verb, words, calibration)
+
+
+def _changes(made: list[Decision]) -> bool:
+    """Whether the last decision puts another calibration in force, or offers it."""
+    return bool(made) and made[-1].calibration is not None

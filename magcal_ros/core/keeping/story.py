@@ -61,75 +61,48 @@ class DriveStory:
     """How the compass goes against course at the end, in words; empty where nothing tells it."""
 
 
-class DriveReplay:
-    """Runs self-calibration on a recording, and keeps what it decided."""
+def replayed(
+    knowledge: Knowledge,
+    calibration: Calibration | None,
+    readings: Iterable[ImuSample | FieldSample | None],
+    travel: Iterable[TravelSample],
+    machine: SelfCalibration | None = None,
+) -> DriveStory:
+    """Run self-calibration on a recording, and return what it decided.
 
-    def __init__(
-        self,
-        knowledge: Knowledge,
-        calibration: Calibration | None,
-        machine: SelfCalibration | None = None,
-    ) -> None:
-        self._knowledge, self._initial, self._now = knowledge, calibration, calibration
-        self._streams = Streams(STREAMS.max_gap)
-        self._machine = machine or SelfCalibration(Mode.APPLY)
-        self._machine.put_in_force(calibration)
-        self._points: list[tuple[float, ...]] = []
-        """Stamp, speed, raw field and up."""
-        self._fixes: list[PositionSample] = []
-        self._decisions: list[tuple[float, Decision]] = []
-        self._first = self._last = math.nan
-
-    def take(
-        self, readings: Iterable[ImuSample | FieldSample | None], travel: Iterable[TravelSample]
-    ) -> None:
-        """Take everything: readings in their order, travel by stamp."""
-        ways = list(travel)
-        self._fixes = [each for each in ways if isinstance(each, PositionSample)]
-        replay = TravelReplay(ways, self._streams)
-        for sample in replay.readings(readings):
-            if isinstance(sample, FieldSample):
-                self._take_field(sample, replay)
-
-    def story(self) -> DriveStory:
-        """Return what became of it."""
-        seconds = self._last - self._first if self._points else 0.0
-        return DriveStory(
-            tuple(self._decisions),
-            self._initial,
-            self._now,
-            seconds,
-            self._machine.seconds,
-            self._machine.in_words,
-            self._path(),
-        )
-
-    def _take_field(self, sample: FieldSample, replay: TravelReplay) -> None:
-        imu = self._streams.newest_imu
-        if imu is None or not math.isfinite(imu.rate[0]):
-            return
-        if math.isnan(self._first):
-            self._first = sample.stamp
-        self._last = sample.stamp
+    Readings are in their order, travel by stamp; `calibration` is in force at the beginning.
+    """
+    streams, ways = Streams(STREAMS.max_gap), list(travel)
+    replay, now = TravelReplay(ways, streams), calibration
+    machine = SelfCalibration(Mode.APPLY) if machine is None else machine
+    machine.put_in_force(calibration)
+    decisions: list[tuple[float, Decision]] = []
+    points: list[tuple[float, ...]] = []  # stamp, speed, raw field and up
+    first, last, due = math.nan, math.nan, -math.inf
+    for sample in replay.readings(readings):
+        imu = streams.newest_imu
+        if not isinstance(sample, FieldSample) or imu is None or not math.isfinite(imu.rate[0]):
+            continue
+        last = sample.stamp
+        first = last if math.isnan(first) else first
         speed, up = replay.travelling.speed, replay.up.newest
-        due = self._points[-1][0] + KEEPING.map_every if self._points else -math.inf
-        if up is not None and not sample.stamp < due:
-            self._points.append((sample.stamp, speed, *sample.field, *up))
-        if self._machine.add(sample.stamp, sample.field, imu.force, imu.rate, speed):
-            for decision in self._machine.note(answer(self._machine.job(self._knowledge))):
-                self._decisions.append((sample.stamp - self._first, decision))
+        if up is not None and not last < due:
+            points.append((last, speed, *sample.field, *up))
+            due = last + KEEPING.map_every
+        if machine.add(sample, imu, speed):
+            for decision in machine.note(answer(machine.job(knowledge))):
+                decisions.append((last - first, decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
-                    self._now = decision.calibration
-                    self._machine.put_in_force(decision.calibration)
-
-    def _path(self) -> DrivePath | None:
-        calibration = self._now
-        if calibration is None or len(self._points) < 2:
-            return None
-        points = np.array(self._points)
-        fixes = np.array(self._fixes)[:, :3] if len(self._fixes) > 2 else None
-        field, up = points[:, 2:5], points[:, 5:]
-        return path_along(calibration, points[:, 0], field, up, points[:, 1], fixes)
+                    now = decision.calibration
+                    machine.put_in_force(now)
+    path = None
+    if now is not None and len(points) > 1:
+        rows = np.array(points)
+        fixes = np.array([each[:3] for each in ways if isinstance(each, PositionSample)])
+        measured = fixes if len(fixes) > 2 else None
+        path = path_along(now, rows[:, 0], rows[:, 2:5], rows[:, 5:], rows[:, 1], measured)
+    seconds, moved = last - first if points else 0.0, machine.recorder.seconds
+    return DriveStory(tuple(decisions), calibration, now, seconds, moved, machine.in_words, path)
 
 
 def path_along(

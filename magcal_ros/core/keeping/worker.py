@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import local_sigma
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.keeping.jobs import (
     KEEPING,
     METHOD,
-    Contest,
     DriveCandidate,
     DriveJob,
     Findings,
@@ -51,7 +51,11 @@ def answer(job: DriveJob) -> Findings:
         if clock - seconds >= first
     ]
     whole = tuple(each for each in found if each is not None)
-    proofs = {contest.name: prove(nodes, contest, job.knowledge) for contest in job.contests}
+    proofs = {
+        name: prove(nodes, job.in_force.correction, steps, job.knowledge)
+        for name, steps in job.contests.items()
+        if job.in_force is not None
+    }
     return Findings(clock, whole, since_change, finer, proofs)
 
 
@@ -82,17 +86,17 @@ def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveC
     return candidate_of(fitted, Kind.ALL, job.in_force, start, end)
 
 
-def prove(nodes: Nodes, contest: Contest, knowledge: Knowledge) -> Proof:
+def prove(nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowledge) -> Proof:
     """Compare two calibrations on road that neither was fitted to.
 
     Of a new one that is fitted anew now and then each stretch is predicted by the fit before it
     (prequential; Dawid, 1984), so that all road since the first fit counts.
     """
-    road = nodes.between(contest.new[0].since)
+    road = nodes.between(new[0].since)
     if len(road) < 4:
         return Proof()
-    before = _read(road, (Step(-math.inf, contest.old),), knowledge)
-    ratio = likelihood_ratio_of(before, _read(road, contest.new, knowledge), knowledge)
+    before = corrected(road, old, knowledge.mounting.matrix)
+    ratio = likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
     seconds = float(np.ptp(road.time))
     return Proof(seconds, ratio.gain, ratio.halves, ratio.elsewhere, ratio.against)
 

@@ -133,7 +133,8 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     found[Figure.ARC] = arc, 0.0
     iron = _iron_of(drive, calibration) if drive is not None and len(drive) else None
     drove = iron is not None and drove_while_turning(SensorLog.of_window(window))
-    added = None if iron is None else iron.check(CHANGE.clearly if drove else CHANGE.chance)
+    chance = CHANGE.clearly if drove else CHANGE.chance
+    added = None if iron is None else _check_iron(*iron, chance)
     # A street that is driven once bends the field as other iron in the robot would.
     is_street = iron is not None and (added is None or (drove and added.grade is not Grade.REFUSED))
     checks = []
@@ -288,33 +289,11 @@ def up_of(window: Window) -> FloatArray:
     return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
 
 
-def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
-    """Weigh the hard iron that was added since a calibration; None where a drive does not show it.
+def _iron_of(drive: DriveLog, calibration: Calibration) -> tuple[float, float] | None:
+    """Return the hard iron that was added, by the drive's own model; None of too short a drive.
 
-    A drive may be too short, or its iron too uncertain.
+    It is a share of the level field, with its standard deviation.
     """
-    iron = _iron_of(drive, calibration)
-    return None if iron is None else iron.check(CHANGE.chance)
-
-
-@dataclass(frozen=True)
-class _Iron:
-    """Hard iron that was added, against the level field, and its standard deviation."""
-
-    share: float
-    sigma: float
-
-    def check(self, sigmas: float) -> Check | None:
-        """Weigh the share beside what chance of so many sigmas explains; None if too uncertain."""
-        beyond = self.share - CHANGE.clearly * self.sigma
-        if self.sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
-            return None
-        excess = math.sqrt(max(self.share**2 - (sigmas * self.sigma) ** 2, 0.0))
-        return IRON_BOUND.check(self.share, excess=excess)
-
-
-def _iron_of(drive: DriveLog, calibration: Calibration) -> _Iron | None:
-    """Return the hard iron that was added by the drive's own model; None of too short a drive."""
     reference = ReferenceField(
         Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
         Belief(calibration.inclination, math.radians(INCLINATION_SIGMA_DEG)),
@@ -330,4 +309,13 @@ def _iron_of(drive: DriveLog, calibration: Calibration) -> _Iron | None:
     covariance = matrix @ found.posterior.covariance[9:, 9:] @ matrix.T
     level = calibration.strength * math.cos(calibration.inclination)
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
-    return _Iron(math.hypot(*added) / level, sigma)
+    return math.hypot(*added) / level, sigma
+
+
+def _check_iron(share: float, sigma: float, chance: float) -> Check | None:
+    """Weigh added iron beside what chance of so many sigmas explains; None if too uncertain."""
+    beyond = share - CHANGE.clearly * sigma
+    if sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
+        return None
+    excess = math.sqrt(max(share**2 - (chance * sigma) ** 2, 0.0))
+    return IRON_BOUND.check(share, excess=excess)

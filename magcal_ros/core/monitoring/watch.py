@@ -19,7 +19,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.geometry.vec3 import Triple, dot, length
+from magcal_ros.core.geometry.vec3 import dot, length
 from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.monitoring.change import (
     CHANGE,
@@ -268,23 +268,14 @@ class Watch:
 
     def take(self, moment: Moment) -> None:
         """Take a field message that has an up, a heading and a rate."""
-        stamp, field, up, heading, rate = moment
-        if up is not None and heading is not None and rate is not None:
-            self.add(stamp, field, up.direction, heading.yaw, rate)
-
-    def add(self, stamp: float, field: Triple, force: Triple, yaw: float, rate: Triple) -> None:
-        """Take a corrected field sample (body axes, tesla) with the force along up, any length.
-
-        `yaw` (rad) is the heading made of both; the angular rate (rad/s) is NaN without a gyro.
-        """
-        size = length(force)
-        if size <= 0.0:
+        stamp, field, seen, heading, rate = moment
+        if seen is None or heading is None or rate is None:
             return
-        self._propagate(stamp, dot(rate, force) / size)
-        if force[0] ** 2 > CHANGE.steepest_nose * size * size:
+        up, yaw = seen.direction, heading.yaw
+        self._propagate(stamp, dot(rate, up))
+        if up[0] ** 2 > CHANGE.steepest_nose:
             self._close()
             return
-        rise = dot(field, force) / size
         if self._visit:
             first = self._visit[0]
             turned = wrapped(yaw - first.yaw)
@@ -294,7 +285,7 @@ class Watch:
             else:
                 yaw = first.yaw + turned
         turn = self._rate if math.isfinite(self._rate) else 0.0
-        row = Record(stamp, yaw, length(field), rise, self._turned, self._path, turn)
+        row = Record(stamp, yaw, length(field), dot(field, up), self._turned, self._path, turn)
         self._visit.append(row)
 
     def _propagate(self, stamp: float, rate: float) -> None:

@@ -328,19 +328,19 @@ class HeadingCollector:
         self.check = external_heading.HeadingAgainstGyro()
         self.log: HeadingLog | None = None
         self.newest = HeadingSample(-math.inf, 0.0, 1.0)
-        self._imu_stamp = math.nan
+        self._imu_stamp, self._turned = math.nan, 0.0
 
     def on_imu(self, stamp: float) -> None:
         """Take the turn up to an IMU message, seconds, that `up` has received already."""
         seconds, self._imu_stamp = stamp - self._imu_stamp, stamp
         up = self._up.newest
         if up is not None and 0.0 < seconds <= STREAMS.longest_gyro_step:
-            self.check.add_turn(dot(self._up.mean_rate, up) * seconds)
+            self._turned += dot(self._up.mean_rate, up) * seconds
 
     def on_heading(self, sample: HeadingSample) -> None:
         """Take a heading."""
         self.newest = sample
-        self.check.add(sample.stamp, sample.yaw)
+        self.check.add(sample.stamp, sample.yaw, self._turned)
 
     def on_field(
         self,

@@ -148,24 +148,18 @@ class HeadingAgainstGyro:
 
     def __init__(self) -> None:
         self.fault = ""
-        self._turned = 0.0
-        self._last: tuple[float, float] | None = None
+        self._last = -math.inf, 0.0, 0.0
         self._wrong: list[tuple[float, float]] = []
 
-    def add_turn(self, angle: float) -> None:
-        """Take radians to the left, by the gyro."""
-        self._turned += angle
-
-    def add(self, stamp: float, yaw: float) -> None:
-        """Take a heading, radians."""
-        last = self._last
-        if last is None or not 0.0 < stamp - last[0] < TUNING.longest:
-            self._last, self._turned = (stamp, yaw), 0.0
+    def add(self, stamp: float, yaw: float, angle: float) -> None:
+        """Take a heading, and how far the gyro has turned by then, radians to the left."""
+        seconds, given, turned = stamp - self._last[0], yaw - self._last[1], angle - self._last[2]
+        if not 0.0 < seconds < TUNING.longest:
+            self._last = stamp, yaw, angle
             return
-        if abs(self._turned) < TUNING.turn:
+        if abs(turned) < TUNING.turn:
             return
-        given, turned = wrapped(yaw - last[1]), self._turned
-        self._last, self._turned = (stamp, yaw), 0.0
+        self._last, given = (stamp, yaw, angle), wrapped(given)
         if abs(wrapped(given - turned)) < TUNING.apart:
             self._wrong, self.fault = [], ""
             return

@@ -85,32 +85,27 @@ class Gathering:
         self._best: Session | None = None
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
-        self.heard = (0, 0)
+        self.heard = [0, 0]
         """How many messages of IMU and field came."""
         self._drive = DriveRecorder(LONGEST_DRIVE)
         self._replay = TravelReplay(())
 
     def take(self, readings: Iterable[Reading], travel: Sequence[TravelSample] = ()) -> None:
         """Take everything, in the order in which it was recorded; travel by stamp."""
-        streams, pairer = self.streams, self._pairer
+        streams = self.streams
         if travel:
             self._replay = TravelReplay(travel)
-        imus = fields = 0
         for reading in self._replay.readings(readings):
-            if isinstance(reading, FieldSample):
-                fields += 1
-                if streams.add_field(reading) and not streams.is_repeated:
-                    pairer.offer(reading)
-                    self._collect()
-                continue
-            imus += 1
+            self.heard[isinstance(reading, FieldSample)] += 1
             if reading is None:
                 streams.imu_drops[Drop.ABSENT] += 1
-            else:
+            elif isinstance(reading, ImuSample):
                 streams.add_imu(reading)
+            elif streams.add_field(reading) and not streams.is_repeated:
+                self._pairer.offer(reading)
+                self._collect()
         self._collect()
         self._choose()
-        self.heard = self.heard[0] + imus, self.heard[1] + fields
 
     def drive(self) -> DriveLog:
         """Return what was driven; nothing without a gyro, or of a field too slow for one."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.rotation import Phase, RotationLimits, RotationPlan, RotationProof
 from magcal_ros.core.session.session import Progress
+from magcal_ros.core.session.turn_events import Brief
 
 
 @dataclass(frozen=True)
@@ -48,24 +48,6 @@ GUARD_GONE = (
 
 
 @dataclass(frozen=True)
-class Order:
-    """How the robot is to turn itself."""
-
-    speed: float  # rad/s
-    longest: float  # seconds that it may take at most
-    to_body: FloatArray  # from raw field to nominal body axes. Shape (3, 3).
-
-
-@dataclass(frozen=True)
-class Topics:
-    """What to call the sensors and the commands in words."""
-
-    imu: str = "the IMU"
-    field: str = "the field"
-    command: str = "cmd_vel"
-
-
-@dataclass(frozen=True)
 class Around:
     """The state of sensors, base and guard at one look."""
 
@@ -92,14 +74,6 @@ class Steering:
 
 
 @dataclass(frozen=True)
-class Waiting:
-    """It waits for both sensors, a subscriber of the commands and the guard."""
-
-    order: Order
-    since: float
-
-
-@dataclass(frozen=True)
 class Moving:
     """The robot turns."""
 
@@ -107,16 +81,30 @@ class Moving:
     proof: RotationProof
     limits: RotationLimits
 
+    @classmethod
+    def of(cls, brief: Brief, now: float) -> Moving:
+        """Begin to turn as a brief says, which has a speed."""
+        assert brief.speed is not None
+        limits = RotationLimits(brief.speed, now, brief.limits.timeout)
+        to_body = brief.knowledge.mounting.to_body
+        return cls(RotationPlan(brief.speed, now), RotationProof(to_body), limits)
+
 
 class SelfTurn:
-    """Turns the robot from the first usable samples of a turn until its end."""
+    """Turns the robot from the first usable samples of a turn until its end.
 
-    def __init__(self, topics: Topics = Topics()) -> None:
-        self._topics = topics
-        self._stage: Waiting | Moving | None = None
+    The texts are names of the sensors and the commands for messages.
+    """
+
+    def __init__(
+        self, imu: str = "the IMU", field: str = "the field", command: str = "cmd_vel"
+    ) -> None:
+        self._imu, self._field, self._command = imu, field, command
+        self._stage: Brief | Moving | None = None
+        """A brief while it waits for both sensors, a subscriber of the commands and the guard."""
         self._zeros = 0
         """So many zeros are still sent to end a turn."""
-        self._looked = self._paired = 0.0
+        self._opened = self._looked = self._paired = 0.0
         self._gyro_heard: float | None = None
 
     @property
@@ -125,20 +113,15 @@ class SelfTurn:
         return self._stage is not None
 
     @property
-    def may_move(self) -> bool:
-        """Whether a rate other than zero may be in force."""
-        return isinstance(self._stage, Moving) or self._zeros > 0
-
-    @property
     def is_quiet(self) -> bool:
         """Whether the turn and its zeros are over."""
         return self._stage is None and not self._zeros
 
-    def open(self, order: Order, now: float) -> None:
+    def open(self, brief: Brief, now: float) -> None:
         """Let the robot turn as soon as it may."""
-        self._stage = Waiting(order, now)
+        self._stage = brief
         self._gyro_heard = None
-        self._looked = self._paired = now
+        self._opened = self._looked = self._paired = now
 
     def hear(self, rate: Triple, now: float) -> None:
         """Note the angular velocity (rad/s, NaN without one) of an IMU message."""
@@ -161,7 +144,7 @@ class SelfTurn:
         if self._zeros:
             self._zeros -= 1
             return Steering(0.0)
-        if isinstance(stage, Waiting):
+        if isinstance(stage, Brief):
             return self._wait(stage, now, around)
         if isinstance(stage, Moving):
             return self._lead(stage, now, since, progress, around)
@@ -177,27 +160,24 @@ class SelfTurn:
 
     def break_off(self, reason: str) -> Steering:
         """Stop the robot and end its turn, with the reason."""
-        moved = self.may_move
+        moved = isinstance(self._stage, Moving) or self._zeros > 0
         rate = self.stop().rate
         return Steering(rate, f"the robot was stopped: {reason}" if moved else reason)
 
-    def _wait(self, stage: Waiting, now: float, around: Around) -> Steering:
+    def _wait(self, brief: Brief, now: float, around: Around) -> Steering:
+        waited = now - self._opened
         if not around.is_allowed:
             return self.break_off("rotate.enabled was switched off")
         if max(around.imu_age, around.field_age) >= TUNING.silence:
             return Steering()
         if not around.listeners:
-            if now - stage.since > TUNING.listeners_within:
-                topic = self._topics.command
+            if waited > TUNING.listeners_within:
                 remedy = "remap cmd_vel to the base's topic"
-                return self.break_off(f"nothing subscribes to {topic}: {remedy}")
+                return self.break_off(f"nothing subscribes to {self._command}: {remedy}")
         elif around.is_guarded:
-            if now - stage.since >= TUNING.stands_first:
-                speed, longest = stage.order.speed, stage.order.longest
-                proof = RotationProof(stage.order.to_body)
-                limits = RotationLimits(speed, now, longest)
-                self._stage, self._paired = Moving(RotationPlan(speed, now), proof, limits), now
-        elif now - stage.since > TUNING.guarded_within:
+            if waited >= TUNING.stands_first:
+                self._stage, self._paired = Moving.of(brief, now), now
+        elif waited > TUNING.guarded_within:
             return self.break_off(UNGUARDED)
         return Steering()
 
@@ -235,22 +215,21 @@ class SelfTurn:
         return self._silence(stage, now, around) or stage.proof.objection(now)
 
     def _silence(self, stage: Moving, now: float, around: Around) -> str:
-        topics = self._topics
         is_pausing = stage.plan.phase is Phase.PAUSE
         is_unpaired = now - self._paired > TUNING.silence and not is_pausing
         by_gyro = self._gyro_heard is not None
         # Pairs end with the older of the two samples, a little before the sensor's silence.
         longest = TUNING.silence / 2.0 if is_unpaired else TUNING.silence
         for topic, age, limit in (
-            (topics.imu, around.imu_age, TUNING.gyro_silence if by_gyro else longest),
-            (topics.field, around.field_age, longest),
+            (self._imu, around.imu_age, TUNING.gyro_silence if by_gyro else longest),
+            (self._field, around.field_age, longest),
         ):
             if age > limit:
                 return f"{topic} has been silent for {age:.1f} s"
         if self._gyro_heard is not None and now - self._gyro_heard > TUNING.gyro_silence:
             return (
                 f"the gyro sends no data: for {now - self._gyro_heard:.1f} s "
-                f"{topics.imu} has had no angular velocity"
+                f"{self._imu} has had no angular velocity"
             )
         if is_unpaired:
             return "no new field sample with an acceleration has come while the robot turned"

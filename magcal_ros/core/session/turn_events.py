@@ -11,13 +11,15 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.self_turn import Order
 from magcal_ros.core.session.session import Limits, Session
 
 
 @dataclass(frozen=True)
 class Conclusion:
-    """How a turn ended, or what a request led to."""
+    """How a turn ended, or what a request led to.
+
+    As a command: answer everyone who waits for the turn, and release what computes for it.
+    """
 
     success: bool
     message: str
@@ -32,37 +34,22 @@ class Brief:
     method: str
     """One of `magcal_ros.core.calibrate.METHODS`."""
     accumulate: bool
-    order: Order | None = None
-    """How the robot turns itself; None if a person turns it."""
+    speed: float | None = None  # rad/s of a robot that turns itself; None if a person turns it
     gyro: GyroAtRest | None = None  # what a rest before the turn has shown of the gyro
-
-
-@dataclass(frozen=True)
-class Conclude:
-    """Answer everyone who waits for the turn, and release what computes for it."""
-
-    conclusion: Conclusion
-
-
-@dataclass(frozen=True)
-class Prepare:
-    """A fit will be asked for soon."""
 
 
 @dataclass(frozen=True, eq=False)
 class Preview:
     """Predict how certain a fit would be; answered by `note_preview`."""
 
-    turn: int
     window: Window
     brief: Brief
 
 
 @dataclass(frozen=True, eq=False)
 class FitTurn:
-    """Fit a turn; answered by `note_fit` or `note_failed_fit`."""
+    """Fit a turn on top of those kept; answered by `note_fit` or `note_failed_fit`."""
 
-    turn: int
     kept: Kept
     window: Window
     brief: Brief
@@ -98,17 +85,17 @@ class Collecting:
     brief: Brief
     session: Session
     state: ClassVar = TurnState.COLLECTING
-    previewed_since: float | None = None
+    asked: Preview | None = None
+    asked_at: float = 0.0
     next_preview: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Fitting:
-    """A window is being fitted, on top of the turns that were kept when it began."""
+    """A window is being fitted."""
 
     why_ended: str
-    window: Window
-    kept: Kept
+    asked: FitTurn
     state: ClassVar = TurnState.FITTING
 
 
@@ -122,5 +109,5 @@ class Saving:
 
 
 TurnStage: TypeAlias = Collecting | Fitting | Saving
-Command: TypeAlias = Conclude | Prepare | Preview | FitTurn | PutInForce | MoveBase
+Command: TypeAlias = Conclusion | Preview | FitTurn | PutInForce | MoveBase
 """Something that the owner of the state machine has to do."""

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 from magcal_ros.core.calibrate import JOINS, Outcome
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
@@ -45,7 +44,6 @@ class TurnMachine:
         self.last_outcome: Outcome | None = None
         self.last_conclusion: ev.Conclusion | None = None
         self._stage: ev.TurnStage | None = None
-        self._number = 0
         self._kept = Kept()
         self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NO_SENSORS
         self._commands: list[ev.Command] = []
@@ -70,16 +68,9 @@ class TurnMachine:
         commands, self._commands = self._commands, []
         return commands
 
-    def _do(self, command: ev.Command) -> None:
-        self._commands.append(command)
-
     def forget(self) -> None:
         """Discard the turns kept so far."""
         self._kept = Kept()
-
-    def hear(self, rate: Triple, now: float) -> None:
-        """Take the angular velocity of an IMU message, rad/s; NaN without one."""
-        self.robot.hear(rate, now)
 
     def open(self, brief: ev.Brief, now: float) -> ev.Conclusion:
         """Begin a turn, at `now`, seconds on a steady clock; returns whether it has begun."""
@@ -88,30 +79,26 @@ class TurnMachine:
             return ev.Conclusion(False, refusal)
         if not brief.accumulate:
             self.forget()
-        self._number += 1
         self.last_window = None
         session = Session(brief.limits, brief.knowledge.mounting, now, brief.gyro)
         self._stage = ev.Collecting(brief, session)
         self.progress = session.progress(now)
-        self._do(ev.Prepare())
-        if brief.order is None:
-            words = "turn the robot once, a full circle, 0.5 rad/s or less"
-        else:
+        words = "turn the robot once, a full circle, 0.5 rad/s or less"
+        if brief.speed is not None:
             self._steer(self.robot.stop())
-            self.robot.open(brief.order, now)
+            self.robot.open(brief, now)
             words = "the robot turns itself, once each way; keep clear"
         return ev.Conclusion(True, f"collecting: {words}")
 
     def _why_not(self, brief: ev.Brief) -> str:
         """Say why a turn cannot be opened; empty if it can."""
-        if brief.order is not None:
-            speed, longest = brief.order.speed, brief.order.longest
-            needed = planned_duration(speed)
-            if needed > longest:
-                return (
-                    f"a turn each way at rotate.speed_rad_s {speed:g} takes {needed:.0f} s,"
-                    f" longer than window.timeout_s ({longest:g} s): raise one of them"
-                )
+        longest = brief.limits.timeout
+        if brief.speed is not None and planned_duration(brief.speed) > longest:
+            return (
+                f"a turn each way at rotate.speed_rad_s {brief.speed:g} takes"
+                f" {planned_duration(brief.speed):.0f} s,"
+                f" longer than window.timeout_s ({longest:g} s): raise one of them"
+            )
         if self._stage is not None:
             return f"already {self.state.value}: wait for it to end, or call ~/cancel first"
         if brief.accumulate and brief.method != JOINS:
@@ -151,33 +138,31 @@ class TurnMachine:
         """Ask at intervals how certain a fit would be already, and once the circle is complete."""
         waits = progress.coverage.is_complete and not stage.session.was_seen_whole
         if (
-            stage.previewed_since is None
+            stage.asked is None
             and progress.coverage.arc > TUNING.preview_arc
             and (now > stage.next_preview or waits)
         ):
             window = self.last_window = stage.session.look()
-            self._stage = replace(stage, previewed_since=now)
-            self._do(ev.Preview(self._number, window, stage.brief))
+            asked = ev.Preview(window, stage.brief)
+            self._stage = replace(stage, asked=asked, asked_at=now)
+            self._commands.append(asked)
 
-    def note_preview(self, turn: int, sigma: float, now: float) -> None:
+    def note_preview(self, asked: ev.Preview, sigma: float, now: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
         stage = self._stage
-        if turn != self._number or not isinstance(stage, ev.Collecting):
-            return
-        if stage.previewed_since is not None:
+        if isinstance(stage, ev.Collecting) and stage.asked is asked:
             stage.session.note_sigma(sigma)
-            pause = (now - stage.previewed_since) * (1.0 / TUNING.preview_share - 1.0)
-            self._stage = replace(stage, previewed_since=None, next_preview=now + pause)
+            pause = (now - stage.asked_at) * (1.0 / TUNING.preview_share - 1.0)
+            self._stage = replace(stage, asked=None, next_preview=now + pause)
 
     def look(self, around: Around, now: float) -> None:
         """Look at a robot that turns itself."""
         assert self.progress is not None
-        steering = self.robot.look(now, self.progress, around)
+        self._follow(self.robot.look(now, self.progress, around), now)
+
+    def _follow(self, steering: Steering, now: float) -> None:
         # Stopping comes first; what it leads to may take a moment.
         self._steer(steering)
-        self._end_with(steering, now)
-
-    def _end_with(self, steering: Steering, now: float) -> None:
         if not isinstance(self._stage, ev.Collecting):
             return
         if steering.broken_off:
@@ -188,13 +173,11 @@ class TurnMachine:
     def stop_robot(self, reason: str, now: float) -> None:
         """Stop a robot that turns itself: what has failed may be what supervises it."""
         if self.robot.is_under_way:
-            steering = self.robot.break_off(reason)
-            self._steer(steering)
-            self._end_with(steering, now)
+            self._follow(self.robot.break_off(reason), now)
 
     def _steer(self, steering: Steering) -> None:
         if steering.rate is not None:
-            self._do(ev.MoveBase(steering.rate))
+            self._commands.append(ev.MoveBase(steering.rate))
 
     def _leave_collecting(self) -> None:
         self._steer(self.robot.stop())
@@ -222,23 +205,24 @@ class TurnMachine:
         if self._sensors != self._sensors_of_kept:
             self._sensors_of_kept = self._sensors
             self.forget()
-        self._stage = ev.Fitting(why, window, self._kept)
-        self._do(ev.FitTurn(self._number, self._kept, window, stage.brief))
+        asked = ev.FitTurn(self._kept, window, stage.brief)
+        self._stage = ev.Fitting(why, asked)
+        self._commands.append(asked)
 
-    def note_fit(self, turn: int, outcome: Outcome, kept: Kept) -> None:
+    def note_fit(self, asked: ev.FitTurn, outcome: Outcome, kept: Kept) -> None:
         """Take the fit of a turn, and what is kept for the next one to join."""
         stage = self._stage
-        if turn != self._number or not isinstance(stage, ev.Fitting):
+        if not isinstance(stage, ev.Fitting) or stage.asked is not asked:
             return
         # Turns that were forgotten while this one was fitted do not come back with it.
-        if self._kept is stage.kept:
+        if self._kept is asked.kept:
             self._kept = kept
         self.last_window = outcome.window or self.last_window
         self._judge(outcome, stage.why_ended)
 
-    def note_failed_fit(self, turn: int, words: str) -> None:
+    def note_failed_fit(self, asked: ev.FitTurn, words: str) -> None:
         """Take note that a fit ended with an error of the program."""
-        if turn == self._number and isinstance(self._stage, ev.Fitting):
+        if isinstance(self._stage, ev.Fitting) and self._stage.asked is asked:
             self._conclude(False, f"the fit failed unexpectedly: {words}")
 
     def _judge(self, outcome: Outcome, why: str) -> None:
@@ -255,7 +239,7 @@ class TurnMachine:
             self._conclude(False, f"{words} {unchanged}.{ending}")
         elif outcome.verdict.accepted:
             self._stage = ev.Saving(words, ending)
-            self._do(ev.PutInForce(outcome.calibration))
+            self._commands.append(ev.PutInForce(outcome.calibration))
         else:
             remedy = "~/accept applies this one anyway"
             self._conclude(False, f"{words} {unchanged}; {remedy}.{ending}")
@@ -298,7 +282,7 @@ class TurnMachine:
     def _conclude(self, success: bool, message: str) -> None:
         self._stage = None
         self.last_conclusion = ev.Conclusion(success, message)
-        self._do(ev.Conclude(self.last_conclusion))
+        self._commands.append(self.last_conclusion)
 
 
 def _changes(before: tuple[str, str], after: tuple[str, str]) -> list[str]:

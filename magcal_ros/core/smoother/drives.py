@@ -22,7 +22,7 @@ from magcal_ros.core.smoother.kinds_of_motion import (
     MIRRORED,
     NO_SOLUTION,
     WHILE_DRIVING,
-    is_upright,
+    is_possible,
     nodes_of_log,
 )
 from magcal_ros.core.smoother.nodes import Nodes
@@ -120,7 +120,7 @@ def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
         found = fit(nodes, about, state, KINDS[ON_WHEELS], TOLERANCES)
     except np.linalg.LinAlgError as fault:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION) from fault
-    if not is_upright(found):
+    if not is_possible(found):
         raise Refusal(Reason.AXES_DISAGREE, MIRRORED)
     return DriveFit(found, posterior(found, knowledge.mounting.matrix))
 

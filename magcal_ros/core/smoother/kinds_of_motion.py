@@ -59,6 +59,8 @@ LATE_BY = 0.1
 """Initial delay of the field, seconds, of the iterations of `LATE`."""
 MOTORS, BEYOND_USUAL = ("motors_moving", "motors_rate"), 2.0
 """The field of the motors, and the factor of their usual size from which a late field is tried."""
+LARGEST_GAIN = 3.0
+"""By which soft iron may strengthen the field along an axis: its prior ends there."""
 NEARLY = 0.95
 """Share of the largest gyro noise, beyond which the gyro does not agree with the other sensors."""
 
@@ -113,7 +115,7 @@ class _Trials:
         self._samples, self._knowledge = window, knowledge
         self._progress, self._started = progress, 0
         self.fits: dict[str, Fit] = {}
-        self._mirrors = False
+        self._impossible = False
 
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
@@ -166,8 +168,8 @@ class _Trials:
             found = fit(*start, tolerances, like, report)
         except np.linalg.LinAlgError:
             return
-        if not is_upright(found):
-            self._mirrors = True
+        if not is_possible(found):
+            self._impossible = True
             return
         known = self.fits.get(name)
         # A fit that goes on from the known one takes its place: that one had not converged.
@@ -235,7 +237,7 @@ class _Trials:
 
     def mixed(self) -> Smoothed:
         """Return the weighted result of the fits."""
-        if not self.fits and self._mirrors:
+        if not self.fits and self._impossible:
             raise Refusal(Reason.AXES_DISAGREE, MIRRORED)
         if not self.fits:
             raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
@@ -332,9 +334,10 @@ def mixed(
     return Smoothed(nodes, best, fits, weights, mean, math.sqrt(square))
 
 
-def is_upright(fit: Fit) -> bool:
-    """Return whether the soft iron of a fit neither mirrors nor reverses the level field."""
-    return bool(np.linalg.eigvalsh(soft_iron(fit.state.shared)).min() > 0.0)
+def is_possible(fit: Fit) -> bool:
+    """Return whether the soft iron of a fit neither mirrors the field nor strengthens it too far."""
+    least, _, most = np.linalg.eigvalsh(soft_iron(fit.state.shared))
+    return bool(least > 0.0 and most < LARGEST_GAIN)
 
 
 def mixture(found: dict[str, Posterior], weights: dict[str, float], mode: str) -> Posterior:

@@ -65,6 +65,7 @@ class Model:
         """Return the model of a window for one kind of motion."""
         scale = priors.scale.copy()
         scale[AT["lever_arm"]] *= kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0]
+        scale[AT["gradient"]] *= kind.gradient
         if not kind.has_wheels:
             scale[AT["mounting_yaw"]] = 0.0
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))

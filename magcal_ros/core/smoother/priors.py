@@ -155,7 +155,6 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         "height",
         "axis",
         "upright",
-        "gradient",
         "turned",
         "place",
         "added",
@@ -178,6 +177,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
             "force_offset",
             "axes",
             "shielding",
+            "gradient",
         ):
             scale[AT[name]] = 0.0
         scale[AT["soft_iron"]], spread["soft_iron"], most["soft_iron"] = EXACT_IRON

@@ -232,17 +232,10 @@ def _with_one_prior(models: Sequence[Model], yaw_sigma: float) -> list[Model]:
         its_scale, its_mean = scale.copy(), first.mean.copy()
         its_scale[own], its_mean[own] = model.priors.scale[own], model.priors.mean[own]
         if model.priors.sizes["street"].usual > NOTHING:
-            _as_one_place(its_scale, model)
+            its_scale[AT["place"]] = UNKNOWNS["place"].sigma
         priors = replace(model.priors, scale=its_scale, mean=its_mean, earth=first.earth)
         out.append(replace(model, priors=priors))
     return out
-
-
-def _as_one_place(scale: FloatArray, model: Model) -> None:
-    """Return priors in which the sigmas of a place's effects are shared by the turns."""
-    scale[AT["place"]] = UNKNOWNS["place"].sigma
-    if not model.travels:
-        scale[AT["gradient"]] = UNKNOWNS["gradient"].sigma
 
 
 def _from_one_start(models: Sequence[Model], alone: Sequence[Fit]) -> list[Point]:

@@ -42,7 +42,7 @@ CLOSE = 1e-2
 """Sigmas of an unknown below which a step ends the iterations."""
 BY_MOTION = (
     *("gyro_bias", "gyro_matrix", "lever_arm", "latency"),
-    *("motors_moving", "motors_rate", "drift", "force_moving"),
+    *("motors_moving", "motors_rate", "drift", "force_moving", "gradient"),
 )
 """Unknowns that standing does not ask for."""
 

@@ -14,7 +14,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
-from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_upright, mixed
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_possible, mixed
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.posterior import posterior
 from magcal_ros.core.smoother.priors import Priors, priors_of
@@ -95,7 +95,7 @@ def _elsewhere(first: Fit) -> dict[str, Fit]:
 def _upright(priors: Priors, like: Fit) -> Fit | None:
     """Return the fit of a turn from another optimum; None if it fails or mirrors the axes."""
     found = _fitted(like.model.nodes, priors, like.state, AGAIN, like)
-    return found if found is not None and is_upright(found) else None
+    return found if found is not None and is_possible(found) else None
 
 
 def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:

@@ -250,6 +250,8 @@ class KindOfMotion(NamedTuple):
     differs between its rest and its way is the place."""
     soft_iron: float = 1.0
     """Factor of the usual soft iron: a vehicle's body is of steel."""
+    gradient: float = 1.0
+    """Factor of the usual gradient of the field: a drive has local disturbances on its way."""
     traffic: float = 0.0
     """m/s at which what disturbs the field passes a robot that stands: other vehicles do."""
 
@@ -270,8 +272,8 @@ DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08, 0.01),
     SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15, 0.01),
-    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0, 1.0),
-    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0, 1.0),
+    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0, 0.0, 1.0),
+    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0, 0.0, 1.0),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 LATE = f"{ON_THE_SPOT}, field late"

@@ -7,7 +7,7 @@ import pytest
 from recorded_truth import in_force, read_drive
 
 from magcal_ros.core.keeping.jobs import Verb
-from magcal_ros.core.keeping.story import DriveReplay
+from magcal_ros.core.keeping.story import replayed
 from magcal_ros.core.samples.streams import FieldSample
 
 CAME, TOLD_WITHIN = 120.0, 60.0
@@ -29,8 +29,9 @@ def test_iron_on_a_city_drive_is_told_within_a_minute(recording, size, way, last
     begun, _ = next(in_force(drive))
     iron = size * np.array([math.cos(way), math.sin(way), 0.0])
     first = drive.everything.time[0]
-    replay = DriveReplay(drive.knowledge, begun)
-    replay.take(
+    story = replayed(
+        drive.knowledge,
+        begun,
         (
             each._replace(field=tuple(np.add(each.field, iron).tolist()))
             if isinstance(each, FieldSample) and CAME < each.stamp - first < CAME + lasts
@@ -40,6 +41,6 @@ def test_iron_on_a_city_drive_is_told_within_a_minute(recording, size, way, last
         ),
         (),
     )
-    told = [at for at, made in replay.story().decisions if made.verb is Verb.NOTICED]
+    told = [at for at, made in story.decisions if made.verb is Verb.NOTICED]
     assert bool(told) == bool(size)
     assert all(at > CAME for at in told)

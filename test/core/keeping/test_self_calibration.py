@@ -25,6 +25,7 @@ from magcal_ros.core.keeping.jobs import (
 from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation import Robot
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
@@ -126,8 +127,8 @@ def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
     )
     assert keeper.note(findings(120.0, since=first)) == [Verb.NOTICED]
     assert keeper.note(findings(140.0, since=last)) == []
-    contest = keeper.machine.job(BOSTON).contests[0]
-    assert [step.since for step in contest.new] == [120.0, 140.0]
+    (steps,) = keeper.machine.job(BOSTON).contests.values()
+    assert [step.since for step in steps] == [120.0, 140.0]
     keeper.machine.fail()
     assert keeper.note(findings(160.0, iron=PROVED)) == [Verb.APPLIED]
     assert keeper.machine.decisions[-1].calibration.correction is last.calibration.correction
@@ -151,8 +152,7 @@ def test_iron_that_goes_again_brings_back_what_was_in_force_before_it_came():
     keeper.note(findings(460.0, **{TRIAL: Proof(310.0)}))
     went = candidate((0.5e-6, 0.0, 0.0), 900.0, Kind.IRON)
     assert keeper.note(findings(900.0, since=went)) == [Verb.NOTICED]
-    trial = next(each for each in keeper.machine.job(BOSTON).contests if each.name == TRIAL)
-    assert trial.new[0].since == went.start
+    assert keeper.machine.job(BOSTON).contests[TRIAL][0].since == went.start
     keeper.machine.fail()
     assert keeper.note(findings(910.0, **{TRIAL: PROVED})) == [Verb.ROLLED_BACK]
     assert keeper.machine.decisions[-1].calibration.correction is old.correction
@@ -269,7 +269,9 @@ def test_after_each_lost_job_the_next_is_asked_for_later():
         # A robot that drives in a circle, so that all of it counts as movement.
         yaw = 0.3 * 0.05 * k
         field = (20e-6 * math.cos(yaw), -20e-6 * math.sin(yaw), -40e-6)
-        if machine.add(100.0 + 0.05 * k, field, (0.0, 0.0, 9.81), (0.0, 0.0, 0.3), 1.0):
+        stamp = 100.0 + 0.05 * k
+        imu = ImuSample(stamp, (0.0, 0.0, 9.81), (0.0, 0.0, 0.3))
+        if machine.add(FieldSample(stamp, field), imu, 1.0):
             due.append(0.05 * k)
             machine.job(BOSTON)
             machine.fail()
@@ -314,7 +316,8 @@ def follow(drive, machine, told=lambda stamp: stamp):
     made = []
     rows = (drive.time, drive.field, drive.force, drive.rate)
     for stamp, field, force, rate in zip(*(row[::2].tolist() for row in rows), strict=True):
-        if machine.add(told(stamp), field, force, rate):
+        imu = ImuSample(told(stamp), force, rate)
+        if machine.add(FieldSample(told(stamp), field), imu):
             for decision in machine.note(answer(machine.job(BOSTON))):
                 made.append((stamp - drive.time[0], decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
@@ -364,7 +367,7 @@ def test_stamps_that_jump_cost_self_calibration_no_more_than_a_minute(jump):
         for each in (made, undisturbed)
     )
     assert first < usual + 75.0
-    assert machines[1].seconds == pytest.approx(machines[0].seconds, abs=15.0)
+    assert machines[1].recorder.seconds == pytest.approx(machines[0].recorder.seconds, abs=15.0)
 
 
 def test_a_magnet_that_stays_less_than_a_minute_is_told():
@@ -396,10 +399,10 @@ def test_a_robot_that_stands_beside_a_car_asks_for_nothing():
     machine = SelfCalibration(Mode.APPLY)
     assert follow(drive, machine) == []
     assert machine.in_words == "waiting for movement"
-    assert machine.seconds < 10.0
+    assert machine.recorder.seconds < 10.0
 
 
 def test_nothing_is_remembered_where_it_is_off():
     machine = SelfCalibration(Mode.OFF)
     assert follow(driven(3, city(np.random.default_rng(3), 60.0)), machine) == []
-    assert machine.seconds == 0.0
+    assert machine.recorder.seconds == 0.0

@@ -10,7 +10,7 @@ from simulated.drive import Fence, Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
 
-from magcal_ros.core.keeping.jobs import Contest, Kind, Step
+from magcal_ros.core.keeping.jobs import Kind, Step
 from magcal_ros.core.keeping.worker import prove
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
@@ -36,7 +36,7 @@ def driven(**options):
 
 
 def proved(road, *steps, old=OLD):
-    return prove(road, Contest("it", old, steps), BOSTON)
+    return prove(road, old, steps, BOSTON)
 
 
 @pytest.fixture(scope="module")

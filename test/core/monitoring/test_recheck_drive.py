@@ -10,7 +10,8 @@ from simulated.turns import measure, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.monitoring.recheck import check, iron_added
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.monitoring.recheck import check
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.window import Window
 
@@ -23,6 +24,12 @@ def driven():
     made = calibrate(measure(vehicle.robot, turn(), rng, gyro=True), vehicle.robot.knowledge())
     window = Window(drive.time, drive.field, drive.force, drive.rate)
     return window, made.calibration
+
+
+def iron_added(drive, calibration):
+    """What a check finds of it; None where a drive does not show it."""
+    checks = check(drive.window, calibration, drive=drive).verdict.checks
+    return next((each for each in checks if each.figure is Figure.HARD_IRON_CHANGE), None)
 
 
 def with_iron(window, *microtesla):

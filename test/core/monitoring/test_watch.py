@@ -9,7 +9,7 @@ from long_form import first_of
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch, WatchTuning
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -148,10 +148,10 @@ def test_a_jump_of_time_makes_no_warning_older(hours):
 @pytest.mark.nightly
 def test_gaps_and_repeats_do_no_harm():
     class Holed(Watch):
-        def add(self, stamp, *rest):
-            if stamp % 20.0 > 3.0:
-                super().add(stamp, *rest)
-                super().add(stamp, *rest)
+        def take(self, moment):
+            if moment.stamp % 20.0 > 3.0:
+                super().take(moment)
+                super().take(moment)
 
     watch = Holed(PROMISE)
     said = drive(watch, PROMISE, [ROBOT], [14])
@@ -169,11 +169,9 @@ def ride_along(recording, calibration, shift, repeats):
         for (t, *inertial), (_, *raw) in zip(imu, mag, strict=True):
             sample = ImuSample(t + lap * length, tuple(inertial[:3]), tuple(inertial[3:]))
             carried.add(sample)
-            field = compass.correct(tuple(FieldSample(t, raw).field + extra))
-            up = carried.at(sample.stamp, 0.0).direction
-            heading = compass.heading(field, up)
-            if heading is not None:
-                watch.add(sample.stamp, field, up, heading.yaw, sample.rate)
+            added = FieldSample(sample.stamp, tuple(raw + extra))
+            up = carried.at(sample.stamp, 0.0)
+            watch.take(Moment.of(compass, added, up, sample.rate))
     return watch
 
 

@@ -12,11 +12,11 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples.streams import ImuSample, Pairer, Streams
-from magcal_ros.core.session.self_turn import Around, Order, SelfTurn, Topics
+from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.session import Limits
 from magcal_ros.core.session.turn_events import (
     Brief,
-    Conclude,
+    Conclusion,
     FitTurn,
     MoveBase,
     Preview,
@@ -43,9 +43,7 @@ class Scene:
     def __init__(self, speed=None, gain=1.0, gyro=True, outcome=GOOD, sigma=0.001, **limits):
         self.now = 500.0
         self.gain, self.outcome, self.sigma = gain, outcome, sigma
-        self.turn = TurnMachine(
-            SelfTurn(Topics("/imu", "/mag", "/cmd_vel")), lambda *_: "Report: here."
-        )
+        self.turn = TurnMachine(SelfTurn("/imu", "/mag", "/cmd_vel"), lambda *_: "Report: here.")
         self.ride = Ride(
             ROBOT,
             np.random.default_rng(3),
@@ -65,8 +63,7 @@ class Scene:
         self._steps = count()
         self._heard = {ImuSample: -math.inf, "field": -math.inf}
         limits = Limits(**{"timeout": 90.0, **limits})
-        order = None if speed is None else Order(speed, limits.timeout, np.eye(3))
-        self.brief = Brief(limits, Knowledge(), "maximum_likelihood", False, order)
+        self.brief = Brief(limits, Knowledge(), "maximum_likelihood", False, speed)
 
     @property
     def conclusion(self):
@@ -80,8 +77,8 @@ class Scene:
         answer = getattr(self.turn, happened)(*facts)
         for command in self.turn.commands():
             self.asked.append(command)
-            if isinstance(command, Conclude):
-                self.concluded.append(command.conclusion)
+            if isinstance(command, Conclusion):
+                self.concluded.append(command)
             elif isinstance(command, MoveBase):
                 self.command = command.rate
                 self.said.append((self.now, command.rate))
@@ -92,14 +89,14 @@ class Scene:
                 self.later(self.fit_takes, *self.fitted(command))
             elif isinstance(command, Preview):
                 when = self.now + self.preview_takes
-                self.later(self.preview_takes, "note_preview", command.turn, self.sigma, when)
+                self.later(self.preview_takes, "note_preview", command, self.sigma, when)
         return answer
 
     def fitted(self, command):
         if isinstance(self.outcome, Exception):
-            return "note_failed_fit", command.turn, repr(self.outcome)
+            return "note_failed_fit", command, repr(self.outcome)
         outcome = replace(self.outcome, window=command.window)
-        return "note_fit", command.turn, outcome, Kept(count=command.kept.count + 1)
+        return "note_fit", command, outcome, Kept(count=command.kept.count + 1)
 
     def later(self, seconds, *event):
         self._later.append((self.now + seconds, event))
@@ -157,7 +154,7 @@ class Scene:
         if isinstance(sample, ImuSample):
             self._heard[ImuSample] = self.now
             if self.streams.add_imu(sample):
-                self.tell("hear", sample.rate, self.now)
+                self.turn.robot.hear(sample.rate, self.now)
         else:
             self._heard["field"] = self.now
             if self.streams.add_field(sample):

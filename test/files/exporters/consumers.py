@@ -43,7 +43,6 @@ def madgwick(text):
 def fusioncore(text):
     given = ros_parameters(text)
     soft, hard = matrix_of(given["magnetometer.soft_iron"]), given["magnetometer.hard_iron"]
-    assert given["magnetometer.enabled"] is True
     return lambda mag: (mag - np.array(hard)) @ soft.T
 
 

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import consumers
 import numpy as np
@@ -174,6 +175,14 @@ def test_ctu_vras_gets_every_name_it_reads():
 def test_fusioncore_learns_the_strength_of_the_corrected_field():
     given = consumers.ros_parameters(EXPORTERS["fusioncore"](calibration()))
     assert given["magnetometer.field_strength"] == 50e-6
+
+
+def test_fusioncore_is_connected_as_the_page_on_wiring_says():
+    page = (Path(__file__).parents[3] / "doc" / "wiring.md").read_text()
+    blocks = [yaml.safe_load(block) for block in re.findall(r"(?ms)```yaml\n(.*?)```", page)]
+    (advised,) = [each["fusioncore"]["ros__parameters"] for each in blocks if "fusioncore" in each]
+    given = consumers.ros_parameters(EXPORTERS["fusioncore"](calibration()))
+    assert advised.items() <= given.items()
 
 
 def test_a_compiler_reads_the_same_twelve_numbers(tmp_path):

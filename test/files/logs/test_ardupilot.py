@@ -71,7 +71,7 @@ def test_logs_of_old_releases_number_their_sensors_by_the_messages_name(tmp_path
     source, readings = read(path, imu="IMU[1]")
     assert (source.imu_topic, source.field_topic) == ("IMU[1]", "MAG[1]")
     assert np.diff([s.stamp for s in readings if isinstance(s, FieldSample)]) == pytest.approx(0.1)
-    assert numbers(readings)[1][0] == pytest.approx([0.0, -18e-6, -27e-6])
+    assert numbers(readings)[1][0] == pytest.approx([0.0, -18e-6, -27e-6], abs=1e-7)
 
 
 def test_telemetry_is_read_and_says_where_offsets_are_not_known(tmp_path):
@@ -81,9 +81,10 @@ def test_telemetry_is_read_and_says_where_offsets_are_not_known(tmp_path):
     assert field == pytest.approx(FIELD, abs=1.2e-7)
     assert np.linalg.norm(imu[:, :3], axis=1) == pytest.approx(9.81, abs=0.3)
     assert not source.notes
-    bare = write_tlog(tmp_path / "b.tlog", SAMPLES, with_parameters=False)
-    source, _ = read(bare)
+    bare = write_tlog(tmp_path / "b.tlog", SAMPLES, with_parameters=False, raw=False)
+    source, readings = read(bare)
     assert "COMPASS_OFS" in source.notes[0]
+    assert numbers(readings)[1] == pytest.approx(FIELD, abs=1.2e-7)
 
 
 def test_a_calibration_by_the_autopilot_on_the_way_is_taken_off_from_then_on(tmp_path):
@@ -120,6 +121,80 @@ def test_the_first_living_compass_is_taken_and_another_can_be_chosen(tmp_path):
         read(path, field="MAG[0]")
     with pytest.raises(FileTrouble, match=r"no MAG\[7\]; it has: MAG\[0\], MAG\[1\]"):
         read(path, field="MAG[7]")
+
+
+def both(sample):
+    return {0: tuple(0.5 * np.array(sample.field)), 1: sample.field}
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"lane": (0, 1), "parameters": {"EK3_IMU_MASK": 2}}, "which the autopilot used"),
+        ({"lane": (1, 1)}, "which the autopilot used"),
+        (
+            {"parameters": {"EK3_PRIMARY": 1, "COMPASS_PRIMARY": 1, "COMPASS_USE": 1}},
+            "which the autopilot used",
+        ),
+        ({"parameters": {"COMPASS_USE": 0, "COMPASS_USE2": 1, "INS_USE": 0}}, "the first by"),
+    ],
+    ids=["mask", "lane", "primary", "switches"],
+)
+def test_the_sensors_that_the_autopilot_used_are_taken(tmp_path, options, reason):
+    path = write_bin(tmp_path / "a.bin", SAMPLES, compasses=both, imus=(0, 1), **options)
+    source, readings = read(path)
+    assert (source.imu_topic, source.field_topic) == ("IMU[1]", "MAG[1]")
+    assert all(f"[1] is taken, {reason}" in words for words in source.notes)
+    imu, field = numbers(readings)
+    assert field == pytest.approx(FIELD, abs=1.2e-7)
+    assert imu == pytest.approx(IMU, abs=1e-5)
+    source, readings = read(path, field="MAG[0]", imu="IMU[0]")
+    assert not source.notes
+    assert numbers(readings)[1] == pytest.approx(0.5 * FIELD, abs=1.2e-7)
+
+
+@pytest.mark.parametrize("scale", [1.2, 0.0, 1.6])
+def test_the_scale_is_taken_off_where_the_autopilot_applies_it(tmp_path, scale):
+    applied = scale if 1.0 / 1.5 < scale < 1.5 else 1.0
+    path = write_bin(
+        tmp_path / "a.bin",
+        SAMPLES,
+        offsets=(120.7, -45.3, 300.2),
+        matrix=SOFT_IRON,
+        scale=applied,
+        parameters={"COMPASS_SCALE": scale, "COMPASS_ORIENT": 6, "AHRS_ORIENTATION": 4},
+    )
+    # A cut number is off by half a milligauss at most, divided by matrix and scale.
+    assert numbers(read(path)[1])[1] == pytest.approx(FIELD, abs=0.7e-7)
+
+
+def test_the_compensation_of_the_motors_stays_in_the_field_and_is_said(tmp_path):
+    options = {"offsets": (120, -45, 300), "matrix": SOFT_IRON, "scale": 1.1}
+    path = write_bin(
+        tmp_path / "a.bin", SAMPLES, **options, motors=lambda t: (60.0 * np.sin(t), -20.0, 10.0)
+    )
+    source, readings = read(path)
+    stamps = [s.stamp for s in SAMPLES if isinstance(s, FieldSample)]
+    parts = np.array([(60.0 * np.sin(t), -20.0, 10.0) for t in stamps])
+    stays = np.linalg.solve(1.1 * SOFT_IRON, parts.T).T * [1e-7, -1e-7, -1e-7]
+    assert numbers(readings)[1] == pytest.approx(FIELD + stays, abs=1.1e-7)
+    assert "compensation of the motors in it (COMPASS_MOT, up to 6." in source.notes[0]
+
+
+def test_a_field_of_another_orientation_is_left_out(tmp_path):
+    half, first = len(SAMPLES) // 2, SAMPLES[0].stamp
+    turned = [
+        s._replace(field=(-s.field[1], s.field[0], s.field[2])) if isinstance(s, FieldSample) else s
+        for s in SAMPLES[:half]
+    ]
+    one = write_text_log(tmp_path / "a.log", turned, parameters={"COMPASS_ORIENT": 2})
+    options = {"parameters": {"COMPASS_ORIENT": 0}, "first": first}
+    two = write_text_log(tmp_path / "b.log", SAMPLES[half:], **options)
+    one.write_text(one.read_text() + two.read_text())
+    source, readings = read(one)
+    expected = [s.field for s in SAMPLES[half:] if isinstance(s, FieldSample)]
+    assert numbers(readings)[1] == pytest.approx(np.array(expected), abs=1.2e-7)
+    assert "COMPASS_ORIENT was changed on the way" in source.notes[0]
 
 
 def test_a_log_without_a_living_magnetometer_says_so(tmp_path):

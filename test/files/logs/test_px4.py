@@ -5,11 +5,12 @@ import itertools
 import numpy as np
 import pytest
 from drives import drive
-from log_writers import write_ulog
+from log_writers import DEVICE, write_ulog
+from scipy.spatial.transform import Rotation
 
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, VelocitySample
 from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.px4 import RIGHT_ANGLES, rotation_of
+from magcal_ros.files.px4 import RIGHT_ANGLES, mounting_of, rotation_of
 from magcal_ros.files.sources import open_recording
 
 pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
@@ -52,9 +53,74 @@ def test_the_topic_that_was_logged_more_often_is_taken(tmp_path, raw):
 
 
 def test_a_second_magnetometer_of_unknown_rotation_is_left_out(tmp_path):
-    field, source = field_of(write_ulog(tmp_path / "a.ulg", SAMPLES, other_rotation=100))
+    field, source = field_of(write_ulog(tmp_path / "a.ulg", SAMPLES, other_rotation=77))
     assert field == pytest.approx(FIELD, abs=1e-10)
-    assert "left out: sensor_mag[1]: the rotation 100" in source.notes[0]
+    assert "left out: sensor_mag[1]: the rotation 77" in source.notes[0]
+
+
+CALIBRATION = {"offset": (0.1, -0.2, 0.05), "scale": SCALE}
+LEVEL = {"SENS_BOARD_X_OFF": 2.5, "SENS_BOARD_Y_OFF": -1.5, "SENS_BOARD_Z_OFF": 0.5}
+CUSTOM = {"CAL_MAG1_ROLL": 10.0, "CAL_MAG1_PITCH": -20.0, "CAL_MAG1_YAW": 30.0}
+
+
+@pytest.mark.parametrize("raw", [True, False], ids=["raw", "corrected"])
+@pytest.mark.parametrize(("rotation", "own"), [(6, (0.0, 0.0, 270.0)), (100, (10.0, -20.0, 30.0))])
+def test_a_levelled_board_and_angles_of_ones_own_turn_the_field(tmp_path, raw, rotation, own):
+    level = Rotation.from_euler("xyz", (2.5, -1.5, 0.5), degrees=True).as_matrix()
+    pose = level @ Rotation.from_euler("xyz", own, degrees=True).as_matrix()
+    path = write_ulog(
+        tmp_path / "a.ulg",
+        SAMPLES,
+        **CALIBRATION,
+        raw=raw,
+        pose=pose,
+        parameters={**LEVEL, **CUSTOM, "CAL_MAG1_ROT": rotation},
+    )
+    field, source = field_of(path)
+    # The frame holds hundredths of a degree.
+    assert field == pytest.approx(FIELD, abs=1e-8)
+    slot, mounting, name = mounting_of(source.field_frame)
+    assert (slot, name[:3]) == (1, "rpy")
+    assert mounting == pytest.approx(pose, abs=2e-4)
+
+
+def test_the_estimate_of_the_bias_is_not_taken_for_the_field(tmp_path):
+    options = {**CALIBRATION, "raw": False, "every": 2, "bias": (0.05, -0.1, 0.2)}
+    field, _ = field_of(write_ulog(tmp_path / "a.ulg", SAMPLES, **options))
+    assert field == pytest.approx(FIELD, abs=1e-10)
+
+
+@pytest.mark.parametrize("every", [0, 2], ids=["raw", "both"])
+def test_the_compensation_for_the_power_is_in_the_field_where_px4_logs_it(tmp_path, every):
+    compensated = {"CAL_MAG_COMP_TYP": 2, "CAL_MAG1_XCOMP": 3.0}
+    options = {**CALIBRATION, "every": every, "power": lambda t: (0.05 * np.sin(t), 0.0, 0.0)}
+    path = write_ulog(tmp_path / "a.ulg", SAMPLES, **options, parameters=compensated)
+    field, source = field_of(path)
+    stamps = np.array([s.stamp for s in SAMPLES if isinstance(s, FieldSample)])
+    part = np.outer(5e-6 * np.sin(stamps), (1.0, 0.0, 0.0))
+    expected = (FIELD + part)[1::2] if every else FIELD
+    assert field == pytest.approx(expected, abs=1e-10)
+    assert ("leave it as it is" if every else "the raw field only") in source.notes[0]
+
+
+def test_the_magnetometer_that_was_selected_is_taken(tmp_path):
+    path = write_ulog(tmp_path / "a.ulg", SAMPLES, other_rotation=0, selected=77)
+    _, source = field_of(path)
+    assert source.field_topic == "sensor_mag[1]"
+    assert "sensor_mag[1] is taken, which PX4 selected" in source.notes[0]
+    priorities = {"CAL_MAG0_PRIO": 75, "CAL_MAG1_PRIO": 50}
+    _, source = field_of(
+        write_ulog(tmp_path / "b.ulg", SAMPLES, other_rotation=0, parameters=priorities)
+    )
+    assert source.field_topic == "sensor_mag[1]"
+    path = write_ulog(tmp_path / "c.ulg", SAMPLES, other_rotation=0, selected=DEVICE)
+    assert field_of(path)[1].field_topic == "sensor_mag[0]"
+
+
+def test_devices_that_share_a_topic_are_not_mixed(tmp_path):
+    path = write_ulog(tmp_path / "a.ulg", SAMPLES, **CALIBRATION, raw=False, switched=True)
+    rest = [s.field for s in SAMPLES[len(SAMPLES) // 2 :] if isinstance(s, FieldSample)]
+    assert field_of(path)[0] == pytest.approx(np.array(rest), abs=1e-10)
 
 
 def test_the_receiver_tells_time_place_and_course_and_the_autopilot_its_yaw(tmp_path):
