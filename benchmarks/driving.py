@@ -38,7 +38,7 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, PositionSample, SpeedSample
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
 
 WAYS = ("nothing", "odometry", "velocity", "fixes")

@@ -13,7 +13,7 @@ from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 
 REPEATS = 5
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shared_cases  # noqa: F401
+from honesty_cases import sigma_at
 from simulated.drive import Drive, Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
@@ -47,7 +48,8 @@ from magcal_ros.core.session.at_known_heading import HeadingLog, fit_log
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.simulation import DEGREE, Robot
 from magcal_ros.core.smoother.standings import Standing
-from magcal_ros.core.up import GyroBias, UpFollower
+from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.core.up.propagation import GyroBias
 
 HEADINGS = 24
 TOLD: dict[str, Callable[[float, float], float]] = {
@@ -81,7 +83,7 @@ class Scene:
         corrected = estimate.correction.apply(field)
         magnetic = yaws + self.robot.declination
         off = wrap_angle(yaw_from_up_and_field(up, corrected) - magnetic)
-        return off, estimate.heading_sigma(up, corrected) ** 2
+        return off, sigma_at(estimate, up, corrected) ** 2
 
 
 def drawn(

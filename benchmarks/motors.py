@@ -40,7 +40,7 @@ from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 
 SHAPES = ("step", "speed", "turn rate", "current", "current, no battery", "side")
 SIZES = (0.0, 2.0, 7.0, 20.0)

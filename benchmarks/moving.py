@@ -29,7 +29,7 @@ from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceFiel
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
 from magcal_ros.core.simulation import DEGREE, Ride, Robot
-from magcal_ros.core.up import Up, UpFollower
+from magcal_ros.core.up.follower import Up, UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
 
 SEEDS = 5

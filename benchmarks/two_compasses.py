@@ -40,7 +40,7 @@ from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 from magcal_ros.core.simulation import Robot
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 
 FAILS_AT, SECONDS = 60.0, 150.0
 SETTLED = 5.0

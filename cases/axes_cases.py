@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 from simulated.turns import Motion, Trouble, measure, slope_rpy, smooth_wobble
 
-from magcal_ros.core.geometry import FloatArray, exp_rotation, rotation_from_rpy, rpy_from_rotation
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotation, rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, Robot
 
 MOTIONS = ("level", "wobbling", "lift")

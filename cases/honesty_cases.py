@@ -12,11 +12,13 @@ from simulated.turns import Motion, Trouble, measure, smooth_wobble, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import Outcome, calibrate
-from magcal_ros.core.calibration import Estimate, calibration_sigma
-from magcal_ros.core.geometry import FloatArray, rotation_about
-from magcal_ros.core.geometry import yaw_from_up_and_field as yaw_of
+from magcal_ros.core.calibration.calibration import Estimate, yaw_jacobian
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field as yaw_of
+from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, trial_attitudes
 
 MIRRORS = {
@@ -344,3 +346,13 @@ def heading_error(case: Case, estimate: Estimate) -> tuple[float, float]:
     gap = (gap + math.pi) % math.tau - math.pi
     error = math.sqrt(float(np.mean(gap**2)))
     return error, calibration_sigma(estimate, 0.0)
+
+
+def sigma_at(estimate: Estimate, up: FloatArray, field_body: FloatArray) -> FloatArray:
+    """Return the yaw's sigma by the covariance of the twelve numbers, radians, shape (...).
+
+    `up` and the true field (tesla), both (..., 3), are in body axes.
+    """
+    jacobian = yaw_jacobian(estimate.correction, up, field_body)
+    variance = np.einsum("...i,ij,...j->...", jacobian, estimate.covariance, jacobian)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

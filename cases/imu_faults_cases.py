@@ -12,7 +12,8 @@ from axes_cases import cheap_robot
 from scipy.spatial.transform import Rotation
 from simulated.turns import smooth_wobble
 
-from magcal_ros.core.geometry import FloatArray, exp_rotations
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.simulation import DEGREE, UP_ENU

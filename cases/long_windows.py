@@ -11,8 +11,10 @@ import math
 import numpy as np
 from simulated.turns import Motion
 
-from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray, rotation_about
-from magcal_ros.core.samples import Window
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.rotations import rotation_about
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import UP_ENU, Robot
 
 ALONG_X: FloatArray = np.array([1.0, 0.0, 0.0])

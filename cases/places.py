@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from simulated.turns import Motion
 
-from magcal_ros.core.geometry import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
 
 PERMEABILITY = 1e-7
 """T·m/A, over four pi."""

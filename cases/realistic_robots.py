@@ -16,19 +16,13 @@ from places import PLACES, added_field
 from simulated.turns import Motion, measure, slope_rpy, smooth_wobble, turn
 from turn_kinds import KINDS, drawn_motion, drawn_robot
 
-from magcal_ros.core.calibration import Correction
-from magcal_ros.core.geometry import (
-    STANDARD_GRAVITY,
-    FloatArray,
-    exp_rotations,
-    interpolated,
-    rotation_about,
-    rotation_from_rpy,
-    wrap_angle,
-    yaw_from_up_and_field,
-)
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
-from magcal_ros.core.samples import FieldSample, ImuSample, Pair, Window
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, UP_ENU, Robot, trial_attitudes
 

@@ -16,23 +16,20 @@ from pathlib import Path
 import numpy as np
 
 from magcal_ros.core.calibrate import calibrate_drive, predicted_sigma
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry import (
-    FloatArray,
-    minimal_rotation,
-    runs,
-    wrap_angle,
-    yaw_from_up_and_field,
-)
+from magcal_ros.core.geometry.arrays import FloatArray, runs
+from magcal_ros.core.geometry.attitude import wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.geometry.conics import ConicFit, QuadricFit, fit_quadric
+from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
-from magcal_ros.core.samples import STREAMS, ImuSample, Pair, Pairer, Streams, Window
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.stamps import spread_bursts
+from magcal_ros.core.samples.streams import STREAMS, ImuSample, Pair, Pairer, Streams
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session, Stage
-from magcal_ros.core.up import UpFollower, propagated_up
+from magcal_ros.core.up.follower import UpFollower, propagated_up
 from magcal_ros.files.recording import Recording, read_csv_folder
 
 PLACES = (("Boston", 51.3, 66.3), ("Northeastern", 51.3, 66.3), ("BROAD", 44.3, 69.6))

@@ -10,7 +10,8 @@ import math
 import numpy as np
 from simulated.turns import Motion, smooth_wobble
 
-from magcal_ros.core.geometry import FloatArray, exp_rotations, minimal_rotation, rotation_about
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotations, minimal_rotation, rotation_about
 from magcal_ros.core.simulation import DEGREE, UP_ENU, Robot
 
 KINDS = ("even", "uneven", "there and back", "stops", "fast", "slope", "bent ground", "steep field")

@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 
-from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files.px4 import rotation_of
 
 FRD = np.diag([1.0, -1.0, -1.0])

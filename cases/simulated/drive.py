@@ -11,16 +11,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-from magcal_ros.core.calibration import Correction
-from magcal_ros.core.geometry import (
-    STANDARD_GRAVITY,
-    FloatArray,
-    frozen_array,
-    interpolated,
-    rotation_from_rpy,
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.arrays import FloatArray, frozen_array, interpolated
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.samples.streams import (
+    FieldSample,
+    ImuSample,
+    PositionSample,
+    SpeedSample,
+    VelocitySample,
 )
-from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
 from magcal_ros.core.simulation import UP_ENU, Robot
 from simulated.reckoning import Receiver, Wheels
 from simulated.travel import Travel

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry import BoolArray, FloatArray, interpolated
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, interpolated
 from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
 from simulated.travel import Travel, exponential_noise
 

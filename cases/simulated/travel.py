@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry import FloatArray, exp_rotations, rotation_about
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about
 from magcal_ros.core.simulation import UP_ENU
 from simulated.legs import Leg
 from simulated.turns import Motion

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry import (
-    STANDARD_GRAVITY,
-    FloatArray,
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.rotations import (
     exp_rotations,
     minimal_rotation,
     rotation_about,
     rotation_from_rpy,
+    rotation_vectors,
     rpy_from_rotation,
     skew,
 )
-from magcal_ros.core.geometry.rotations import rotation_vectors
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import UP_ENU, Robot
 
 

@@ -17,8 +17,9 @@ import numpy as np
 
 from magcal_ros.cli.common import Exit, number
 from magcal_ros.cli.live_view import best_view, joined, keep_traffic_here
-from magcal_ros.core.calibration import Calibration, Correction
-from magcal_ros.core.geometry import FloatArray
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
     LEVEL_TILT,

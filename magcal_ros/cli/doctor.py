@@ -19,7 +19,7 @@ from magcal_ros.cli.common import Exit, bullets, document, reference_in_use
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.course import CourseSeen
-from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStepState
+from magcal_ros.core.doctor.guide import ASKED, Guide
 from magcal_ros.core.doctor.health import TUNING, Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.page import Page, examine
 from magcal_ros.core.errors import MagcalError, Misuse
@@ -336,9 +336,7 @@ class Asking:
 
     def tick(self, guide: Guide) -> None:
         """Print whether the step that ended was seen."""
-        ended = (GuideStepState.SEEN, GuideStepState.MISSED)
-        last = [step for step, state in guide.states.items() if state in ended][-1]
-        seen = guide.states[last] is GuideStepState.SEEN
+        last, seen = list(guide.ended.items())[-1]
         over = "\r\033[K" if self._rewrites else ""
         say(f"{over}  [{'x' if seen else '-'}] {ASKED[last]}{'' if seen else ': not seen'}")
         self._shown = ""

@@ -24,7 +24,9 @@ from magcal_ros.cli.common import (
 )
 from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
-from magcal_ros.core.calibration import Estimate, Figure, common_figures
+from magcal_ros.core.calibration.calibration import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import names_of

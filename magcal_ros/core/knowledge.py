@@ -8,13 +8,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, freeze
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
 STRENGTH_SIGMA_UT = 1.5
 INCLINATION_SIGMA_DEG = 1.0
 DECLINATION_SIGMA_DEG = 0.5
 """Local deviation of the field outdoors (1 σ); indoors it is about 7 µT, 5° and 5°."""
+
+CLEAR = 3.0
+"""Sigmas beyond which a deviation is no chance, and two sources contradict each other."""
 
 
 @dataclass(frozen=True)
@@ -111,8 +114,7 @@ class Mounting:
     in one turn; yaw shows in turns on different tilts only."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "gains", frozen_array(self.gains, (3,), "soft-iron gains"))
-        object.__setattr__(self, "pose", frozen_array(self.pose, (3, 3), "mounting pose"))
+        freeze(self, gains=(3,), pose=(3, 3))
         if (self.gains <= 0.0).any():
             raise ValueError("soft-iron gains must be positive")
         if not 0.0 < self.yaw_sigma < math.inf:

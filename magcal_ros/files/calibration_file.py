@@ -14,7 +14,8 @@ from typing import Any
 import yaml
 
 from magcal_ros import __version__
-from magcal_ros.core.calibration import Calibration, Correction, Evidence, MotorField, MotorInput
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction, MotorField, MotorInput
 from magcal_ros.core.heading.base_view import VehicleYaw
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.disk import FileTrouble, NotOrdinary, read_small, write_atomically

@@ -14,9 +14,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from magcal_ros.core.calibration import Calibration, Correction
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry import FRD_FROM_FLU, FloatArray, rotation_angle, rpy_from_rotation
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
+from magcal_ros.core.geometry.rotations import rotation_angle, rpy_from_rotation
 from magcal_ros.files.disk import plain
 from magcal_ros.files.px4 import mounting_of
 

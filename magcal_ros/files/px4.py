@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 
 from magcal_ros.core.earth_field.reference import Fix
-from magcal_ros.core.geometry import FloatArray, rotation_from_rpy, rpy_from_rotation
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files import logs

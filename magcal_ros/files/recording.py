@@ -15,7 +15,7 @@ from typing import TextIO
 
 import numpy as np
 
-from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
+from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
@@ -222,15 +222,10 @@ def travel_of(
     heard: Iterable[TravelSample | Fix],
 ) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Return fixes and other samples by stamp, and the place of the first good fix."""
-    plane, found, first = LocalPlane(), list[TravelSample](), None
-    for each in heard:
-        sample = plane.position(each) if isinstance(each, Fix) else each
-        if sample is not None:
-            found.append(sample)
-            if first is None and isinstance(each, Fix):
-                first = place_of(each)
-    place = first if isinstance(first, Place) else None
-    return tuple(sorted(found, key=lambda sample: sample.stamp)), place
+    plane = LocalPlane()
+    samples = (plane.position(each) if isinstance(each, Fix) else each for each in heard)
+    found = [sample for sample in samples if sample is not None]
+    return tuple(sorted(found, key=lambda sample: sample.stamp)), plane.origin
 
 
 def read_travel(folder: Path) -> tuple[tuple[TravelSample, ...], Place | None]:

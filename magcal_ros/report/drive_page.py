@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.calibration import Calibration, predicted_heading_sigma
-from magcal_ros.core.calibration.heading_sigma import known_sigma
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.heading_sigma import known_sigma, predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.keeping.jobs import Verb, difference
 from magcal_ros.core.keeping.story import DrivePath, DriveStory

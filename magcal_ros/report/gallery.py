@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.core.geometry import FloatArray, wrap_angle
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.report import turn_views
 from magcal_ros.report.turn import Corrected, Turn
 

@@ -17,7 +17,9 @@ from magcal_ros import __version__
 from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.grading import Check, Grade, worst
 from magcal_ros.core.assessment.verdict import Verdict
-from magcal_ros.core.calibration import Estimate, Figure, common_figures
+from magcal_ros.core.calibration.calibration import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.doctor.health import Finding
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Belief, Knowledge

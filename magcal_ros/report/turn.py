@@ -10,7 +10,8 @@ import numpy as np
 
 from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration import Calibration, Estimate, Figure
+from magcal_ros.core.calibration.calibration import Calibration, Estimate
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.doctor.page import Page, examine_window
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, integral
 from magcal_ros.core.geometry.attitude import (

@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from magcal_ros.core.calibration import Calibration, MotorField
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import MotorField
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.base_view import VehicleYaw
 from magcal_ros.core.session.turn_events import Conclusion

@@ -19,8 +19,9 @@ from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch
-from magcal_ros.core.samples import Drop, FieldSample, Pairer, Streams, Window
 from magcal_ros.core.samples.rest import GyroAtRest
+from magcal_ros.core.samples.streams import Drop, FieldSample, Pairer, Streams
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.turn_machine import TurnMachine

@@ -17,7 +17,7 @@ from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.travel import Travel
 

@@ -23,7 +23,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry import FloatArray, true_yaw, unit
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import true_yaw, unit
 from magcal_ros.core.geometry.planes import Circle, fit_circle_in_space
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass, Heading, Moment
@@ -33,7 +34,7 @@ from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.session.turn_machine import TurnMachine
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.disk import plain
 from magcal_ros.ros import wire
 from magcal_ros.ros.sensor_frames import LATCHED, SensorFrames

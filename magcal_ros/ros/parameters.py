@@ -17,7 +17,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from magcal_ros.core.earth_field.reference import Given
-from magcal_ros.core.geometry import FloatArray, rotation_from_rpy
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits

@@ -16,7 +16,8 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.frame_tree import FrameTrouble
 from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample

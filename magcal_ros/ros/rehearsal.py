@@ -18,7 +18,8 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry import rotation_from_quaternion, rpy_from_rotation, wrap_angle
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rpy_from_rotation
 from magcal_ros.core.messages import ABSENT, seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot

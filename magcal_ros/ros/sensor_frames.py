@@ -29,7 +29,7 @@ from magcal_ros.core.geometry.frame_tree import (
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion
 from magcal_ros.core.heading.base_view import BaseView, VehicleYaw, corrected_pose
 from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.robot_description import LARGEST, joints_of
 from magcal_ros.ros.parameters import Settings

@@ -29,7 +29,7 @@ from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
 from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros import wire
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread

@@ -11,7 +11,7 @@ from simulated.legs import city
 from simulated.travel import travel
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.files.calibration_file import Origin, write_calibration
 
 

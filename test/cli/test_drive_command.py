@@ -11,8 +11,7 @@ from simulated.legs import Leg, city
 from simulated.travel import travel
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.calibration import predicted_heading_sigma
-from magcal_ros.core.calibration.heading_sigma import known_sigma
+from magcal_ros.core.calibration.heading_sigma import known_sigma, predicted_heading_sigma
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.session.recorded import Gathering
 from magcal_ros.core.simulation import Robot

@@ -7,7 +7,7 @@ import pytest
 from sample_results import SKEWED, calibration
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.calibration import Correction
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.files.calibration_file import Origin, write_calibration
 from magcal_ros.files.exporters import EXPORTERS
 

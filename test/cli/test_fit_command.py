@@ -11,7 +11,7 @@ from drives import ROBOT, STORE2, drive, message, write_bag, write_csv
 from simulated.turns import slope_rpy
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.simulation import Ride
 from magcal_ros.files.calibration_file import read_calibration
 

@@ -7,7 +7,7 @@ import pytest
 from drives import STORE2, header, write_bag, write_csv
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.samples import FieldSample
+from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.files.calibration_file import read_calibration
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration import Calibration, Evidence
-from magcal_ros.core.geometry import STANDARD_GRAVITY, exp_rotations, yaw_from_up_and_field
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.heading.compass import Heading, Moment
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up.follower import Up

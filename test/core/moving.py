@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 
 DEGREE = math.pi / 180.0

@@ -8,11 +8,11 @@ from simulated.turns import measure, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import METHODS, calibrate, find_method
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.units import explained
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot()

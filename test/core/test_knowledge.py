@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Mounting, ReferenceField, SoftIron
 
 

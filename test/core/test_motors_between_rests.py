@@ -10,7 +10,8 @@ from realistic_robots import heading_error, with_motors
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration import Figure, predicted_heading_sigma
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 

@@ -8,7 +8,7 @@ from long_form import IS_LONG, rounds
 
 from magcal_ros.core.calibrate import METHODS, calibrate, predicted_sigma
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 
 pytestmark = pytest.mark.faults
 

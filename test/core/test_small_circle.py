@@ -9,8 +9,9 @@ from uneven_turns import ROBOT as FLAT
 from uneven_turns import collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration import Figure, predicted_heading_sigma
-from magcal_ros.core.samples import Window
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 ROBOT = replace(FLAT, inclination=68.0 * DEGREE)

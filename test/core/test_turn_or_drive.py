@@ -14,10 +14,11 @@ from simulated.legs import circles, joined, standing
 from smoother.streets import BOSTON, driven, heading_error
 
 from magcal_ros.core.calibrate import calibrate, calibrate_drive
-from magcal_ros.core.calibration import Figure, calibration_sigma
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.errors import Reason
-from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.window import Window
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,8 @@ from examples import examples
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
-from magcal_ros.core.calibration import Calibration, Correction, Evidence, MotorField, MotorInput
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction, MotorField, MotorInput
 from magcal_ros.core.heading.base_view import VehicleYaw
 from magcal_ros.files.calibration_file import (
     LARGEST_FILE,

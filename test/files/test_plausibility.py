@@ -10,7 +10,7 @@ from long_form import first_of
 from simulated.turns import measure, turn
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration import Correction
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration

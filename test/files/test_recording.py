@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.recording import Recording, read_csv_folder
 from magcal_ros.files.sources import open_recording

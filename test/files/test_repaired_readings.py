@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drives import drive, write_bag, write_csv
 
-from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.files.sources import RepairedReadings, open_recording
 
 PERIOD = 0.8

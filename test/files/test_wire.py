@@ -6,7 +6,7 @@ import pytest
 from by_message import field_sample, imu_sample
 from drives import FIELD, IMU, STORE1, STORE2, drive, message, write_bag
 
-from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files import wire
 from magcal_ros.files.sources import open_recording
 

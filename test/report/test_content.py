@@ -14,7 +14,7 @@ from subjects import ROBOT, good, refused, subject_of, troubled
 from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.verdict import NO_YAW, judge
 from magcal_ros.core.calibrate import Outcome, calibrate_turns
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 from magcal_ros.report import write_report
 

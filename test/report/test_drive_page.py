@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration import Calibration, Correction, Evidence
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.keeping.story import DrivePath, DriveStory, path_along
 from magcal_ros.report.drive_page import render_drive
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import REFERENCE, ROBOT
 
-from magcal_ros.core.samples import ImuSample, Streams
+from magcal_ros.core.samples.streams import ImuSample, Streams
 from magcal_ros.core.session.self_turn import SelfTurn
 from magcal_ros.core.session.session import Session
 from magcal_ros.core.session.turn_events import Conclusion, TurnState

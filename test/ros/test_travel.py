@@ -19,8 +19,13 @@ from std_srvs.srv import Trigger
 from support import PATIENCE, REFERENCE, store_calibration
 from theatre import FARTHEST_AHEAD, LOST_AFTER
 
-from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import (
+    FieldSample,
+    ImuSample,
+    PositionSample,
+    SpeedSample,
+    VelocitySample,
+)
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros.sensor_frames import LATCHED

@@ -40,7 +40,7 @@ from magcal_ros.core.calibration.heading_sigma import (
     usual_lean,
 )
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.units import Z_NOT_UP, likely_acceleration_unit, likely_field_unit
 from magcal_ros.core.samples.window import Window
@@ -256,7 +256,7 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
 
 
 def _check_gravity(window: Window) -> Check:
-    size = float(np.median(np.linalg.norm(window.specific_force, axis=1)))
+    size = usual_size(window.specific_force)
     misfit = abs(size / STANDARD_GRAVITY - 1.0)
     excellent, good = TUNING.gravity_misfits
     grade = Grade.EXCELLENT if misfit <= excellent else Grade.GOOD

@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction, MotorField
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, freeze
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
 
@@ -85,23 +85,12 @@ class Estimate:
     """The field of the running motors, if the method finds it."""
 
     def __post_init__(self) -> None:
-        shape = (PARAMETERS, PARAMETERS)
-        object.__setattr__(self, "covariance", frozen_array(self.covariance, shape, "covariance"))
-        object.__setattr__(self, "axis", frozen_array(self.axis, (3,), "axis"))
+        freeze(self, covariance=(PARAMETERS, PARAMETERS), axis=(3,))
 
     @property
     def circle_radius(self) -> float:
         """Horizontal part of the reference field after the fit, tesla."""
         return self.strength * math.cos(self.inclination)
-
-    def heading_sigma(self, up: FloatArray, field_body: FloatArray) -> FloatArray:
-        """Return the yaw's sigma by the covariance of the twelve numbers alone, radians.
-
-        `up` and the true field (tesla), both (..., 3), are in body axes; the result is (...).
-        """
-        jacobian = yaw_jacobian(self.correction, up, field_body)
-        variance = np.einsum("...i,ij,...j->...", jacobian, self.covariance, jacobian)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray) -> FloatArray:
@@ -169,11 +158,9 @@ class Calibration:
     """The field of the running motors; None if it was not observed."""
 
     def __post_init__(self) -> None:
-        shape = (PARAMETERS, PARAMETERS)
-        covariance = frozen_array(self.covariance, shape, "covariance")
-        if (np.diag(covariance) < 0.0).any():
+        freeze(self, covariance=(PARAMETERS, PARAMETERS))
+        if (np.diag(self.covariance) < 0.0).any():
             raise ValueError("covariance has a negative variance")
-        object.__setattr__(self, "covariance", covariance)
 
     @classmethod
     def from_estimate(cls, estimate: Estimate, evidence: Evidence) -> Calibration:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, freeze
 
 PARAMETERS = 12
 """A row by row (9, dimensionless), then h (3, tesla): the order of every 12 x 12 covariance."""
@@ -33,8 +33,7 @@ class Correction:
     """h in tesla, in the magnetometer's own axes. Shape (3,)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", frozen_array(self.matrix, (3, 3), "correction matrix"))
-        object.__setattr__(self, "hard_iron", frozen_array(self.hard_iron, (3,), "hard iron"))
+        freeze(self, matrix=(3, 3), hard_iron=(3,))
         if np.linalg.det(self.matrix) <= 1e-9:
             raise ValueError("the correction matrix is singular or mirrors the axes")
 
@@ -133,12 +132,7 @@ class MotorField:
     def __post_init__(self) -> None:
         count = len(self.inputs)
         size = 3 * count
-        for name, shape in (
-            ("gain", (count, 3)),
-            ("covariance", (size, size)),
-            ("beside", (PARAMETERS, size)),
-        ):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
+        freeze(self, gain=(count, 3), covariance=(size, size), beside=(PARAMETERS, size))
         if len(self.usual) != count or len(set(self.inputs)) != count:
             raise ValueError("the motors' inputs must differ, and each has one usual size")
 

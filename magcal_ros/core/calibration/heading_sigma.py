@@ -65,19 +65,15 @@ def known_sigma(calibration: Calibration) -> float:
 
 def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
     """Return the yaw's sigma by local magnetic disturbances along the drive, radians."""
-    size = local_field(estimate)
+    if isinstance(estimate, Calibration):
+        size = estimate.evidence.figure(Figure.LOCAL_FIELD, 0.0)
+    else:
+        size = estimate.figures.get(Figure.LOCAL_FIELD, 0.0)
     if size == 0.0:
         return 0.0
     reference = field_in_enu(estimate.strength, estimate.inclination)
     by_field = heading_jacobian(estimate.correction, reference, tilt)[:, PARAMETERS - 3 :]
     return size * math.sqrt(float(np.mean(np.sum(by_field**2, axis=1))))
-
-
-def local_field(estimate: Estimate | Calibration) -> float:
-    """Return the disturbance of the field along the drive (`Figure.LOCAL_FIELD`), tesla."""
-    if isinstance(estimate, Calibration):
-        return estimate.evidence.figure(Figure.LOCAL_FIELD, 0.0)
-    return estimate.figures.get(Figure.LOCAL_FIELD, 0.0)
 
 
 def arc_sigma(estimate: Estimate) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations
-from magcal_ros.core.doctor.health import SIGMAS, Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
     DIRECTIONS,
@@ -21,7 +21,7 @@ from magcal_ros.core.geometry.rotations import (
     spoken,
     swapped,
 )
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.samples.units import LEAST_UPRIGHT
 from magcal_ros.core.samples.window import SensorLog
 
@@ -124,7 +124,7 @@ class AxesFound:
     def dip_known(self) -> bool:
         """Whether the reference field separates axes from their opposites."""
         dip = self.knowledge.reference.inclination
-        return not dip.is_unknown and abs(dip.value) > SIGMAS * WEIGHED.dip_sigma
+        return not dip.is_unknown and abs(dip.value) > CLEAR * WEIGHED.dip_sigma
 
     @property
     def meant(self) -> FloatArray:
@@ -132,14 +132,9 @@ class AxesFound:
         return np.eye(3) if self.right else np.asarray(self.candidates[0])
 
     @property
-    def mirrored(self) -> bool:
-        """Whether the likeliest axes are such as no mounting makes."""
-        return is_mirrored(self.meant)
-
-    @property
     def mount_rpy_deg(self) -> tuple[int, int, int] | None:
         """What the parameter `mount_rpy_deg` should be; None if no mounting corrects the axes."""
-        return None if self.mirrored else mount_of(self.meant, self.pose)
+        return None if is_mirrored(self.meant) else mount_of(self.meant, self.pose)
 
     @property
     def words(self) -> str:

@@ -218,9 +218,9 @@ def _remaining(
     """
     # A vehicle's accelerations lean gravity for long: only its changes are compared.
     misfit, rms = gravity_misfit(stretch, every)
-    gravity = _decisive(misfit, rms, senses.tilt_seen > 0.0)
+    gravity = _decisive(misfit, rms, senses.least_tilt > 0.0)
     is_good = bool(senses.rms[senses.best] < TUNING.good_fit)
-    lifted = senses.tilt_seen > TUNING.lift and is_good
+    lifted = senses.tilt > TUNING.lift and senses.least_tilt > 0.0 and is_good
     against_field = _decisive(senses.misfit, senses.rms, lifted).reshape(2, -1)
     sense = np.rint(np.linalg.det(every))
     cost = (against_field[(sense < 0.0).astype(int)] + gravity[:, None]).ravel()

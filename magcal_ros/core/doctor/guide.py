@@ -14,6 +14,7 @@ from enum import Enum
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import angle_between
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 
@@ -31,15 +32,6 @@ ASKED = {
     GuideStep.LIFT: "lift the nose by 20°, or drive over a kerb, and stop",
 }
 """In words."""
-
-
-class GuideStepState(str, Enum):
-    """How far a stage is."""
-
-    LATER = "later"
-    NOW = "now"
-    SEEN = "seen"
-    MISSED = "missed"
 
 
 @dataclass(frozen=True)
@@ -65,12 +57,12 @@ TUNING = GuideTuning()
 class Guide:
     """Asks for one stage after the other and sees them done.
 
-    `now` is in seconds, on a clock that does not jump.
+    `now` is in seconds, on a clock that does not jump. `ended` tells of each stage that was asked
+    for whether it was seen, or given up.
     """
 
     def __init__(self, now: float) -> None:
-        self._states = dict.fromkeys(GuideStep, GuideStepState.LATER)
-        self._states[GuideStep.STAND] = GuideStepState.NOW
+        self.ended: dict[GuideStep, bool] = {}
         self._since = self._block_began = now
         self._imu: list[tuple[float, ...]] = []
         self._field: list[tuple[float, ...]] = []
@@ -82,19 +74,14 @@ class Guide:
         self._done_moving = False
 
     @property
-    def states(self) -> dict[GuideStep, GuideStepState]:
-        """How far each stage is, in the order in which they are asked for."""
-        return dict(self._states)
-
-    @property
     def current(self) -> GuideStep | None:
         """What is asked for now; None at the end."""
-        return next((s for s, state in self._states.items() if state is GuideStepState.NOW), None)
+        return next((stage for stage in GuideStep if stage not in self.ended), None)
 
     @property
     def turned_left(self) -> bool | None:
         """Whether the robot did what it was asked to; None where that was not seen."""
-        return True if self._states[GuideStep.TURN] is GuideStepState.SEEN else None
+        return self.ended.get(GuideStep.TURN) or None
 
     def add(self, sample: ImuSample | FieldSample) -> None:
         """Take a sample."""
@@ -111,7 +98,7 @@ class Guide:
         """Give up what is asked for now; standing still is needed."""
         stage = self.current
         if stage is not None and stage is not GuideStep.STAND:
-            self._next(stage, GuideStepState.MISSED, now)
+            self._end(stage, False, now)
 
     def pass_time(self, now: float) -> bool:
         """Let time pass; returns whether a stage was seen or given up."""
@@ -120,11 +107,9 @@ class Guide:
         self._close_block(now)
         stage = self.current
         assert stage is not None
-        if self._seen(stage):
-            self._next(stage, GuideStepState.SEEN, now)
-            return True
-        if now - self._since > TUNING.patience:
-            self._next(stage, GuideStepState.MISSED, now)
+        is_seen = self._seen(stage)
+        if is_seen or now - self._since > TUNING.patience:
+            self._end(stage, is_seen, now)
             return True
         return False
 
@@ -152,7 +137,7 @@ class Guide:
             swing = float(np.linalg.norm(field - first)) / max(float(np.linalg.norm(first)), 1e-12)
             self._done_moving |= abs(self._angle) > TUNING.angle or swing > TUNING.swing
         else:
-            self._done_moving |= _apart(force, resting) > TUNING.lift
+            self._done_moving |= angle_between(force, resting) > TUNING.lift
         if not (self._done_moving and self._stands(TUNING.rest)):
             return False
         return stage is not GuideStep.TURN or self._has_stopped()
@@ -182,21 +167,10 @@ class Guide:
         lean, swing = TUNING.still
         away = np.linalg.norm(last[:, 2] - field, axis=1)
         is_calm = bool((away < swing * np.linalg.norm(field)).all())
-        return is_calm and all(_apart(each, force) < lean for each in last[:, 0])
+        return is_calm and all(angle_between(each, force) < lean for each in last[:, 0])
 
-    def _next(self, stage: GuideStep, state: GuideStepState, now: float) -> None:
-        self._states[stage] = state
-        left = [s for s in GuideStep if self._states[s] is GuideStepState.LATER]
-        if left:
-            self._states[left[0]] = GuideStepState.NOW
+    def _end(self, stage: GuideStep, is_seen: bool, now: float) -> None:
+        self.ended[stage] = is_seen
         self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
         self._since, self._angle, self._done_moving = now, 0.0, False
         self._stage_start = len(self._blocks)
-
-
-def _apart(one: FloatArray, other: FloatArray) -> float:
-    """Return the angle between two vectors, radians; zero where one is none."""
-    size = float(np.linalg.norm(one) * np.linalg.norm(other))
-    if not size > 0.0:
-        return 0.0
-    return math.acos(min(1.0, max(-1.0, float(one @ other) / size)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.streams import SWAY, slow_words
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
@@ -85,8 +85,6 @@ class HealthTuning:
 
 
 TUNING = HealthTuning()
-SIGMAS = 3.0
-"""Standard deviations that an error must have beside its size to be reported."""
 
 
 def stamps_finding(name: str, time: FloatArray) -> Finding:
@@ -147,7 +145,8 @@ def repeats(values: FloatArray) -> BoolArray:
 
 def field_findings(field: FloatArray) -> list[Finding]:
     """Look at raw field samples in tesla, shape (n, 3), in the order in which they came."""
-    size, unit = float(np.median(np.linalg.norm(field, axis=1))), _unit_of(field)
+    size = usual_size(field)
+    unit = likely_field_unit(size)
     line = wrong if unit else looked_at
     found = [line("field_unit", "field: unit", f"usually {size * 1e6:.3g} µT", unit)]
     step = max(_step(field[:, axis]) for axis in range(3))
@@ -165,13 +164,9 @@ def field_findings(field: FloatArray) -> list[Finding]:
     return found
 
 
-def _unit_of(field: FloatArray) -> str:
-    return likely_field_unit(float(np.median(np.linalg.norm(field, axis=1))))
-
-
 def gravity_size_finding(force: FloatArray) -> Finding:
     """Look at the length of specific force (n, 3), m/s² as published."""
-    size = float(np.median(np.linalg.norm(force, axis=1)))
+    size = usual_size(force)
     hint = ""
     if abs(size / STANDARD_GRAVITY - 1.0) > TUNING.gravity:
         hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
@@ -257,7 +252,7 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
     The streams are clean, and `factor` makes rad/s of the gyro's numbers.
     """
     field = float(white_noise(log.field).max())
-    is_noisy = field > TUNING.field_noise and not _unit_of(log.field)
+    is_noisy = field > TUNING.field_noise and not likely_field_unit(usual_size(log.field))
     words = (
         "the field is noisy: average in the driver, and move the sensor away from motors and their "
         "wires"

@@ -16,11 +16,12 @@ from magcal_ros.core.doctor.explanations import (
     most_turned,
     rate_factors,
 )
-from magcal_ros.core.doctor.health import SIGMAS, Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
-from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.geometry.attitude import usual_size
+from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.alignment import BIAS, NO_BIAS, SCALE, align
 from magcal_ros.core.samples.rest import LongestRest, longest_stand
 from magcal_ros.core.samples.streams import slow_words
@@ -82,6 +83,9 @@ class MotionFound:
     factor: float = 1.0  # what makes rad/s of the gyro's numbers
     up_is_down: bool | None = False
     """Whether gravity's sign is what errs; None where that is not decided."""
+    body: SensorLog | None = None
+    """The log with rates in rad/s and the known mounting taken off; None where nothing was
+    compared."""
 
 
 def compare(
@@ -97,10 +101,12 @@ def compare(
     if part is None:
         return _nothing_shown(log, None, turned_left)
     # The field must change by more than its noise.
-    usual = float(np.median(np.linalg.norm(np.diff(part.field, axis=0), axis=1)))
-    if usual >= TUNING.largest_noise:
+    if usual_size(np.diff(part.field, axis=0)) >= TUNING.largest_noise:
         return _nothing_shown(log, None, turned_left)
-    rest = _longest_rest(body)
+    inside = (body.field_time >= body.imu_time[0]) & (body.field_time <= body.imu_time[-1])
+    time = body.field_time[inside]
+    rates = interpolated(time, body.imu_time, body.rate)
+    rest = longest_stand(time, body.field[inside], rates)
     factors = rate_factors(part)
     stands_still = rest is not None and rest.is_certain and not _turns_beside(part, rest)
     bias = NO_BIAS if rest is None else rest.rate
@@ -125,7 +131,8 @@ def compare(
         else:
             findings += _latencies(body, explanations, blamed.chosen)
     weighed = explanations if blamed.explained else None
-    return MotionFound(tuple(findings), blamed.axes, weighed, blamed.chosen, factor, up_is_down)
+    shown = tuple(findings)
+    return MotionFound(shown, blamed.axes, weighed, blamed.chosen, factor, up_is_down, body)
 
 
 def _explained(
@@ -147,12 +154,6 @@ def _explained(
             return given, 1.0
     _, factor, way = min(found, key=lambda one: one[0])
     return way, factor
-
-
-def _longest_rest(log: SensorLog) -> LongestRest | None:
-    inside = (log.field_time >= log.imu_time[0]) & (log.field_time <= log.imu_time[-1])
-    time = log.field_time[inside]
-    return longest_stand(time, log.field[inside], interpolated(time, log.imu_time, log.rate))
 
 
 def _turns_beside(stretch: Stretch, rest: LongestRest) -> bool:
@@ -224,7 +225,7 @@ def _gyro_errors(
         f"{'more' if scale > 0.0 else 'less'} than the gyro says, multiply the gyro's rates by "
         f"{factor * (1.0 + scale):.4g} in the driver"
     )
-    too_large = abs(scale) > max(TUNING.scale, SIGMAS * off)
+    too_large = abs(scale) > max(TUNING.scale, CLEAR * off)
     if too_large and not _gravity_agrees(explanations, chosen):
         why = f"gravity and field tell two scales; {FULL_TURN}"
         return [*found, not_shown("rate_scale", "gyro: scale", why)]
@@ -239,7 +240,7 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
         "let the driver measure the gyro's bias while the robot stands, or subtract "
         f"({as_published}) from its rates"
     )
-    too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, SIGMAS * off)
+    too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, CLEAR * off)
     return looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large)
 
 
@@ -252,7 +253,7 @@ def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
     alone = align(explanations.part, field, gyro, with_up=False)
     gap = abs(float(alone.parameters[0, SCALE] - explanations.parameters[chosen, SCALE]))
     sigma = math.sqrt(float(alone.covariance[0, SCALE, SCALE]))
-    return gap < SIGMAS * max(sigma, float(explanations.sigma[chosen, SCALE]))
+    return gap < CLEAR * max(sigma, float(explanations.sigma[chosen, SCALE]))
 
 
 def _confirms(rest: LongestRest | None, bias: FloatArray) -> bool:
@@ -296,7 +297,7 @@ def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[
 
 def _significant(latency: Latency | None) -> float:
     """Return a latency that is worth a word, seconds; zero for others."""
-    if latency is None or abs(latency.lag) < max(TUNING.lag, SIGMAS * latency.sigma):
+    if latency is None or abs(latency.lag) < max(TUNING.lag, CLEAR * latency.sigma):
         return 0.0
     return latency.lag
 

@@ -16,7 +16,6 @@ from magcal_ros.core.doctor.blame import AxesFound, parameter_line
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Explanations, rate_factors
 from magcal_ros.core.doctor.health import (
-    SIGMAS,
     Finding,
     alive_finding,
     field_findings,
@@ -33,7 +32,7 @@ from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, UP
 from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
@@ -110,16 +109,12 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
 
 
 def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) -> list[Finding]:
-    if found.explanations is None:
+    if found.explanations is None or found.body is None:
         return []
-    log = prepared.log
-    body = replace(
-        log, rate=found.factor * log.rate, field=log.field @ knowledge.mounting.to_body.T
-    )
     lines = reference_findings(found.explanations, found.chosen, knowledge, found.up_is_down)
-    if not prepared.restamped and np.isfinite(log.rate).all():
+    if not prepared.restamped and np.isfinite(found.body.rate).all():
         shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
-        lines.append(motors_finding(body, found.explanations, found.chosen, shown))
+        lines.append(motors_finding(found.body, found.explanations, found.chosen, shown))
     return lines
 
 
@@ -174,11 +169,11 @@ def reference_findings(
     if not believed.strength.is_unknown:
         spread = math.hypot(off, believed.strength.sigma)
         apart = abs(strength - believed.strength.value)
-        if apart > max(TUNING.strength * believed.strength.value, SIGMAS * spread):
+        if apart > max(TUNING.strength * believed.strength.value, CLEAR * spread):
             wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
     if not believed.inclination.is_unknown and up_is_down is not None:
         spread = math.hypot(off / strength, believed.inclination.sigma)
-        limit = max(TUNING.inclination, SIGMAS * spread)
+        limit = max(TUNING.inclination, CLEAR * spread)
         if abs(dip - believed.inclination.value) > limit:
             if abs(dip + believed.inclination.value) <= limit:
                 return [looked_at("inclination_sign", name, evidence, FIELD_POINTS_UP)]

@@ -134,11 +134,9 @@ class Chord(NamedTuple):
     @property
     def backwards(self) -> Chord:
         """The same for a vehicle that backed up."""
-        course = math.remainder(self.course + math.pi, math.tau)
+        angles = {"course": self.course, "gap": self.gap, "gyro_gap": self.gyro_gap}
         return self._replace(
-            course=course,
-            gap=math.remainder(self.gap - math.pi, math.tau),
-            gyro_gap=math.remainder(self.gyro_gap - math.pi, math.tau),
+            **{name: math.remainder(each + math.pi, math.tau) for name, each in angles.items()}
         )
 
 

@@ -70,7 +70,6 @@ class OwnAccelerationTuning:
     """Share of the changes of velocity that must be starts and stops, where the speed is that of
     mere fixes."""
     quiet: float = 0.3  # m/s², scatter of the force below which nothing is to be explained
-    clear: float = 3.0  # sigmas of the force that decide on the direction of travel
     correlated: float = 4.0  # by how much errors of the force last longer than the smoothing
     standing: float = 0.5  # m/s of a speed that has no sign; a receiver's wanders
     crawling: float = 1.5

@@ -14,6 +14,7 @@ from magcal_ros.core.driving.chords import GyroFrame, Tick
 from magcal_ros.core.driving.driving_tuning import OWN, SPEED, SpeedSource
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple, minus
+from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.streams import (
     PositionSample,
     SpeedSample,
@@ -380,8 +381,8 @@ class OwnAcceleration:
             for (force, _, _), each in zip(trip, own, strict=True)
         )
         sigmas = explained / (math.sqrt(OWN.correlated * energy) * self.noise)
-        if sigmas < -OWN.clear:
+        if sigmas < -CLEAR:
             self.sign = -self.sign
             for row, (force, change, along) in enumerate(trip, first):
                 self._seen[row] = force, -change, along
-        self.is_clear = self.is_clear or abs(sigmas) > OWN.clear
+        self.is_clear = self.is_clear or abs(sigmas) > CLEAR

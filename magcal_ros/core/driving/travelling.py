@@ -24,7 +24,7 @@ from magcal_ros.core.samples.streams import (
     TravelSample,
     VelocitySample,
 )
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.stillness import ZERO
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from magcal_ros.core.earth_field.wmm import (
 )
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.knowledge import (
+    CLEAR,
     DECLINATION_SIGMA_DEG,
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
@@ -140,28 +141,24 @@ class Fixes:
 
 
 class LocalPlane:
-    """The plane that touches the Earth at the first good fix (equirectangular).
+    """The plane that touches the Earth at the first good fix, its `origin` (equirectangular).
 
     Its scale is right to 0.4%.
     """
 
     def __init__(self) -> None:
-        self._origin: Place | None = None
+        self.origin: Place | None = None
 
     def position(self, fix: Fix) -> PositionSample | None:
         """Return a fix in the plane, metres; None if it has no position."""
         place = place_of(fix)
         if isinstance(place, str):
             return None
-        origin = self._origin = self._origin or place
+        origin = self.origin = self.origin or place
         north = math.radians(place.latitude_deg - origin.latitude_deg)
         east = math.radians(math.remainder(place.longitude_deg - origin.longitude_deg, 360.0))
         shrink = math.cos(math.radians(origin.latitude_deg))
         return PositionSample(fix.stamp, EARTH_RADIUS * east * shrink, EARTH_RADIUS * north)
-
-
-DOUBTFUL = 3.0
-"""Sigmas from the model beyond which a given or calibrated number is warned of."""
 
 
 class Unit(NamedTuple):
@@ -179,8 +176,7 @@ UNITS = {
 }
 
 
-@dataclass(frozen=True)
-class Local:
+class Local(NamedTuple):
     """Local deviation from the Earth's main field by crust, buildings and iron (1 σ)."""
 
     strength: float = STRENGTH_SIGMA_UT * 1e-6
@@ -275,8 +271,10 @@ def resolve(
     except NoModel as error:
         return Reference(given, source, (str(error),) if lacking else ())
     spot = f"{model.model} at {place.words}, {year:.1f}"
-    field = _filled(given, local, model)
-    doubts = [*_contradictions(given, local, model, spot), *_doubts(model, field)]
+    pairs = zip((model.strength, model.inclination, model.declination), local, strict=True)
+    here = [Belief(each.value, math.hypot(each.sigma, sigma)) for each, sigma in pairs]
+    field = _filled(given, here, model)
+    doubts = [*_contradictions(given, here, spot), *_doubts(model, field)]
     if source == "unknown":
         source = spot
     elif lacking:
@@ -291,33 +289,26 @@ def _beliefs(field: ReferenceField) -> Iterator[tuple[str, Belief]]:
     return zip(UNITS, beliefs, strict=True)
 
 
-def _filled(given: ReferenceField, local: Local, model: ModelField) -> ReferenceField:
-    def known(by_hand: Belief, theirs: Belief, sigma: float) -> Belief:
-        widened = Belief(theirs.value, math.hypot(theirs.sigma, sigma))
-        return widened if by_hand.is_unknown else by_hand
-
+def _filled(given: ReferenceField, here: Sequence[Belief], model: ModelField) -> ReferenceField:
+    """Return what is given, and what the model says here of the rest."""
+    strength, inclination, north = here
     field = replace(
         given,
-        strength=known(given.strength, model.strength, local.strength),
-        inclination=known(given.inclination, model.inclination, local.inclination),
+        strength=strength if given.strength.is_unknown else given.strength,
+        inclination=inclination if given.inclination.is_unknown else given.inclination,
     )
     if given.declination is not None or model.level < VALIDITY.blackout:
         return field
-    north = known(Belief.unknown(), model.declination, local.declination)
     return replace(field, declination=north.value, declination_sigma=north.sigma)
 
 
-def _contradictions(
-    given: ReferenceField, local: Local, model: ModelField, spot: str
-) -> Iterator[str]:
-    """Yield a warning for each number given by hand that contradicts the model."""
-    by_model = (model.strength, model.inclination, model.declination)
-    around = (local.strength, local.inclination, local.declination)
-    for (name, by_hand), theirs, sigma in zip(_beliefs(given), by_model, around, strict=True):
+def _contradictions(given: ReferenceField, here: Sequence[Belief], spot: str) -> Iterator[str]:
+    """Yield a warning for each number given by hand that contradicts the model here."""
+    for (name, by_hand), theirs in zip(_beliefs(given), here, strict=True):
         unit = UNITS[name]
         # The strength in tesla is far below pi.
         off = float(wrap_angle(by_hand.value - theirs.value))
-        if not by_hand.is_unknown and abs(off) > DOUBTFUL * math.hypot(theirs.sigma, sigma):
+        if not by_hand.is_unknown and abs(off) > CLEAR * theirs.sigma:
             yield (
                 f"the {name} is given as {by_hand.value * unit.scale:.1f}"
                 f"{unit.sign}, but the {spot} says {theirs.value * unit.scale:.1f}{unit.sign}: "
@@ -354,8 +345,8 @@ def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
         return ""
     strength, dip = reference.strength, reference.inclination
     is_same = (
-        abs(calibration.strength - strength.value) <= DOUBTFUL * strength.sigma
-        and abs(calibration.inclination - dip.value) <= DOUBTFUL * dip.sigma
+        abs(calibration.strength - strength.value) <= CLEAR * strength.sigma
+        and abs(calibration.inclination - dip.value) <= CLEAR * dip.sigma
     )
     if is_same or strength.is_exact or dip.is_exact:
         return ""

@@ -32,6 +32,17 @@ def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Fl
     return array
 
 
+def freeze(owner: object, **shapes: tuple[int, ...]) -> None:
+    """Make fields of a frozen dataclass read-only arrays of given shapes, by `frozen_array`.
+
+    A field that is None stays None.
+    """
+    for name, shape in shapes.items():
+        values = getattr(owner, name)
+        if values is not None:
+            object.__setattr__(owner, name, frozen_array(values, shape, name.replace("_", " ")))
+
+
 def centred(points: FloatArray, least: int, shape: str) -> tuple[FloatArray, FloatArray]:
     """Return the centroid (d,) of points (n, d), and the points about it.
 

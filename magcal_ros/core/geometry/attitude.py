@@ -21,6 +21,16 @@ def unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
 
 
+def usual_size(vectors: FloatArray) -> float:
+    """Return the median length of vectors (n, 3)."""
+    return float(np.median(np.linalg.norm(vectors, axis=1)))
+
+
+def angle_between(one: FloatArray, other: FloatArray) -> float:
+    """Return the angle between two vectors (3,), radians; zero where one of them is zero."""
+    return math.atan2(float(np.linalg.norm(np.cross(one, other))), float(one @ other))
+
+
 def level_part(vectors: FloatArray, up: FloatArray) -> FloatArray:
     """Return the components of vectors (n, 3) perpendicular to up, unit vectors (n, 3)."""
     return np.asarray(vectors - np.sum(vectors * up, axis=1, keepdims=True) * up)

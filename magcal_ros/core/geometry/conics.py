@@ -7,6 +7,7 @@ inside every ellipse and ellipsoid, never on it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from enum import Enum
@@ -14,59 +15,115 @@ from enum import Enum
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
 
 THINNEST = 1e-6
 """Width over length of points below which they are a line, or in space a plane."""
 LARGEST_RADIUS = 1e4
 """Radii beyond this many times the points' own size are a line or a plane, too."""
+FLAT = {
+    2: (
+        Reason.FIELD_ON_A_LINE,
+        "The samples lie on a line or on one point. Turn further round.",
+    ),
+    3: (
+        Reason.PLANAR,
+        "The samples lie on a plane: no ellipsoid can be fitted to them. Tumble the sensor through "
+        "all orientations, or use a method for turns about one axis.",
+    ),
+}
+OPEN = {
+    2: (
+        Reason.CIRCLE_TOO_SMALL,
+        "The samples fit a parabola or a hyperbola better than an ellipse. Turn further round, or "
+        "fit a circle instead.",
+    ),
+    3: (
+        Reason.NO_SOLUTION,
+        "The samples fit an open surface (a hyperboloid or a cylinder) better than an ellipsoid. "
+        "Tumble the sensor through all orientations, away from iron.",
+    ),
+}
+STRAIGHT = {
+    2: (
+        Reason.FIELD_ON_A_LINE,
+        "The samples bend too little to show a circle. Turn further round.",
+    ),
+    3: OPEN[3],
+}
+"""Why no curve (2) and no surface (3) goes through samples."""
 
 
 @dataclass(frozen=True, eq=False)
-class Conic:
-    """A circle or an ellipse."""
+class Ellipsoid:
+    """An ellipse (d = 2) or an ellipsoid (d = 3)."""
 
-    centre: FloatArray  # in the points' unit, shape (2,)
-    radii: FloatArray
-    """Half axes; the first lies at `angle`, the second 90° further. Shape (2,)."""
-    angle: float  # radians from x to the first half axis, in (-pi/2, pi/2]
+    centre: FloatArray  # in the points' unit, shape (d,)
+    radii: FloatArray  # half axes, shape (d,)
+    axes: FloatArray
+    """Columns: the directions of the half axes, in the order of `radii`; in space a rotation. Shape
+    (d, d)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", frozen_array(self.centre, (2,), "centre"))
-        object.__setattr__(self, "radii", frozen_array(self.radii, (2,), "radii"))
+        freeze(self, centre=(-1,), radii=(-1,), axes=(-1, -1))
 
     @property
     def radius(self) -> float:
-        """Geometric mean of the half axes: the radius of the circle of the same area."""
-        return math.sqrt(float(self.radii[0] * self.radii[1]))
+        """Geometric mean of the half axes: that of the circle or sphere of the same content."""
+        return float(np.exp(np.log(self.radii).mean()))
 
     @property
     def ratio(self) -> float:
-        """Longer half axis over the shorter, 1 or more."""
+        """Longest half axis over the shortest, 1 or more."""
         return float(self.radii.max() / self.radii.min())
 
+    @property
+    def to_unit_sphere(self) -> FloatArray:
+        """The symmetric S that takes points from the centre onto the unit sphere, (d, d)."""
+        return np.asarray((self.axes / self.radii) @ self.axes.T)
 
-def _fit_linearly(points: FloatArray, quadratic: int) -> Conic:
-    """Fit ax² + by² + 2cxy + 2dx + 2ey = 1 by linear least squares (DT0103).
 
-    Of `quadratic` terms one makes a circle (a = b, no c), two an ellipse along the axes (no c).
+class QuadricFit(str, Enum):
+    """The shapes by name: any, along the axes, round."""
+
+    ROTATED = "rotated"
+    ALIGNED = "aligned"
+    SPHERE = "sphere"
+
+
+def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> Ellipsoid:
+    """Fit an ellipse or an ellipsoid by linear least squares, pᵀQp + 2bᵀp = 1 (DT0103).
+
+    By `shape`, all elements of Q are free, or it is diagonal, or a multiple of the identity. Raises
+    `Refusal` for too few points (n, d), a line or a plane, numbers not finite, or another shape.
     """
-    frame = _Frame.of(points, least=quadratic + 2)
-    x, y = frame.points.T
-    squares = [x * x + y * y] if quadratic == 1 else [x * x, y * y, 2.0 * x * y][:quadratic]
-    *form, d, e = _least_squares([*squares, 2.0 * x, 2.0 * y])
-    a, b, c = {1: (*form, *form, 0.0), 2: (*form, 0.0), 3: form}[quadratic]
-    return frame.conic(a, b, c, d, e, -1.0)
+    size = points.shape[1]
+    pairs = list(itertools.combinations(range(size), 2))
+    free = np.eye(size + len(pairs), size if shape is QuadricFit.ALIGNED else None)
+    if shape is QuadricFit.SPHERE:
+        free = free[:, :size].sum(axis=1, keepdims=True)
+    cloud = _Cloud.of(points, free.shape[1] + size)
+    moved = cloud.points
+    products = [moved**2, *(2.0 * moved[:, [i]] * moved[:, [j]] for i, j in pairs)]
+    design = np.column_stack([np.column_stack(products) @ free, 2.0 * moved])
+    solution, _, rank, _ = np.linalg.lstsq(design, np.ones(len(points)), rcond=1e-12)
+    if rank < design.shape[1]:
+        raise Refusal(*(STRAIGHT[2] if size == 2 else FLAT[3]))
+    elements = free @ solution[:-size]
+    form = np.diag(elements[:size])
+    for (i, j), value in zip(pairs, elements[size:], strict=True):
+        form[i, j] = form[j, i] = value
+    return cloud.ellipsoid(form, np.asarray(solution[-size:]), -1.0)
 
 
-def _fit_ellipse_halir_flusser(points: FloatArray) -> Conic:
+def _fit_ellipse_halir_flusser(points: FloatArray) -> Ellipsoid:
     """Fit any ellipse under the constraint that it is one (Halír and Flusser, 1998).
 
     With the scatter of the quadratic terms S1, of the linear terms S3 and between them S2, the
     quadratic coefficients are the eigenvector of C⁻¹ (S1 - S2 S3⁻¹ S2ᵀ) for which 4ac - b² > 0.
     """
-    frame = _Frame.of(points, least=5)
-    x, y = frame.points.T
+    cloud = _Cloud.of(points, least=5)
+    x, y = cloud.points.T
     quadratic = np.column_stack([x * x, x * y, y * y])
     linear = np.column_stack([x, y, np.ones_like(x)])
     to_linear = -np.linalg.solve(linear.T @ linear, linear.T @ quadratic)
@@ -78,19 +135,21 @@ def _fit_ellipse_halir_flusser(points: FloatArray) -> Conic:
     columns = np.real(vectors)
     fulfilled = 4.0 * columns[0] * columns[2] - columns[1] ** 2 > 1e-12
     if not fulfilled.any():
-        raise _not_an_ellipse()
-    best = int(np.argmin(np.where(fulfilled, np.abs(values), np.inf)))
-    a, b, c = (float(v) for v in columns[:, best])
-    d, e, f = (float(v) for v in to_linear @ columns[:, best])
-    return frame.conic(a, c, b / 2.0, d / 2.0, e / 2.0, f)
+        raise Refusal(*OPEN[2])
+    best = columns[:, int(np.argmin(np.where(fulfilled, np.abs(values), np.inf)))]
+    a, b, c = best
+    d, e, f = to_linear @ best
+    form, half = np.array([[a, b / 2.0], [b / 2.0, c]]), np.array([d / 2.0, e / 2.0])
+    return cloud.ellipsoid(form, half, f)
 
 
-def _fit_circle_taubin(points: FloatArray) -> Conic:
-    frame = _Frame.of(points, least=3)
-    centre, radius = taubin_circle(frame.points, np.full(len(points), 1.0 / len(points)))
+def _fit_circle_taubin(points: FloatArray) -> Ellipsoid:
+    cloud = _Cloud.of(points, least=3)
+    centre, radius = taubin_circle(cloud.points, np.full(len(points), 1.0 / len(points)))
     if radius > LARGEST_RADIUS:
-        raise _too_straight()
-    return Conic(frame.centroid + frame.size * centre, np.full(2, frame.size * radius), 0.0)
+        raise Refusal(*STRAIGHT[2])
+    radii = np.full(2, cloud.size * radius)
+    return Ellipsoid(cloud.centroid + cloud.size * centre, radii, np.eye(2))
 
 
 def taubin_circle(points: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
@@ -120,7 +179,7 @@ class ConicFit(str, Enum):
     ROTATED_ELLIPSE = "rotated_ellipse"
     HALIR_FLUSSER = "halir_flusser"
 
-    def __call__(self, points: FloatArray) -> Conic:
+    def __call__(self, points: FloatArray) -> Ellipsoid:
         """Fit a curve.
 
         Of an ellipse along the axes the first half axis lies along x. Raises `Refusal` for fewer
@@ -131,12 +190,12 @@ class ConicFit(str, Enum):
             return _fit_circle_taubin(points)
         if self is ConicFit.HALIR_FLUSSER:
             return _fit_ellipse_halir_flusser(points)
-        linear = (ConicFit.CIRCLE, ConicFit.ELLIPSE, ConicFit.ROTATED_ELLIPSE)
-        return _fit_linearly(points, linear.index(self) + 1)
+        linear = (ConicFit.ROTATED_ELLIPSE, ConicFit.ELLIPSE, ConicFit.CIRCLE)
+        return fit_quadric(points, list(QuadricFit)[linear.index(self)])
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class _Cloud:
     """Points brought to their centroid and unit size, and the way back."""
 
     points: FloatArray
@@ -144,151 +203,26 @@ class _Frame:
     size: float
 
     @classmethod
-    def of(cls, points: FloatArray, least: int) -> _Frame:
-        centroid, moved = centred(points, least, "curve")
-        values = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
-        if values[1] <= THINNEST * values[0] or values[0] == 0.0:
-            raise Refusal(
-                Reason.FIELD_ON_A_LINE,
-                "The samples lie on a line or on one point. Turn further round.",
-            )
-        size = float(np.hypot(values[0], values[1]))
+    def of(cls, points: FloatArray, least: int) -> _Cloud:
+        centroid, moved = centred(points, least, "curve" if points.shape[1] == 2 else "surface")
+        spread = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
+        if spread[-1] <= THINNEST * spread[0]:
+            raise Refusal(*FLAT[points.shape[1]])
+        size = float(np.linalg.norm(spread))
         return cls(moved / size, centroid, size)
 
-    def conic(self, a: float, b: float, c: float, d: float, e: float, f: float) -> Conic:
-        """Return the ellipse a x² + b y² + 2c xy + 2d x + 2e y + f = 0 of the moved points."""
-        form = np.array([[a, c], [c, b]])
+    def ellipsoid(self, form: FloatArray, linear: FloatArray, constant: float) -> Ellipsoid:
+        """Return pᵀQp + 2bᵀp + c = 0 of the moved points; refuse what is no ellipse."""
         values, axes = np.linalg.eigh(form)
-        if values[0] * values[1] <= 0.0:
-            raise _not_an_ellipse()
-        centre = -np.linalg.solve(form, np.array([d, e]))
-        level = -(f + d * centre[0] + e * centre[1])
-        squares = level / values
+        if np.array_equal(form, np.diag(np.diag(form))):
+            values, axes = np.diag(form), np.eye(len(form))
+        if (values * values[0] <= 0.0).any():
+            raise Refusal(*OPEN[len(form)])
+        centre = -np.linalg.solve(form, linear)
+        squares = -(constant + float(linear @ centre)) / values
         if not (squares > 0.0).all():
-            raise _not_an_ellipse()
+            raise Refusal(*OPEN[len(form)])
         if squares.max() > LARGEST_RADIUS**2:
-            raise _too_straight()
-        radii, angle = np.sqrt(squares), math.atan2(float(axes[1, 0]), float(axes[0, 0]))
-        if c == 0.0:
-            radii, angle = np.sqrt(level / np.array([a, b])), 0.0
-        return Conic(
-            self.centroid + self.size * centre,
-            self.size * radii,
-            math.pi / 2.0 - (math.pi / 2.0 - angle) % math.pi,
-        )
-
-
-def _least_squares(columns: list[FloatArray]) -> list[float]:
-    design = np.column_stack(columns)
-    solution, _, rank, _ = np.linalg.lstsq(design, np.ones(len(design)), rcond=1e-12)
-    if rank < len(columns):
-        raise Refusal(
-            Reason.FIELD_ON_A_LINE, "The samples do not determine a curve. Turn further round."
-        )
-    return [float(value) for value in solution]
-
-
-def _too_straight() -> Refusal:
-    return Refusal(
-        Reason.FIELD_ON_A_LINE, "The samples bend too little to show a circle. Turn further round."
-    )
-
-
-def _not_an_ellipse() -> Refusal:
-    return Refusal(
-        Reason.CIRCLE_TOO_SMALL,
-        "The samples fit a parabola or a hyperbola better than an ellipse. Turn further round, or "
-        "fit a circle instead.",
-    )
-
-
-class QuadricFit(str, Enum):
-    """The shapes by name."""
-
-    ROTATED = "rotated"
-    ALIGNED = "aligned"
-    SPHERE = "sphere"
-
-
-_FREE = {
-    QuadricFit.ROTATED: np.eye(6),
-    QuadricFit.ALIGNED: np.eye(6, 3),
-    QuadricFit.SPHERE: np.eye(6, 3).sum(axis=1, keepdims=True),
-}
-"""Takes the free elements of each shape's form to xx, yy, zz, xy, xz, yz."""
-
-
-@dataclass(frozen=True, eq=False)
-class Ellipsoid:
-    """An ellipsoid."""
-
-    centre: FloatArray  # in the points' unit, shape (3,)
-    radii: FloatArray  # half axes, shape (3,)
-    axes: FloatArray
-    """A rotation; its columns are the directions of the half axes, in the order of `radii`. Shape
-    (3, 3)."""
-
-    def __post_init__(self) -> None:
-        for name, shape in (("centre", (3,)), ("radii", (3,)), ("axes", (3, 3))):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
-
-    @property
-    def radius(self) -> float:
-        """Geometric mean of the half axes: the radius of the sphere of the same volume."""
-        return float(np.exp(np.log(self.radii).mean()))
-
-    @property
-    def to_unit_sphere(self) -> FloatArray:
-        """The symmetric S that takes points from the centre onto the unit sphere, (3, 3)."""
-        return np.asarray((self.axes / self.radii) @ self.axes.T)
-
-
-def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> Ellipsoid:
-    """Fit an ellipsoid by linear least squares, pᵀQp + 2bᵀp = 1.
-
-    By `shape`, Q has six free elements, is diagonal, or a multiple of the identity. Raises
-    `Refusal` for too few points (n, 3), a plane, numbers not finite, or another surface.
-    """
-    free = _FREE[shape]
-    centroid, moved = centred(points, free.shape[1] + 3, "surface")
-    spread = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
-    if spread[2] <= THINNEST * spread[0]:
-        raise _planar()
-    size = float(np.linalg.norm(spread))
-    moved /= size
-    x, y, z = moved.T
-    products = np.column_stack([moved**2, 2.0 * x * y, 2.0 * x * z, 2.0 * y * z])
-    design = np.column_stack([products @ free, 2.0 * moved])
-    solution, _, rank, _ = np.linalg.lstsq(design, np.ones(len(points)), rcond=1e-10)
-    if rank < design.shape[1]:
-        raise _planar()
-    xx, yy, zz, xy, xz, yz = free @ solution[:-3]
-    form, linear = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), solution[-3:]
-    values, axes = np.linalg.eigh(form)
-    if shape is not QuadricFit.ROTATED:
-        values, axes = np.diag(form), np.eye(3)
-    if np.abs(values).min() <= LARGEST_RADIUS**-2:
-        raise _no_ellipsoid()
-    centre = -np.linalg.solve(form, linear)
-    squares = (1.0 + float(centre @ form @ centre)) / values
-    if not (squares > 0.0).all() or squares.max() > LARGEST_RADIUS**2:
-        raise _no_ellipsoid()
-    if np.linalg.det(axes) < 0.0:
-        axes = -axes
-    return Ellipsoid(centroid + size * centre, size * np.sqrt(squares), axes)
-
-
-def _planar() -> Refusal:
-    return Refusal(
-        Reason.PLANAR,
-        "The samples lie on a plane: no ellipsoid can be fitted to them. Tumble the sensor through "
-        "all orientations, or use a method for turns about one axis.",
-    )
-
-
-def _no_ellipsoid() -> Refusal:
-    return Refusal(
-        Reason.NO_SOLUTION,
-        "The samples fit an open surface (a hyperboloid or a cylinder) better than an ellipsoid. "
-        "Tumble the sensor through all orientations, away from iron.",
-    )
+            raise Refusal(*STRAIGHT[len(form)])
+        axes = axes * (np.linalg.det(axes) if len(form) == 3 else 1.0)
+        return Ellipsoid(self.centroid + self.size * centre, self.size * np.sqrt(squares), axes)

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, freeze
+from magcal_ros.core.geometry.attitude import angle_between
 from magcal_ros.core.geometry.rotations import rpy_from_rotation
 
 FIXED = "fixed"
@@ -33,7 +34,7 @@ class FrameJoint:
     """Takes vectors from the child's axes to the parent's. Shape (3, 3)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pose", frozen_array(self.pose, (3, 3), "pose of a joint"))
+        freeze(self, pose=(3, 3))
 
 
 class FrameTree:
@@ -138,7 +139,7 @@ class SensorPoses:
         """
         if self.imu is None:
             return ""
-        lean = math.acos(min(1.0, max(-1.0, float(self.imu[2] @ up))))
+        lean = angle_between(self.imu[2], up)
         if lean < STEEPEST_GROUND:
             return ""
         return (

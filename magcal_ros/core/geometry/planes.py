@@ -11,7 +11,7 @@ from enum import Enum
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
 from magcal_ros.core.geometry.conics import THINNEST, taubin_circle
 
 ROBUST_ROUNDS = 4
@@ -100,8 +100,7 @@ class Plane:
     count: int  # number of points
 
     def __post_init__(self) -> None:
-        for name, shape in (("normal", (3,)), ("scatter", (3, 3))):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
+        freeze(self, normal=(3,), scatter=(3, 3))
 
     @property
     def spread(self) -> FloatArray:

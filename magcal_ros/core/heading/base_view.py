@@ -14,15 +14,15 @@ from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.geometry.vec3 import Triple, dot
+from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.compass import SMALLEST_FORWARD, Heading
+from magcal_ros.core.knowledge import CLEAR
 
 
 @dataclass(frozen=True)
 class FrontTuning:
     """When a sensor counts as misaligned, and a yaw found by driving is used."""
 
-    clear: float = 3.0  # sigmas beyond which two sources contradict each other
     near: float = 2.0  # sigmas within which the contradiction is twice the declination
     smallest: float = math.radians(3.0)  # radians; smaller contradictions are not reported
     useful: float = math.radians(2.0)  # radians of sigma below which a yaw is applied
@@ -100,7 +100,7 @@ def vehicle_front(
         return Front(own, gap, sigma, _missing_declination(gap, sigma))
     by_course = math.hypot(course.sigma, declination_sigma)
     sigma = math.hypot(by_course, mounting.sigma)
-    if abs(gap) > max(FRONT.clear * sigma, FRONT.smallest):
+    if abs(gap) > max(CLEAR * sigma, FRONT.smallest):
         return Front(own, gap, sigma, _suspicion(gap, sigma, declination))
     # Both agree, and are weighed by their variances.
     yaw = math.remainder(mounting.yaw + gap * (mounting.sigma / sigma) ** 2, math.tau)
@@ -110,7 +110,7 @@ def vehicle_front(
 
 def _missing_declination(gap: float, sigma: float) -> str:
     """Say what the declination seems to be, where it is not known."""
-    if sigma > FRONT.useful or abs(gap) < FRONT.clear * sigma:
+    if sigma > FRONT.useful or abs(gap) < CLEAR * sigma:
         return ""
     return (
         f"by course the declination is about {math.degrees(gap):+.0f}° "
@@ -158,7 +158,7 @@ class BaseView:
         """
         if self._is_imu:
             return seen
-        east, north, up = _rows(seen)
+        east, north, up = rotation_from_rpy(seen.roll, seen.pitch, seen.yaw).tolist()
         forward, left, top = self._forward, self._left, self._up
         fe, fn, fu = dot(east, forward), dot(north, forward), dot(up, forward)
         yaw = math.atan2(fn, fe)
@@ -184,18 +184,6 @@ class BaseView:
             seen.noise_variance,
             seen.lasting_variance,
         )
-
-
-def _rows(seen: Heading) -> tuple[Triple, Triple, Triple]:
-    """Return east, north and up in IMU axes, the rows of Rz(yaw) Ry(pitch) Rx(roll)."""
-    cr, sr = math.cos(seen.roll), math.sin(seen.roll)
-    cp, sp = math.cos(seen.pitch), math.sin(seen.pitch)
-    cy, sy = math.cos(seen.yaw), math.sin(seen.yaw)
-    return (
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    )
 
 
 def _by_tilt(seen: Heading) -> tuple[float, float]:
@@ -240,6 +228,6 @@ def _doubt(found: VehicleYaw | None, by_hand: float) -> str:
     if found is None:
         return ""
     gap = abs(math.remainder(found.offset - by_hand, math.tau))
-    if gap < max(FRONT.clear * found.sigma, FRONT.smallest):
+    if gap < max(CLEAR * found.sigma, FRONT.smallest):
         return ""
     return f"{found.words}, and vehicle_yaw_deg says {math.degrees(by_hand):.1f}°, which is used"

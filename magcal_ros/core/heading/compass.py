@@ -25,7 +25,7 @@ from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.motors_now import MotorsNow
 from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.up import Up
+from magcal_ros.core.up.follower import Up
 
 Quaternion = tuple[float, float, float, float]
 

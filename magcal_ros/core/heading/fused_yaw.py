@@ -31,7 +31,8 @@ from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading
 from magcal_ros.core.heading.disturbance import DISTURBANCE, DisturbanceDetector, Trust
 from magcal_ros.core.heading.yaw_filter import FUSION, GyroLoss, YawFilter
 from magcal_ros.core.samples.streams import STREAMS, enclosing
-from magcal_ros.core.up import GyroBias, Up
+from magcal_ros.core.up.follower import Up
+from magcal_ros.core.up.propagation import GyroBias
 
 HISTORY = 512
 """IMU messages within which the moment of a field message is looked for."""

@@ -18,7 +18,7 @@ from magcal_ros.core.heading.compass import Compass, Heading, Moment
 from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDoubt
 from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.up import Up
+from magcal_ros.core.up.follower import Up
 
 LASTING = 3.0
 """Seconds over which a disagreement without a reason is averaged, for when only one is left."""
@@ -66,12 +66,6 @@ class _Member:
     learnt: float = 0.0
     has_agreed: bool = False
     share: Share = field(default_factory=lambda: Share(0.0))
-
-    def forget(self) -> None:
-        """Begin anew, as if no message had come."""
-        self.moment, self.off = None, math.nan
-        self.arrived = self.changed = -math.inf
-        self.offset, self.learnt, self.has_agreed = (0.0, 0.0, 0.0), 0.0, False
 
     def take(self, moment: Moment, now: float) -> None:
         """Take a message of this magnetometer."""
@@ -143,15 +137,14 @@ class SeveralCompasses:
         `now` the stamp of the newest IMU message, seconds, as the clocks of drivers may differ. The
         gyro's yaw, `fused`, shows which one is wrong where they disagree.
         """
-        member = self._members.get(number)
-        if member is None:
+        if number not in self._members:
             return None
         if moment.up is None:
             return moment
         if now < self._now:
             self._forget()
         self._now = now
-        member.take(moment, now)
+        self._members[number].take(moment, now)
         sending = [k for k, each in self._members.items() if self._is_new(each.arrived)]
         if number != min(sending):
             return None
@@ -163,8 +156,10 @@ class SeveralCompasses:
         self._left_out: frozenset[int] = frozenset()
         self._gate = DISTURBANCE.gate**2  # squared sigmas
         self._between = self._lasting = self.disagreement = 0.0
-        for member in self._members.values():
-            member.forget()
+        self._members = {
+            number: _Member(each.compass, each.doubt, share=each.share)
+            for number, each in self._members.items()
+        }
 
     def _is_new(self, stamp: float) -> bool:
         return self._now - stamp <= STREAMS.longest_gyro_step

@@ -10,8 +10,8 @@ import numpy as np
 from magcal_ros.core.assessment.bounds import FULL_ARC_DEG
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.arrays import FloatArray, integral
+from magcal_ros.core.geometry.attitude import unit, usual_size
 from magcal_ros.core.geometry.planes import plane_normal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import STREAMS, SWAY
@@ -37,13 +37,13 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
             f"Only {len(window)} samples; at least {min_samples} are needed. Turn more "
             "slowly or check the rate of the topics.",
         )
-    if _usual_size(window.specific_force) < WEAKEST_FORCE:
+    if usual_size(window.specific_force) < WEAKEST_FORCE:
         raise Refusal(
             Reason.GRAVITY_ABSENT,
             "The accelerometer shows no gravity. It must publish specific force in m/s², +9.81 "
             "upwards at rest, with gravity not taken off.",
         )
-    if _usual_size(window.field) < STREAMS.smallest:
+    if usual_size(window.field) < STREAMS.smallest:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
         )
@@ -62,10 +62,6 @@ def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
         "does not say how the robot turned and swayed between them. Publish or record both at 10 "
         "Hz or more, or let the driver average its readings and turn more slowly.",
     )
-
-
-def _usual_size(vectors: FloatArray) -> float:
-    return float(np.median(np.linalg.norm(vectors, axis=1)))
 
 
 def _refuse_nonsense(window: Window) -> None:
@@ -147,9 +143,8 @@ def _turned_by_gyro(window: Window) -> float:
     """Return the range of the gyro's angle about up, radians; zero without a gyro."""
     if window.angular_rate is None or len(window) < 2:
         return 0.0
-    steps = 0.5 * (window.angular_rate[1:] + window.angular_rate[:-1])
-    steps = steps * np.diff(window.time)[:, None]
-    return float(np.ptp(np.cumsum(steps @ unit(window.specific_force.mean(axis=0)))))
+    about_up = window.angular_rate @ unit(window.specific_force.mean(axis=0))
+    return float(np.ptp(integral(window.time, about_up)))
 
 
 def visible_motion(values: FloatArray) -> bool:
@@ -159,7 +154,7 @@ def visible_motion(values: FloatArray) -> bool:
         clean = values
     noise = float(np.median(np.abs(np.diff(clean, axis=0)))) / 0.954
     spread = math.sqrt(max(float(plane_normal(clean)[1][-1]), 0.0))
-    size = float(np.median(np.linalg.norm(clean, axis=1)))
+    size = usual_size(clean)
     return spread > max(SCREENING.smallest_motion * size, SCREENING.least_motion * noise)
 
 

@@ -90,12 +90,11 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
 
 
 def _refuse_flattened(ellipsoid: Ellipsoid) -> None:
-    ratio = float(ellipsoid.radii.max() / ellipsoid.radii.min())
-    if ratio > TUNING.largest_ratio:
+    if ellipsoid.ratio > TUNING.largest_ratio:
         raise Refusal(
             Reason.NO_SOLUTION,
-            f"The longest radius of the ellipsoid is {ratio:.1f} times the shortest: too little "
-            "of it was seen, or iron touches the sensor. Tumble the sensor through all "
+            f"The longest radius of the ellipsoid is {ellipsoid.ratio:.1f} times the shortest: too "
+            "little of it was seen, or iron touches the sensor. Tumble the sensor through all "
             "orientations, and move it away from iron.",
         )
 
@@ -105,5 +104,5 @@ def _figures(ellipsoid: Ellipsoid) -> dict[Figure, float]:
     for k in range(3):
         figures[Figure(f"radius_{k + 1}")] = float(ellipsoid.radii[k])
         figures |= along(f"axis_{k + 1}", ellipsoid.axes[:, k])
-    figures[Figure.RADII_RATIO] = float(ellipsoid.radii.max() / ellipsoid.radii.min())
+    figures[Figure.RADII_RATIO] = ellipsoid.ratio
     return figures

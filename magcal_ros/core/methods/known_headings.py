@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.calibration import Estimate, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, wrapped
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.smoother.headings import (
     HeadingAgreement,
     agreement_of,
@@ -37,8 +37,6 @@ class ContradictionTuning:
     odds: float = 12.0
     """Minus twice the logarithm of the likelihood ratio by which another reading of the headings
     must be better to be named: one in four hundred."""
-    declination: float = 3.0
-    """Sigmas of the installation's yaw by which the declination must be seen to be named."""
 
 
 TUNING = ContradictionTuning()
@@ -222,14 +220,14 @@ def declination_hint(
     declination = knowledge.reference.declination
     assert estimate.installation is not None
     yaw, sigma = estimate.installation.yaw, estimate.figures[Figure.INSTALLATION_YAW_SIGMA]
-    if declination is None or abs(declination) < TUNING.declination * sigma:
+    if declination is None or abs(declination) < CLEAR * sigma:
         return ""
     told_true = [each.by_declination for each in standings]
     # Given to true north but counted from magnetic, the yaw comes out as minus the declination.
     expected = -declination if all(told_true) else declination
     if all(told_true) is not any(told_true) or abs(yaw - expected) > abs(yaw):
         return ""
-    if abs(yaw) < TUNING.declination * sigma:
+    if abs(yaw) < CLEAR * sigma:
         return ""
     given, other = ("true", "magnetic") if all(told_true) else ("magnetic", "true")
     return (
@@ -246,7 +244,7 @@ def next_heading(standings: Sequence[Standing], knowledge: Knowledge) -> tuple[f
     """
     found = fit_headings(standings, knowledge)
     last = standings[-1].heading
-    headings = [wrapped(last + k * math.tau / 8) for k in range(1, 8)]
+    headings = [wrapped(last + k * 0.5 * QUARTER) for k in range(1, 8)]
     sigmas = [sigma_with(found, standings, knowledge, heading) for heading in headings]
     best = int(np.argmin(sigmas))
     return headings[best], sigmas[best]

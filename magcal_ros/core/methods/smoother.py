@@ -11,9 +11,9 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Estimate, GyroSwing, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit, usual_size
 from magcal_ros.core.geometry.rotations import chained, rotation_vectors
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
 from magcal_ros.core.samples.drive_log import DriveLog, log_of
 from magcal_ros.core.samples.units import likely_field_unit
@@ -47,8 +47,6 @@ LARGEST_STREET = 12.0
 """µT of local disturbance beyond which the axes of the sensors do not belong together."""
 INLIER_WEIGHT = 0.3
 """Student weight above which a node counts as an inlier."""
-SIGMAS = 3.0
-"""Significance from which the motors' field and a weakened level field are reported."""
 WEAKENED = 0.1
 """Share of the level field by which no gain of a sensor is too low."""
 GYRO_DIFFERS = (
@@ -113,7 +111,7 @@ def smoothed(
     Raises `Refusal` if the window is unusable (`check_window`), or if no fit is found.
     """
     check_window(window, knowledge)
-    hint = likely_field_unit(float(np.median(np.linalg.norm(window.field, axis=1))))
+    hint = likely_field_unit(usual_size(window.field))
     if hint:
         raise Refusal(Reason.NO_SOLUTION, hint)
     if living_axes(window.angular_rate)[2]:
@@ -260,7 +258,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     size = float(np.linalg.norm(at_rate @ shared))
     doubt = math.sqrt(float(np.trace(at_rate @ best.covariance @ at_rate.T)))
     share = float(np.trace(soft_iron(shared)[:2, :2])) / 2.0
-    weakened = 1.0 - share > max(WEAKENED, SIGMAS * sigma[SHIELDING])
+    weakened = 1.0 - share > max(WEAKENED, CLEAR * sigma[SHIELDING])
     return {
         **(_of_a_drive(found) if found.mode in DRIVES else {}),
         Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: share,
@@ -271,7 +269,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
         Figure.ITERATIONS: float(best.rounds),
         Figure.SOFT_IRON: float(best.model.priors.scale[AT["soft_iron"]].any()),
         Figure.LATENCY: float(shared[AT["latency"]][0]),
-        Figure.MOTOR_FIELD: size / MICROTESLA if size > SIGMAS * doubt else 0.0,
+        Figure.MOTOR_FIELD: size / MICROTESLA if size > CLEAR * doubt else 0.0,
         Figure.ON_THE_SPOT: sum(
             share for name, share in found.weights.items() if name.startswith(ON_THE_SPOT)
         ),

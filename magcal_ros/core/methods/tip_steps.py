@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU, unit
-from magcal_ros.core.geometry.conics import Conic, ConicFit
+from magcal_ros.core.geometry.conics import ConicFit
 from magcal_ros.core.geometry.planes import SMALLEST, Plane, PlaneFit
 from magcal_ros.core.geometry.rotations import (
     roll_pitch_between,
@@ -126,10 +126,10 @@ class FieldCircle:
     """Samples relative to the centre, in sensor axes, tesla. Shape (n, 3)."""
     phasor: np.ndarray[tuple[int], np.dtype[np.complex128]]
     """Samples relative to the centre, in the plane, tesla. Shape (n,)."""
-    height: float
-    """Distance of the plane from the origin along the normal, tesla."""
-    conic: Conic
-    """The fitted curve in the plane's axes."""
+    middle: FloatArray
+    """The centre in the axes of `basis`, tesla. Shape (3,)."""
+    radius: float
+    """Tesla."""
 
     @property
     def normal(self) -> FloatArray:
@@ -137,14 +137,14 @@ class FieldCircle:
         return self.basis[:, 2]
 
     @property
-    def radius(self) -> float:
-        """Tesla."""
-        return self.conic.radius
+    def height(self) -> float:
+        """Distance of the plane from the origin along the normal, tesla."""
+        return float(self.middle[2])
 
     @property
     def centre(self) -> FloatArray:
         """The centre in sensor axes, shape (3,), tesla."""
-        return np.asarray(self.basis @ np.append(self.conic.centre, self.height))
+        return np.asarray(self.basis @ self.middle)
 
     @property
     def model_error(self) -> FloatArray:
@@ -155,14 +155,9 @@ class FieldCircle:
 
     def flipped(self) -> FieldCircle:
         """Return the same circle with the opposite normal."""
-        mirrored = self.conic.centre * (1.0, -1.0)
-        return replace(
-            self,
-            basis=self.basis * (1.0, -1.0, -1.0),
-            phasor=self.phasor.conj(),
-            height=-self.height,
-            conic=replace(self.conic, centre=mirrored, angle=-self.conic.angle),
-        )
+        flip = np.array([1.0, -1.0, -1.0])
+        middle = self.middle * flip
+        return replace(self, basis=self.basis * flip, phasor=self.phasor.conj(), middle=middle)
 
 
 def fit_field_circle(samples: TipSamples, options: Options) -> FieldCircle:
@@ -177,11 +172,11 @@ def fit_field_circle(samples: TipSamples, options: Options) -> FieldCircle:
     basis = derotation(normal)
     flat = samples.field @ basis
     conic = options.conic(flat[:, :2])
-    _refuse_unreliable(plane, conic, samples.raw)
-    height = float(flat[:, 2].mean())
-    around = flat - np.append(conic.centre, height)
+    _refuse_unreliable(plane, conic.radius, samples.raw)
+    middle = np.append(conic.centre, flat[:, 2].mean())
+    around = flat - middle
     phasor = around[:, 0] + 1j * around[:, 1]
-    return FieldCircle(basis, around @ basis.T, phasor, height, conic)
+    return FieldCircle(basis, around @ basis.T, phasor, middle, conic.radius)
 
 
 def derotation(normal: FloatArray) -> FloatArray:
@@ -190,7 +185,7 @@ def derotation(normal: FloatArray) -> FloatArray:
     return rotation_from_rpy(math.atan2(y, z), -math.asin(min(1.0, max(-1.0, x)))).T
 
 
-def _refuse_unreliable(plane: Plane, conic: Conic, raw: FloatArray) -> None:
+def _refuse_unreliable(plane: Plane, radius: float, raw: FloatArray) -> None:
     least_noise = SMALLEST * float(np.linalg.norm(raw, axis=1).mean())
     smallest, middle, largest = plane.spread
     is_uncertain = plane.normal_sigma(least_noise) > TUNING.largest_normal_sigma
@@ -199,7 +194,7 @@ def _refuse_unreliable(plane: Plane, conic: Conic, raw: FloatArray) -> None:
             Reason.FIELD_ON_A_LINE,
             "The field's samples lie on a line within their noise. Turn further round.",
         )
-    if is_uncertain or plane.thickness > TUNING.largest_thickness * conic.radius:
+    if is_uncertain or plane.thickness > TUNING.largest_thickness * radius:
         raise Refusal(
             Reason.FIELD_NOT_ON_A_PLANE,
             "The field's samples do not lie on a plane. Turn about one axis only, on even ground "

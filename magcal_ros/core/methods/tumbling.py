@@ -19,7 +19,7 @@ from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
-from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.attitude import unit, usual_size
 from magcal_ros.core.geometry.rotations import skew
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import SCREENING, refuse_empty
@@ -161,7 +161,7 @@ def _refuse_flat(nominal: FloatArray) -> None:
     """Refuse a cloud that did not move, or that lies on a plane."""
     spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     spread = spread / math.sqrt(len(nominal))
-    if spread[0] < SCREENING.smallest_motion * float(np.median(np.linalg.norm(nominal, axis=1))):
+    if spread[0] < SCREENING.smallest_motion * usual_size(nominal):
         raise Refusal(
             Reason.NO_MOTION,
             "The field hardly changed. Tumble the sensor through all orientations.",

@@ -37,7 +37,7 @@ from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import SensorLog, Window
 from magcal_ros.core.smoother.drives import drive_nodes, fit_iron
-from magcal_ros.core.up import propagated_up
+from magcal_ros.core.up.follower import propagated_up
 
 STATES = {
     Grade.EXCELLENT: "holds",

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade
-from magcal_ros.core.calibration import Calibration, Figure
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import TravelReplay
-from magcal_ros.core.geometry import FloatArray, wrap_angle
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.monitoring.change import CHANGE
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample

@@ -14,9 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade
-from magcal_ros.core.calibration import Calibration, Figure
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import known_sigma
-from magcal_ros.core.geometry import FloatArray, wrapped
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import dot, length
 from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.monitoring.change import (

@@ -15,11 +15,15 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.assessment.verdict import judge
-from magcal_ros.core.calibration import PARAMETERS, Estimate, Figure
+from magcal_ros.core.calibration.calibration import Estimate
+from magcal_ros.core.calibration.correction import PARAMETERS
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import CHECKED_TILT, heading_jacobian, rms_sigma
 from magcal_ros.core.doctor.page import blamed_on_axes, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry import FloatArray, field_in_enu, minimal_rotation, rotation_from_rpy
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import field_in_enu
+from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother import check, estimate_of, smoothed
 from magcal_ros.core.multi_turn.result import Advice, Several, Shown, TurnFate
@@ -122,9 +126,8 @@ def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
         reference = knowledge.reference
         guessed = reference.strength.is_unknown and reference.inclination.is_unknown
         mended = estimate is not None and refusal.reason in SHORT + GUESSED * guessed
-        return Turn(
-            name, window, estimate, found, why.reason, "" if mended else str(why).rstrip(".")
-        )
+        unfit = "" if mended else str(why).rstrip(".")
+        return Turn(name, window, estimate, found, why.reason, unfit)
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
         return Turn(name, window, estimate, found, wrong.reason, str(wrong))

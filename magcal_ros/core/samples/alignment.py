@@ -86,19 +86,9 @@ class Alignment:
     """Of the parameters; infinite for candidates that were given up. Shape (k, 23, 23)."""
     tilt: float
     """Radians RMS by which the movement was more than a turn about one axis."""
-    gravity_spread: float
-    """Radians RMS by which gravity deviates in the world meanwhile: so much of that may be the
-    gyro's own wandering."""
-
-    @property
-    def tilt_seen(self) -> float:
-        """The tilt, radians RMS; zero where gravity deviates farther."""
-        return self.tilt if self.tilt > self.gravity_spread else 0.0
-
-    @property
-    def least_tilt(self) -> float:
-        """The part of the tilt that is not the gyro's wandering, radians RMS."""
-        return math.sqrt(max(self.tilt**2 - self.gravity_spread**2, 0.0))
+    least_tilt: float
+    """The part of it that is not the gyro's own wandering: so much of it may be that as gravity
+    deviates in the world meanwhile."""
 
     @property
     def best(self) -> int:
@@ -136,8 +126,9 @@ def align(
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
     covariance[kept] = np.linalg.inv(information)
     attitude = problem.propagate(some)[0][int(np.argmin(cost))]
-    spreads = _tilt_spread(attitude), _gravity_spread(attitude, stretch.up)
-    return Alignment(misfit, rms, state, covariance, *spreads)
+    tilt, wandering = _tilt_spread(attitude), _gravity_spread(attitude, stretch.up)
+    least_tilt = math.sqrt(max(tilt**2 - wandering**2, 0.0))
+    return Alignment(misfit, rms, state, covariance, tilt, least_tilt)
 
 
 def _tilt_spread(attitude: FloatArray) -> float:

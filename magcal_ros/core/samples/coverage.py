@@ -13,7 +13,8 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, int
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
 from magcal_ros.core.geometry.planes import fit_circle_in_space
 
-BINS = 36
+BINS, THINNED = 36, 180
+"""Bins of the circle in which a turn is shown, and in which it is thinned."""
 
 
 @dataclass(frozen=True)
@@ -157,20 +158,17 @@ def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
     return np.asarray(phase[0] - phase)
 
 
-def thin_to_equal_angles(
-    progress: FloatArray, bins: int = 180, most: int | None = None
-) -> IntArray:
+def thin_to_equal_angles(progress: FloatArray, most: int | None = None) -> IntArray:
     """Choose samples so that a pause does not weigh.
 
     A bin of headings keeps at most twice the median number of samples of a filled bin, evenly
     spread over the time that was spent in it; fewer if that is still too many in all.
 
-    `progress` (n,) is the yaw of each sample, radians, `bins` their number on the circle, and
-    `most` the samples to keep in all; at least one stays of each filled bin. Returns increasing row
-    numbers.
+    `progress` (n,) is the yaw of each sample, radians, and `most` the samples to keep in all; at
+    least one stays of each filled bin. Returns increasing row numbers.
     """
-    where = (np.mod(progress, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
-    counts = np.bincount(where, minlength=bins)
+    where = (np.mod(progress, math.tau) * (THINNED / math.tau)).astype(np.int64) % THINNED
+    counts = np.bincount(where, minlength=THINNED)
     limit = max(2, int(2 * np.median(counts[counts > 0])))
     if most is not None:
         fewer = range(1, limit + 1)

@@ -11,7 +11,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, block_means, interpolated
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.rest import GyroAtRest
+from magcal_ros.core.samples.rest import sigma_later
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
 
@@ -78,15 +78,8 @@ class DriveLog:
         return replace(self, **{n: each[rows] for n, each in found.items() if each is not None})
 
 
-def log_of(window: Window, speed: FloatArray | None = None) -> DriveLog:
-    """Average a window that has a gyro.
-
-    Parameters
-    ----------
-    window : Window
-    speed : ndarray, shape (n,), optional
-        m/s at its samples.
-    """
+def log_of(window: Window) -> DriveLog:
+    """Average a window that has a gyro; nobody has measured its speed."""
     assert window.angular_rate is not None
     block = ((window.time - window.time[0]) / TUNING.row).astype(int)
     first = np.flatnonzero(np.diff(block, prepend=-1))
@@ -95,7 +88,7 @@ def log_of(window: Window, speed: FloatArray | None = None) -> DriveLog:
         block_means(window.field, first),
         block_means(window.specific_force, first),
         block_means(window.angular_rate, first),
-        np.full(len(first), np.nan) if speed is None else block_means(speed, first),
+        np.full(len(first), np.nan),
         window.bias_sigma,
     )
 
@@ -150,7 +143,7 @@ class DriveRecorder:
         Where its clock began, seconds; NaN before the first movement.
     """
 
-    def __init__(self, seconds: float = 600.0) -> None:
+    def __init__(self, seconds: float) -> None:
         self._longest_silence = CHUNKS_OF_REST * TUNING.chunk * TUNING.row
         self._chunks: deque[FloatArray] = deque(
             maxlen=int(seconds / (TUNING.row * TUNING.chunk)) + 1
@@ -188,14 +181,6 @@ class DriveRecorder:
     def rests(self) -> bool:
         """Whether the robot stood in the last second."""
         return self._rests
-
-    @property
-    def gyro(self) -> GyroAtRest | None:
-        """What the newest rest has shown of the gyro; None where there was none."""
-        if not self._rested:
-            return None
-        x, y, z = self._rested[-1].rate.tolist()
-        return GyroAtRest((x, y, z), self._rested[-1].sigma)
 
     def add(
         self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
@@ -252,10 +237,11 @@ class DriveRecorder:
         changes from one to the other.
         """
         rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
-        time, rate, gyro = rows[:, 0], rows[:, RATE], self.gyro
-        if gyro is not None:
+        time, rate, sigma = rows[:, 0], rows[:, RATE], math.inf
+        if self._rested:
+            newest = self._rested[-1]
             rate = rate - self._bias_at(time)
-        sigma = math.inf if gyro is None else gyro.later_sigma
+            sigma = sigma_later(newest.rate.tolist(), newest.sigma)
         rested = rows[:, RESTED] > 0.0
         return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma, rested)
 

@@ -18,9 +18,10 @@ from magcal_ros.core.geometry.arrays import (
     FloatArray,
     IntArray,
     block_means,
-    frozen_array,
+    freeze,
     runs,
 )
+from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
 
@@ -38,7 +39,12 @@ class GyroAtRest(NamedTuple):
     @property
     def later_sigma(self) -> float:
         """Sigma of the bias that is left when this is taken off later on, rad/s per axis."""
-        return math.hypot(self.sigma, CHANGES_BY * length(self.rate))
+        return sigma_later(self.rate, self.sigma)
+
+
+def sigma_later(rate: Triple, sigma: float) -> float:
+    """Return the sigma of what is left of a bias by a rest, rad/s per axis, when it is old."""
+    return math.hypot(sigma, CHANGES_BY * length(rate))
 
 
 class LongestRest(NamedTuple):
@@ -92,8 +98,7 @@ class RestBeside:
     3)."""
 
     def __post_init__(self) -> None:
-        for name, shape in (("field", (3,)), ("force", (3,)), ("rate", (3,)), ("turned", (3, 3))):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
+        freeze(self, field=(3,), force=(3,), rate=(3,), turned=(3, 3))
 
 
 def apart_from_rests(
@@ -173,7 +178,7 @@ def longest_stand(time: FloatArray, field: FloatArray, rate: FloatArray) -> Long
     if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
         return None
     # A robot that stands all the time has not swung its field; its level part is about so large.
-    radius = 0.3 * float(np.median(np.linalg.norm(field, axis=1)))
+    radius = 0.3 * usual_size(field)
     found = _steady(field, rate, _split(time), radius)
     if not found:
         return None

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.streams import Drop, Streams
 from magcal_ros.core.samples.window import Window
@@ -81,7 +82,7 @@ def explained(refusal: Refusal, window: Window) -> Refusal:
     """
     if len(window) == 0:
         return refusal
-    hint = likely_field_unit(float(np.median(np.linalg.norm(window.field, axis=1))))
+    hint = likely_field_unit(usual_size(window.field))
     if not hint and refusal.reason in MISLED_BY_AXES:
         force = window.specific_force.mean(axis=0)
         hint = Z_NOT_UP if force[2] < LEAST_UPRIGHT * float(np.linalg.norm(force)) else ""

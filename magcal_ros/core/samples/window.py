@@ -13,10 +13,11 @@ from magcal_ros.core.geometry.arrays import (
     FloatArray,
     IntArray,
     block_means,
-    frozen_array,
+    freeze,
     integral,
     interpolated,
 )
+from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
@@ -54,18 +55,10 @@ class Window:
     infinite where none was."""
 
     def __post_init__(self) -> None:
-        time = frozen_array(self.time, (-1,), "time")
-        n = len(time)
-        object.__setattr__(self, "time", time)
-        object.__setattr__(self, "field", frozen_array(self.field, (n, 3), "field"))
-        force = frozen_array(self.specific_force, (n, 3), "specific force")
-        object.__setattr__(self, "specific_force", force)
-        if self.angular_rate is not None:
-            rate = frozen_array(self.angular_rate, (n, 3), "angular rate")
-            object.__setattr__(self, "angular_rate", rate)
-        if self.turned is not None:
-            object.__setattr__(self, "turned", frozen_array(self.turned, (n, 3, 3), "turned"))
-        if (np.diff(time) <= 0.0).any():
+        freeze(self, time=(-1,))
+        rows = (len(self.time), 3)
+        freeze(self, field=rows, specific_force=rows, angular_rate=rows, turned=(*rows, 3))
+        if (np.diff(self.time) <= 0.0).any():
             raise ValueError("the stamps of a window must increase")
 
     @property
@@ -232,7 +225,7 @@ def stretch_of_log(
     )
     step = np.diff(angle, axis=0)
     size = field_size(field)
-    gravity = float(np.median(np.linalg.norm(force, axis=1)))
+    gravity = usual_size(force)
     return Stretch(
         field / size,
         force / max(gravity, 1e-12),

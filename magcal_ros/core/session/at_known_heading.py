@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.calibrate import Outcome, judged
-from magcal_ros.core.calibration import Calibration, calibration_sigma, yaw_jacobian
+from magcal_ros.core.calibration.calibration import Calibration, yaw_jacobian
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray, unit, wrapped
-from magcal_ros.core.geometry.attitude import body_from_enu
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit, next_heading
@@ -23,7 +24,7 @@ from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import DEGREES, LOG, TUNING, ExternalHeading
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import MICROTESLA, SIZES, STANDING
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 
 
 def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:

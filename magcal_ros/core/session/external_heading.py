@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from magcal_ros.core.calibration import Calibration, calibration_sigma
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.heading.yaw_filter import FUSION

@@ -51,7 +51,7 @@ from magcal_ros.core.session.at_known_heading import (
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits, Progress, Session
 from magcal_ros.core.smoother.standings import Standing
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up.follower import UpFollower
 
 Reading: TypeAlias = ImuSample | FieldSample | None
 """One sample; None is an Imu message that marks its acceleration as absent."""

@@ -18,7 +18,8 @@ from enum import Enum
 
 import numpy as np
 
-from magcal_ros.core.geometry import FloatArray, unit
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.vec3 import dot, length
 from magcal_ros.core.samples.streams import STREAMS, Pair
 from magcal_ros.core.session.session import Progress

@@ -16,10 +16,11 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples import STREAMS, Pair, Window
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.rest import GyroAtRest, apart_from_rests
-from magcal_ros.core.up import relative_attitudes
+from magcal_ros.core.samples.streams import STREAMS, Pair
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.up.follower import relative_attitudes
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from dataclasses import replace
 from magcal_ros.core.calibrate import JOINS, Outcome
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.multi_turn.result import Kept
-from magcal_ros.core.samples import Pair, Window
+from magcal_ros.core.samples.streams import Pair
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.rotation import planned_duration
 from magcal_ros.core.session.self_turn import Around, SelfTurn, Steering

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, freeze
 from magcal_ros.core.geometry.attitude import (
     STANDARD_GRAVITY,
     field_in_enu,
@@ -53,9 +53,7 @@ class Robot:
     """rad/s. Shape (3,)."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "hard_iron", frozen_array(self.hard_iron, (3,), "hard iron"))
-        object.__setattr__(self, "soft_iron", frozen_array(self.soft_iron, (3, 3), "soft iron"))
-        object.__setattr__(self, "gyro_bias", frozen_array(self.gyro_bias, (3,), "gyro bias"))
+        freeze(self, hard_iron=(3,), soft_iron=(3, 3), gyro_bias=(3,))
 
     @property
     def distortion(self) -> FloatArray:

@@ -14,7 +14,7 @@ from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window, white_noise
 from magcal_ros.core.smoother.rests import rests
 from magcal_ros.core.smoother.unknowns import MICROTESLA
-from magcal_ros.core.up import unseen_angles
+from magcal_ros.core.up.follower import unseen_angles
 
 LINKS = ("seconds", "turned", "angle", "force", "along", "swing", "samples", "unseen")
 """What the nodes hold of the links between them."""

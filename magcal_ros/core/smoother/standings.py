@@ -13,7 +13,7 @@ from dataclasses import field as member
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray, freeze
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part, unit
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother import factors
@@ -77,8 +77,7 @@ class Standing:
     """m/s² per axis of `force`; larger where up is of a robot that moves."""
 
     def __post_init__(self) -> None:
-        for name in ("field", "force", "forward"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (3,), name))
+        freeze(self, field=(3,), force=(3,), forward=(3,))
 
     @property
     def in_words(self) -> str:

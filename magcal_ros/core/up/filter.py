@@ -19,9 +19,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
-
-CLEAR = 3.0
-"""Sigmas beyond which a deviation is no chance."""
+from magcal_ros.core.knowledge import CLEAR
 
 
 @dataclass(frozen=True)
@@ -219,8 +217,7 @@ class UpFilter:
         step = self._transition
         fast = math.exp(-seconds / FILTER.speed_lasts)
         kept = math.exp(-seconds / FILTER.acceleration_lasts)
-        step[:3, :3] = exp_rotation(np.array(turned))
-        step[:3, :3] = step[:3, :3].T
+        step[:3, :3] = exp_rotation(-np.array(turned))
         x, y, z = (seconds * each for each in up)
         step[:3, 3:6] = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
         step.reshape(-1)[78::13] = (fast, fast, fast, kept, kept, kept)

@@ -21,10 +21,11 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
     unit_triple,
 )
+from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.up.filter import CLEAR, FILTER, PROPAGATION
+from magcal_ros.core.up.filter import FILTER, PROPAGATION
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
 from magcal_ros.core.up.stillness import ZERO, DeadAxes
 

@@ -20,7 +20,8 @@ from magcal_ros.core.geometry.vec3 import (
     scaled,
     unit_triple,
 )
-from magcal_ros.core.up.filter import CLEAR, FILTER, PROPAGATION, REST, MotionPrior, UpFilter
+from magcal_ros.core.knowledge import CLEAR
+from magcal_ros.core.up.filter import FILTER, PROPAGATION, REST, MotionPrior, UpFilter
 from magcal_ros.core.up.stillness import (
     ZERO,
     BlockMeans,

@@ -24,8 +24,9 @@ from magcal_ros.core.geometry.vec3 import (
     plus,
     scaled,
 )
+from magcal_ros.core.knowledge import CLEAR
 from magcal_ros.core.samples.rest import TUNING as RESTED
-from magcal_ros.core.up.filter import CHECK, CLEAR, REST
+from magcal_ros.core.up.filter import CHECK, REST
 
 
 class FieldStillness:

@@ -9,7 +9,7 @@ from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration import Figure
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.simulation import DEGREE, Robot
 

@@ -19,10 +19,10 @@ from magcal_ros.core.assessment.verdict import (
     judge,
     refuse,
 )
-from magcal_ros.core.calibration import Figure
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 
 KNOWN = Robot().knowledge()

@@ -10,7 +10,7 @@ from long_form import first_of
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 
 UNKNOWN = Knowledge()
 

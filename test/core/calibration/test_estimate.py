@@ -3,11 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from examples import examples
+from honesty_cases import sigma_at
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.calibration import Correction, Estimate, Installation, yaw_jacobian
-from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
+from magcal_ros.core.calibration.calibration import Estimate, Installation, yaw_jacobian
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.simulation import DEGREE, UP_ENU, Robot, trial_attitudes
 
 
@@ -53,12 +56,12 @@ def test_hard_iron_sigma_in_the_plane_becomes_heading_sigma_over_the_radius():
     covariance[9:, 9:] = (0.25e-6) ** 2 * np.eye(3)
     estimate = estimate_with(covariance)
     attitude = trial_attitudes()[:, 4]
-    sigma = estimate.heading_sigma(attitude @ UP_ENU, attitude @ Robot().field_enu)
+    sigma = sigma_at(estimate, attitude @ UP_ENU, attitude @ Robot().field_enu)
     np.testing.assert_allclose(sigma, 0.25e-6 / estimate.circle_radius, rtol=1e-9)
 
 
 def test_no_uncertainty_no_sigma():
-    sigma = estimate_with(np.zeros((12, 12))).heading_sigma(UP_ENU, Robot().field_enu)
+    sigma = sigma_at(estimate_with(np.zeros((12, 12))), UP_ENU, Robot().field_enu)
     assert float(sigma) == 0.0
 
 

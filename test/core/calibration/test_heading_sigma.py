@@ -6,17 +6,17 @@ import pytest
 from sample_results import SKEWED, estimate, small_covariance
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibration import (
-    Correction,
-    Figure,
-    Installation,
+from magcal_ros.core.calibration.calibration import Installation
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import (
     arc_sigma,
     calibration_sigma,
     common_figures,
     predicted_heading_sigma,
     sideways_acceleration,
 )
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import LEVEL_TILT, Robot, heading_errors
 
 TRUTH = Robot()

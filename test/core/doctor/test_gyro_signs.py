@@ -5,7 +5,7 @@ from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.doctor.page import wrong_axes
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 
 

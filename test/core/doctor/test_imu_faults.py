@@ -15,7 +15,7 @@ from magcal_ros.core.doctor.explanations import explain, gravity_misfit
 from magcal_ros.core.doctor.latency import force_latency
 from magcal_ros.core.doctor.page import examine, examine_window
 from magcal_ros.core.doctor.prepared import prepare
-from magcal_ros.core.geometry import chained, exp_rotations, signed_permutations
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, signed_permutations
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import SensorLog, stretch_of_log
 from magcal_ros.core.simulation import DEGREE, Robot

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.geometry import exp_rotations
+from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.samples.window import SensorLog
 
 RATE, STEP = 0.36, 1.0 / 30.0

@@ -18,7 +18,7 @@ from magcal_ros.core.doctor.quirks import (
     WRAP,
     as_markdown,
 )
-from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
 MOTION = "half minute"
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from magcal_ros.core.geometry import (
+from magcal_ros.core.geometry.rotations import (
     exp_rotation,
     minimal_rotation,
     rotation_about,

@@ -3,7 +3,6 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.geometry.frame_tree import (
     FIXED,
     FrameJoint,
@@ -12,6 +11,7 @@ from magcal_ros.core.geometry.frame_tree import (
     pose_in_words,
     sensor_poses,
 )
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
 FRAMES = Frames("base_link", "imu_link", "mag_link")
 SIDEWAYS = rotation_from_rpy(0.0, 0.0, math.pi / 2)

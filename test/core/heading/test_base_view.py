@@ -7,8 +7,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from sample_results import calibration as sample_calibration
 
-from magcal_ros.core.calibration import PARAMETERS, Correction
-from magcal_ros.core.geometry import exp_rotation, rotation_from_rpy
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.geometry.rotations import exp_rotation, rotation_from_rpy
 from magcal_ros.core.heading.base_view import BaseView
 from magcal_ros.core.heading.compass import Compass, Heading
 

@@ -8,23 +8,22 @@ from hypothesis import strategies as st
 from sample_results import SKEWED, calibration, small_covariance
 from scipy.spatial.transform import Rotation
 
-from magcal_ros.core.calibration import (
+from magcal_ros.core.calibration.correction import (
     AT_REST,
     Correction,
-    Figure,
     MotorField,
     MotorInput,
     Running,
 )
-from magcal_ros.core.geometry import (
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.geometry.attitude import (
     body_from_enu,
     field_in_enu,
-    rotation_from_rpy,
-    rpy_from_rotation,
     unit,
     wrap_angle,
     yaw_from_up_and_field,
 )
+from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.heading.compass import Compass, quaternion_from_rpy
 
 angle = st.floats(-math.pi, math.pi)

@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration import Calibration, Correction, Evidence
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.heading.disturbance import DisturbanceDetector, Trust
 
 DIP = math.radians(65.0)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration import AT_REST, MotorField, MotorInput, Running
-from magcal_ros.core.geometry import exp_rotation
+from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.heading.motors_now import MotorsNow
 
 PERIOD, NOISE, RATE = 0.04, 0.2e-6, (0.0, 0.0, 0.4)

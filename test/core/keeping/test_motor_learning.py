@@ -5,8 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration import Calibration, Correction, Evidence, MotorInput, Running
-from magcal_ros.core.geometry import exp_rotation, field_in_enu
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction, MotorInput, Running
+from magcal_ros.core.geometry.attitude import field_in_enu
+from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 
 STEP = 0.05

@@ -9,8 +9,10 @@ from simulated.drive import Iron, Vehicle, simulated_drive
 from simulated.legs import Leg, city
 from simulated.travel import travel
 
-from magcal_ros.core.calibration import Calibration, Evidence, predicted_heading_sigma
-from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.keeping.jobs import (
     DriveCandidate,
     Findings,

@@ -13,8 +13,8 @@ from simulated.travel import travel
 from magcal_ros.core.keeping.jobs import Kind, Step
 from magcal_ros.core.keeping.worker import prove
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.smoother.drives import drive_nodes
 

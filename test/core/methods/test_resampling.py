@@ -7,14 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from honesty_cases import sigma_at
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibration import Correction
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.design_tip import fit
 from magcal_ros.core.methods.resampling import jackknife_covariance
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import (
     DEGREE,
     LEVEL_TILT,
@@ -105,7 +106,7 @@ def test_predicted_heading_sigma_is_the_true_one(arc):
         window = measure(robot, turn(arc=arc * DEGREE, start_rpy=start), rng)
         estimate = fit(window, robot.knowledge())
         true.append(heading_errors(estimate.correction, robot, poses))
-        predicted.append(estimate.heading_sigma(up, field))
+        predicted.append(sigma_at(estimate, up, field))
     ratio = np.sqrt(np.mean(np.square(predicted)) / np.mean(np.square(true)))
     assert 1.0 / 1.5 < ratio < 1.5
 
@@ -122,5 +123,5 @@ def test_a_wrong_inclination_is_within_the_sigma_it_was_given_with():
     estimate = fit(window, off)
     tilted = trial_attitudes()[:, 0]
     error = heading_errors(estimate.correction, robot, tilted)
-    predicted = estimate.heading_sigma(tilted @ UP_ENU, tilted @ robot.field_enu)
+    predicted = sigma_at(estimate, tilted @ UP_ENU, tilted @ robot.field_enu)
     np.testing.assert_allclose(np.abs(error), predicted, rtol=0.1, atol=1e-5)

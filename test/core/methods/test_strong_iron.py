@@ -10,11 +10,11 @@ from simulated.turns import Motion, measure, turn
 
 from magcal_ros.core.assessment.verdict import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration import Figure
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason
-from magcal_ros.core.geometry import rotation_about, rotation_from_rpy
+from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 

@@ -5,10 +5,10 @@ from simulated.turns import Motion, measure, turn
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry import rotation_about
+from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, UP_ENU, Robot, heading_errors
 
 

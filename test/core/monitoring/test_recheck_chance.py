@@ -7,7 +7,7 @@ from simulated.turns import measure, turn
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration import Figure
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.monitoring.change import (
     Record,
     check_beside_chance,
@@ -16,7 +16,7 @@ from magcal_ros.core.monitoring.change import (
     harmonics,
 )
 from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, check
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 
 BOUND = next(b for b in RECHECK_BOUNDS if b.figure is Figure.HEADING_SWING)

@@ -12,8 +12,8 @@ from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.monitoring.recheck import check
-from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.window import Window
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,9 @@ from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch, WatchTuning
-from magcal_ros.core.samples import FieldSample, ImuSample, Window
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.up.follower import UpFollower
 
 PROMISE = promise()
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.geometry import rotation_about, rotation_from_rpy
+from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.coverage import BINS, Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.simulation import DEGREE, Robot
@@ -214,22 +214,22 @@ class TestThinToEqualAngles:
     @given(st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=300))
     def test_rows_increase_and_every_heading_that_was_seen_stays(self, headings):
         progress = np.array(headings)
-        kept = thin_to_equal_angles(progress, bins=36)
+        kept = thin_to_equal_angles(progress)
         assert (np.diff(kept) > 0).all()
 
         def bins(values):
-            return set((np.mod(values, math.tau) * (36 / math.tau)).astype(int) % 36)
+            return set((np.mod(values, math.tau) * (180 / math.tau)).astype(int) % 180)
 
         assert bins(progress[kept]) == bins(progress)
 
-    @given(st.lists(st.floats(-20.0, 20.0), min_size=36, max_size=300), st.integers(36, 300))
+    @given(st.lists(st.floats(-20.0, 20.0), min_size=36, max_size=300), st.integers(180, 300))
     def test_a_bound_is_kept_and_costs_no_heading(self, headings, most):
         progress = np.array(headings)
-        kept = thin_to_equal_angles(progress, bins=36, most=most)
+        kept = thin_to_equal_angles(progress, most)
         assert len(kept) <= most
 
         def bins(values):
-            return set((np.mod(values, math.tau) * (36 / math.tau)).astype(int) % 36)
+            return set((np.mod(values, math.tau) * (180 / math.tau)).astype(int) % 180)
 
         assert bins(progress[kept]) == bins(progress)
 

@@ -2,7 +2,7 @@ from collections import Counter
 
 import pytest
 
-from magcal_ros.core.samples import Drop, FieldSample, ImuSample, Streams
+from magcal_ros.core.samples.streams import Drop, FieldSample, ImuSample, Streams
 from magcal_ros.core.samples.units import Heard, complaints
 
 

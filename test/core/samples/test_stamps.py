@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.stamps import BurstWatch, bursts_in_words, spread_bursts
 from magcal_ros.core.samples.units import explained
+from magcal_ros.core.samples.window import Window
 
 
 def bursts(period=1.0, count=40, within=20):

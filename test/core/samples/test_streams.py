@@ -5,7 +5,7 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.samples import (
+from magcal_ros.core.samples.streams import (
     STREAMS,
     Drop,
     FieldSample,

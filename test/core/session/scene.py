@@ -11,7 +11,7 @@ from magcal_ros.core.calibrate import Outcome, calibrate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept
-from magcal_ros.core.samples import ImuSample, Pairer, Streams
+from magcal_ros.core.samples.streams import ImuSample, Pairer, Streams
 from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.session import Limits
 from magcal_ros.core.session.turn_events import (

@@ -8,10 +8,10 @@ from long_form import first_of
 from simulated import Vehicle, city, simulated_drive, travel
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibration import Figure
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
-from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
 from magcal_ros.core.session.session import TUNING, Limits
 from magcal_ros.core.session.turn_events import Conclusion
@@ -53,7 +53,7 @@ class House:
 def live(samples, knowledge):
     """What the node's own control makes of the samples."""
     pytest.importorskip("rclpy")
-    from magcal_ros.core.samples import Streams
+    from magcal_ros.core.samples.streams import Streams
     from magcal_ros.core.session.self_turn import SelfTurn
     from magcal_ros.ros.magnetometer import Control
     from magcal_ros.ros.parameter_table import PARAMETERS

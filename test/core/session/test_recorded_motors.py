@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.calibration import Calibration, Evidence, MotorField, MotorInput
-from magcal_ros.core.samples import FieldSample
-from magcal_ros.core.samples.streams import SpeedSample
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import MotorField, MotorInput
+from magcal_ros.core.samples.streams import FieldSample, SpeedSample
 from magcal_ros.core.session.recorded import without_motors
 from magcal_ros.core.simulation import Ride, Robot
 

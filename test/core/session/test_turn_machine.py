@@ -6,7 +6,7 @@ import pytest
 from long_form import first_of
 from scene import BAD, GOOD, SHORT, Scene
 
-from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.session.turn_events import FitTurn, Preview, PutInForce, TurnState
 
 

@@ -1,16 +1,18 @@
 """Simulated drives for the smoother, and how far a calibration is off."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from simulated.drive import random_vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
 
-from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.window import Window
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 
@@ -26,7 +28,10 @@ def driven(seed, seconds=300.0, legs=None, vehicle=None, **options):
 def log_from(drive, *, speed=False):
     """What is remembered of it."""
     window = Window(drive.time, drive.field, drive.force, drive.rate)
-    return log_of(window, drive.truth.speed if speed else None)
+    log = log_of(window)
+    if not speed:
+        return log
+    return replace(log, speed=np.interp(log.time, drive.time, drive.truth.speed))
 
 
 def heading_error(correction, robot):

@@ -17,12 +17,12 @@ from simulated.legs import city
 from simulated.travel import travel
 from streets import BOSTON, driven, heading_error, log_from
 
-from magcal_ros.core.calibration import calibration_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import (
     corrected,
     drive_nodes,

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from simulated.turns import measure, turn
 
-from magcal_ros.core.geometry import minimal_rotation, rotation_about, unit
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_about
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.smoother import factors, factors_by_field
 from magcal_ros.core.smoother.factors import Linear

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.calibration import heading_jacobian, headings_apart
+from magcal_ros.core.calibration.heading_sigma import heading_jacobian, headings_apart
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry import STANDARD_GRAVITY, field_in_enu, rotation_from_rpy, wrapped
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, field_in_enu, wrapped
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.session.at_known_heading import add_standing

@@ -9,7 +9,7 @@ from simulated.drive import Iron
 from simulated.legs import Leg, city, standing
 from streets import BOSTON, driven, heading_error, log_from
 
-from magcal_ros.core.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.keeping.jobs import KEEPING
 from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.smoother.drives import drive_nodes
@@ -70,7 +70,7 @@ def test_what_the_calibration_itself_is_uncertain_by_is_no_change():
 
 def recorded(drive, added):
     """What a recorder keeps of a drive to whose field something is added, tesla."""
-    recorder = DriveRecorder()
+    recorder = DriveRecorder(600.0)
     rows = zip(drive.time, drive.field + added, drive.force, drive.rate, strict=True)
     for stamp, *sensors in rows:
         recorder.add(stamp, *(tuple(each) for each in sensors))

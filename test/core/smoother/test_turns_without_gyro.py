@@ -10,11 +10,12 @@ import pytest
 from long_form import first_of
 from simulated.turns import Motion, measure, smooth_wobble, turn
 
-from magcal_ros.core.calibration import Figure, predicted_heading_sigma
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 from magcal_ros.core.smoother.without_gyro import living_axes
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples import ImuSample
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.up.filter import REST
+from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.stillness import BlockMeans, ShakenRest
 
 STEP = 0.02

@@ -18,8 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sample_results import calibration
 
-from magcal_ros.core.calibration import Correction
-from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_TESLA, NotExportable, checksum, number
 
 seeds = st.integers(0, 2**32 - 1)

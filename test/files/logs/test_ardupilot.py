@@ -7,8 +7,7 @@ import pytest
 from drives import drive
 from log_writers import write_bin, write_text_log, write_tlog
 
-from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.streams import PositionSample, VelocitySample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, PositionSample, VelocitySample
 from magcal_ros.files import logs
 from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.sources import open_recording

@@ -6,9 +6,8 @@ from drives import drive
 from log_writers import write_phyphox, write_sensor_logger
 
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.geometry import rotation_from_rpy
-from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.streams import VelocitySample
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, VelocitySample
 from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.sources import open_recording
 

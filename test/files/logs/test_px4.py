@@ -8,8 +8,7 @@ from drives import drive
 from log_writers import DEVICE, write_ulog
 from scipy.spatial.transform import Rotation
 
-from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.streams import VelocitySample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, VelocitySample
 from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.px4 import RIGHT_ANGLES, mounting_of, rotation_of
 from magcal_ros.files.sources import open_recording
