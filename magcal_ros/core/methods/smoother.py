@@ -22,7 +22,12 @@ from magcal_ros.core.smoother.drives import check_length, drive_nodes
 from magcal_ros.core.smoother.factors import QUARTER, distortion, soft_iron, turned_by
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
-from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth
+from magcal_ros.core.smoother.kinds_of_motion import (
+    DIFFERENT_TURNS,
+    Smoothed,
+    gyro_is_usual,
+    smooth,
+)
 from magcal_ros.core.smoother.posterior import motors_of
 from magcal_ros.core.smoother.turn_by_field import rival_gap, smooth_by_field
 from magcal_ros.core.smoother.unknowns import (
@@ -49,10 +54,6 @@ INLIER_WEIGHT = 0.3
 """Student weight above which a node counts as an inlier."""
 WEAKENED = 0.1
 """Share of the level field by which no gain of a sensor is too low."""
-GYRO_DIFFERS = (
-    "the gyro does not turn as field and gravity do; check that the axes of the sensors belong"
-    " together, and their stamps"
-)
 
 
 def fit(
@@ -127,7 +128,7 @@ def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowle
     if found.mode in DRIVES:
         _check_drive(found, estimate, all(living_axes(window.angular_rate)))
     elif not gyro_is_usual(found.fit):
-        raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, GYRO_DIFFERS)
+        raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
 
 
 def _check_drive(found: Smoothed, estimate: Estimate, all_axes: bool) -> None:

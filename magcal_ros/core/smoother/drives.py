@@ -19,7 +19,7 @@ from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import (
     BELIEVED,
-    MIRRORED,
+    DIFFERENT_TURNS,
     NO_SOLUTION,
     WHILE_DRIVING,
     is_possible,
@@ -121,7 +121,7 @@ def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     except np.linalg.LinAlgError as fault:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION) from fault
     if not is_possible(found):
-        raise Refusal(Reason.AXES_DISAGREE, MIRRORED)
+        raise Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
     return DriveFit(found, posterior(found, knowledge.mounting.matrix))
 
 

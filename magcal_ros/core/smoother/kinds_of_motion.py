@@ -40,8 +40,9 @@ BELIEVED = 0.25
 It is approximate (Laplace, at the most likely sizes), and real robots differ from the model."""
 
 NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
-MIRRORED = (
-    "the field does not turn as the gyro does; check that the axes of both sensors belong together"
+DIFFERENT_TURNS = (
+    "the field does not turn as the gyro does; check that the axes of both sensors belong together,"
+    " and their stamps"
 )
 
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
@@ -238,7 +239,7 @@ class _Trials:
     def mixed(self) -> Smoothed:
         """Return the weighted result of the fits."""
         if not self.fits and self._impossible:
-            raise Refusal(Reason.AXES_DISAGREE, MIRRORED)
+            raise Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
         if not self.fits:
             raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
         return mixed(self.fits, self.nodes, self._knowledge)
@@ -335,7 +336,7 @@ def mixed(
 
 
 def is_possible(fit: Fit) -> bool:
-    """Return whether the soft iron of a fit neither mirrors the field nor strengthens it too far."""
+    """Return whether the soft iron of a fit neither mirrors nor triples the field."""
     least, _, most = np.linalg.eigvalsh(soft_iron(fit.state.shared))
     return bool(least > 0.0 and most < LARGEST_GAIN)
 
