@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from magcal_ros.cli import live_view
-from magcal_ros.cli.common import Exit
+from magcal_ros.cli.common import Exit, tell
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.disk import plain
 
@@ -128,7 +128,7 @@ def run(options: argparse.Namespace) -> int:
             if not findings.ready:
                 return Exit.TOO_LITTLE_DATA
         answer = _Turn(node, calibrator).run(live_view.best_view())
-    print(f"\n{plain(answer.message, LONGEST_ANSWER)}")
+    tell(f"\n{plain(answer.message, LONGEST_ANSWER)}")
     return Exit.GOOD if answer.success else Exit.REFUSED
 
 

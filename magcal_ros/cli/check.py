@@ -19,7 +19,9 @@ from magcal_ros.cli.common import (
     new_or_named,
     reference_in_use,
     table,
+    tell,
 )
+from magcal_ros.core.assessment.grading import Check
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
@@ -79,7 +81,7 @@ def run_check(options: argparse.Namespace) -> int:
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{bullets('About the recording:', notes)}"
-        print(document(content) if options.json else plain_lines(words.rstrip("\n")))
+        _print(content, words.rstrip("\n"), options)
         return Exit.TOO_LITTLE_DATA
     outcome = Outcome(result.verdict, calibration, result.estimate)
     subject = Subject(
@@ -98,27 +100,46 @@ def run_check(options: argparse.Namespace) -> int:
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     facts["course"] = None if course is None else course.facts()
     words = f"{_words(result, notes)}\n\nReport: {report}"
-    print(document(facts) if options.json else plain_lines(words))
-    return Exit.REFUSED if not result.verdict.accepted else Exit.GOOD
+    _print(facts, words, options)
+    if not result.verdict.accepted:
+        return Exit.REFUSED
+    return Exit.GOOD if result.is_judged else Exit.TOO_LITTLE_DATA
+
+
+def _print(facts: dict[str, Any], words: str, options: argparse.Namespace) -> None:
+    """Print a result for a program or for a person."""
+    if options.json:
+        print(document(facts))
+    else:
+        tell(words)
 
 
 def _words(result: Recheck, notes: list[str]) -> str:
-    rows = [("", "raw", "corrected", "unit", "")]
+    rows = [("", "raw", "corrected", "want", "unit", "")]
     rows += [
-        (f.name, _number(f.before), _number(f.value), f.unit, STATES[f.grade])
+        (f.name, _number(f.before), _number(f.value), _want(f), f.unit.strip(), _state(f))
         for f in result.findings
     ]
-    # The table has the values.
-    against = [
-        f"{f.name} (want{f.words.partition(' (want')[2]}"
-        for f in result.findings
-        if STATES[f.grade] != "holds"
-    ]
-    text = f"{SENTENCES[result.state]}.\n\n{table(rows)}\n"
-    text += bullets("What contradicts it:", against)
+    against = [f for f in result.findings if STATES[f.grade] != "holds"]
+    title = f"{SENTENCES[result.state]}." if result.is_judged else NOTHING_SEEN
+    text = f"{title}\n\n{table(rows)}\n"
+    text += bullets("What contradicts it:", [f.words for f in against if f.is_judged])
+    text += bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
     text += bullets("Not shown by this recording:", result.verdict.not_shown)
     text += bullets("About the recording:", notes)
     return text.rstrip("\n")
+
+
+NOTHING_SEEN = "This recording does not show whether the calibration holds."
+
+
+def _want(finding: Check) -> str:
+    """Return up to which value a figure holds."""
+    return "" if finding.bound is None else f"≤ {finding.bound.good:g}"
+
+
+def _state(finding: Check) -> str:
+    return STATES[finding.grade] if finding.is_judged else "not judged"
 
 
 def _number(value: float | None) -> str:

@@ -60,11 +60,12 @@ LOST_GYRO = (
 )
 NO_YAW = "an error of the yaw that is the same at every heading"
 MOVED = "the hard iron has changed, or the field is distorted here"
+OTHER_ROBOT = f"{GYRO_BOUND.remedy}; does the calibration belong to this robot and this sensor?"
 ELSEWHERE = "another place, or the hard iron along the turn's axis has changed"
 
 RECHECK_BOUNDS: tuple[Bound, ...] = (
-    Bound(Figure.HEADING_SWING, 4.0, 7.0, "heading swing that the level field shows", MOVED),
-    GYRO_BOUND,
+    Bound(Figure.HEADING_SWING, 4.0, 7.0, "the level field makes the heading swing by", MOVED),
+    replace(GYRO_BOUND, when_refused=OTHER_ROBOT),
     Bound(
         Figure.STRENGTH_SPREAD, 3.0, 6.0, "field strength varies with heading by", MOVED, unit="%"
     ),
@@ -93,7 +94,7 @@ IRON_BOUND = Bound(
     Figure.HARD_IRON_CHANGE,
     6.0,
     12.0,
-    "hard iron added since, as part of the level field",
+    "hard iron added since, over the level field",
     "the robot's own field has changed",
     unit="%",
 )
@@ -111,6 +112,11 @@ class Recheck:
     def findings(self) -> tuple[Check, ...]:
         """Everything that says whether the calibration holds."""
         return tuple(c for c in self.verdict.checks if c.aspect is Aspect.QUALITY)
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether the samples show anything at all."""
+        return any(finding.is_judged for finding in self.findings)
 
     @property
     def state(self) -> str:
@@ -136,6 +142,7 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     added = None if iron is None else iron.check(CHANGE.clearly if drove else CHANGE.chance)
     # A street that is driven once bends the field as other iron in the robot would.
     is_street = iron is not None and (added is None or (drove and added.grade is not Grade.REFUSED))
+    is_round = Coverage.of(corrected[:, 1]).gap <= CHANGE.widest_hole
     checks = []
     for bound in RECHECK_BOUNDS:
         if bound.figure in found:
@@ -143,7 +150,9 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
             raw_figure, _ = before.get(bound.figure, (None, 0.0))
             most = CHANGE.own_share * bound.warn / bound.scale
             chance = math.hypot(min(_own(bound.figure, calibration), most), places)
-            graded = check_beside_chance(bound, figure, chance, raw_figure, added is not None)
+            # In a part of a turn, iron says nothing of an up that is off.
+            is_decided = added is not None and (is_round or bound.figure is not GYRO_BOUND.figure)
+            graded = check_beside_chance(bound, figure, chance, raw_figure, is_decided)
             is_stale = graded.grade is Grade.REFUSED
             checks.append(doubtful(graded) if is_stale and is_street else graded)
     checks += [] if added is None else [added]
@@ -222,15 +231,24 @@ def _figures(
         Figure.DIP_SPREAD: dip,
     }
     columns = harmonics(heading)
-    found = {k: fit_waves(columns, v, stamp, CHANGE.chance).spread for k, v in swings.items()}
-    found[Figure.STRENGTH_OFFSET] = abs(float(size.mean()) / calibration.strength - 1.0), 0.0
-    found[Figure.DIP_OFFSET] = abs(float(dip.mean()) - calibration.inclination), 0.0
+    waves = {k: fit_waves(columns, v, stamp, CHANGE.chance) for k, v in swings.items()}
+    found = {figure: each.spread for figure, each in waves.items()}
+    for figure, of, off in (
+        (Figure.STRENGTH_OFFSET, Figure.STRENGTH_SPREAD, size / calibration.strength - 1.0),
+        (Figure.DIP_OFFSET, Figure.DIP_SPREAD, dip - calibration.inclination),
+    ):
+        found[figure] = abs(float(off.mean())), waves[of].chance_of_mean
     gyro = compass_less_gyro(records, heading, CHANGE.chance)
     if gyro is None:
         return found, None
     rms = gyro.rms
     # What does not come back with the heading is not the calibration's.
-    swing, chance = (rms, 0.0) if gyro.waves is None else gyro.waves.spread
+    if gyro.waves is None:
+        # An up that is off by so much sideways, as it is along the field, turns the compass.
+        tilt = waves[Figure.DIP_SPREAD].scatter(dip, stamp)
+        swing, chance = rms, abs(math.tan(calibration.inclination)) * tilt
+    else:
+        swing, chance = gyro.waves.spread
     elsewhere = math.sqrt(max(rms**2 - swing**2, 0.0))
     found[Figure.GYRO_COMPASS_DIFFERENCE] = rms, math.hypot(chance, elsewhere)
     return found, GyroSwing(heading[gyro.rows], gyro.deviation, rms)
@@ -303,6 +321,7 @@ class _Iron:
 
     share: float
     sigma: float
+    level: float  # the level field, tesla
 
     def check(self, sigmas: float) -> Check | None:
         """Weigh the share beside what chance of so many sigmas explains; None if too uncertain."""
@@ -310,7 +329,9 @@ class _Iron:
         if self.sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
             return None
         excess = math.sqrt(max(self.share**2 - (sigmas * self.sigma) ** 2, 0.0))
-        return IRON_BOUND.check(self.share, excess=excess)
+        size = f"hard iron added since ({1e6 * self.share * self.level:.1f} µT)"
+        words = IRON_BOUND.words.replace("hard iron added since", size)
+        return replace(IRON_BOUND, words=words).check(self.share, excess=excess)
 
 
 def _iron_of(drive: DriveLog, calibration: Calibration) -> _Iron | None:
@@ -330,4 +351,4 @@ def _iron_of(drive: DriveLog, calibration: Calibration) -> _Iron | None:
     covariance = matrix @ found.posterior.covariance[9:, 9:] @ matrix.T
     level = calibration.strength * math.cos(calibration.inclination)
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
-    return _Iron(math.hypot(*added) / level, sigma)
+    return _Iron(math.hypot(*added) / level, sigma, level)
