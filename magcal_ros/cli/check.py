@@ -24,13 +24,13 @@ from magcal_ros.cli.common import (
 from magcal_ros.core.assessment.grading import Check
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
-from magcal_ros.core.errors import Refusal
+from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import SENTENCES, STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.disk import plain, plain_lines, write_atomically
+from magcal_ros.files.disk import plain, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
 from magcal_ros.files.sources import RepairedReadings
 from magcal_ros.report import Subject, write_report
@@ -184,6 +184,12 @@ def add_drive(commands: Any) -> None:
     parser.set_defaults(run=run_drive)
 
 
+NO_GYRO = (
+    "the recording has no gyro, and `drive` needs one to know how the robot turns in a field that "
+    "changes along the way; `fit` takes a turn without a gyro"
+)
+
+
 def run_drive(options: argparse.Namespace) -> int:
     """Replay the drive and write the page."""
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
@@ -197,6 +203,8 @@ def run_drive(options: argparse.Namespace) -> int:
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f} % of it", sys.stderr
         ):
             replay.take(repaired, travel)
+        if not replay.has_gyro:
+            raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO)
         frames = source.field_frame, source.imu_frame
         story = replay.story()
         if story.ended is not None and travel:
@@ -210,7 +218,7 @@ def run_drive(options: argparse.Namespace) -> int:
         write_calibration(files[-1], story.ended, Origin.now(*frames))
     notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
     content = story, notes, files
-    print(document(_drive_facts(*content)) if options.json else plain_lines(_drive_words(*content)))
+    _print(_drive_facts(*content), _drive_words(*content), options)
     return Exit.TOO_LITTLE_DATA if story.ended is None else Exit.GOOD
 
 

@@ -121,6 +121,22 @@ def wrapped(text: str, width: int) -> str:
     return "\n".join(lines)
 
 
+PARAMETER = re.compile(
+    r"\b(reference\.)?(strength_ut|inclination_deg|declination_deg|mount_rpy_deg|soft_iron_gains)\b"
+)
+OPTIONS = {"mount_rpy_deg": "--mount-rpy-deg", "soft_iron_gains": "--soft-iron-gains"}
+
+
+def with_options(words: str) -> str:
+    """Return words with the options of a command in place of the node's parameters."""
+
+    def option(found: re.Match[str]) -> str:
+        name = found[2]
+        return OPTIONS.get(name, f"--reference-{name.replace('_', '-')}")
+
+    return PARAMETER.sub(option, words)
+
+
 def document(content: Mapping[str, Any]) -> str:
     """Return one JSON document; a number that is not finite becomes null."""
     return json.dumps(_finite(content), ensure_ascii=False, indent=2, allow_nan=False)

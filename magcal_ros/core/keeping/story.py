@@ -80,6 +80,11 @@ class DriveReplay:
         self._decisions: list[tuple[float, Decision]] = []
         self._first = self._last = math.nan
 
+    @property
+    def has_gyro(self) -> bool:
+        """Whether a field sample came with the rates of a gyro."""
+        return not math.isnan(self._first)
+
     def take(
         self, readings: Iterable[ImuSample | FieldSample | None], travel: Iterable[TravelSample]
     ) -> None:
