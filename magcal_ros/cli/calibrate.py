@@ -92,6 +92,9 @@ SILENT_AFTER = 6.0
 TO_CANCEL = 1.0
 """Seconds that the node has to answer ~/cancel."""
 
+TO_TELL = 0.5
+"""Seconds that the status may come after the answer."""
+
 STATUS_WITHIN = 5.0
 """Seconds within which the status of a running node arrives, discovery included."""
 
@@ -127,8 +130,10 @@ def run(options: argparse.Namespace) -> int:
             print("\n".join(findings.lines), flush=True)
             if not findings.ready:
                 return Exit.TOO_LITTLE_DATA
-        answer = _Turn(node, calibrator).run(live_view.best_view())
-    tell(f"\n{plain(answer.message, LONGEST_ANSWER)}")
+        turn = _Turn(node, calibrator)
+        answer = turn.run(live_view.best_view())
+        message = turn.in_full(answer.message)
+    tell(f"\n{message}")
     return Exit.GOOD if answer.success else Exit.REFUSED
 
 
@@ -179,6 +184,16 @@ class _Turn:
                 cancelled = self._clients["cancel"].call_async(self._request)
                 self._executor.spin_until_future_complete(cancelled, timeout_sec=TO_CANCEL)
         raise KeyboardInterrupt
+
+    def in_full(self, answer: str) -> str:
+        """Return the node's answer with all reasons; the status that has them may come later."""
+        short = plain(answer, LONGEST_ANSWER)
+        deadline = time.monotonic() + TO_TELL
+        while True:
+            message = live_view.with_all_reasons(short, self._status)
+            if message != short or time.monotonic() > deadline:
+                return message
+            self._executor.spin_once(timeout_sec=0.1)
 
     def _warn_if_it_moves(self) -> None:
         deadline = time.monotonic() + STATUS_WITHIN

@@ -182,9 +182,9 @@ def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Sub
 GIVE_PLACE = (
     "give --latitude and --longitude, or --reference-strength-ut and --reference-inclination-deg"
 )
-SEVERAL = (
-    "Turns (here soft iron is taken as unknown, and absolute headings include the yaw of the "
-    "installation; the numbers above leave both out):"
+APART = (
+    "here soft iron is taken as unknown, and absolute headings include the yaw of the "
+    "installation; the numbers above leave both out"
 )
 
 
@@ -207,7 +207,9 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
             f"{fate.name}: {'' if fate.joined else 'left out: '}{fate.words}"
             for fate in several.fates
         ]
-        text += bullets(SEVERAL, [*lines, several.advice_in_words])
+        has_yaw = estimate is not None and Figure.INSTALLATION_YAW_SIGMA in estimate.figures
+        title = "Turns:" if has_yaw else f"Turns ({APART}):"
+        text += bullets(title, [*lines, several.advice_in_words])
     which = "this recording" if len(fitted.everything) == 1 else "these recordings"
     text += bullets(f"Not shown by {which}:", verdict.not_shown)
     text += bullets("About the recording:", fitted.complaints)

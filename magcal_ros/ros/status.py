@@ -89,11 +89,14 @@ def _progress(progress: Progress | None) -> Mapping[str, Any] | None:
 
 
 def _verdict(verdict: Verdict) -> Mapping[str, Any]:
+    headline, against = verdict.in_full
     return {
         "accepted": verdict.accepted,
         "quality": verdict.quality.value,
         "confidence": verdict.confidence.value,
         "summary": verdict.summary,
+        "headline": headline,
+        "against": list(against),
         "reasons": [check.words for check in verdict.checks],
         "not_shown": list(verdict.not_shown),
     }
