@@ -21,7 +21,7 @@ from magcal_ros.cli.common import (
     table,
     tell,
 )
-from magcal_ros.core.assessment.grading import Check
+from magcal_ros.core.assessment.grading import Check, shown
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Reason, Refusal
@@ -44,7 +44,7 @@ def add_check(commands: Any) -> None:
         help="say whether a calibration still holds on a fresh recording",
         description="Say whether a calibration still holds on a fresh recording in which the "
         "robot turns. Exit status: 0 it holds or is doubtful (the words tell), 2 usage, 3 too "
-        "little data, 4 stale, 5 file trouble.",
+        "little data or nothing that can be judged, 4 stale, 5 file trouble.",
     )
     recorded.add_recording_options(parser)
     parser.add_argument(
@@ -115,15 +115,17 @@ def _print(facts: dict[str, Any], words: str, options: argparse.Namespace) -> No
 
 
 def _words(result: Recheck, notes: list[str]) -> str:
-    rows = [("", "raw", "corrected", "want", "unit", "")]
+    rows = [("", "raw", "corrected", "want", "")]
     rows += [
-        (f.name, _number(f.before), _number(f.value), _want(f), f.unit.strip(), _state(f))
+        (f.name.removesuffix(" by"), _number(f.before), _number(f.value), _want(f), _state(f))
         for f in result.findings
     ]
     against = [f for f in result.findings if STATES[f.grade] != "holds"]
+    by_chance = [f.words for f in result.findings if f not in against and _is_beyond(f)]
     title = f"{SENTENCES[result.state]}." if result.is_judged else NOTHING_SEEN
     text = f"{title}\n\n{table(rows)}\n"
     text += bullets("What contradicts it:", [f.words for f in against if f.is_judged])
+    text += bullets("Beyond what is wanted, but by chance:", by_chance)
     text += bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
     text += bullets("Not shown by this recording:", result.verdict.not_shown)
     text += bullets("About the recording:", notes)
@@ -135,15 +137,21 @@ NOTHING_SEEN = "This recording does not show whether the calibration holds."
 
 def _want(finding: Check) -> str:
     """Return up to which value a figure holds."""
-    return "" if finding.bound is None else f"≤ {finding.bound.good:g}"
+    return "" if finding.bound is None else f"≤ {finding.bound.good:g}{finding.unit}"
+
+
+def _is_beyond(finding: Check) -> bool:
+    """Whether a figure would not hold if chance had no part in it."""
+    bound, value = finding.bound, finding.value
+    return bound is not None and value is not None and value > bound.good
 
 
 def _state(finding: Check) -> str:
-    return STATES[finding.grade] if finding.is_judged else "not judged"
+    return STATES[finding.grade] if finding.is_judged else "unclear"
 
 
 def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.2f}"
+    return "" if value is None else shown(value)
 
 
 def _facts(result: Recheck, notes: list[str]) -> dict[str, Any]:

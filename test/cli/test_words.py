@@ -74,8 +74,8 @@ def test_what_is_too_uncertain_stands_apart_and_whole():
     stale, uncertain = out.partition("Too uncertain to judge:")[::2]
     assert stale.count("  - the level field makes the heading swing by 8° (want 7° or less)") == 1
     assert "8°, no more than chance explains: too uncertain to judge; turn once" in uncertain
-    rows = [line.split()[-1] for line in stale.splitlines() if " ≤ 4 " in line]
-    assert rows == ["stale", "judged"]
+    rows = [line.split()[-1] for line in stale.splitlines() if " ≤ 4° " in line]
+    assert rows == ["stale", "unclear"]
 
 
 def test_a_recording_that_shows_nothing_is_no_verdict():

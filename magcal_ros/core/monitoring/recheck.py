@@ -69,7 +69,7 @@ RECHECK_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.STRENGTH_SPREAD, 3.0, 6.0, "field strength varies with heading by", MOVED, unit="%"
     ),
-    Bound(Figure.DIP_SPREAD, 2.0, 4.0, "angle between field and up varies with heading by", MOVED),
+    Bound(Figure.DIP_SPREAD, 2.0, 4.0, "inclination varies with heading by", MOVED),
     Bound(
         Figure.STRENGTH_OFFSET,
         5.0,
@@ -94,7 +94,7 @@ IRON_BOUND = Bound(
     Figure.HARD_IRON_CHANGE,
     6.0,
     12.0,
-    "hard iron added since, over the level field",
+    "iron added since, over level field",
     "the robot's own field has changed",
     unit="%",
 )
@@ -329,8 +329,8 @@ class _Iron:
         if self.sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
             return None
         excess = math.sqrt(max(self.share**2 - (sigmas * self.sigma) ** 2, 0.0))
-        size = f"hard iron added since ({1e6 * self.share * self.level:.1f} µT)"
-        words = IRON_BOUND.words.replace("hard iron added since", size)
+        size = f"iron added since ({1e6 * self.share * self.level:.1f} µT)"
+        words = IRON_BOUND.words.replace("iron added since", size)
         return replace(IRON_BOUND, words=words).check(self.share, excess=excess)
 
 
