@@ -127,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
 
         if not options.skip_preflight:
             findings = inspect(node, calibrator)
-            print("\n".join(findings.lines), flush=True)
+            tell("\n".join(findings.lines))
             if not findings.ready:
                 return Exit.TOO_LITTLE_DATA
         turn = _Turn(node, calibrator)

@@ -97,7 +97,7 @@ def tell(text: str, out: TextIO | None = None) -> None:
     shown = plain_lines(text)
     if out.isatty():
         shown = wrapped(shown, shutil.get_terminal_size().columns)
-    print(shown, file=out)
+    print(shown, file=out, flush=True)
 
 
 def wrapped(text: str, width: int) -> str:

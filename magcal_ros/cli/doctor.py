@@ -127,7 +127,10 @@ def run(options: argparse.Namespace) -> int:
     streams = (("IMU", log.imu_time), ("field", log.field_time))
     counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
     words = f"Too little data: {counts}. It takes {TUNING.fewest} of each: record for longer"
-    print(document(facts) if options.json else f"{words}, or at a higher rate.")
+    if options.json:
+        print(document(facts))
+    else:
+        tell(f"{words}, or at a higher rate.")
     return Exit.TOO_LITTLE_DATA
 
 
