@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from magcal_ros.cli import live_view
-from magcal_ros.cli.common import Exit
+from magcal_ros.cli.common import Exit, tell
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.disk import plain
 
@@ -92,6 +92,9 @@ SILENT_AFTER = 6.0
 TO_CANCEL = 1.0
 """Seconds that the node has to answer ~/cancel."""
 
+TO_TELL = 0.5
+"""Seconds that the status may come after the answer."""
+
 STATUS_WITHIN = 5.0
 """Seconds within which the status of a running node arrives, discovery included."""
 
@@ -124,11 +127,13 @@ def run(options: argparse.Namespace) -> int:
 
         if not options.skip_preflight:
             findings = inspect(node, calibrator)
-            print("\n".join(findings.lines), flush=True)
+            tell("\n".join(findings.lines))
             if not findings.ready:
                 return Exit.TOO_LITTLE_DATA
-        answer = _Turn(node, calibrator).run(live_view.best_view())
-    print(f"\n{plain(answer.message, LONGEST_ANSWER)}")
+        turn = _Turn(node, calibrator)
+        answer = turn.run(live_view.best_view())
+        message = turn.in_full(answer.message)
+    tell(f"\n{message}")
     return Exit.GOOD if answer.success else Exit.REFUSED
 
 
@@ -179,6 +184,16 @@ class _Turn:
                 cancelled = self._clients["cancel"].call_async(self._request)
                 self._executor.spin_until_future_complete(cancelled, timeout_sec=TO_CANCEL)
         raise KeyboardInterrupt
+
+    def in_full(self, answer: str) -> str:
+        """Return the node's answer with all reasons; the status that has them may come later."""
+        short = plain(answer, LONGEST_ANSWER)
+        deadline = time.monotonic() + TO_TELL
+        while True:
+            message = live_view.with_all_reasons(short, self._status)
+            if message != short or time.monotonic() > deadline:
+                return message
+            self._executor.spin_once(timeout_sec=0.1)
 
     def _warn_if_it_moves(self) -> None:
         deadline = time.monotonic() + STATUS_WITHIN

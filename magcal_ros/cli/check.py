@@ -19,16 +19,18 @@ from magcal_ros.cli.common import (
     new_or_named,
     reference_in_use,
     table,
+    tell,
 )
+from magcal_ros.core.assessment.grading import Check, shown
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
-from magcal_ros.core.errors import Refusal
+from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import SENTENCES, STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.disk import plain, plain_lines, write_atomically
+from magcal_ros.files.disk import plain, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
 from magcal_ros.files.sources import RepairedReadings
 from magcal_ros.report import Subject, write_report
@@ -42,7 +44,7 @@ def add_check(commands: Any) -> None:
         help="say whether a calibration still holds on a fresh recording",
         description="Say whether a calibration still holds on a fresh recording in which the "
         "robot turns. Exit status: 0 it holds or is doubtful (the words tell), 2 usage, 3 too "
-        "little data, 4 stale, 5 file trouble.",
+        "little data or nothing that can be judged, 4 stale, 5 file trouble.",
     )
     recorded.add_recording_options(parser)
     parser.add_argument(
@@ -79,7 +81,7 @@ def run_check(options: argparse.Namespace) -> int:
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{bullets('About the recording:', notes)}"
-        print(document(content) if options.json else plain_lines(words.rstrip("\n")))
+        _print(content, words.rstrip("\n"), options)
         return Exit.TOO_LITTLE_DATA
     outcome = Outcome(result.verdict, calibration, result.estimate)
     subject = Subject(
@@ -98,31 +100,58 @@ def run_check(options: argparse.Namespace) -> int:
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     facts["course"] = None if course is None else course.facts()
     words = f"{_words(result, notes)}\n\nReport: {report}"
-    print(document(facts) if options.json else plain_lines(words))
-    return Exit.REFUSED if not result.verdict.accepted else Exit.GOOD
+    _print(facts, words, options)
+    if not result.verdict.accepted:
+        return Exit.REFUSED
+    return Exit.GOOD if result.is_judged else Exit.TOO_LITTLE_DATA
+
+
+def _print(facts: dict[str, Any], words: str, options: argparse.Namespace) -> None:
+    """Print a result for a program or for a person."""
+    if options.json:
+        print(document(facts))
+    else:
+        tell(words)
 
 
 def _words(result: Recheck, notes: list[str]) -> str:
-    rows = [("", "raw", "corrected", "unit", "")]
+    rows = [("", "raw", "corrected", "want", "")]
     rows += [
-        (f.name, _number(f.before), _number(f.value), f.unit, STATES[f.grade])
+        (f.name.removesuffix(" by"), _number(f.before), _number(f.value), _want(f), _state(f))
         for f in result.findings
     ]
-    # The table has the values.
-    against = [
-        f"{f.name} (want{f.words.partition(' (want')[2]}"
-        for f in result.findings
-        if STATES[f.grade] != "holds"
-    ]
-    text = f"{SENTENCES[result.state]}.\n\n{table(rows)}\n"
-    text += bullets("What contradicts it:", against)
+    against = [f for f in result.findings if STATES[f.grade] != "holds"]
+    by_chance = [f.words for f in result.findings if f not in against and _is_beyond(f)]
+    title = f"{SENTENCES[result.state]}." if result.is_judged else NOTHING_SEEN
+    text = f"{title}\n\n{table(rows)}\n"
+    text += bullets("What contradicts it:", [f.words for f in against if f.is_judged])
+    text += bullets("Beyond what is wanted, but by chance:", by_chance)
+    text += bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
     text += bullets("Not shown by this recording:", result.verdict.not_shown)
     text += bullets("About the recording:", notes)
     return text.rstrip("\n")
 
 
+NOTHING_SEEN = "This recording does not show whether the calibration holds."
+
+
+def _want(finding: Check) -> str:
+    """Return up to which value a figure holds."""
+    return "" if finding.bound is None else f"≤ {finding.bound.good:g}{finding.unit}"
+
+
+def _is_beyond(finding: Check) -> bool:
+    """Whether a figure would not hold if chance had no part in it."""
+    bound, value = finding.bound, finding.value
+    return bound is not None and value is not None and value > bound.good
+
+
+def _state(finding: Check) -> str:
+    return STATES[finding.grade] if finding.is_judged else "unclear"
+
+
 def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.2f}"
+    return "" if value is None else shown(value)
 
 
 def _facts(result: Recheck, notes: list[str]) -> dict[str, Any]:
@@ -163,6 +192,12 @@ def add_drive(commands: Any) -> None:
     parser.set_defaults(run=run_drive)
 
 
+NO_GYRO = (
+    "the recording has no gyro, and `drive` needs one to know how the robot turns in a field that "
+    "changes along the way; `fit` takes a turn without a gyro"
+)
+
+
 def run_drive(options: argparse.Namespace) -> int:
     """Replay the drive and write the page."""
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
@@ -176,6 +211,8 @@ def run_drive(options: argparse.Namespace) -> int:
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f} % of it", sys.stderr
         ):
             story = replayed(knowledge, begun, repaired, travel)
+        if story.seconds == 0.0:
+            raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO)
         frames = source.field_frame, source.imu_frame
         if story.ended is not None and travel:
             north = reference.field.declination
@@ -188,7 +225,7 @@ def run_drive(options: argparse.Namespace) -> int:
         write_calibration(files[-1], story.ended, Origin.now(*frames))
     notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
     content = story, notes, files
-    print(document(_drive_facts(*content)) if options.json else plain_lines(_drive_words(*content)))
+    _print(_drive_facts(*content), _drive_words(*content), options)
     return Exit.TOO_LITTLE_DATA if story.ended is None else Exit.GOOD
 
 

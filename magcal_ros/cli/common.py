@@ -5,17 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
+import shutil
+import sys
+import textwrap
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from magcal_ros.core.earth_field.reference import Given, Reference, resolve
 from magcal_ros.core.earth_field.wmm import Place, decimal_year, year_of
 from magcal_ros.core.errors import Misuse
-from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.disk import FileTrouble, plain_lines
 from magcal_ros.ros.parameter_table import PARAMETERS
 
 CALIBRATION = "calibration.yaml"
@@ -81,6 +85,56 @@ def table(rows: Sequence[Sequence[str]]) -> str:
 def bullets(title: str, items: Sequence[str]) -> str:
     """Return a titled list, or nothing if there are no items."""
     return "".join([f"\n{title}\n", *(f"  - {item}\n" for item in items)]) if items else ""
+
+
+HEAD = re.compile(r"(?:.*\s{2,}|\s*)(?:- )?")
+"""What stands before the prose of a line: columns that two spaces part, and a list's dash."""
+
+
+def tell(text: str, out: TextIO | None = None) -> None:
+    """Print a text without control characters; a terminal gets it wrapped to its width."""
+    out = sys.stdout if out is None else out
+    shown = plain_lines(text)
+    if out.isatty():
+        shown = wrapped(shown, shutil.get_terminal_size().columns)
+    print(shown, file=out, flush=True)
+
+
+def wrapped(text: str, width: int) -> str:
+    """Return a text with its long lines broken; what follows stands below the line's last column.
+
+    Words stay whole, so that paths can be clicked at.
+    """
+    lines = []
+    for line in text.split("\n"):
+        found = HEAD.match(line)
+        head = found.group() if found else ""
+        prose = line[len(head) :]
+        if len(line) <= width or " " not in prose:
+            lines.append(line)
+            continue
+        hanging = " " * (len(head) if 2 * len(head) <= width else 4)
+        about: dict[str, Any] = {"break_on_hyphens": False, "break_long_words": False}
+        lines += textwrap.wrap(
+            prose, width, initial_indent=head, subsequent_indent=hanging, **about
+        )
+    return "\n".join(lines)
+
+
+PARAMETER = re.compile(
+    r"\b(reference\.)?(strength_ut|inclination_deg|declination_deg|mount_rpy_deg|soft_iron_gains)\b"
+)
+OPTIONS = {"mount_rpy_deg": "--mount-rpy-deg", "soft_iron_gains": "--soft-iron-gains"}
+
+
+def with_options(words: str) -> str:
+    """Return words with the options of a command in place of the node's parameters."""
+
+    def option(found: re.Match[str]) -> str:
+        name = found[2]
+        return OPTIONS.get(name, f"--reference-{name.replace('_', '-')}")
+
+    return PARAMETER.sub(option, words)
 
 
 def document(content: Mapping[str, Any]) -> str:

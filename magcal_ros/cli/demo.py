@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
-import shutil
 import signal
 import sys
-import textwrap
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.cli.common import Exit, number
+from magcal_ros.cli.common import Exit, number, tell
 from magcal_ros.cli.live_view import best_view, joined, keep_traffic_here
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
@@ -129,10 +127,7 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
     print("$ ros2 service call /calibrator/calibrate std_srvs/srv/Trigger", flush=True)
     with best_view() as view:
         answer = rehearsal.calibrate(view.show)
-    # Paths stay whole, to be clicked at or copied.
-    width = shutil.get_terminal_size().columns
-    words = textwrap.fill(answer.message, width, break_on_hyphens=False, break_long_words=False)
-    print(plain_lines(f"\n{words}\n"))
+    tell(f"\n{answer.message}\n")
     if not answer.success:
         return Exit.REFUSED
     print("The robot now stands at 24 headings, on the level and on four slopes.\n", flush=True)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magcal_ros.cli import recorded
-from magcal_ros.cli.common import Exit, bullets, document, reference_in_use
+from magcal_ros.cli.common import Exit, bullets, document, reference_in_use, tell
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.course import CourseSeen
@@ -30,7 +30,7 @@ from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, Reading
-from magcal_ros.files.disk import FileTrouble, plain, plain_lines, write_atomically
+from magcal_ros.files.disk import FileTrouble, plain, write_atomically
 from magcal_ros.files.exporters import parameter_file
 from magcal_ros.files.recording import REMEDY
 
@@ -86,7 +86,11 @@ class Heard:
 
     def page_of(self, log: SensorLog) -> Page:
         """Return the findings: of the samples, of what is beside them, and of their comparison."""
-        page = examine(log, self.knowledge, self.turned_left).with_more(self.more)
+        page = examine(log, self.knowledge, self.turned_left)
+        said = [f.remedy for f in page.findings if f.remedy]
+        # What came in is complained of in words that a line of the page may have, too.
+        more = [f for f in self.more if not any(words in f.evidence for words in said)]
+        page = page.with_more(more)
         if self.travel and page.used is not None:
             course = recorded_course(page.used.compass, self.samples, self.travel)
             page = page.with_course(_course_seen(course, self.knowledge.reference))
@@ -123,7 +127,10 @@ def run(options: argparse.Namespace) -> int:
     streams = (("IMU", log.imu_time), ("field", log.field_time))
     counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
     words = f"Too little data: {counts}. It takes {TUNING.fewest} of each: record for longer"
-    print(document(facts) if options.json else f"{words}, or at a higher rate.")
+    if options.json:
+        print(document(facts))
+    else:
+        tell(f"{words}, or at a higher rate.")
     return Exit.TOO_LITTLE_DATA
 
 
@@ -182,7 +189,7 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
     if options.write is not None:
         nothing = "Nothing is written: no parameter alone corrects what was found."
         words = f"{words}\n\n{f'Written: {written}' if written else nothing}"
-    print(plain_lines(words))
+    tell(words)
     return status
 
 
@@ -191,11 +198,16 @@ MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUS
 
 def page_in_words(page: Page) -> str:
     """Return the page for a terminal: a line for each finding, then what to do."""
-    lines = [f"  {MARKS[f.grade]:<6}{f.name:<27}{plain(f.evidence, 300)}" for f in page.findings]
-    worst_first = sorted(page.findings, key=lambda finding: -finding.grade.rank)
+    lines = [f"  {MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 300)}" for f in page.findings]
     # One cause may show in several lines.
-    remedies = {f.remedy: f.name for f in reversed(worst_first) if f.remedy}
-    todo = [f"{name}: {plain(words, 1000)}" for words, name in reversed(remedies.items())]
+    remedies: dict[str, list[str]] = {}
+    for finding in sorted(page.findings, key=lambda finding: -finding.grade.rank):
+        if finding.remedy:
+            remedies.setdefault(finding.remedy, []).append(finding.name)
+    todo = [
+        f"{' and '.join(dict.fromkeys(names))}: {plain(words, 1000)}"
+        for words, names in remedies.items()
+    ]
     return "\n".join(lines) + bullets("\nWhat to do:", todo).rstrip("\n")
 
 

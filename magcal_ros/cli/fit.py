@@ -21,6 +21,8 @@ from magcal_ros.cli.common import (
     document,
     new_or_named,
     table,
+    tell,
+    with_options,
 )
 from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
@@ -33,7 +35,7 @@ from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
 from magcal_ros.files.calibration_file import Origin, write_calibration
-from magcal_ros.files.disk import FileTrouble, plain, plain_lines
+from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.report import Subject, write_report
 
 
@@ -93,18 +95,20 @@ def run(options: argparse.Namespace) -> int:
     _check_use(options)
     mounting = recorded.mounting_from(options)
     everything = tuple(_gathered(options, mounting, path) for path in options.recordings)
-    count = sum(sum(each.gathering.heard) for each in everything)
+    count = sum(sum(each.messages) for each in everything)
     shares = [0.0]
     with recorded.at_work(
         lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f} %", sys.stderr
     ):
         fitted = _fit(everything, options, shares.append)
     if options.compare:
-        print(plain_lines(compare_methods(fitted.outcome.window, fitted.knowledge)))
+        tell(compare_methods(fitted.outcome.window, fitted.knowledge))
         return fitted.status
     files = _write_files(folder, fitted, options)
-    words = document(_facts(fitted, files)) if options.json else plain_lines(_words(fitted, files))
-    print(words)
+    if options.json:
+        print(document(_facts(fitted, files)))
+    else:
+        tell(_words(fitted, files))
     return fitted.status
 
 
@@ -177,18 +181,37 @@ def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Sub
     )
 
 
+GIVE_PLACE = (
+    "give --latitude and --longitude, or --reference-strength-ut and --reference-inclination-deg"
+)
+APART = (
+    "here soft iron is taken as unknown, and absolute headings include the yaw of the "
+    "installation; the numbers above leave both out"
+)
+
+
 def _words(fitted: Fitted, files: list[Path]) -> str:
-    verdict = fitted.outcome.verdict
-    rows = [(name, number, unit) for _, name, number, unit in _numbers(fitted)]
-    text = f"{verdict.summary}\n\n{table(rows)}\n"
-    text += f"\nReference field: {fitted.gathered.reference.words}.\n"
+    verdict, estimate = fitted.outcome.verdict, fitted.outcome.estimate
+    headline, reasons = verdict.in_full
+    is_drive = estimate is not None and Figure.HEADINGS_DRIVEN in estimate.figures
+    # Along a drive the disturbances of the way say more.
+    left_out = "residual_percent" if is_drive else ""
+    rows = [row[1:] for row in _numbers(fitted) if row[0] != left_out]
+    text = with_options(headline) + "\n"
+    against = "But" if verdict.accepted else "The reasons"
+    text += bullets(f"{against}:", [with_options(words) for words in reasons])
+    reference = fitted.gathered.reference
+    known = reference.words if reference.is_known else f"{reference.words}: {GIVE_PLACE}"
+    text += f"\n{table(rows)}\n\nReference field: {known}.\n"
     several = fitted.outcome.several
     if several is not None:
         lines = [
             f"{fate.name}: {'' if fate.joined else 'left out: '}{fate.words}"
             for fate in several.fates
         ]
-        text += bullets("Turns:", [*lines, several.advice_in_words])
+        has_yaw = estimate is not None and Figure.INSTALLATION_YAW_SIGMA in estimate.figures
+        title = "Turns:" if has_yaw else f"Turns ({APART}):"
+        text += bullets(title, [*lines, several.advice_in_words])
     which = "this recording" if len(fitted.everything) == 1 else "these recordings"
     text += bullets(f"Not shown by {which}:", verdict.not_shown)
     text += bullets("About the recording:", fitted.complaints)
@@ -228,7 +251,7 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
 def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
     """Return key, name, number and unit of everything worth a line."""
     gathering, source = fitted.gathered.gathering, fitted.gathered.source
-    imus, fields = gathering.heard
+    imus, fields = fitted.gathered.messages
     window, estimate = fitted.outcome.window, fitted.outcome.estimate
     used = 0 if window is None else len(window)
     arc = math.degrees(gathering.progress().coverage.arc if estimate is None else estimate.arc)

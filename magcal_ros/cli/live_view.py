@@ -13,6 +13,7 @@ import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from magcal_ros.cli.common import bullets
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.disk import plain
 
@@ -116,6 +117,25 @@ def turns_itself(status: str) -> bool:
         return json.loads(status)["turns_itself"] is True
     except (ValueError, TypeError, LookupError, RecursionError):
         return False
+
+
+def with_all_reasons(message: str, status: str | None) -> str:
+    """Return the answer of ~/calibrate with every reason against the result on a line of its own.
+
+    The answer names the first ones; the text of `~/status` has all of them.
+    """
+    try:
+        verdict = json.loads(status or "")["verdict"]
+        summary, headline = str(verdict["summary"]), str(verdict["headline"])
+        against = [plain(str(words), LONGEST_ERROR) for words in verdict["against"]]
+        accepted = verdict["accepted"] is True
+    except (ValueError, TypeError, LookupError, RecursionError):
+        return message
+    before, found, after = message.partition(summary)
+    if not (found and summary and against):
+        return message
+    listed = bullets("But:" if accepted else "The reasons:", against)
+    return f"{before}{plain(headline, LONGEST_ERROR)}\n{listed}\n{after.strip()}"
 
 
 def best_view() -> Lines:

@@ -14,7 +14,7 @@ from typing import NoReturn
 from magcal_ros import __version__
 from magcal_ros.cli.calibrate import add_calibrate
 from magcal_ros.cli.check import add_check, add_drive, add_export
-from magcal_ros.cli.common import Exit
+from magcal_ros.cli.common import Exit, tell
 from magcal_ros.cli.demo import add_demo, add_replay
 from magcal_ros.cli.doctor import add_doctor
 from magcal_ros.cli.fit import add_fit
@@ -88,7 +88,7 @@ def _run(options: argparse.Namespace) -> Exit:
 
 
 def _said(what: object, status: Exit) -> Exit:
-    print(f"magcal: {plain_lines(' '.join(str(what).split()))}", file=sys.stderr)
+    tell(f"magcal: {' '.join(str(what).split())}", sys.stderr)
     return status
 
 

@@ -20,6 +20,7 @@ from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
+from magcal_ros.core.samples.units import TUNING
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.recorded import (
     Gathering,
@@ -43,10 +44,16 @@ class Gathered:
     """Closed; its names and frames are of use."""
     reference: Reference
     repaired: list[str]
+    messages: tuple[int, int]
+    """How many of IMU and field were read; those that are interpolated do not count."""
 
     def complaints(self) -> list[str]:
         """Return everything that is wrong with it, or with what was said about it."""
         found = [*self.source.notes, *self.repaired, *self.gathering.complaints()]
+        repeats, (_, fields) = self.gathering.repeats, self.messages
+        if repeats > TUNING.worth_a_word * fields:
+            words = f"{repeats} of {fields} samples repeat the one before, and are left out"
+            found.append(f"{self.source.field_topic}: {words}")
         return [*found, *self.reference.complaints]
 
 
@@ -147,7 +154,8 @@ def gather(
         gathering.take(repaired, source.travel)
     newest = gathering.streams.field_stamps.newest
     reference = reference_in_use(options, source.place, newest)
-    return Gathered(gathering, source, reference, repaired.notes)
+    imus, fields = repaired.read
+    return Gathered(gathering, source, reference, repaired.notes, (imus, fields))
 
 
 @contextmanager

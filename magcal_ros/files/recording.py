@@ -116,8 +116,15 @@ class Recording:
 
 
 def read_csv_folder(folder: Path) -> Recording:
-    """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder."""
-    _, imu = read_columns(folder / "imu.csv", IMU_COLUMNS)
+    """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder.
+
+    Without the columns of the gyro there is none.
+    """
+    path = folder / "imu.csv"
+    some = set(GYRO) & set(read_header(path))
+    _, imu = read_columns(path, IMU_COLUMNS, *([] if some else [IMU_COLUMNS[:4]]))
+    if not some:
+        imu = np.column_stack([imu, np.full((len(imu), 3), math.nan)])
     _, field = read_columns(folder / "mag.csv", FIELD_COLUMNS)
     return Recording(imu, field)
 

@@ -20,7 +20,13 @@ from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import between, length
 from magcal_ros.core.samples.stamps import bursts_in_words, spread_bursts
-from magcal_ros.core.samples.streams import STREAMS, ImuSample, slow_field_words, slow_words
+from magcal_ros.core.samples.streams import (
+    STREAMS,
+    FieldSample,
+    ImuSample,
+    slow_field_words,
+    slow_words,
+)
 from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import Bag, open_bag
@@ -111,13 +117,14 @@ class RepairedReadings:
         self, source: Source, for_drive: bool = False, known: Calibration | None = None
     ) -> None:
         self._source, self._for_drive, self._known = source, for_drive, known
-        self._given = 0
+        self.read = [0, 0]
+        """How many messages of IMU and field were read, those without acceleration included."""
         self.notes: list[str] = []
 
     @property
     def share(self) -> float:
         """How much of the recording has been given on, 0 to 1."""
-        return min(1.0, self._given / max(self._source.count, 1))
+        return min(1.0, sum(self.read) / max(self._source.count, 1))
 
     def __iter__(self) -> Iterator[Reading]:
         """Yield the samples in the order in which they were recorded."""
@@ -129,7 +136,7 @@ class RepairedReadings:
     def _repaired(self) -> Iterator[Reading]:
         readings = self._source.readings()
         begun = list(islice(readings, LOOKED_AT))
-        self._given = 0
+        self.read = [0, 0]
         stamps = _stamps(begun)
         if self._for_drive and (slow := slow_field_words(_usual_gap(stamps[1]))):
             raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.field_topic}: {slow}")
@@ -151,7 +158,7 @@ class RepairedReadings:
 
     def _counted(self, readings: Iterable[Reading]) -> Iterator[Reading]:
         for reading in readings:
-            self._given += 1
+            self.read[isinstance(reading, FieldSample)] += 1
             yield reading
 
     def _filled_up(self, readings: Iterable[Reading], gap: float, slow: str) -> Iterator[Reading]:

@@ -108,7 +108,7 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
     return [
         *rows,
         Row("turn seen", f"{estimate.arc * DEGREES:.0f}°"),
-        Row("samples used", f"{inliers} of {samples}"),
+        Row("samples used (repeats and rests not counted)", f"{inliers} of {samples}"),
         Row("field strength", f"{estimate.strength * MICRO:.2f} µT"),
         Row("inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
     ]

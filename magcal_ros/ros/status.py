@@ -91,11 +91,14 @@ def _progress(progress: Progress | None) -> Mapping[str, Any] | None:
 def _verdict(outcome: Outcome) -> Mapping[str, Any]:
     verdict, estimate = outcome.verdict, outcome.estimate
     installation = None if estimate is None else estimate.installation
+    headline, against = verdict.in_full
     return {
         "accepted": verdict.accepted,
         "quality": verdict.quality.value,
         "confidence": verdict.confidence.value,
         "summary": verdict.summary,
+        "headline": headline,
+        "against": list(against),
         "reasons": [check.words for check in verdict.checks],
         "not_shown": list(verdict.not_shown),
         "installation_rpy_deg": None

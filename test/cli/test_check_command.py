@@ -45,7 +45,7 @@ def test_a_good_one_holds(check, tmp_path):
     assert (status, err) == (0, "")
     assert out.startswith("The calibration holds.\n")
     lines = out.splitlines()
-    assert lines[2].split() == ["raw", "corrected", "unit"]
+    assert lines[2].split() == ["raw", "corrected", "want"]
     assert sum(line.endswith("holds") for line in lines) == 7
     assert "Not shown by this recording:" in out
 
@@ -54,10 +54,12 @@ def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
     status, out, _ = check(write_csv(tmp_path / "csv", drive(400.0, moved(), seed=3)))
     assert status == 4
     assert out.startswith("The calibration is stale, calibrate again.\n")
-    (row,) = (line for line in out.splitlines() if "heading swing" in line and " ° " in line)
-    assert row.endswith("stale")
-    assert "heading swing that the level field shows (want 7° or less): the hard iron" in out
-    assert out.count(row.split()[-3]) == 1, "each figure is printed once"
+    (row,) = (line for line in out.splitlines() if "heading swing  " in line)
+    assert row.split()[-3:] == ["≤", "4°", "stale"]
+    contradicts = out.partition("What contradicts it:")[2].partition("\n\n")[0]
+    assert "the level field makes the heading swing by " in contradicts
+    assert "° (want 7° or less): the hard iron" in contradicts
+    assert "does the calibration belong to this robot" in contradicts
 
 
 @pytest.mark.nightly

@@ -107,3 +107,22 @@ def test_known_gains_are_written_beside_the_mounting(tmp_path):
     assert content == {"mount_rpy_deg": [180.0, 0.0, 0.0], "soft_iron_gains": [1.0, 1.05, 0.98]}
     assert write_parameters(tmp_path / "other.yaml", Page(()), None) is None
     assert not (tmp_path / "other.yaml").exists()
+
+
+def test_stamps_in_bursts_are_said_once_with_the_mean_rate(tmp_path, capsys):
+    arguments = record(tmp_path / "csv", np.eye(3))
+    for name in ("imu.csv", "mag.csv"):
+        head, *rows = (tmp_path / "csv" / name).read_text().splitlines()
+        stamps = np.array([float(row.partition(",")[0]) for row in rows])
+        read = (stamps // 0.9 + 1.0) * 0.9 + 0.02 * (stamps % 0.9)
+        late = [
+            f"{stamp:.6f},{row.partition(',')[2]}" for stamp, row in zip(read, rows, strict=True)
+        ]
+        (tmp_path / "csv" / name).write_text("\n".join([head, *late]) + "\n")
+    rate = (len(read) - 1) / (read[-1] - read[0])
+    assert main(["doctor", *arguments]) == 4
+    said = capsys.readouterr().out
+    assert f"{rate:.1f} Hz in bursts" in said
+    assert said.count("the stamps come in bursts") == 1
+    assert "IMU: stamps and field: stamps: the stamps come in bursts" in said
+    assert "look  recording" not in said

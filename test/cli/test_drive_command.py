@@ -105,3 +105,17 @@ def test_a_bag_without_fixes_and_wheels_is_told_by_its_compass(driven, tmp_path,
     bag = write_bag(tmp_path / "bag", samples)
     assert main(["drive", str(bag), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
     assert "Written" in capsys.readouterr().out
+
+
+def test_a_recording_without_a_gyro_is_told_that_a_drive_needs_one(tmp_path, capsys):
+    _, samples = sensors([Leg(10.0)])
+    folder = write_csv(tmp_path / "csv", samples)
+    rows = (folder / "imu.csv").read_text().splitlines()
+    (folder / "imu.csv").write_text("\n".join(row.rpartition(",")[0] for row in rows) + "\n")
+    out = tmp_path / "out"
+    assert main(["drive", str(folder), "--output", str(out)]) == 5
+    assert "imu.csv has no column gz" in capsys.readouterr().err
+    (folder / "imu.csv").write_text("\n".join(",".join(row.split(",")[:4]) for row in rows) + "\n")
+    assert main(["drive", str(folder), "--output", str(out)]) == 3
+    assert "the recording has no gyro" in capsys.readouterr().err
+    assert not out.exists()

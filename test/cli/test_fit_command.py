@@ -276,3 +276,28 @@ class TestSeveralTurns:
         status, out, _ = fit([turns / "short", turns / "short"])
         assert status == 3
         assert "too little of a turn" in out
+
+
+def test_repeats_that_are_left_out_are_said(fit, tmp_path):
+    samples = drive(400.0)
+    fields = [k for k, sample in enumerate(samples) if not isinstance(sample, ImuSample)]
+    repeated = list(zip(fields[::3], fields[1::3], strict=False))
+    for k, after in repeated:
+        samples[after] = samples[after]._replace(field=samples[k].field)
+    _, out, _ = fit(write_csv(tmp_path / "csv", samples))
+    said = f"{len(repeated)} of {len(fields)} samples repeat the one before, and are left out"
+    assert f"mag.csv: {said}" in out
+
+
+def test_a_turn_without_a_gyro_is_told_in_full_and_says_what_to_give(tmp_path, capsys):
+    folder = write_csv(tmp_path / "csv", drive(400.0))
+    rows = (folder / "imu.csv").read_text().splitlines()
+    (folder / "imu.csv").write_text("\n".join(",".join(row.split(",")[:4]) for row in rows) + "\n")
+    assert main(["fit", str(folder), "--output", str(tmp_path / "found"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    figures = {check["figure"] for check in told["checks"]}
+    assert not figures & {"latency", "motor_field"}, "nothing measured them"
+    assert main(["fit", str(folder), "--output", str(tmp_path / "more")]) == 0
+    out = capsys.readouterr().out
+    assert "Reference field: unknown: give --latitude and --longitude" in out
+    assert "there is no gyro" in out

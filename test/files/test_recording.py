@@ -89,3 +89,11 @@ def test_what_only_holds_a_recording_is_named(tmp_path, name, words):
     (tmp_path / name).write_bytes(b"t,ax")
     with pytest.raises(FileTrouble, match=words):
         open_recording(tmp_path / name)
+
+
+def test_without_the_columns_of_a_gyro_there_is_none(tmp_path):
+    (tmp_path / "imu.csv").write_text("t,ax,ay,az\n1.0,0.1,0.2,9.8\n")
+    (tmp_path / "mag.csv").write_text("t,mx,my,mz\n1.05,1e-5,2e-5,-3e-5\n")
+    recording = read_csv_folder(tmp_path)
+    assert recording.imu[0, :4].tolist() == [1.0, 0.1, 0.2, 9.8]
+    assert np.isnan(recording.imu[0, 4:]).all()

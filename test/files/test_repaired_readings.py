@@ -66,3 +66,14 @@ def test_a_pause_is_not_spread_over(turn, tmp_path):
     for of_imu in (True, False):
         np.testing.assert_array_equal(stamps(samples, of_imu), stamps(buffered(late), of_imu))
     assert notes == []
+
+
+def test_only_what_was_recorded_is_counted_where_a_slow_imu_is_interpolated(tmp_path):
+    samples = [s for s in drive(90.0, rate=0.05) if not isinstance(s, ImuSample)]
+    imus = [s for s in drive(90.0, rate=0.05) if isinstance(s, ImuSample)][::20]
+    merged = sorted([*samples, *imus], key=lambda sample: sample.stamp)
+    with open_recording(write_csv(tmp_path / "slow", merged)) as source:
+        readings = RepairedReadings(source)
+        given = list(readings)
+    assert readings.read == [len(imus), len(samples)]
+    assert len(given) > len(imus) + len(samples)

@@ -38,7 +38,8 @@ AGAINST_REFERENCE: tuple[Bound, ...] = (
         90.0,
         15.0,
         "share of the level field that reaches the sensor",
-        "mount the sensor away from steel, or check the reference field",
+        "mount the sensor away from steel, or check the reference field and the sensor's scale: a "
+        "magnetometer whose scale is wrong looks the same",
         excellent=97.0,
         unit="%",
         at_least=True,
@@ -215,16 +216,17 @@ def _adapted(bound: Bound, estimate: Estimate) -> Bound:
     return bound
 
 
-DRIVE_ON = "drive on, with bends to both sides, to all headings"
+DRIVE_LONGER = "drive for longer, with bends to both sides"
+ALL_HEADINGS = f"{DRIVE_LONGER}, to all headings"
 DRIVE_BOUNDS: tuple[Bound, ...] = (
     UPRIGHT,
-    replace(SIGMA, good=2.0, excellent=0.7, remedy=DRIVE_ON, after_full=""),
+    replace(SIGMA, good=2.0, excellent=0.7, remedy=ALL_HEADINGS, after_full=DRIVE_LONGER),
     Bound(
         Figure.HEADINGS_DRIVEN,
         8.0,
         6.0,
         "headings driven, of 12:",
-        DRIVE_ON,
+        ALL_HEADINGS,
         excellent=11.0,
         unit="",
         aspect=Aspect.CONFIDENCE,

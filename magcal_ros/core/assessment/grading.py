@@ -138,6 +138,8 @@ class Check:
     before: float | None = None
     """The figure in the unit people see, and that of the raw field."""
     bound: Bound | None = None  # what it was graded by
+    is_judged: bool = True
+    """False where the samples are too uncertain to judge it."""
 
     @property
     def name(self) -> str:

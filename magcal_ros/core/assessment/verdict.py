@@ -82,7 +82,21 @@ class Verdict:
 
     checks: tuple[Check, ...]  # everything that was looked at
     not_shown: tuple[str, ...]  # what this turn could not show
-    summary: str  # one sentence
+    summary: str  # the result, and the first reasons against it, for a log
+    headline: str = ""  # the same without reasons; empty of a refusal before the fit
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Everything that was refused; of what is accepted, everything that was warned of."""
+        grade = Grade.WARN if self.accepted else Grade.REFUSED
+        return tuple(check.words for check in self.checks if check.grade is grade)
+
+    @property
+    def in_full(self) -> tuple[str, tuple[str, ...]]:
+        """Return the result, and all reasons against it; none where the summary has them."""
+        if not self.headline or self.summary != _summary(self.headline, self):
+            return self.summary, ()
+        return self.headline, self.reasons
 
     @property
     def quality(self) -> Grade:
@@ -149,11 +163,12 @@ FLAGS = {
     Figure.NOT_CONVERGED: (
         False,
         "the optimisation converged",
-        "the optimisation did not converge, so the errors may be larger than stated: "
-        "turn once more, evenly, away from moving iron",
+        "the optimisation did not converge, so the errors may be larger than stated",
     ),
 }
 """The wanted value of a flag, and the words if it has this value and if not."""
+AGAIN = "turn once more, evenly, away from moving iron"
+DRIVE_ELSEWHERE = "drive elsewhere, evenly, away from moving iron"
 NO_REFERENCE = "the size of the field: the reference field is not known"
 
 
@@ -175,7 +190,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
             steady = figures.get(Figure.STEADY_ACCELERATION)
             angle = sideways_acceleration(window) if steady is None else math.atan(steady)
             figures.setdefault(Figure.SIDEWAYS_ACCELERATION, angle)
-    bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in figures else bounds_of(estimate)
+    bounds = DRIVE_BOUNDS if _is_drive(figures) else bounds_of(estimate)
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
     checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
     doubt = check_reference(estimate, figures, knowledge)
@@ -186,12 +201,19 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
         if figure in figures:
             holds = bool(figures[figure]) is is_good
             grade, words = (Grade.EXCELLENT, good) if holds else (Grade.WARN, bad)
+            if not holds and figure is Figure.NOT_CONVERGED:
+                words += f": {DRIVE_ELSEWHERE if _is_drive(figures) else AGAIN}"
             checks.append(Check(figure, Aspect.QUALITY, grade, words))
     if window is not None:
         checks.append(_check_gravity(window))
     not_shown = _not_shown(estimate, figures, knowledge, has_gyro=has_gyro)
     verdict = Verdict(tuple(checks), not_shown, "")
-    return replace(verdict, summary=_summary(verdict, estimate, figures))
+    headline = _headline(verdict, estimate, figures)
+    return replace(verdict, summary=_summary(headline, verdict), headline=headline)
+
+
+def _is_drive(figures: Mapping[Figure, float]) -> bool:
+    return Figure.HEADINGS_DRIVEN in figures
 
 
 def _is_full(arc: float) -> bool:
@@ -221,7 +243,7 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
         bound = replace(bound, good=TUNING.weighed_acceleration_deg)
     if bound.figure in (Figure.RADIUS_MISFIT, Figure.LEVEL_SHARE):
         allowed = ALLOWED_SIGMAS * level_field_sigma(knowledge)
-        note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
+        note = f" ± {100.0 * allowed:.2g}% ({ALLOWED_SIGMAS:g}σ)" if allowed else ""
         counted = min(figure + allowed, 1.0) if bound.at_least else max(figure - allowed, 0.0)
         return bound.check(figure, excess=counted, note=note)
     return bound.check(figure)
@@ -283,7 +305,8 @@ def _not_shown(
         found.append(
             "the hard iron along the turn's axis: fine on the level, but at 10° of tilt its "
             f"error in the heading is {tilted * DEGREES:.1f}° (1σ); "
-            f"{'' if known else 'give the reference field, or '}turn on ramps"
+            f"{'' if known else 'give the reference field, or '}"
+            f"{'drive on slopes' if _is_drive(figures) else 'turn on ramps'}"
         )
     if not {Figure.GYRO_COMPASS_SWING, Figure.HEADINGS_DRIVEN, Figure.KNOWN_HEADINGS} & set(
         figures
@@ -294,20 +317,17 @@ def _not_shown(
     return tuple(found)
 
 
-def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, float]) -> str:
+def _headline(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, float]) -> str:
+    """Return the result without its reasons."""
     grades = f"quality {verdict.quality.value}, confidence {verdict.confidence.value}"
     where = _drive_in_words(figures)
     if not verdict.accepted:
-        return f"Refused ({grades}): {_reasons(verdict, Grade.REFUSED)}."
+        return f"Refused ({grades})"
     x, y, z = (float(value) * 1e6 for value in estimate.correction.hard_iron)
     level, local = figures[Figure.HEADING_SIGMA], figures.get(Figure.LOCAL_SIGMA, 0.0)
     own = math.sqrt(max(level**2 - local**2, 0.0))
-    apart = (
-        f"of which the calibration makes ±{own * DEGREES:.2f}° and local magnetic disturbances"
-        f" along the way ±{local * DEGREES:.2f}°, "
-    )
     words = (
-        f"{grades}: heading ±{level * DEGREES:.2f}° on the level, {apart if local else ''}"
+        f"{grades}: heading ±{level * DEGREES:.2f}° on the level, "
         f"±{figures[Figure.HEADING_SIGMA_TILTED] * DEGREES:.2f}° at 10° of tilt (1σ); "
         f"hard iron ({x:.1f}, {y:.1f}, {z:.1f}) µT"
     )
@@ -317,16 +337,20 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, floa
         if Figure.INSTALLATION_YAW_SIGMA in figures:
             yaw, sigma = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
             words += f", yaw {yaw * DEGREES:.2f}° ±{sigma * DEGREES:.2f}°"
-    warnings = _reasons(verdict, Grade.WARN)
+    if local:
+        words += (
+            f". Of the ±{level * DEGREES:.2f}° the calibration makes ±{own * DEGREES:.2f}°, and"
+            f" local magnetic disturbances along the way ±{local * DEGREES:.2f}°"
+        )
     rough = " roughly" if own > TUNING.rough else ""
-    return f"Calibrated{rough}{where}, {words}.{' But ' + warnings + '.' if warnings else ''}"
+    return f"Calibrated{rough}{where}, {words}."
 
 
 def _drive_in_words(figures: Mapping[Figure, float]) -> str:
     """Return the length of a drive, or the number of known headings; empty for a turn."""
     if count := int(figures.get(Figure.KNOWN_HEADINGS, 0)):
         return f" from {count} known headings" if count > 1 else " from one known heading"
-    if Figure.HEADINGS_DRIVEN not in figures:
+    if not _is_drive(figures):
         return ""
     seconds, metres = figures[Figure.DRIVING_TIME], figures.get(Figure.METRES)
     took = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
@@ -335,8 +359,11 @@ def _drive_in_words(figures: Mapping[Figure, float]) -> str:
     return f" from {took} of ordinary driving, {way}{seen}"
 
 
-def _reasons(verdict: Verdict, grade: Grade) -> str:
-    """Return the first reasons for a grade, in the order of the bounds."""
-    words = [check.words for check in verdict.checks if check.grade is grade]
-    more = len(words) - TUNING.reasons
-    return "; ".join(words[: TUNING.reasons]) + (f"; and {more} more" if more > 0 else "")
+def _summary(headline: str, verdict: Verdict) -> str:
+    """Return the result with its first reasons, in the order of the bounds."""
+    reasons = verdict.reasons
+    more = len(reasons) - TUNING.reasons
+    words = "; ".join(reasons[: TUNING.reasons]) + (f"; and {more} more" if more > 0 else "")
+    if not verdict.accepted:
+        return f"{headline}: {words}."
+    return f"{headline} But {words}." if words else headline

@@ -270,7 +270,7 @@ def _all_agree(
     more = int(remains.sum() - remains[given])
     found = [looked_at("axes", "axes", evidence)]
     if more:
-        rest = "one other way" if more == 1 else f"{more} other ways"
+        rest = f"{more} other arrangement{'s' * (more > 1)} of gyro and magnetometer"
         why = f"{evidence} fit, but so would {rest}; to tell them apart, {axes.movement or LIFT}"
         found = [not_shown("axes", "axes", why)]
     if contrary[given]:
@@ -316,7 +316,7 @@ def _accused(
         asked = f"which of them errs this movement does not show: {LIFT}. "
         asked += f"Either {'; or '.join(said.values())}"
         return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], axes, True)
-    evidence = f"contradicted by the other sensors: {names}"
+    evidence = "the other sensors contradict them"
     line = wrong(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])
     return Blame((line,), fewest[0], axes, True)
 

@@ -105,6 +105,9 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
         )
         return looked_at("slow", f"{name}: stamps", evidence, slow)
     if words := bursts_in_words(time):
+        # The usual gap is one within a burst.
+        rate = len(gaps) / float(time[-1] - time[0])
+        evidence = f"{rate:.1f} Hz in bursts, gaps of at most {gaps.max():.2f} s"
         return wrong("bursts", f"{name}: stamps", evidence, words)
     remedy = (
         "the stamps jitter: stamp each sample in the driver when it is measured, at best by the "
@@ -171,7 +174,8 @@ def gravity_size_finding(force: FloatArray) -> Finding:
     if abs(size / STANDARD_GRAVITY - 1.0) > TUNING.gravity:
         hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
     x, y, z = np.median(force, axis=0)
-    evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all"
+    off = size / STANDARD_GRAVITY - 1.0
+    evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all, {off:+.1%} off gravity"
     return looked_at("force_unit", "accelerometer: unit", evidence, hint)
 
 

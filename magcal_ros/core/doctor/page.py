@@ -154,7 +154,7 @@ def reference_findings(
     vector, up = state[FIELD], state[UP] * (-1.0 if up_is_down else 1.0)
     strength = float(np.linalg.norm(vector)) * size
     off = float(np.linalg.norm(sigma[FIELD])) * size
-    name, why = "field: at this place", "lift the nose by 20° while it turns"
+    name, why = "field: strength, inclination", "lift the nose by 20° while it turns"
     if off > TUNING.vague * strength:
         return [not_shown("reference", name, why)]
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))

@@ -227,6 +227,11 @@ class Reference:
     complaints: tuple[str, ...] = ()
 
     @property
+    def is_known(self) -> bool:
+        """Whether any of its numbers is known."""
+        return not all(belief.is_unknown for _, belief in _beliefs(self.field))
+
+    @property
     def north(self) -> str:
         """The zero of a yaw: "true" or "magnetic" north."""
         return "magnetic" if self.field.declination is None else "true"

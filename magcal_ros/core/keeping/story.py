@@ -101,7 +101,8 @@ def replayed(
         fixes = np.array([each[:3] for each in ways if isinstance(each, PositionSample)])
         measured = fixes if len(fixes) > 2 else None
         path = path_along(now, rows[:, 0], rows[:, 2:5], rows[:, 5:], rows[:, 1], measured)
-    seconds, moved = last - first if points else 0.0, machine.recorder.seconds
+    seconds = 0.0 if math.isnan(first) else last - first
+    moved = machine.recorder.seconds
     return DriveStory(tuple(decisions), calibration, now, seconds, moved, machine.in_words, path)
 
 

@@ -147,7 +147,7 @@ def _check_drive(found: Smoothed, estimate: Estimate, all_axes: bool) -> None:
     if sectors < FEWEST_SECTORS:
         raise Refusal(
             Reason.ARC_TOO_SHORT,
-            f"the drive went to {sectors:.0f} of 12 headings only; drive on, round a block",
+            f"the drive went to {sectors:.0f} of 12 headings only; drive for longer, round a block",
         )
 
 
@@ -269,12 +269,25 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
         Figure.NOT_CONVERGED: float(not best.is_settled),
         Figure.ITERATIONS: float(best.rounds),
         Figure.SOFT_IRON: float(best.model.priors.scale[AT["soft_iron"]].any()),
-        Figure.LATENCY: float(shared[AT["latency"]][0]),
-        Figure.MOTOR_FIELD: size / MICROTESLA if size > CLEAR * doubt else 0.0,
+        **_where_seen(found, size if size > CLEAR * doubt else 0.0),
         Figure.ON_THE_SPOT: sum(
             share for name, share in found.weights.items() if name.startswith(ON_THE_SPOT)
         ),
     }
+
+
+def _where_seen(found: Smoothed, motors: float) -> dict[Figure, float]:
+    """Return latency and motors' field (`motors`, µT), each where the samples can show it.
+
+    Latency takes a gyro, and motors that show nothing take a rest to say that there is nothing.
+    """
+    scale, shared = found.fit.model.priors.scale, found.fit.state.shared
+    latency, figures = AT["latency"], dict[Figure, float]()
+    if scale[latency].any():
+        figures[Figure.LATENCY] = float(shared[latency][0])
+    if motors or found.nodes.quiet.any():
+        figures[Figure.MOTOR_FIELD] = motors / MICROTESLA
+    return figures
 
 
 def _of_a_drive(found: Smoothed) -> dict[Figure, float]:

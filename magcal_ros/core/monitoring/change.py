@@ -119,6 +119,18 @@ class Waves:
         size = math.sqrt(float(np.mean((waves @ self.values[1:5]) ** 2)))
         return size, self.chance * math.sqrt(max(float(variance.mean()), 0.0))
 
+    @property
+    def chance_of_mean(self) -> float:
+        """What chance may reach of the mean over the headings that were seen."""
+        mean = self.columns.mean(axis=0)
+        return self.chance * math.sqrt(max(float(mean @ self.covariance @ mean), 0.0))
+
+    def scatter(self, values: FloatArray, stamp: FloatArray) -> float:
+        """Return the RMS of what the harmonics leave of values (n,), and what chance adds to it."""
+        left = float(np.mean((values - self.columns @ self.values) ** 2))
+        stretches = max(float(np.ptp(stamp)) / CHANGE.correlation_time, 1.0)
+        return math.sqrt(left * (1.0 + CHANGE.chance * math.sqrt(2.0 / stretches)))
+
 
 def harmonics(heading: FloatArray) -> FloatArray:
     """Return the columns of `Waves` for headings (n,), radians; shape (n, 5)."""
@@ -240,4 +252,4 @@ def check_beside_chance(
 def doubtful(check: Check) -> Check:
     """Return a check that is too uncertain to say stale."""
     words = f"{check.words}: too uncertain to judge; turn once, in one place away from iron"
-    return replace(check, grade=Grade.WARN, words=words)
+    return replace(check, grade=Grade.WARN, words=words, is_judged=False)

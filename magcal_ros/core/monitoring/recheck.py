@@ -60,15 +60,16 @@ LOST_GYRO = (
 )
 NO_YAW = "an error of the yaw that is the same at every heading"
 MOVED = "the hard iron has changed, or the field is distorted here"
+OTHER_ROBOT = f"{GYRO_BOUND.remedy}; does the calibration belong to this robot and this sensor?"
 ELSEWHERE = "another place, or the hard iron along the turn's axis has changed"
 
 RECHECK_BOUNDS: tuple[Bound, ...] = (
-    Bound(Figure.HEADING_SWING, 4.0, 7.0, "heading swing that the level field shows", MOVED),
-    GYRO_BOUND,
+    Bound(Figure.HEADING_SWING, 4.0, 7.0, "the level field makes the heading swing by", MOVED),
+    replace(GYRO_BOUND, when_refused=OTHER_ROBOT),
     Bound(
         Figure.STRENGTH_SPREAD, 3.0, 6.0, "field strength varies with heading by", MOVED, unit="%"
     ),
-    Bound(Figure.DIP_SPREAD, 2.0, 4.0, "angle between field and up varies with heading by", MOVED),
+    Bound(Figure.DIP_SPREAD, 2.0, 4.0, "inclination varies with heading by", MOVED),
     Bound(
         Figure.STRENGTH_OFFSET,
         5.0,
@@ -93,7 +94,7 @@ IRON_BOUND = Bound(
     Figure.HARD_IRON_CHANGE,
     6.0,
     12.0,
-    "hard iron added since, as part of the level field",
+    "iron added since, over level field",
     "the robot's own field has changed",
     unit="%",
 )
@@ -111,6 +112,11 @@ class Recheck:
     def findings(self) -> tuple[Check, ...]:
         """Everything that says whether the calibration holds."""
         return tuple(c for c in self.verdict.checks if c.aspect is Aspect.QUALITY)
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether the samples show anything at all."""
+        return any(finding.is_judged for finding in self.findings)
 
     @property
     def state(self) -> str:
@@ -137,6 +143,7 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     added = None if iron is None else _check_iron(*iron, chance)
     # A street that is driven once bends the field as other iron in the robot would.
     is_street = iron is not None and (added is None or (drove and added.grade is not Grade.REFUSED))
+    is_round = Coverage.of(corrected[:, 1]).gap <= CHANGE.widest_hole
     checks = []
     for bound in RECHECK_BOUNDS:
         if bound.figure in found:
@@ -144,7 +151,9 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
             raw_figure, _ = before.get(bound.figure, (None, 0.0))
             most = CHANGE.own_share * bound.warn / bound.scale
             chance = math.hypot(min(_own(bound.figure, calibration), most), places)
-            graded = check_beside_chance(bound, figure, chance, raw_figure, added is not None)
+            # In a part of a turn, iron says nothing of an up that is off.
+            is_decided = added is not None and (is_round or bound.figure is not GYRO_BOUND.figure)
+            graded = check_beside_chance(bound, figure, chance, raw_figure, is_decided)
             is_stale = graded.grade is Grade.REFUSED
             checks.append(doubtful(graded) if is_stale and is_street else graded)
     checks += [] if added is None else [added]
@@ -223,15 +232,24 @@ def _figures(
         Figure.DIP_SPREAD: dip,
     }
     columns = harmonics(heading)
-    found = {k: fit_waves(columns, v, stamp, CHANGE.chance).spread for k, v in swings.items()}
-    found[Figure.STRENGTH_OFFSET] = abs(float(size.mean()) / calibration.strength - 1.0), 0.0
-    found[Figure.DIP_OFFSET] = abs(float(dip.mean()) - calibration.inclination), 0.0
+    waves = {k: fit_waves(columns, v, stamp, CHANGE.chance) for k, v in swings.items()}
+    found = {figure: each.spread for figure, each in waves.items()}
+    for figure, of, off in (
+        (Figure.STRENGTH_OFFSET, Figure.STRENGTH_SPREAD, size / calibration.strength - 1.0),
+        (Figure.DIP_OFFSET, Figure.DIP_SPREAD, dip - calibration.inclination),
+    ):
+        found[figure] = abs(float(off.mean())), waves[of].chance_of_mean
     gyro = compass_less_gyro(records, heading, CHANGE.chance)
     if gyro is None:
         return found, None
     rms = gyro.rms
     # What does not come back with the heading is not the calibration's.
-    swing, chance = (rms, 0.0) if gyro.waves is None else gyro.waves.spread
+    if gyro.waves is None:
+        # An up that is off by so much sideways, as it is along the field, turns the compass.
+        tilt = waves[Figure.DIP_SPREAD].scatter(dip, stamp)
+        swing, chance = rms, abs(math.tan(calibration.inclination)) * tilt
+    else:
+        swing, chance = gyro.waves.spread
     elsewhere = math.sqrt(max(rms**2 - swing**2, 0.0))
     found[Figure.GYRO_COMPASS_DIFFERENCE] = rms, math.hypot(chance, elsewhere)
     return found, GyroSwing(heading[gyro.rows], gyro.deviation, rms)
@@ -289,10 +307,10 @@ def up_of(window: Window) -> FloatArray:
     return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
 
 
-def _iron_of(drive: DriveLog, calibration: Calibration) -> tuple[float, float] | None:
+def _iron_of(drive: DriveLog, calibration: Calibration) -> tuple[float, float, float] | None:
     """Return the hard iron that was added, by the drive's own model; None of too short a drive.
 
-    It is a share of the level field, with its standard deviation.
+    It is a share of the level field, with its standard deviation and the level field, tesla.
     """
     reference = ReferenceField(
         Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
@@ -309,13 +327,15 @@ def _iron_of(drive: DriveLog, calibration: Calibration) -> tuple[float, float] |
     covariance = matrix @ found.posterior.covariance[9:, 9:] @ matrix.T
     level = calibration.strength * math.cos(calibration.inclination)
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
-    return math.hypot(*added) / level, sigma
+    return math.hypot(*added) / level, sigma, level
 
 
-def _check_iron(share: float, sigma: float, chance: float) -> Check | None:
+def _check_iron(share: float, sigma: float, level: float, chance: float) -> Check | None:
     """Weigh added iron beside what chance of so many sigmas explains; None if too uncertain."""
     beyond = share - CHANGE.clearly * sigma
     if sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
         return None
     excess = math.sqrt(max(share**2 - (chance * sigma) ** 2, 0.0))
-    return IRON_BOUND.check(share, excess=excess)
+    size = f"iron added since ({1e6 * share * level:.1f} µT)"
+    words = IRON_BOUND.words.replace("iron added since", size)
+    return replace(IRON_BOUND, words=words).check(share, excess=excess)

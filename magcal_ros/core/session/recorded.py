@@ -107,6 +107,11 @@ class Gathering:
         self._collect()
         self._choose()
 
+    @property
+    def repeats(self) -> int:
+        """How many field samples repeat the one before; they are left out."""
+        return self.streams.field_drops[Drop.REPEATED]
+
     def drive(self) -> DriveLog:
         """Return what was driven; nothing without a gyro, or of a field too slow for one."""
         return DriveRecorder(LONGEST_DRIVE).log() if self.slow_field else self._drive.log()

@@ -138,7 +138,7 @@ def why_too_little(nodes: Nodes) -> Refusal | None:
         return Refusal(
             Reason.TOO_FEW_SAMPLES,
             f"only {len(nodes) * WHILE_DRIVING.longest:.0f} s of movement; at least"
-            f" {FEWEST * WHILE_DRIVING.longest:.0f} s are needed: drive on",
+            f" {FEWEST * WHILE_DRIVING.longest:.0f} s are needed: drive for longer",
         )
     if np.mean(nodes.is_tied) < 0.5:
         return Refusal(

@@ -162,7 +162,9 @@ class _Trials:
 
         def report(rounds: int) -> None:
             if self._progress is not None:
-                self._progress(min((done + min(rounds / ROUGHLY.rounds, 1.0)) / MOST_FITS, 1.0))
+                # How many rounds it takes is not known beforehand.
+                share = rounds / (rounds + 0.5 * ROUGHLY.rounds)
+                self._progress(min((done + share) / MOST_FITS, 1.0))
 
         start = self.nodes, self._priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         try:
@@ -206,12 +208,14 @@ class _Trials:
         for name in () if self._rolls else self.others:
             if name != ON_THE_SPOT:
                 self.add(name, tolerances=ROUGHLY)
+        self._started = max(self._started, len(KINDS))
         least = min((each.evidence for each in fits.values()), default=0.0)
         for name, rough in tuple(fits.items()):
             if rough.evidence > least + HOPELESS:
                 del fits[name]
             elif not rough.converged:
                 self.add(name, rough)
+        self._started = max(self._started, 2 * len(KINDS))
         for name, other in tuple(fits.items()):
             # Another kind may have stopped at a worse optimum than the best one's lies at.
             best = min(fits.values(), key=lambda each: each.evidence)

@@ -1,4 +1,5 @@
 import math
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -26,6 +27,12 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 
 KNOWN = Robot().knowledge()
+DRIVE = {
+    Figure.HEADINGS_DRIVEN: 12.0,
+    Figure.DRIVING_TIME: 300.0,
+    Figure.LOCAL_FIELD: 1e-6,
+    Figure.STREET: 1e-6,
+}
 BY_FIGURE = {bound.figure: bound for bound in TURN_BOUNDS}
 every_threshold = pytest.mark.parametrize(
     "threshold", TURN_BOUNDS, ids=[f.value for f in BY_FIGURE]
@@ -206,7 +213,38 @@ class TestJudge:
         assert "gyro against compass" in verdict.summary
         assert "field strength deviates" in verdict.summary
         assert verdict.summary.endswith("; and 2 more.")
-        assert sum(check.grade is Grade.WARN for check in verdict.checks) == 4
+        headline, reasons = verdict.in_full
+        assert verdict.summary.startswith(f"{headline} But {reasons[0]}; {reasons[1]}; and")
+        warned = [check.words for check in verdict.checks if check.grade is Grade.WARN]
+        assert list(reasons) == warned
+        assert len(warned) == 4
+
+    def test_a_summary_with_more_words_is_told_as_it_is(self):
+        verdict = replace(judge(estimate(), KNOWN), summary="Calibrated. But something else.")
+        assert verdict.in_full == (verdict.summary, ())
+
+    def test_a_drive_says_apart_what_the_calibration_and_what_the_way_adds(self):
+        verdict = judge(estimate(figures=DRIVE), KNOWN)
+        assert re.search(
+            r"heading ±([\d.]+)° on the level, ±[\d.]+° at 10° of tilt \(1σ\); .*\. "
+            r"Of the ±\1° the calibration makes ±[\d.]+°, and local magnetic disturbances along the"
+            r" way ±[\d.]+°\.",
+            verdict.summary,
+        ), verdict.summary
+
+    @pytest.mark.parametrize("arc", [math.tau, 4.0])
+    def test_a_drive_is_never_told_to_turn_and_to_all_headings_only_where_some_are_missing(
+        self, arc
+    ):
+        covariance = np.zeros((12, 12))
+        covariance[9:, 9:] = np.eye(3) * (2e-6) ** 2
+        figures = DRIVE | {"not_converged": 1.0}
+        verdict = judge(estimate(arc=arc, figures=figures, covariance=covariance), KNOWN)
+        words = "; ".join(verdict.reasons)
+        assert "drive for longer" in words
+        assert ("to all headings" in words) is (arc < math.tau)
+        assert "drive elsewhere" in words
+        assert "turn once more" not in words
 
 
 def window(force):
@@ -284,7 +322,7 @@ class TestWhatTheEstimateItselfShows:
         verdict = judge(estimate(figures=figures), vague)
         assert verdict.quality is Grade.EXCELLENT
         words = grade_of(verdict, "radius_misfit").words
-        assert words.startswith("radius of the field against the reference 20%, known to ")
+        assert words.startswith("radius of the field against the reference 20% ± 26% (2σ)")
 
 
 class TestGravity:
@@ -343,7 +381,7 @@ class TestNotShown:
         doubtful = replace(KNOWN.reference, strength=Belief(KNOWN.reference.strength.value, 1e-6))
         found = grade_of(judge(estimate(figures=figures), Knowledge(doubtful)), "level_share")
         assert found.grade is Grade.GOOD
-        assert "known to" in found.words
+        assert "share of the level field that reaches the sensor 89% ± 4% (2σ)" in found.words
 
     def test_a_gyro_that_the_method_does_not_use_is_not_called_missing(self):
         one = window(np.full((50, 3), [0.0, 0.0, 9.81]))

@@ -15,7 +15,7 @@ from magcal_ros.core.monitoring.change import (
     fit_waves,
     harmonics,
 )
-from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, check
+from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, _figures, check
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 
@@ -101,3 +101,22 @@ def test_what_one_place_alone_adds_is_not_the_calibrations(places, explained):
     swing, chance = gyro.waves.spread
     assert gyro.rms > 0.05
     assert (math.sqrt(max(swing**2 - chance**2, 0.0)) < 0.03) is explained
+
+
+@pytest.mark.parametrize(("lean", "is_explained"), [(0.0, False), (1.0, True)])
+def test_in_a_part_of_a_turn_an_up_that_sways_explains_a_compass_that_does(lean, is_explained):
+    """Up that is off along the field shows in the dip, and is off as much across it."""
+    calibration = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
+    calibration = calibration.calibration
+    stamp, turned = 0.3 * np.arange(200), np.linspace(0.0, 1.5, 200)
+    aside = 0.2 * np.sin(2.0 * stamp)
+    along = lean * 0.2 / math.tan(calibration.inclination) * np.sin(2.9 * stamp)
+    size = np.full(200, calibration.strength)
+    rise = -size * np.sin(calibration.inclination + along)
+    nothing = np.zeros(200)
+    records = np.column_stack([stamp, turned + aside, size, rise, turned, nothing, nothing])
+    found, _ = _figures(records, turned, calibration)
+    swing, chance = found[Figure.GYRO_COMPASS_DIFFERENCE]
+    assert swing == pytest.approx(0.2 / math.sqrt(2.0), rel=0.1)
+    assert (chance > swing) is is_explained
+    assert is_explained or chance < 0.05 * swing

@@ -155,7 +155,7 @@ def test_a_gyro_that_turns_the_other_way_is_refused(drive):
 
 def test_a_short_drive_is_refused(drive):
     log = log_from(drive)
-    with pytest.raises(Refusal, match="drive on"):
+    with pytest.raises(Refusal, match="drive for longer"):
         fit_of(log.between(log.time[0], log.time[0] + 8.0), BOSTON)
 
 

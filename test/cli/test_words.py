@@ -1,0 +1,102 @@
+"""How the commands print: wrapped on a terminal, whole lines elsewhere, in a command's words."""
+
+import io
+import json
+
+import pytest
+
+from magcal_ros.cli.check import _words
+from magcal_ros.cli.common import tell, with_options, wrapped
+from magcal_ros.cli.live_view import with_all_reasons
+from magcal_ros.core.assessment.grading import Aspect, Grade
+from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.monitoring.change import check_beside_chance
+from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, Recheck
+
+PROSE = "turn once more, more slowly or on other ground, away from iron"
+
+
+@pytest.mark.parametrize(
+    ("begin", "column"),
+    [("", 0), ("  - ", 4), ("  ok    field: unit    ", 23), ("   12 s  put in force: ", 9)],
+)
+def test_long_lines_are_broken_below_their_last_column(begin, column):
+    lines = wrapped(begin + PROSE, 50).splitlines()
+    assert len(lines) > 1
+    assert lines[0].startswith(begin)
+    assert all(len(line) <= 50 for line in lines)
+    assert all(len(line) - len(line.lstrip()) == column for line in lines[1:])
+    assert " ".join(line.strip() for line in lines).split() == (begin + PROSE).split()
+
+
+@pytest.mark.parametrize(
+    "line", ["  - /a/path/that/is/longer/than/a/terminal/is/wide", "  hard iron x   -19.66  µT", ""]
+)
+def test_paths_and_short_lines_stay_whole(line):
+    assert wrapped(line, 30) == line
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(("out", "lines"), [(Terminal(), 4), (io.StringIO(), 1)])
+def test_a_terminal_gets_its_width_and_a_script_whole_lines(monkeypatch, out, lines):
+    monkeypatch.setenv("COLUMNS", "50")
+    tell("word " * 40, out)
+    assert out.getvalue().count("\n") == lines
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("check reference.strength_ut,", "check --reference-strength-ut,"),
+        ("and inclination_deg or", "and --reference-inclination-deg or"),
+        ("with mount_rpy_deg", "with --mount-rpy-deg"),
+        ("residual_percent", "residual_percent"),
+    ],
+)
+def test_a_command_names_its_options(words, said):
+    assert with_options(words) == said
+
+
+def recheck(*chances):
+    """A recheck of one figure of 8° of which chance may be so many degrees, each."""
+    bound = RECHECK_BOUNDS[0]
+    graded = [check_beside_chance(bound, 8.0 / bound.scale, c / bound.scale) for c in chances]
+    assert all(each.aspect is Aspect.QUALITY for each in graded)
+    return Recheck(Verdict(tuple(graded), (), ""), None)
+
+
+def test_what_is_too_uncertain_stands_apart_and_whole():
+    out = _words(recheck(0.0, 9.0), [])
+    stale, uncertain = out.partition("Too uncertain to judge:")[::2]
+    assert stale.count("  - the level field makes the heading swing by 8° (want 7° or less)") == 1
+    assert "8°, no more than chance explains: too uncertain to judge; turn once" in uncertain
+    rows = [line.split()[-1] for line in stale.splitlines() if " ≤ 4° " in line]
+    assert rows == ["stale", "unclear"]
+
+
+def test_a_recording_that_shows_nothing_is_no_verdict():
+    result = recheck(9.0)
+    assert not result.is_judged
+    assert _words(result, []).startswith("This recording does not show whether")
+    assert recheck(0.0).is_judged
+    assert recheck(0.0).verdict.quality is Grade.REFUSED
+
+
+STATUS = {"summary": "A. But b; and 1 more.", "headline": "A.", "against": ["b", "c"]}
+
+
+def test_the_answer_of_a_turn_names_every_reason():
+    status = json.dumps({"verdict": STATUS | {"accepted": True}})
+    told = with_all_reasons("timed out; A. But b; and 1 more. It is saved.", status)
+    assert told == "timed out; A.\n\nBut:\n  - b\n  - c\n\nIt is saved."
+
+
+@pytest.mark.parametrize(
+    "status", [None, "no json", "{}", json.dumps({"verdict": STATUS | {"summary": "another"}})]
+)
+def test_an_answer_without_its_status_stays_as_it_is(status):
+    assert with_all_reasons("A. But b; and 1 more.", status) == "A. But b; and 1 more."
