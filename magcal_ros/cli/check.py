@@ -115,17 +115,23 @@ def _print(facts: dict[str, Any], words: str, options: argparse.Namespace) -> No
 
 
 def _words(result: Recheck, notes: list[str]) -> str:
-    rows = [("", "raw", "corrected", "want", "")]
+    against = [f for f in result.findings if STATES[f.grade] != "holds"]
+    by_chance = [f for f in result.findings if f not in against and _is_beyond(f)]
+    rows = [("", "raw", "corrected", "want", "stale", "")]
     rows += [
-        (f.name.removesuffix(" by"), _number(f.before), _number(f.value), _want(f), _state(f))
+        (
+            f.name.removesuffix(" by"),
+            _number(f.before),
+            _number(f.value),
+            *_limits(f),
+            "chance" if f in by_chance else _state(f),
+        )
         for f in result.findings
     ]
-    against = [f for f in result.findings if STATES[f.grade] != "holds"]
-    by_chance = [f.words for f in result.findings if f not in against and _is_beyond(f)]
     title = f"{SENTENCES[result.state]}." if result.is_judged else NOTHING_SEEN
     text = f"{title}\n\n{table(rows)}\n"
     text += bullets("What contradicts it:", [f.words for f in against if f.is_judged])
-    text += bullets("Beyond what is wanted, but by chance:", by_chance)
+    text += bullets("Beyond what is wanted:", [f.words for f in by_chance])
     text += bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
     text += bullets("Not shown by this recording:", result.verdict.not_shown)
     text += bullets("About the recording:", notes)
@@ -135,9 +141,10 @@ def _words(result: Recheck, notes: list[str]) -> str:
 NOTHING_SEEN = "This recording does not show whether the calibration holds."
 
 
-def _want(finding: Check) -> str:
-    """Return up to which value a figure holds."""
-    return "" if finding.bound is None else f"≤ {finding.bound.good:g}{finding.unit}"
+def _limits(finding: Check) -> tuple[str, str]:
+    """Return up to which value a figure holds, and beyond which the calibration is stale."""
+    bound, unit = finding.bound, finding.unit
+    return ("", "") if bound is None else (f"≤ {bound.good:g}{unit}", f"> {bound.warn:g}{unit}")
 
 
 def _is_beyond(finding: Check) -> bool:

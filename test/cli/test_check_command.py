@@ -45,7 +45,7 @@ def test_a_good_one_holds(check, tmp_path):
     assert (status, err) == (0, "")
     assert out.startswith("The calibration holds.\n")
     lines = out.splitlines()
-    assert lines[2].split() == ["raw", "corrected", "want"]
+    assert lines[2].split() == ["raw", "corrected", "want", "stale"]
     assert sum(line.endswith("holds") for line in lines) == 7
     assert "Not shown by this recording:" in out
 
@@ -55,7 +55,7 @@ def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
     assert status == 4
     assert out.startswith("The calibration is stale, calibrate again.\n")
     (row,) = (line for line in out.splitlines() if "heading swing  " in line)
-    assert row.split()[-3:] == ["≤", "4°", "stale"]
+    assert row.split()[-5:] == ["≤", "4°", ">", "7°", "stale"]
     contradicts = out.partition("What contradicts it:")[2].partition("\n\n")[0]
     assert "the level field makes the heading swing by " in contradicts
     assert "° (want 7° or less): the hard iron" in contradicts

@@ -221,6 +221,8 @@ class _Trials:
             best = min(fits.values(), key=lambda each: each.evidence)
             if best.evidence < other.evidence < best.evidence + HOPELESS:
                 self.add(name, best)
+        usual = {name: each for name, each in fits.items() if gyro_is_usual(each)}
+        self.fits = usual or fits
 
     def _without_false_rests(self) -> None:
         """Drop the rests if that is more likely: driving on a smooth road may look like a rest."""
@@ -339,10 +341,10 @@ def mixed(
     return Smoothed(nodes, best, fits, weights, mean, math.sqrt(square))
 
 
-def is_possible(fit: Fit) -> bool:
-    """Return whether the soft iron of a fit neither mirrors nor triples the field."""
+def is_possible(fit: Fit, largest_gain: float = LARGEST_GAIN) -> bool:
+    """Return whether the soft iron of a fit neither mirrors nor strengthens the field too far."""
     least, _, most = np.linalg.eigvalsh(soft_iron(fit.state.shared))
-    return bool(least > 0.0 and most < LARGEST_GAIN)
+    return bool(least > 0.0 and most < largest_gain)
 
 
 def mixture(found: dict[str, Posterior], weights: dict[str, float], mode: str) -> Posterior:

@@ -6,6 +6,7 @@ nominal pose: nothing but a gyro shows one that is mounted upside down.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -95,7 +96,8 @@ def _elsewhere(first: Fit) -> dict[str, Fit]:
 def _upright(priors: Priors, like: Fit) -> Fit | None:
     """Return the fit of a turn from another optimum; None if it fails or mirrors the axes."""
     found = _fitted(like.model.nodes, priors, like.state, AGAIN, like)
-    return found if found is not None and is_possible(found) else None
+    # While the field is taken for uniform, soft iron of any size explains its gradient.
+    return found if found is not None and is_possible(found, math.inf) else None
 
 
 def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
