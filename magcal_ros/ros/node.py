@@ -247,7 +247,7 @@ class Calibrator(Node):
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
         complaints += [
             *self._known.antenna.complaints,
-            *filter(None, [self._pipeline.headings.other_publishers()]),
+            *self._pipeline.headings.complaints(self._reference.reference.field),
         ]
         self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()

@@ -109,6 +109,12 @@ class AttitudeOutput:
             self._out.publish(self._attitude.fill(stamp, frame, numbers))
 
 
+NO_DECLINATION = (
+    "something subscribes to compass/true/enu/imu, where nothing is published: the declination is"
+    " not known. Give reference.latitude_deg and reference.longitude_deg, or a fix on gps/fix"
+)
+
+
 class HeadingOutput:
     """Publishes the heading of each field message; what nobody subscribes to is not filled in."""
 
@@ -128,11 +134,18 @@ class HeadingOutput:
         self.moment: Moment | None = None
         """The newest field message under the calibration in force, with the published variance."""
 
-    def other_publishers(self) -> str:
-        """Return which other node publishes the same heading; empty if none does."""
+    def complaints(self, reference: ReferenceField) -> list[str]:
+        """Return what consumers of the heading have to know."""
+        found = []
+        is_known = reference.declination is not None or self.moment is None
+        if not is_known and self._attitudes["true"].is_wanted:
+            found.append(NO_DECLINATION)
+        if self._node.count_publishers(self._yaw_out.topic_name) > 1:
+            found.append(self._other_publishers())
+        return found
+
+    def _other_publishers(self) -> str:
         topic = self._yaw_out.topic_name
-        if self._node.count_publishers(topic) < 2:
-            return ""
         infos = self._node.get_publishers_info_by_topic(topic)
         names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
         own = self._node.get_fully_qualified_name()

@@ -155,6 +155,14 @@ def test_without_declination_there_is_no_true_north(loaded, listen):
     assert magnetic
     assert not true
     assert actor.status["north"] == "magnetic"
+    heard = listen(actor, DiagnosticArray, "/diagnostics")
+
+    def is_said():
+        parts = [part for each in heard for part in each.status]
+        return any("compass/true/enu/imu" in part.message for part in parts)
+
+    actor.run(PATIENCE, stop=is_said)
+    assert is_said()
 
 
 def test_diagnostics_tell_the_state_of_calibration_field_and_inputs(stage, listen, ros_home):
