@@ -180,9 +180,9 @@ class RepairedReadings:
                     continue
             yield reading
         self.notes.append(
-            f"{self._source.imu_topic}: {slow}. Here it was interpolated, and "
-            f"{left_out} of {fields} field samples were left out, within which it turned by more "
-            f"than {math.degrees(TURN_WITHIN):.0f}° or the gyro is absent"
+            f"{self._source.imu_topic}: {slow}. Unlike in the node, it was interpolated here; "
+            f"{left_out} of {fields} field samples were left out, because between two IMU samples "
+            f"the robot turned by more than {math.degrees(TURN_WITHIN):.0f}° or the gyro is absent"
         )
 
     def _note(self, stamps: Sequence[FloatArray], even: Sequence[FloatArray | None]) -> None:

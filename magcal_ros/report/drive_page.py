@@ -81,12 +81,17 @@ def summary_of(story: DriveStory) -> str:
     back = sum(made.verb is Verb.ROLLED_BACK for _, made in story.decisions)
     drove = f"{_duration(story.seconds)} recorded, {_duration(story.moved)} of movement"
     if changed:
-        often = "once" if len(changed) == 1 else f"{len(changed)} times"
-        said = f"{often} a calibration from driving was put in force"
+        often = "one calibration" if len(changed) == 1 else f"{len(changed)} calibrations"
+        said = f"{often} from driving {'was' if len(changed) == 1 else 'were'} put in force"
         said += f", and {back} taken back" if back else ""
     elif story.begun is None:
         said = "nothing was in force, and the drive did not show enough to change that"
-        said += " (that takes some minutes of driving, over half of all headings)"
+        waits = any(made.verb is Verb.PROBATION for _, made in story.decisions)
+        said += (
+            " (a second calibration that agrees with the first was still missing)"
+            if waits
+            else " (that takes some minutes of driving, over half of all headings)"
+        )
     else:
         said = "the calibration in force stayed: nothing was proved better"
     words = f"{drove}: {said}. At the end: {story.doing}."

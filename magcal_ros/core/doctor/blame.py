@@ -154,8 +154,8 @@ class AxesFound:
         is_opposite = len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
         if is_opposite and not self.dip_known:
             return (
-                "give the place or the field's inclination: only this separates axes from their "
-                "opposites"
+                "give the place or the field's inclination: only this shows whether all axes point "
+                "the other way"
             )
         dip = "" if self.dip_known else ", and give the place or the field's inclination"
         level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)

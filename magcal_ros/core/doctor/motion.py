@@ -227,7 +227,7 @@ def _gyro_errors(
     )
     too_large = abs(scale) > max(TUNING.scale, CLEAR * off)
     if too_large and not _gravity_agrees(explanations, chosen):
-        why = f"gravity and field tell two scales; {FULL_TURN}"
+        why = f"gravity and field show different scales; {FULL_TURN}"
         return [*found, not_shown("rate_scale", "gyro: scale", why)]
     return [*found, looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)]
 

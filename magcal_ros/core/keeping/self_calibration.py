@@ -192,7 +192,7 @@ class SelfCalibration:
             self._first = candidate
             if apart <= allowed:
                 words = (
-                    f"{candidate.in_words}, agrees with the one before by"
+                    f"{candidate.in_words}, differs from the one before by only"
                     f" {math.degrees(apart):.1f}°, and nothing was in force"
                 )
                 return [self._change(clock, candidate.calibration, words)]
