@@ -242,7 +242,8 @@ class Keeper:
                     )
                 if frame in self._found:
                     self._found[frame] = found
-                if frame == self._frame:
+                # A chosen file is that of any sensor, and one may have been met meanwhile.
+                if frame == self._frame or (chosen and not frame):
                     self._use_found(found)
             self._read_next()
 

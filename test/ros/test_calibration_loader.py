@@ -177,6 +177,16 @@ def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
     assert "bad.yaml" in keeper.trouble
 
 
+def test_a_chosen_file_is_in_force_though_a_sensor_is_met_while_it_is_read(ros_home):
+    chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
+    files = Elsewhere()
+    keeper = Keeper(("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen))
+    keeper.begin()
+    keeper.note_sensor("left")
+    files.go()
+    assert keeper.calibration is not None
+
+
 def test_a_chosen_file_that_is_not_there_is_said_once(ros_home):
     chosen, files, log = ros_home / "chosen.yaml", Elsewhere(), Lines()
     keeper = Keeper(("/", "calibrator"), files, log, lambda *_: None, lambda: str(chosen))
