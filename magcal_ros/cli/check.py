@@ -15,11 +15,10 @@ from magcal_ros.cli.common import (
     add_output_option,
     add_reference_options,
     bullets,
-    document,
     new_or_named,
     reference_in_use,
     table,
-    tell,
+    tell_result,
 )
 from magcal_ros.core.assessment.grading import Check, shown
 from magcal_ros.core.calibrate import Outcome
@@ -81,7 +80,7 @@ def run_check(options: argparse.Namespace) -> int:
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{bullets('About the recording:', notes)}"
-        _print(content, words.rstrip("\n"), options)
+        tell_result(content, words.rstrip("\n"), as_json=options.json)
         return Exit.TOO_LITTLE_DATA
     outcome = Outcome(result.verdict, calibration, result.estimate)
     subject = Subject(
@@ -100,18 +99,10 @@ def run_check(options: argparse.Namespace) -> int:
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     facts["course"] = None if course is None else course.facts()
     words = f"{_words(result, notes)}\n\nReport: {report}"
-    _print(facts, words, options)
+    tell_result(facts, words, as_json=options.json)
     if not result.verdict.accepted:
         return Exit.REFUSED
     return Exit.GOOD if result.is_judged else Exit.TOO_LITTLE_DATA
-
-
-def _print(facts: dict[str, Any], words: str, options: argparse.Namespace) -> None:
-    """Print a result for a program or for a person."""
-    if options.json:
-        print(document(facts))
-    else:
-        tell(words)
 
 
 def _words(result: Recheck, notes: list[str]) -> str:
@@ -232,7 +223,7 @@ def run_drive(options: argparse.Namespace) -> int:
         write_calibration(files[-1], story.ended, Origin.now(*frames))
     notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
     content = story, notes, files
-    _print(_drive_facts(*content), _drive_words(*content), options)
+    tell_result(_drive_facts(*content), _drive_words(*content), as_json=options.json)
     return Exit.TOO_LITTLE_DATA if story.ended is None else Exit.GOOD
 
 

@@ -100,6 +100,14 @@ def tell(text: str, out: TextIO | None = None) -> None:
     print(shown, file=out, flush=True)
 
 
+def tell_result(facts: Mapping[str, Any], words: str, *, as_json: bool) -> None:
+    """Print a result for a program, as one JSON document, or for a person."""
+    if as_json:
+        print(document(facts))
+    else:
+        tell(words)
+
+
 def wrapped(text: str, width: int) -> str:
     """Return a text with its long lines broken; what follows stands below the line's last column.
 

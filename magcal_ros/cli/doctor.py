@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magcal_ros.cli import recorded
-from magcal_ros.cli.common import Exit, bullets, document, reference_in_use, tell
+from magcal_ros.cli.common import Exit, bullets, reference_in_use, tell_result
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.course import CourseSeen
@@ -127,10 +127,7 @@ def run(options: argparse.Namespace) -> int:
     streams = (("IMU", log.imu_time), ("field", log.field_time))
     counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
     words = f"Too little data: {counts}. It takes {TUNING.fewest} of each: record for longer"
-    if options.json:
-        print(document(facts))
-    else:
-        tell(f"{words}, or at a higher rate.")
+    tell_result(facts, f"{words}, or at a higher rate.", as_json=options.json)
     return Exit.TOO_LITTLE_DATA
 
 
@@ -182,14 +179,11 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
     """Print the page and write what parameters can correct."""
     status = Exit.REFUSED if page.misleads else Exit.GOOD
     written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
-    if options.json:
-        print(document(page_as_facts(page, written, status)))
-        return status
     words = page_in_words(page)
     if options.write is not None:
         nothing = "Nothing is written: no parameter alone corrects what was found."
         words = f"{words}\n\n{f'Written: {written}' if written else nothing}"
-    tell(words)
+    tell_result(page_as_facts(page, written, status), words, as_json=options.json)
     return status
 
 

@@ -18,10 +18,10 @@ from magcal_ros.cli.common import (
     Exit,
     add_output_option,
     bullets,
-    document,
     new_or_named,
     table,
     tell,
+    tell_result,
     with_options,
 )
 from magcal_ros.cli.recorded import Gathered
@@ -105,10 +105,7 @@ def run(options: argparse.Namespace) -> int:
         tell(compare_methods(fitted.outcome.window, fitted.knowledge))
         return fitted.status
     files = _write_files(folder, fitted, options)
-    if options.json:
-        print(document(_facts(fitted, files)))
-    else:
-        tell(_words(fitted, files))
+    tell_result(_facts(fitted, files), _words(fitted, files), as_json=options.json)
     return fitted.status
 
 

@@ -81,8 +81,9 @@ def summary_of(story: DriveStory) -> str:
     back = sum(made.verb is Verb.ROLLED_BACK for _, made in story.decisions)
     drove = f"{_duration(story.seconds)} recorded, {_duration(story.moved)} of movement"
     if changed:
-        often = "one calibration" if len(changed) == 1 else f"{len(changed)} calibrations"
-        said = f"{often} from driving {'was' if len(changed) == 1 else 'were'} put in force"
+        said = "one calibration from driving was put in force"
+        if len(changed) > 1:
+            said = f"{len(changed)} calibrations from driving were put in force"
         said += f", and {back} taken back" if back else ""
     elif story.begun is None:
         said = "nothing was in force, and the drive did not show enough to change that"

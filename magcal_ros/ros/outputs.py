@@ -137,8 +137,8 @@ class HeadingOutput:
     def complaints(self, reference: ReferenceField) -> list[str]:
         """Return what consumers of the heading have to know."""
         found = []
-        is_known = reference.declination is not None or self.moment is None
-        if not is_known and self._attitudes["true"].is_wanted:
+        is_silent = self.moment is not None and reference.declination is None
+        if is_silent and self._attitudes["true"].is_wanted:
             found.append(NO_DECLINATION)
         if self._node.count_publishers(self._yaw_out.topic_name) > 1:
             found.append(self._other_publishers())

@@ -221,6 +221,7 @@ class _Trials:
             best = min(fits.values(), key=lambda each: each.evidence)
             if best.evidence < other.evidence < best.evidence + HOPELESS:
                 self.add(name, best)
+        # An implausible gyro is a sign of the wrong kind of motion, if another one does without.
         usual = {name: each for name, each in fits.items() if gyro_is_usual(each)}
         self.fits = usual or fits
 
