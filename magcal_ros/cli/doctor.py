@@ -153,7 +153,7 @@ def _recorded(options: argparse.Namespace) -> Heard:
     with recorded.opened(options, options.recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
         shares = [0.0]
-        with recorded.at_work(lambda: f"reading, {100.0 * shares[0]:.0f} %", sys.stderr):
+        with recorded.at_work(lambda: f"reading, {100.0 * shares[0]:.0f}%", sys.stderr):
             gathering.take(kept(source.readings()))
         newest = gathering.streams.field_stamps.newest
         reference = reference_in_use(options, source.place, newest)

@@ -98,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     count = sum(sum(each.messages) for each in everything)
     shares = [0.0]
     with recorded.at_work(
-        lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f} %", sys.stderr
+        lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f}%", sys.stderr
     ):
         fitted = _fit(everything, options, shares.append)
     if options.compare:
@@ -191,9 +191,9 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     verdict, estimate = fitted.outcome.verdict, fitted.outcome.estimate
     headline, reasons = verdict.in_full
     is_drive = estimate is not None and Figure.HEADINGS_DRIVEN in estimate.figures
-    # Along a drive the disturbances of the way say more.
-    left_out = "residual_percent" if is_drive else ""
-    rows = [row[1:] for row in _numbers(fitted) if row[0] != left_out]
+    # Along a drive the disturbances of the way say more, and the headings driven.
+    left_out = ("residual_percent", "arc_deg") if is_drive else ()
+    rows = [row[1:] for row in _numbers(fitted) if row[0] not in left_out]
     text = with_options(headline) + "\n"
     against = "But" if verdict.accepted else "The reasons"
     text += bullets(f"{against}:", [with_options(words) for words in reasons])
@@ -273,6 +273,9 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
             angle = math.degrees(getattr(estimate.installation, axis))
             rows.append((f"installation_{axis}_deg", f"installation {axis}", f"{angle:.2f}", "°"))
     figures = common_figures(estimate) | dict(estimate.figures)
+    if Figure.HEADINGS_DRIVEN in figures:
+        driven = f"{figures[Figure.HEADINGS_DRIVEN]:.0f}"
+        rows.insert(0, ("headings_driven", "headings driven", driven, "of 12"))
     if Figure.INSTALLATION_YAW_SIGMA in figures and estimate.installation is not None:
         yaw = math.degrees(estimate.installation.yaw)
         sigma = math.degrees(figures[Figure.INSTALLATION_YAW_SIGMA])

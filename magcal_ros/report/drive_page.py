@@ -112,6 +112,9 @@ def _duration(seconds: float) -> str:
 
 
 def _before_and_after(story: DriveStory) -> str:
+    title = "<h2>What was in force before and after</h2>"
+    if story.begun is None and story.ended is None:
+        return f"{title}<p>Nothing.</p>{_course(story)}"
     rows = (("before", *_cells(story.begun)), ("after", *_cells(story.ended)))
     heads = ("", "made by", "heading on the way (1σ)", "hard iron, µT", "why")
     begun, ended = story.begun, story.ended
@@ -119,12 +122,12 @@ def _before_and_after(story: DriveStory) -> str:
     if begun is not None and ended is not None and begun.correction is not ended.correction:
         swing = math.degrees(difference(begun, ended))
         apart = f"<p>Headings of the two differ by {swing:.1f}° (RMS over all headings).</p>"
-    if story.course:
-        apart += f'<p id="course">After: {escape(story.course)}.</p>'
-    return (
-        '<h2>What was in force before and after</h2><div class="scroll">'
-        f"{table('checks', rows, heads)}</div>{apart}"
-    )
+    apart += _course(story)
+    return f'{title}<div class="scroll">{table("checks", rows, heads)}</div>{apart}'
+
+
+def _course(story: DriveStory) -> str:
+    return f'<p id="course">After: {escape(story.course)}.</p>' if story.course else ""
 
 
 def _cells(calibration: Calibration | None) -> tuple[str, ...]:
@@ -139,7 +142,8 @@ def _cells(calibration: Calibration | None) -> tuple[str, ...]:
         f"{x:.1f}, {y:.1f}, {z:.1f}",
         why or evidence.summary,
     )
-    return tuple(map(escape, cells))
+    made, heading, iron, reason = map(escape, cells)
+    return made, heading, f'<span class="whole">{iron}</span>', reason
 
 
 def _decisions(story: DriveStory) -> str:
@@ -164,7 +168,7 @@ def _map(path: DrivePath | None) -> str:
     scale = (WIDTH - 2.0 * MARGIN) / span
     # The scale's bar stands below the map: no name is written over it.
     height = max(float(high[1] - low[1]) * scale + 2.0 * MARGIN, 60.0) + BELOW
-    x = MARGIN + (path.place[:, 0] - low[0]) * scale
+    x = 0.5 * WIDTH + (path.place[:, 0] - 0.5 * (low[0] + high[0])) * scale
     y = MARGIN + (high[1] - path.place[:, 1]) * scale
     kinds = np.searchsorted(STEPS_DEG, np.degrees(path.error))
     dots = "".join(
@@ -176,15 +180,16 @@ def _map(path: DrivePath | None) -> str:
     names.append(f"more than {bounds[-1]}°")
     legend = " &nbsp; ".join(
         f'<span style="color:{colour}">●</span> {name}: '
-        f"{100.0 * float(np.mean(kinds == kind)):.0f} %"
+        f"{100.0 * float(np.mean(kinds == kind)):.0f}%"
         for kind, (colour, name) in enumerate(zip(COLOURS, names, strict=True))
     )
     trusted = 100.0 * float(np.mean(kinds <= 1))
     return (
         "<h2>Where the compass can be trusted</h2>"
-        f"<p>{_how(path)} Colour: by how much streets, cars and steel may turn the heading, by how "
-        f"far the field was off the calibrated one. On {trusted:.0f} % of the points it was less "
-        f"than {STEPS_DEG[1]:g}°.</p><p>{legend}</p>"
+        f"<p>{_how(path)} Colour: how many degrees the heading may be off there, because streets, "
+        "cars and steel bend the field. It follows from how far the field was off the calibrated "
+        f"one. On {trusted:.0f}% of the points it was less than {STEPS_DEG[1]:g}°.</p>"
+        f"<p>{legend}</p>"
         f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" '
         f'style="max-height:{TALLEST}">'
         f"<title>The way that was driven, coloured by the disturbance of the field</title>"

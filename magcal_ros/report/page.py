@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from magcal_ros import __version__
-from magcal_ros.core.assessment.bounds import TURN_BOUNDS
+from magcal_ros.core.assessment.bounds import DRIVE_BOUNDS, HEADING_BOUNDS, TURN_BOUNDS
 from magcal_ros.core.assessment.grading import Check, Grade, worst
 from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibration.calibration import Estimate
@@ -47,12 +47,21 @@ class Unit(NamedTuple):
 
 
 FIGURES: dict[Figure, Unit] = {
-    b.figure: Unit(b.words.removesuffix(" by"), b.scale, b.unit) for b in TURN_BOUNDS
+    b.figure: Unit(b.words.removesuffix(":").removesuffix(" by"), b.scale, b.unit)
+    for b in (*HEADING_BOUNDS, *DRIVE_BOUNDS, *TURN_BOUNDS)
 } | {
     Figure.HEADING_SIGMA_TILTED: Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
-    Figure.STEADY_ACCELERATION: Unit("steady linear acceleration taken off", DEGREES, "°"),
+    Figure.LOCAL_SIGMA: Unit("heading error by local magnetic disturbances (1σ)", DEGREES, "°"),
+    Figure.DRIVING_TIME: Unit("length of the drive", 1.0, " s"),
+    Figure.METRES: Unit("way that was driven", 1.0, " m"),
+    Figure.STREET: Unit("disturbance that changes with the place (1σ per axis)", MICRO, " µT"),
+    Figure.LOCAL_FIELD: Unit("all disturbance along the drive (1σ per axis)", MICRO, " µT"),
+    Figure.AXIAL_IRON: Unit(
+        "hard iron along the turn's axis, by the reference field", MICRO, " µT"
+    ),
+    Figure.STEADY_ACCELERATION: Unit("tilt by a steady acceleration, taken off", DEGREES, "°"),
     Figure.POSSIBLE_ACCELERATION: Unit(
-        "heading by a linear acceleration that nothing shows (1σ)", DEGREES, "°"
+        "heading error by an acceleration that nothing shows (1σ)", DEGREES, "°"
     ),
     Figure.CIRCLE_RADIUS: Unit("radius of the field's circle", MICRO, " µT"),
     Figure.RADIUS_RATIO: Unit("circle radius over the reference's"),
@@ -105,9 +114,11 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
         words = f"{yaw * DEGREES:.2f} ± {off * DEGREES:.2f}°"
         rows.append(Row("installation yaw (±1σ)", words))
     inliers = int(np.count_nonzero(estimate.inliers))
+    driven = figures.get(Figure.HEADINGS_DRIVEN)
+    seen = Row("turn seen", f"{estimate.arc * DEGREES:.0f}°")
     return [
         *rows,
-        Row("turn seen", f"{estimate.arc * DEGREES:.0f}°"),
+        seen if driven is None else Row("headings driven", f"{driven:.0f} of 12"),
         Row("samples used (repeats and rests not counted)", f"{inliers} of {samples}"),
         Row("field strength", f"{estimate.strength * MICRO:.2f} µT"),
         Row("inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
@@ -189,7 +200,7 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     if outcome.several is not None:
         parts.append(_several(outcome.several))
     parts += [_pictures(pictures), '<div class="tables">']
-    parts.append(_not_shown(outcome.verdict, estimate is not None))
+    parts.append(_not_shown(outcome.verdict, turn.kind, estimate is not None))
     parts += [_checks(outcome.verdict.checks), _sensors(turn.sensors)]
     if estimate is not None:
         heads = ("", "A (±1σ), dimensionless", "", "", "h (±1σ), µT")
@@ -277,8 +288,8 @@ def _missing(why: str) -> str:
     return f'<p class="missing">{escape(why)}</p>'
 
 
-def _not_shown(verdict: Verdict, found: bool) -> str:
-    title = "<h2>What this turn could not show</h2>"
+def _not_shown(verdict: Verdict, kind: str, found: bool) -> str:
+    title = f"<h2>What this {kind} could not show</h2>"
     if not found:
         return f"{title}<p>No calibration came of these samples; the reason stands above.</p>"
     lines = "".join(f"<li>{escape(item)}</li>" for item in verdict.not_shown)
