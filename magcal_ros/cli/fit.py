@@ -28,7 +28,7 @@ from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import common_figures
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma, common_figures
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import names_of
@@ -285,9 +285,14 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
         ("strength_ut", "field strength", f"{estimate.strength * 1e6:.1f}", "µT"),
         ("inclination_deg", "inclination", f"{math.degrees(estimate.inclination):.1f}", "°"),
     ]
+    along = ""
+    if Figure.LOCAL_SIGMA in figures:
+        own, along = math.degrees(calibration_sigma(estimate)), " along the way"
+        name = "heading error by the calibration (1σ), level"
+        rows.append(("calibration_sigma_deg", name, f"{own:.2f}", "°"))
     for figure, name in (
-        (Figure.HEADING_SIGMA, "heading error (1σ), level"),
-        (Figure.HEADING_SIGMA_TILTED, "heading error (1σ), 10° of tilt"),
+        (Figure.HEADING_SIGMA, f"heading error{along} (1σ), level"),
+        (Figure.HEADING_SIGMA_TILTED, f"heading error{along} (1σ), 10° of tilt"),
         (Figure.GYRO_COMPASS_SWING, "gyro against compass, rms"),
     ):
         if figure in figures:

@@ -34,8 +34,8 @@ RULES = (
     "after it was found can prove it better than the one in force. Where nothing is in force, a "
     "second one that agrees is enough; where that is known to no better than 3°, one that agrees "
     "and is known much better. What is put in force stays on trial against the one before. "
-    "Headings are counted in twelve sectors of 30°; ± is one standard deviation of the heading, "
-    "by the calibration alone in the reasons, with streets and cars in the table above."
+    "Headings are counted in twelve sectors of 30°. ± is one standard deviation of the heading by "
+    "the calibration alone; along the way, streets and cars add to it."
 )
 VERBS = {
     Verb.NOTICED: "noticed",
@@ -97,12 +97,12 @@ def summary_of(story: DriveStory) -> str:
         said = "the calibration in force stayed: nothing was proved better"
     words = f"{drove}: {said}. At the end: {story.doing}."
     if story.ended is not None:
-        # `magcal fit` gives the first of these, and a decision the second.
+        # A decision gives the first of these, and the grade is of it; `magcal fit` gives both.
         heading = math.degrees(predicted_heading_sigma(story.ended))
         own = math.degrees(known_sigma(story.ended))
         words += (
-            f" In force then: heading ±{heading:.1f}° along the way (1σ), ±{own:.1f}° of it by the"
-            " calibration and the rest by local magnetic disturbances."
+            f" In force then: heading ±{own:.1f}° by the calibration (1σ); along the way, with "
+            f"local magnetic disturbances, ±{heading:.1f}°."
         )
     return words
 
@@ -116,7 +116,7 @@ def _before_and_after(story: DriveStory) -> str:
     if story.begun is None and story.ended is None:
         return f"{title}<p>Nothing.</p>{_course(story)}"
     rows = (("before", *_cells(story.begun)), ("after", *_cells(story.ended)))
-    heads = ("", "made by", "heading on the way (1σ)", "hard iron, µT", "why")
+    heads = ("", "made by", "heading (1σ)", "along the way", "hard iron, µT", "why")
     begun, ended = story.begun, story.ended
     apart = ""
     if begun is not None and ended is not None and begun.correction is not ended.correction:
@@ -132,18 +132,19 @@ def _course(story: DriveStory) -> str:
 
 def _cells(calibration: Calibration | None) -> tuple[str, ...]:
     if calibration is None:
-        return "nothing", "", "", ""
+        return "nothing", "", "", "", ""
     x, y, z = (1e6 * float(value) for value in calibration.correction.hard_iron)
     evidence = calibration.evidence
     why = evidence.reasons[0] if evidence.method == "smoother" and evidence.reasons else ""
     cells = (
         "driving" if evidence.method == "smoother" else evidence.method,
+        f"±{math.degrees(known_sigma(calibration)):.1f}°",
         f"±{math.degrees(predicted_heading_sigma(calibration)):.1f}°",
         f"{x:.1f}, {y:.1f}, {z:.1f}",
         why or evidence.summary,
     )
-    made, heading, iron, reason = map(escape, cells)
-    return made, heading, f'<span class="whole">{iron}</span>', reason
+    made, heading, along, iron, reason = map(escape, cells)
+    return made, heading, along, f'<span class="whole">{iron}</span>', reason
 
 
 def _decisions(story: DriveStory) -> str:

@@ -18,7 +18,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 from magcal_ros.report import write_report
-from magcal_ros.report.page import figure_row
+from magcal_ros.report.numbers import figure_row
 
 LARGEST_PAGE = 1_000_000
 DRIVE_FIGURES = (
@@ -108,6 +108,8 @@ def test_a_drive_is_called_a_drive_and_its_figures_have_units(tmp_path):
         "headings driven 12 of 12",
         "length of the drive 93.7 s",
         "disturbance that changes with the place (1σ per axis) 1.4 µT",
+        "heading error by the calibration, on the level (1σ) ±",
+        "heading error along the way, on the level (1σ) ±",
         "What this drive could not show",
         "The drive was measured by the gyro",
     ):
@@ -266,7 +268,6 @@ sys.path[:0] = [{tests!r}, {cases!r}]
 from pathlib import Path
 from subjects import good
 from magcal_ros.report import write_report
-from magcal_ros.report.page import figure_row
 print(write_report(Path({folder!r}), good()))
 """
 

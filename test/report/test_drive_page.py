@@ -31,7 +31,7 @@ def test_the_map_shows_degrees():
 def test_nothing_in_force_makes_no_empty_table():
     page = render_drive(story([[k, 0] for k in range(5)]), "a drive")
     assert "<p>Nothing.</p>" in page
-    assert "heading on the way" not in page
+    assert "made by" not in page
 
 
 def test_a_narrow_way_stands_in_the_middle_of_the_map():
