@@ -30,6 +30,7 @@ from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma, common_figures
 from magcal_ros.core.errors import Misuse
+from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
@@ -258,10 +259,26 @@ def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
         ("samples", "samples in the fit", f"{used}", ""),
         ("arc_deg", "turn seen", f"{arc:.0f}", "°"),
     ]
-    return rows if estimate is None else rows + _found(estimate)
+    return rows if estimate is None else rows + _found(estimate, window)
 
 
-def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
+def _before_correction(
+    estimate: Estimate, window: Window | None
+) -> list[tuple[str, str, str, str]]:
+    """Return the strengths at the sensor, if a part of the field alone reaches it."""
+    if window is None or Figure.LEVEL_SHARE not in estimate.figures:
+        return []
+    iron = estimate.correction.hard_iron
+    raw, without = (1e6 * usual_size(window.field - h) for h in (np.zeros(3), iron))
+    share = 100.0 * estimate.figures[Figure.LEVEL_SHARE]
+    return [
+        ("raw_strength_ut", "strength at the sensor, usually", f"{raw:.1f}", "µT"),
+        ("sensor_strength_ut", "  without its hard iron", f"{without:.1f}", "µT"),
+        ("level_share_percent", "Earth's level field that reaches it", f"{share:.1f}", "%"),
+    ]
+
+
+def _found(estimate: Estimate, window: Window | None) -> list[tuple[str, str, str, str]]:
     iron = estimate.correction.hard_iron * 1e6
     sigmas = np.sqrt(np.diag(estimate.covariance)[-3:]) * 1e6
     rows = []
@@ -281,9 +298,10 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
         sigma = math.degrees(figures[Figure.INSTALLATION_YAW_SIGMA])
         rows.append(("installation_yaw_deg", "installation yaw", f"{yaw:.2f}", "°"))
         rows.append(("installation_yaw_sigma_deg", "  its error (1σ)", f"{sigma:.2f}", "°"))
+    rows += _before_correction(estimate, window)
     rows += [
-        ("strength_ut", "field strength", f"{estimate.strength * 1e6:.1f}", "µT"),
-        ("inclination_deg", "inclination", f"{math.degrees(estimate.inclination):.1f}", "°"),
+        ("strength_ut", "strength of the corrected field", f"{estimate.strength * 1e6:.1f}", "µT"),
+        ("inclination_deg", "  its inclination", f"{math.degrees(estimate.inclination):.1f}", "°"),
     ]
     along = ""
     if Figure.LOCAL_SIGMA in figures:

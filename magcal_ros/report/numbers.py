@@ -119,8 +119,8 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
         *rows,
         seen if driven is None else Row("headings driven", f"{driven:.0f} of 12"),
         Row("samples used (repeats and rests not counted)", f"{inliers} of {samples}"),
-        Row("field strength", f"{estimate.strength * MICRO:.2f} µT"),
-        Row("inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
+        Row("strength of the corrected field", f"{estimate.strength * MICRO:.2f} µT"),
+        Row("its inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
     ]
 
 

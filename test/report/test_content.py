@@ -79,7 +79,7 @@ def test_numbers_have_units(tmp_path):
     iron = estimate.correction.hard_iron[0] * 1e6
     assert re.search(rf"hard iron x \(±1σ\) {iron:.2f} ± \d+\.\d+ µT", words)
     assert f"installation roll {math.degrees(estimate.installation.roll):.2f}°" in words
-    assert f"field strength {1e6 * estimate.strength:.2f} µT" in words
+    assert f"strength of the corrected field {1e6 * estimate.strength:.2f} µT" in words
     assert "reference inclination 60.00 ± 1.00°" in words
     assert "500 over 15.0 s" in words
     assert f"method {subject.method}" in words

@@ -267,7 +267,7 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
         # Without a reference, one turn gives only a rough strength.
         low, high = low / TUNING.guessed, high * TUNING.guessed
     grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
-    words = f"field strength {microtesla:.1f} µT"
+    words = f"strength of the corrected field {microtesla:.1f} µT"
     if grade is Grade.WARN:
         least, most = TUNING.beyond_iron_ut
         grade = grade if least <= microtesla <= most else Grade.REFUSED

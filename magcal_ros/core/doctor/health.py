@@ -151,7 +151,8 @@ def field_findings(field: FloatArray) -> list[Finding]:
     size = usual_size(field)
     unit = likely_field_unit(size)
     line = wrong if unit else looked_at
-    found = [line("field_unit", "field: unit", f"usually {size * 1e6:.3g} µT", unit)]
+    words = f"usually {size * 1e6:.3g} µT, hard iron included"
+    found = [line("field_unit", "field: unit", words, unit)]
     step = max(_step(field[:, axis]) for axis in range(3))
     words = "choose a finer range of the sensor, or average in the driver"
     evidence = f"steps of {step * 1e6:.2g} µT" if step else "no steps seen"

@@ -161,8 +161,8 @@ def reference_findings(
     dip = -math.asin(max(-1.0, min(1.0, along)))
     iron = float(np.linalg.norm(state[IRON])) * size
     evidence = (
-        f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT, inclination {math.degrees(dip):.0f}°, "
-        f"hard iron {iron * 1e6:.0f} µT"
+        f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT without the hard iron of {iron * 1e6:.0f} µT, "
+        f"inclination {math.degrees(dip):.0f}°"
     )
     believed = knowledge.reference
     wrong = []
