@@ -311,7 +311,7 @@ def _found(estimate: Estimate, window: Window | None) -> list[tuple[str, str, st
     for figure, name in (
         (Figure.HEADING_SIGMA, f"heading error{along} (1σ), level"),
         (Figure.HEADING_SIGMA_TILTED, f"heading error{along} (1σ), 10° of tilt"),
-        (Figure.GYRO_COMPASS_SWING, "gyro against compass, rms"),
+        (Figure.GYRO_COMPASS_SWING, "gyro against compass, beyond noise"),
     ):
         if figure in figures:
             angle = math.degrees(figures[figure])

@@ -27,6 +27,8 @@ COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#7a0019")
 WIDTH, MARGIN, BELOW = 1000.0, 30.0, 30.0
 LABEL = (60.0, 24.0)
 """Width and height of a name on the map."""
+HALO = 'paint-order="stroke" stroke="#fff" stroke-width="5"'
+"""Of a name: it is read on top of the way."""
 TALLEST = "75vh"
 """Of the map: with its legend it fits on a screen, whichever way was driven."""
 RULES = (
@@ -210,8 +212,8 @@ def _named(name: str, x: float, y: float) -> str:
     side, shift = ("end", -10.0) if x > 0.5 * WIDTH else ("start", 10.0)
     return (
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="#1c1f23" stroke-width="2"/>'
-        f'<text x="{x + shift:.1f}" y="{y + 6.0:.1f}" text-anchor="{side}" font-size="18">{name}'
-        "</text>"
+        f'<text x="{x + shift:.1f}" y="{y + 6.0:.1f}" text-anchor="{side}" font-size="18" '
+        f"{HALO}>{name}</text>"
     )
 
 

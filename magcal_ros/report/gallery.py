@@ -132,7 +132,9 @@ def caption_of_gyro(turn: Turn) -> str:
         return ""
     worst = math.degrees(float(np.nanmax(np.abs(deviations(turn, turn.corrected)[1]))))
     swing = turn.corrected.estimate.swing
-    judged = "" if swing is None else f" ({math.degrees(swing.rms):.1f}° rms, which is judged)"
+    judged = ""
+    if swing is not None:
+        judged = f" ({math.degrees(swing.rms):.1f}° rms beyond noise, which is judged)"
     return (
         "A gyro is not affected by magnetic fields, so it shows what a clean circle hides: where "
         "steel near by bends the field, the compass swings once or twice around the circle. A flat "

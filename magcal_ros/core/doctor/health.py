@@ -176,7 +176,8 @@ def gravity_size_finding(force: FloatArray) -> Finding:
         hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
     x, y, z = np.median(force, axis=0)
     off = size / STANDARD_GRAVITY - 1.0
-    evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all, {round(off, 3) + 0.0:+.1%} off gravity"
+    evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all, "
+    evidence += f"{round(off, 3) + 0.0:+.1%} off gravity"
     return looked_at("force_unit", "accelerometer: unit", evidence, hint)
 
 
