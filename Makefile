@@ -20,7 +20,7 @@ AFTER_OTHERS := nice -n 15
 BY_TWO := --numprocesses 2 --dist worksteal
 BY_THREE := --numprocesses 3 --dist worksteal
 
-.PHONY: demo test lint types unit ros nightly bench soak matrix docs clean
+.PHONY: demo test lint types unit ros nightly bench soak matrix docs pictures clean
 
 demo: $(VENV)/.demo
 	@$(BIN)/magcal demo --speed 4
@@ -99,6 +99,10 @@ $(VENV)/.nox: | $(VENV)/bin/pip
 docs: $(VENV)/.docs
 	$(BIN)/python doc/generate.py
 	$(BIN)/python -m sphinx -q -W doc build/docs
+
+# The pictures of the pages, drawn by Chromium from simulated sensors.
+pictures: $(VENV)/.test
+	$(BIN)/python doc/pictures.py
 
 clean:
 	rm -rf $(VENV) .nox dist build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info

@@ -30,26 +30,32 @@ ARGUMENTS = (
     ("cmd_vel", "cmd_vel", "Topic of the base, for rotate.enabled"),
     ("base_frame", "", "Frame that attitudes are published for; empty: as in params_file"),
     ("calibration_file", "", "Where the calibration is stored; empty: as in params_file"),
+    ("latitude", "", "Degrees north, for the reference field; empty: as in params_file"),
+    ("longitude", "", "Degrees east, for the reference field; empty: as in params_file"),
 )
 
 TEXTS = ("base_frame", "calibration_file")
+NUMBERS = {"latitude": "reference.latitude_deg", "longitude": "reference.longitude_deg"}
 """Parameters of the node that may be given here as well."""
 
 
 def start_node(context):
     """Return the node; what was given here takes precedence over the file of parameters."""
     given = {name: LaunchConfiguration(name) for name, _, _ in ARGUMENTS}
-    texts = {
+    parameters = {
         name: ParameterValue(given[name], value_type=str)
         for name in TEXTS
         if given[name].perform(context)
     }
+    for name, parameter in NUMBERS.items():
+        if words := given[name].perform(context):
+            parameters[parameter] = float(words)  # 48 as well as 48.0
     node = Node(
         package="magcal_ros",
         executable="calibrator",
         name="calibrator",
         namespace=given["namespace"],
-        parameters=[given["params_file"], {"use_sim_time": given["use_sim_time"], **texts}],
+        parameters=[given["params_file"], {"use_sim_time": given["use_sim_time"], **parameters}],
         remappings=[
             ("imu/data_raw", given["imu"]),
             ("imu/mag", given["mag"]),

@@ -73,26 +73,40 @@ def description_of(path, context):
     made_later = [each for each in entities if each.kind == "OpaqueFunction"]
     entities = [each for each in entities if each.kind != "OpaqueFunction"]
     entities += [made for each in made_later for made in each.named["function"](context)]
+    included = [each for each in entities if each.kind == "IncludeLaunchDescription"]
+    entities = [each for each in entities if each.kind != "IncludeLaunchDescription"]
     arguments = {
         each.given[0]: each.named for each in entities if each.kind == "DeclareLaunchArgument"
     }
     nodes = {each.named["name"]: each.named for each in entities if each.kind == "Node"}
     assert len(arguments) + len(nodes) == len(entities)
+    for each in included:
+        # Arguments of the same name are passed on, and every one that the other file has.
+        passed = dict(each.named["launch_arguments"])
+        others, more = description_of(path_of(each.given[0].given[0]), context)
+        assert set(passed) == set(others)
+        assert all(value.given == (name,) for name, value in passed.items())
+        nodes |= more
     return arguments, nodes
+
+
+def path_of(substitution):
+    """Return the file in the checkout that a substitution finds in the package's share."""
+    package, *rest = substitution.given[0]
+    assert package.given == ("magcal_ros",)
+    return CHECKOUT.joinpath(*rest)
 
 
 CALIBRATOR = CHECKOUT / "launch" / "calibrator.launch.py"
 TEXTS = {"base_frame": "base_link", "calibration_file": "/somewhere/compass.yaml"}
+PLACE = {"latitude": "48", "longitude": "-11.6"}
 
 
 @pytest.fixture(params=LAUNCHES, ids=lambda path: path.name)
 def described(request, stand_ins):
     """Return what a launch file describes with all arguments given, and its file of parameters."""
-    arguments, nodes = description_of(request.param, TEXTS)
-    path = arguments["params_file"]["default_value"]
-    package, *rest = path.given[0]
-    assert package.given == ("magcal_ros",)
-    return arguments, nodes, CHECKOUT.joinpath(*rest)
+    arguments, nodes = description_of(request.param, TEXTS | PLACE)
+    return arguments, nodes, path_of(arguments["params_file"]["default_value"])
 
 
 def mentioned(value):
@@ -123,7 +137,7 @@ OURS = parameters_in(CHECKOUT / "config" / "calibrator.yaml")["/**"]
 
 def test_every_argument_is_declared_used_and_explained(described):
     arguments, nodes, _ = described
-    assert mentioned(nodes) == set(arguments)
+    assert mentioned(nodes) == set(arguments) - set(PLACE)
     assert all(each["description"] for each in arguments.values())
 
 
@@ -135,6 +149,17 @@ def test_an_argument_that_is_not_given_leaves_the_parameter_to_the_file(stand_in
     assert set(TEXTS) <= set(OURS)
 
 
+@pytest.mark.parametrize("path", LAUNCHES, ids=lambda path: path.name)
+def test_a_place_that_is_given_is_a_number_of_the_reference(stand_ins, path):
+    """Without a point in it, too: the parameter refuses whole numbers."""
+    _, nodes = description_of(path, PLACE)
+    given = nodes["calibrator"]["parameters"][1]
+    place = {"reference.latitude_deg": 48.0, "reference.longitude_deg": -11.6}
+    assert {name: given.get(name) for name in place} == place
+    assert all(isinstance(given[name], float) for name in place)
+    assert set(place) <= set(OURS)
+
+
 def test_the_example_that_includes_our_launch_file_gives_arguments_it_has(stand_ins):
     page = (CHECKOUT / "doc" / "questions.md").read_text()
     (block,) = re.findall(r"(?ms)^```python\n(.*?)^```$", page)
@@ -142,10 +167,7 @@ def test_the_example_that_includes_our_launch_file_gives_arguments_it_has(stand_
     exec(compile(block, "questions.md", "exec"), scope)
     ((entity,),) = scope["generate_launch_description"]().given
     (source,) = entity.given
-    (path,) = source.given
-    package, *rest = path.given[0]
-    assert package.given == ("magcal_ros",)
-    assert CHECKOUT.joinpath(*rest) == CALIBRATOR
+    assert path_of(source.given[0]) == CALIBRATOR
     arguments, _ = description_of(CALIBRATOR, {})
     assert {name for name, _ in entity.named["launch_arguments"]} <= set(arguments)
 

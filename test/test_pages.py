@@ -64,6 +64,15 @@ def test_every_page_is_linked_from_the_first_or_from_the_index_of_its_folder():
         assert f"({folder.name}/{page.name})" in index.read_text()
 
 
+def test_pictures_are_small_and_shown():
+    shown = "".join(page.read_text() for page in PAGES)
+    pictures = list((CHECKOUT / "doc").rglob("*.png"))
+    assert pictures
+    for picture in pictures:
+        assert picture.stat().st_size < 150_000
+        assert f"pictures/{picture.name})" in shown
+
+
 def test_the_site_has_every_page():
     index = CHECKOUT / "doc" / "index.md"
     named = re.findall(r"(?m)^([\w/]+)$", "".join(blocks(index, "{toctree}")))

@@ -206,7 +206,7 @@ def run_drive(options: argparse.Namespace) -> int:
         repaired = RepairedReadings(source, for_drive=True, known=begun)
         travel = source.travel
         with recorded.at_work(
-            lambda: f"fitting the drive, {100.0 * repaired.share:.0f} % of it", sys.stderr
+            lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it", sys.stderr
         ):
             story = replayed(knowledge, begun, repaired, travel)
         if story.seconds == 0.0:

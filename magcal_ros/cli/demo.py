@@ -162,8 +162,8 @@ def _comparison(calibration: Calibration, installation_rpy_deg: Sequence[float])
     roll, pitch, _ = installation_rpy_deg
     rows = [
         *((f"hard iron {axis} (µT)", t, f) for axis, t, f in zip("xyz", true, found, strict=True)),
-        ("roll of the sensor (°)", math.degrees(ROBOT.roll), roll),
-        ("pitch of the sensor (°)", math.degrees(ROBOT.pitch), pitch),
+        ("installation roll (°)", math.degrees(ROBOT.roll), roll),
+        ("installation pitch (°)", math.degrees(ROBOT.pitch), pitch),
     ]
     lines = [f"{'':28s}{'true':>9s}{'found':>9s}{'error':>9s}"]
     lines += [f"  {name:26s}{t:9.2f}{f:9.2f}{f - t:9.2f}" for name, t, f in rows]

@@ -153,7 +153,7 @@ def _recorded(options: argparse.Namespace) -> Heard:
     with recorded.opened(options, options.recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
         shares = [0.0]
-        with recorded.at_work(lambda: f"reading, {100.0 * shares[0]:.0f} %", sys.stderr):
+        with recorded.at_work(lambda: f"reading, {100.0 * shares[0]:.0f}%", sys.stderr):
             gathering.take(kept(source.readings()))
         newest = gathering.streams.field_stamps.newest
         reference = reference_in_use(options, source.place, newest)
@@ -192,7 +192,7 @@ MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUS
 
 def page_in_words(page: Page) -> str:
     """Return the page for a terminal: a line for each finding, then what to do."""
-    lines = [f"  {MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 300)}" for f in page.findings]
+    lines = [f"  {MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 1000)}" for f in page.findings]
     # One cause may show in several lines.
     remedies: dict[str, list[str]] = {}
     for finding in sorted(page.findings, key=lambda finding: -finding.grade.rank):

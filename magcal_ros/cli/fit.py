@@ -28,8 +28,9 @@ from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import common_figures
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma, common_figures
 from magcal_ros.core.errors import Misuse
+from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
@@ -98,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
     count = sum(sum(each.messages) for each in everything)
     shares = [0.0]
     with recorded.at_work(
-        lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f} %", sys.stderr
+        lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f}%", sys.stderr
     ):
         fitted = _fit(everything, options, shares.append)
     if options.compare:
@@ -191,9 +192,9 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     verdict, estimate = fitted.outcome.verdict, fitted.outcome.estimate
     headline, reasons = verdict.in_full
     is_drive = estimate is not None and Figure.HEADINGS_DRIVEN in estimate.figures
-    # Along a drive the disturbances of the way say more.
-    left_out = "residual_percent" if is_drive else ""
-    rows = [row[1:] for row in _numbers(fitted) if row[0] != left_out]
+    # Along a drive the disturbances of the way say more, and the headings driven.
+    left_out = ("residual_percent", "arc_deg") if is_drive else ()
+    rows = [row[1:] for row in _numbers(fitted) if row[0] not in left_out]
     text = with_options(headline) + "\n"
     against = "But" if verdict.accepted else "The reasons"
     text += bullets(f"{against}:", [with_options(words) for words in reasons])
@@ -258,10 +259,26 @@ def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
         ("samples", "samples in the fit", f"{used}", ""),
         ("arc_deg", "turn seen", f"{arc:.0f}", "°"),
     ]
-    return rows if estimate is None else rows + _found(estimate)
+    return rows if estimate is None else rows + _found(estimate, window)
 
 
-def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
+def _before_correction(
+    estimate: Estimate, window: Window | None
+) -> list[tuple[str, str, str, str]]:
+    """Return the strengths at the sensor, if a part of the field alone reaches it."""
+    if window is None or Figure.LEVEL_SHARE not in estimate.figures:
+        return []
+    iron = estimate.correction.hard_iron
+    raw, without = (1e6 * usual_size(window.field - h) for h in (np.zeros(3), iron))
+    share = 100.0 * estimate.figures[Figure.LEVEL_SHARE]
+    return [
+        ("raw_strength_ut", "strength at the sensor, usually", f"{raw:.1f}", "µT"),
+        ("sensor_strength_ut", "  without its hard iron", f"{without:.1f}", "µT"),
+        ("level_share_percent", "Earth's level field that reaches it", f"{share:.1f}", "%"),
+    ]
+
+
+def _found(estimate: Estimate, window: Window | None) -> list[tuple[str, str, str, str]]:
     iron = estimate.correction.hard_iron * 1e6
     sigmas = np.sqrt(np.diag(estimate.covariance)[-3:]) * 1e6
     rows = []
@@ -273,19 +290,28 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
             angle = math.degrees(getattr(estimate.installation, axis))
             rows.append((f"installation_{axis}_deg", f"installation {axis}", f"{angle:.2f}", "°"))
     figures = common_figures(estimate) | dict(estimate.figures)
+    if Figure.HEADINGS_DRIVEN in figures:
+        driven = f"{figures[Figure.HEADINGS_DRIVEN]:.0f}"
+        rows.insert(0, ("headings_driven", "headings driven", driven, "of 12"))
     if Figure.INSTALLATION_YAW_SIGMA in figures and estimate.installation is not None:
         yaw = math.degrees(estimate.installation.yaw)
         sigma = math.degrees(figures[Figure.INSTALLATION_YAW_SIGMA])
         rows.append(("installation_yaw_deg", "installation yaw", f"{yaw:.2f}", "°"))
         rows.append(("installation_yaw_sigma_deg", "  its error (1σ)", f"{sigma:.2f}", "°"))
+    rows += _before_correction(estimate, window)
     rows += [
-        ("strength_ut", "field strength", f"{estimate.strength * 1e6:.1f}", "µT"),
-        ("inclination_deg", "inclination", f"{math.degrees(estimate.inclination):.1f}", "°"),
+        ("strength_ut", "strength of the corrected field", f"{estimate.strength * 1e6:.1f}", "µT"),
+        ("inclination_deg", "  its inclination", f"{math.degrees(estimate.inclination):.1f}", "°"),
     ]
+    along = ""
+    if Figure.LOCAL_SIGMA in figures:
+        own, along = math.degrees(calibration_sigma(estimate)), " along the way"
+        name = "heading error by the calibration (1σ), level"
+        rows.append(("calibration_sigma_deg", name, f"{own:.2f}", "°"))
     for figure, name in (
-        (Figure.HEADING_SIGMA, "heading error (1σ), level"),
-        (Figure.HEADING_SIGMA_TILTED, "heading error (1σ), 10° of tilt"),
-        (Figure.GYRO_COMPASS_SWING, "gyro against compass, rms"),
+        (Figure.HEADING_SIGMA, f"heading error{along} (1σ), level"),
+        (Figure.HEADING_SIGMA_TILTED, f"heading error{along} (1σ), 10° of tilt"),
+        (Figure.GYRO_COMPASS_SWING, "gyro against compass, beyond noise"),
     ):
         if figure in figures:
             angle = math.degrees(figures[figure])

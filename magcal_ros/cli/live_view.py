@@ -88,6 +88,8 @@ TEXTS = ("stage", "filled", "advice")
 
 RING_HEIGHT = 11
 RING_WIDTH = 25
+WIDEST = 80
+"""Columns of the panel on a wide terminal; a narrower one cuts it to its own width."""
 
 
 def progress_of(status: str) -> dict[str, Any] | None:
@@ -227,7 +229,7 @@ class Panel(Lines):
             advice(progress),
         ]
         body = Columns([drawing, Text("\n".join(numbers))], padding=(0, 4))
-        self._live.update(Box(body, title="one turn", subtitle="Ctrl-C cancels"))
+        self._live.update(Box(body, title="one turn", subtitle="Ctrl-C cancels", width=WIDEST))
 
     def __enter__(self) -> Panel:
         self._live.__enter__()

@@ -133,7 +133,7 @@ def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManag
     if options.imu_rpy_deg is not None:
         pose = rotation_from_rpy(*map(math.radians, options.imu_rpy_deg))
     shares = [0.0]
-    with at_work(lambda: f"reading, {100.0 * shares[-1]:.0f} %", sys.stderr):
+    with at_work(lambda: f"reading, {100.0 * shares[-1]:.0f}%", sys.stderr):
         return open_recording(recording, **chosen, **span, imu_pose=pose, progress=shares.append)
 
 
@@ -150,7 +150,7 @@ def gather(
     """
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
-    with at_work(lambda: f"reading, {100.0 * repaired.share:.0f} %", sys.stderr):
+    with at_work(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
         gathering.take(repaired, source.travel)
     newest = gathering.streams.field_stamps.newest
     reference = reference_in_use(options, source.place, newest)

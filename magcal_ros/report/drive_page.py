@@ -27,6 +27,8 @@ COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#7a0019")
 WIDTH, MARGIN, BELOW = 1000.0, 30.0, 30.0
 LABEL = (60.0, 24.0)
 """Width and height of a name on the map."""
+HALO = 'paint-order="stroke" stroke="#fff" stroke-width="5"'
+"""Of a name: it is read on top of the way."""
 TALLEST = "75vh"
 """Of the map: with its legend it fits on a screen, whichever way was driven."""
 RULES = (
@@ -34,8 +36,8 @@ RULES = (
     "after it was found can prove it better than the one in force. Where nothing is in force, a "
     "second one that agrees is enough; where that is known to no better than 3°, one that agrees "
     "and is known much better. What is put in force stays on trial against the one before. "
-    "Headings are counted in twelve sectors of 30°; ± is one standard deviation of the heading, "
-    "by the calibration alone in the reasons, with streets and cars in the table above."
+    "Headings are counted in twelve sectors of 30°. ± is one standard deviation of the heading by "
+    "the calibration alone; along the way, streets and cars add to it."
 )
 VERBS = {
     Verb.NOTICED: "noticed",
@@ -97,12 +99,12 @@ def summary_of(story: DriveStory) -> str:
         said = "the calibration in force stayed: nothing was proved better"
     words = f"{drove}: {said}. At the end: {story.doing}."
     if story.ended is not None:
-        # `magcal fit` gives the first of these, and a decision the second.
+        # A decision gives the first of these, and the grade is of it; `magcal fit` gives both.
         heading = math.degrees(predicted_heading_sigma(story.ended))
         own = math.degrees(known_sigma(story.ended))
         words += (
-            f" In force then: heading ±{heading:.1f}° along the way (1σ), ±{own:.1f}° of it by the"
-            " calibration and the rest by local magnetic disturbances."
+            f" In force then: heading ±{own:.1f}° by the calibration (1σ); along the way, with "
+            f"local magnetic disturbances, ±{heading:.1f}°."
         )
     return words
 
@@ -112,34 +114,39 @@ def _duration(seconds: float) -> str:
 
 
 def _before_and_after(story: DriveStory) -> str:
+    title = "<h2>What was in force before and after</h2>"
+    if story.begun is None and story.ended is None:
+        return f"{title}<p>Nothing.</p>{_course(story)}"
     rows = (("before", *_cells(story.begun)), ("after", *_cells(story.ended)))
-    heads = ("", "made by", "heading on the way (1σ)", "hard iron, µT", "why")
+    heads = ("", "made by", "heading (1σ)", "along the way", "hard iron, µT", "why")
     begun, ended = story.begun, story.ended
     apart = ""
     if begun is not None and ended is not None and begun.correction is not ended.correction:
         swing = math.degrees(difference(begun, ended))
         apart = f"<p>Headings of the two differ by {swing:.1f}° (RMS over all headings).</p>"
-    if story.course:
-        apart += f'<p id="course">After: {escape(story.course)}.</p>'
-    return (
-        '<h2>What was in force before and after</h2><div class="scroll">'
-        f"{table('checks', rows, heads)}</div>{apart}"
-    )
+    apart += _course(story)
+    return f'{title}<div class="scroll">{table("checks", rows, heads)}</div>{apart}'
+
+
+def _course(story: DriveStory) -> str:
+    return f'<p id="course">After: {escape(story.course)}.</p>' if story.course else ""
 
 
 def _cells(calibration: Calibration | None) -> tuple[str, ...]:
     if calibration is None:
-        return "nothing", "", "", ""
+        return "nothing", "", "", "", ""
     x, y, z = (1e6 * float(value) for value in calibration.correction.hard_iron)
     evidence = calibration.evidence
     why = evidence.reasons[0] if evidence.method == "smoother" and evidence.reasons else ""
     cells = (
         "driving" if evidence.method == "smoother" else evidence.method,
+        f"±{math.degrees(known_sigma(calibration)):.1f}°",
         f"±{math.degrees(predicted_heading_sigma(calibration)):.1f}°",
         f"{x:.1f}, {y:.1f}, {z:.1f}",
         why or evidence.summary,
     )
-    return tuple(map(escape, cells))
+    made, heading, along, iron, reason = map(escape, cells)
+    return made, heading, along, f'<span class="whole">{iron}</span>', reason
 
 
 def _decisions(story: DriveStory) -> str:
@@ -164,7 +171,7 @@ def _map(path: DrivePath | None) -> str:
     scale = (WIDTH - 2.0 * MARGIN) / span
     # The scale's bar stands below the map: no name is written over it.
     height = max(float(high[1] - low[1]) * scale + 2.0 * MARGIN, 60.0) + BELOW
-    x = MARGIN + (path.place[:, 0] - low[0]) * scale
+    x = 0.5 * WIDTH + (path.place[:, 0] - 0.5 * (low[0] + high[0])) * scale
     y = MARGIN + (high[1] - path.place[:, 1]) * scale
     kinds = np.searchsorted(STEPS_DEG, np.degrees(path.error))
     dots = "".join(
@@ -176,15 +183,16 @@ def _map(path: DrivePath | None) -> str:
     names.append(f"more than {bounds[-1]}°")
     legend = " &nbsp; ".join(
         f'<span style="color:{colour}">●</span> {name}: '
-        f"{100.0 * float(np.mean(kinds == kind)):.0f} %"
+        f"{100.0 * float(np.mean(kinds == kind)):.0f}%"
         for kind, (colour, name) in enumerate(zip(COLOURS, names, strict=True))
     )
     trusted = 100.0 * float(np.mean(kinds <= 1))
     return (
         "<h2>Where the compass can be trusted</h2>"
-        f"<p>{_how(path)} Colour: by how much streets, cars and steel may turn the heading, by how "
-        f"far the field was off the calibrated one. On {trusted:.0f} % of the points it was less "
-        f"than {STEPS_DEG[1]:g}°.</p><p>{legend}</p>"
+        f"<p>{_how(path)} Colour: how many degrees the heading may be off there, because streets, "
+        "cars and steel bend the field. It follows from how far the field was off the calibrated "
+        f"one. On {trusted:.0f}% of the points it was less than {STEPS_DEG[1]:g}°.</p>"
+        f"<p>{legend}</p>"
         f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" '
         f'style="max-height:{TALLEST}">'
         f"<title>The way that was driven, coloured by the disturbance of the field</title>"
@@ -204,8 +212,8 @@ def _named(name: str, x: float, y: float) -> str:
     side, shift = ("end", -10.0) if x > 0.5 * WIDTH else ("start", 10.0)
     return (
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="#1c1f23" stroke-width="2"/>'
-        f'<text x="{x + shift:.1f}" y="{y + 6.0:.1f}" text-anchor="{side}" font-size="18">{name}'
-        "</text>"
+        f'<text x="{x + shift:.1f}" y="{y + 6.0:.1f}" text-anchor="{side}" font-size="18" '
+        f"{HALO}>{name}</text>"
     )
 
 

@@ -42,8 +42,8 @@ def caption(turn: Turn) -> str:
     scatter = 100.0 * float(inside.mean()) if len(inside) else 0.0
     return (
         "A perfect compass follows the black line: one degree of heading for each degree turned. "
-        f"The turn was measured by {by}. Below, the corrected heading's distance from that line; "
-        f"{scatter:.0f}% of the samples lie in the blue ±2σ band that the node would publish "
+        f"The {turn.kind} was measured by {by}. Below, the corrected heading's distance from that "
+        f"line; {scatter:.0f}% of the samples lie in the blue ±2σ band that the node would publish "
         "(about 95% should)."
     )
 
@@ -59,7 +59,7 @@ def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> N
         ideal,
         color=turn_views.IDEAL,
         linewidth=0.9,
-        label="the turn itself",
+        label=f"the {turn.kind} itself",
         zorder=3,
     )
     rows = turn.rows()
@@ -132,10 +132,12 @@ def caption_of_gyro(turn: Turn) -> str:
         return ""
     worst = math.degrees(float(np.nanmax(np.abs(deviations(turn, turn.corrected)[1]))))
     swing = turn.corrected.estimate.swing
-    judged = "" if swing is None else f" ({math.degrees(swing.rms):.1f}° rms, which is judged)"
+    judged = ""
+    if swing is not None:
+        judged = f" ({math.degrees(swing.rms):.1f}° rms beyond noise, which is judged)"
     return (
         "A gyro is not affected by magnetic fields, so it shows what a clean circle hides: where "
-        "steel near by bends the field, the compass swings once or twice around the turn. A flat "
+        "steel near by bends the field, the compass swings once or twice around the circle. A flat "
         f"blue line is good; here it swings by up to {worst:.1f}°{judged}. Each mark is the mean "
         "over 15° of heading; the gyro's own bias and scale are taken off."
     )
@@ -193,8 +195,13 @@ class Picture:
     missing: str = ""
 
 
-VIEWS = ("views", "The turn in space", turn_views.draw, turn_views.caption)
-AROUND = ("around", "Around the turn", turn_views.draw_residuals, turn_views.caption_of_residuals)
+VIEWS = ("views", "The field in space", turn_views.draw, turn_views.caption)
+AROUND = (
+    "around",
+    "Headings and residuals",
+    turn_views.draw_residuals,
+    turn_views.caption_of_residuals,
+)
 HEADING = ("heading", "Heading before and after", draw, caption)
 GYRO = ("gyro", "Gyro against compass", draw_gyro, caption_of_gyro)
 

@@ -77,8 +77,7 @@ class Corrected:
     field: FloatArray
     """Corrected field in body axes, tesla. Shape (n, 3)."""
     circle: FloatArray
-    """Where the reference field says that the corrected field should lie, body axes, tesla. Shape
-    (m, 3)."""
+    """The field that was found, turned once about the axis, body axes, tesla. Shape (m, 3)."""
     yaw: FloatArray
     """Magnetic ENU yaw, radians. Shape (n,)."""
     sigma: FloatArray
@@ -157,6 +156,13 @@ class Turn:
             swing_bound=_swing_bound(subject.outcome.verdict),
         )
 
+    @property
+    def kind(self) -> str:
+        """What the samples are of: a turn or a drive."""
+        found = self.corrected
+        is_drive = found is not None and Figure.HEADINGS_DRIVEN in found.estimate.figures
+        return "drive" if is_drive else "turn"
+
     def rows(self, mask: BoolArray | None = None, most: int = MOST_POINTS) -> IntArray:
         """Return evenly spread row numbers, at most `most` of those in the mask."""
         rows = np.arange(len(self.time)) if mask is None else np.flatnonzero(mask)
@@ -212,7 +218,7 @@ def _correct(
 
 
 def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> FloatArray:
-    """Return the reference field turned once about the axis, in body axes, shape (m, 3)."""
+    """Return the field that was found, turned once about the axis, body axes, shape (m, 3)."""
     inliers = estimate.inliers if estimate.inliers.any() else np.ones(len(up), dtype=np.bool_)
     attitudes = body_from_enu(up[inliers], field[inliers])
     axis_in_world = unit(np.einsum("nij,i->nj", attitudes, estimate.axis).mean(axis=0))

@@ -143,9 +143,9 @@ def caption(turn: Turn) -> str:
             "green is up as the accelerometer saw it, drawn as long as the field."
         )
     return (
-        "Turning the robot once moves the field around a circle. Orange: as measured, pushed away "
-        "from the origin by the robot's own magnetism and tilted by the mounting. Blue: corrected; "
-        "it should lie on the black circle, where the reference field says it must be. Green: up."
+        "Turning the robot moves the field around a circle. Orange: as measured, pushed away from "
+        "the origin by the robot's own magnetism and tilted by the mounting. Blue: corrected; it "
+        "should lie on the black circle that was fitted. Green: up, drawn as long as the field."
     )
 
 
@@ -184,9 +184,9 @@ def _draw_projection(
     j: int,
 ) -> None:
     phase = np.linspace(0.0, 2.0 * np.pi, 91)
-    label = "reference sphere" if turn.corrected is not None else "the raw field's mean size"
+    of_what = "raw field's mean size" if turn.corrected is None else "field's strength"
     outline = (strength * np.cos(phase), strength * np.sin(phase))
-    axes.plot(*outline, color=SPHERE, linewidth=0.9, label=label)
+    axes.plot(*outline, color=SPHERE, linewidth=0.9, label=f"sphere: the {of_what}")
     axes.axhline(0.0, color=SPHERE, linewidth=0.5)
     axes.axvline(0.0, color=SPHERE, linewidth=0.5)
     for points, looks in clouds:
@@ -248,7 +248,7 @@ def draw_residuals(figure: Figure, turn: Turn) -> None:
 
 def caption_of_residuals(turn: Turn) -> str:
     """Explain the picture to someone who is no expert."""
-    hole = turn.coverage.hole_in_words or "nothing of the turn is missing"
+    hole = turn.coverage.hole_in_words or "none is missing"
     ring = f"The ring shows which headings were seen, counted from the start: {hole}."
     if turn.corrected is None:
         return f"{ring} {RAW_FIELD}"

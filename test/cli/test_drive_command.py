@@ -41,11 +41,12 @@ def test_a_drive_from_nothing_ends_with_a_calibration_and_a_page(driven, tmp_pat
     assert status == 0
     assert told["decisions"][-1]["decision"] in ("applied", "refined")
     found, _ = read_calibration(tmp_path / "calibration.yaml")
-    # Both figures: a decision names the second, and `magcal fit` grades by the first.
+    # A decision names the first, which is graded; `magcal fit` names both.
     on_the_way, own = predicted_heading_sigma(found), known_sigma(found)
     assert own < 0.7 * on_the_way
     shown = (
-        f"heading ±{math.degrees(on_the_way):.1f}° along the way (1σ), ±{math.degrees(own):.1f}°"
+        f"heading ±{math.degrees(own):.1f}° by the calibration (1σ); along the way, with local"
+        f" magnetic disturbances, ±{math.degrees(on_the_way):.1f}°"
     )
     assert shown in told["summary"]
     assert f"±{math.degrees(own):.1f}°" in told["decisions"][-1]["why"]

@@ -11,7 +11,7 @@ from drives import ROBOT, STORE2, drive, message, write_bag, write_csv
 from simulated.turns import slope_rpy
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride
 from magcal_ros.files.calibration_file import read_calibration
 
@@ -51,6 +51,22 @@ def test_a_good_turn_leaves_a_calibration_and_a_verdict_first(fit, bag, tmp_path
     np.testing.assert_allclose(calibration.correction.hard_iron[:2], [30e-6, -20e-6], atol=1e-6)
     assert str(tmp_path / "found" / "calibration.yaml") in out
     assert err == ""
+
+
+def test_each_strength_of_a_weakened_field_has_its_name(fit, tmp_path):
+    """Two thirds of the level field: raw, without hard iron and corrected strengths differ."""
+    samples = [
+        each._replace(field=tuple(np.array([0.67, 0.67, 1.0]) * each.field))
+        if isinstance(each, FieldSample)
+        else each
+        for each in drive(400.0)
+    ]
+    _, out, _ = fit(write_csv(tmp_path / "csv", samples), "--json")
+    found = json.loads(out)["numbers"]
+    assert found["strength_ut"] == pytest.approx(50.0, rel=0.05)
+    assert found["sensor_strength_ut"] == pytest.approx(46.4, rel=0.05)
+    assert abs(found["raw_strength_ut"] - found["sensor_strength_ut"]) > 2.0
+    assert found["level_share_percent"] == pytest.approx(67.0, rel=0.05)
 
 
 @pytest.mark.parametrize(

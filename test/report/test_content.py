@@ -11,14 +11,25 @@ from long_form import first_of
 from simulated.turns import measure, slope_rpy, turn
 from subjects import ROBOT, good, refused, subject_of, troubled
 
-from magcal_ros.core.assessment.bounds import TURN_BOUNDS
+from magcal_ros.core.assessment.bounds import DRIVE_BOUNDS, HEADING_BOUNDS, TURN_BOUNDS
 from magcal_ros.core.assessment.verdict import NO_YAW, judge
 from magcal_ros.core.calibrate import Outcome, calibrate_turns
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 from magcal_ros.report import write_report
+from magcal_ros.report.numbers import figure_row
 
 LARGEST_PAGE = 1_000_000
+DRIVE_FIGURES = (
+    *(bound.figure for bound in (*TURN_BOUNDS, *DRIVE_BOUNDS, *HEADING_BOUNDS)),
+    Figure.LOCAL_SIGMA,
+    Figure.DRIVING_TIME,
+    Figure.METRES,
+    Figure.STREET,
+    Figure.LOCAL_FIELD,
+    Figure.AXIAL_IRON,
+)
 
 
 PAGES = {}
@@ -68,7 +79,7 @@ def test_numbers_have_units(tmp_path):
     iron = estimate.correction.hard_iron[0] * 1e6
     assert re.search(rf"hard iron x \(±1σ\) {iron:.2f} ± \d+\.\d+ µT", words)
     assert f"installation roll {math.degrees(estimate.installation.roll):.2f}°" in words
-    assert f"field strength {1e6 * estimate.strength:.2f} µT" in words
+    assert f"strength of the corrected field {1e6 * estimate.strength:.2f} µT" in words
     assert "reference inclination 60.00 ± 1.00°" in words
     assert "500 over 15.0 s" in words
     assert f"method {subject.method}" in words
@@ -77,6 +88,38 @@ def test_numbers_have_units(tmp_path):
 
 def test_every_figure_of_the_method_is_named(tmp_path):
     assert "(SI)" not in words_of(page_of(tmp_path, good()))
+
+
+def driven():
+    """The same samples, said to be of a drive."""
+    subject = good()
+    of_a_drive = {"headings_driven": 12.0, "driving_time": 93.7, "street": 1.4e-6}
+    of_a_drive |= {"local_field": 1.5e-6, "metres": 800.0}
+    estimate = subject.outcome.estimate
+    estimate = replace(estimate, figures={**estimate.figures, **of_a_drive})
+    verdict = judge(estimate, subject.knowledge, subject.window)
+    return replace(subject, outcome=replace(subject.outcome, estimate=estimate, verdict=verdict))
+
+
+def test_a_drive_is_called_a_drive_and_its_figures_have_units(tmp_path):
+    words = words_of(text_of(tmp_path, driven()))
+    assert "(SI)" not in words
+    for said in (
+        "headings driven 12 of 12",
+        "length of the drive 93.7 s",
+        "disturbance that changes with the place (1σ per axis) 1.4 µT",
+        "heading error by the calibration, on the level (1σ) ±",
+        "heading error along the way, on the level (1σ) ±",
+        "What this drive could not show",
+        "The drive was measured by the gyro",
+    ):
+        assert said in words
+    assert "turn seen" not in words
+
+
+def test_every_graded_figure_has_a_unit():
+    for figure in DRIVE_FIGURES:
+        assert "(SI)" not in figure_row(figure, 1.0).value, figure
 
 
 def test_an_unknown_figure_is_shown_in_si(tmp_path):
@@ -91,7 +134,7 @@ def test_four_pictures_with_captions(tmp_path):
     page = page_of(tmp_path, good())
     assert names_of(page) == ["views", "around", "heading", "gyro"]
     assert page.count("<svg") == page.count("<figcaption>") == 4
-    for label in ("raw field", "corrected field", "ideal circle", "reference sphere"):
+    for label in ("raw field", "corrected field", "ideal circle", "sphere: the field's strength"):
         assert f">{label}<" in page
     for unit in ("[µT]", "[°]"):
         assert unit in page

@@ -45,7 +45,8 @@ def check(printed, folder):
     assert max(errors(printed, "after, without the sensors' noise")) < 0.3
     said = re.search(r"roll (\S+)°, pitch (\S+)°", " ".join(printed.split())).groups()
     rows = [
-        re.search(rf"{name} of the sensor.*?(\S+) +\S+\n", printed) for name in ("roll", "pitch")
+        re.search(rf"installation {name} \(°\).*?(\S+) +\S+\n", printed)
+        for name in ("roll", "pitch")
     ]
     assert tuple(row[1] for row in rows) == said
     assert "8 times as fast as real" in printed

@@ -48,14 +48,15 @@ AGAINST_REFERENCE: tuple[Bound, ...] = (
 """The level field against that of the reference."""
 SIGMA = Bound(
     Figure.HEADING_SIGMA,
-    1.5,
+    2.0,
     12.0,
     "predicted heading error on the level (1σ)",
     "turn the full circle, or through all orientations, more slowly",
-    excellent=0.3,
+    excellent=0.7,
     aspect=Aspect.CONFIDENCE,
     after_full="turn once more, more slowly or on other ground",
 )
+"""The sigma by the calibration. One scale for turns, drives and known headings."""
 UPRIGHT = Bound(
     Figure.AXIS_LEAN,
     45.0,
@@ -220,7 +221,12 @@ DRIVE_LONGER = "drive for longer, with bends to both sides"
 ALL_HEADINGS = f"{DRIVE_LONGER}, to all headings"
 DRIVE_BOUNDS: tuple[Bound, ...] = (
     UPRIGHT,
-    replace(SIGMA, good=2.0, excellent=0.7, remedy=ALL_HEADINGS, after_full=DRIVE_LONGER),
+    replace(
+        SIGMA,
+        words="predicted heading error on the level by the calibration (1σ)",
+        remedy=ALL_HEADINGS,
+        after_full=DRIVE_LONGER,
+    ),
     Bound(
         Figure.HEADINGS_DRIVEN,
         8.0,
@@ -242,8 +248,6 @@ ONE_MORE = "stand at another known heading"
 HEADING_BOUNDS: tuple[Bound, ...] = (
     replace(
         SIGMA,
-        good=3.0,
-        excellent=1.0,
         words="predicted heading error on the level, over all headings (1σ)",
         remedy=ONE_MORE,
         after_full="",

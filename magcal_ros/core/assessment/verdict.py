@@ -28,13 +28,14 @@ from magcal_ros.core.assessment.grading import (
     Grade,
     check_reference,
     level_field_sigma,
-    shown,
     worst,
 )
 from magcal_ros.core.calibration.calibration import Estimate, Evidence
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
+    CHECKED_TILT,
     axis_share,
+    calibration_sigma,
     common_figures,
     sideways_acceleration,
     usual_lean,
@@ -234,9 +235,7 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
         if Figure.LOCAL_SIGMA in figures:
             # No calibration takes away what the field along the way adds.
             local = figures[Figure.LOCAL_SIGMA]
-            own = math.sqrt(max(figure**2 - local**2, 0.0))
-            note = f", {shown(own * DEGREES)}° of it by the calibration"
-            return bound.check(figure, excess=own, note=note)
+            return bound.check(math.sqrt(max(figure**2 - local**2, 0.0)))
         if not knowledge.reference.is_complete:
             bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
@@ -268,7 +267,7 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
         # Without a reference, one turn gives only a rough strength.
         low, high = low / TUNING.guessed, high * TUNING.guessed
     grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
-    words = f"field strength {microtesla:.1f} µT"
+    words = f"strength of the corrected field {microtesla:.1f} µT"
     if grade is Grade.WARN:
         least, most = TUNING.beyond_iron_ut
         grade = grade if least <= microtesla <= most else Grade.REFUSED
@@ -324,11 +323,16 @@ def _headline(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, flo
     if not verdict.accepted:
         return f"Refused ({grades})"
     x, y, z = (float(value) * 1e6 for value in estimate.correction.hard_iron)
-    level, local = figures[Figure.HEADING_SIGMA], figures.get(Figure.LOCAL_SIGMA, 0.0)
-    own = math.sqrt(max(level**2 - local**2, 0.0))
+    level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
+    by, way = "", ""
+    if Figure.LOCAL_SIGMA in figures:
+        # First what the grade is of, as of a turn.
+        by = " by the calibration"
+        way = f"; along the way, with local magnetic disturbances, ±{level * DEGREES:.2f}°"
+        level, tilted = calibration_sigma(estimate), calibration_sigma(estimate, CHECKED_TILT)
     words = (
         f"{grades}: heading ±{level * DEGREES:.2f}° on the level, "
-        f"±{figures[Figure.HEADING_SIGMA_TILTED] * DEGREES:.2f}° at 10° of tilt (1σ); "
+        f"±{tilted * DEGREES:.2f}° at 10° of tilt (1σ){by}{way}; "
         f"hard iron ({x:.1f}, {y:.1f}, {z:.1f}) µT"
     )
     if estimate.installation is not None:
@@ -337,12 +341,7 @@ def _headline(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, flo
         if Figure.INSTALLATION_YAW_SIGMA in figures:
             yaw, sigma = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
             words += f", yaw {yaw * DEGREES:.2f}° ±{sigma * DEGREES:.2f}°"
-    if local:
-        words += (
-            f". Of the ±{level * DEGREES:.2f}° the calibration makes ±{own * DEGREES:.2f}°, and"
-            f" local magnetic disturbances along the way ±{local * DEGREES:.2f}°"
-        )
-    rough = " roughly" if own > TUNING.rough else ""
+    rough = " roughly" if level > TUNING.rough else ""
     return f"Calibrated{rough}{where}, {words}."
 
 

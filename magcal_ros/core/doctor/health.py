@@ -151,7 +151,8 @@ def field_findings(field: FloatArray) -> list[Finding]:
     size = usual_size(field)
     unit = likely_field_unit(size)
     line = wrong if unit else looked_at
-    found = [line("field_unit", "field: unit", f"usually {size * 1e6:.3g} µT", unit)]
+    words = f"usually {size * 1e6:.3g} µT, hard iron included"
+    found = [line("field_unit", "field: unit", words, unit)]
     step = max(_step(field[:, axis]) for axis in range(3))
     words = "choose a finer range of the sensor, or average in the driver"
     evidence = f"steps of {step * 1e6:.2g} µT" if step else "no steps seen"
@@ -175,7 +176,8 @@ def gravity_size_finding(force: FloatArray) -> Finding:
         hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
     x, y, z = np.median(force, axis=0)
     off = size / STANDARD_GRAVITY - 1.0
-    evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all, {off:+.1%} off gravity"
+    evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all, "
+    evidence += f"{round(off, 3) + 0.0:+.1%} off gravity"
     return looked_at("force_unit", "accelerometer: unit", evidence, hint)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.doctor.blame import AxesFound, parameter_line
+from magcal_ros.core.doctor.blame import LIFT, AxesFound, parameter_line
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Explanations, rate_factors
 from magcal_ros.core.doctor.health import (
@@ -26,7 +26,13 @@ from magcal_ros.core.doctor.health import (
     unchanging,
 )
 from magcal_ros.core.doctor.latency import motors_field
-from magcal_ros.core.doctor.motion import MOVE_THE_SENSOR, TURN_BETWEEN_RESTS, MotionFound, compare
+from magcal_ros.core.doctor.motion import (
+    FULL_TURN,
+    MOVE_THE_SENSOR,
+    TURN_BETWEEN_RESTS,
+    MotionFound,
+    compare,
+)
 from magcal_ros.core.doctor.on_the_spot import drove_while_turning
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
@@ -88,7 +94,7 @@ def examine(
         return Page((*prepared.findings, *known_habits(log)))
     found = compare(prepared, knowledge, turned_left)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
-    lines += _of_the_field(prepared, found, knowledge)
+    lines = _hidden_by_motors([*lines, *_of_the_field(prepared, found, knowledge)])
     mount, wrong, axes = None, None, found.axes
     is_field = any(finding.key == "field_axes" for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
@@ -118,6 +124,16 @@ def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) 
     return lines
 
 
+def _hidden_by_motors(lines: list[Finding]) -> list[Finding]:
+    """Return the lines with the true reason where a field of the motors hides what a turn shows."""
+    if not any(line.key == "motors" and line.is_wrong for line in lines):
+        return lines
+    return [
+        replace(line, evidence=line.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND))
+        for line in lines
+    ]
+
+
 @dataclass(frozen=True)
 class PlaceTuning:
     """When the field is called another than the reference's, and the motors' one is."""
@@ -139,6 +155,9 @@ ON_THE_SPOT = (
     "it drove while it turned, and each place has a field of its own; stand still, turn on the "
     "spot, and stand still again"
 )
+MOTORS_OFF = "by hand, motors off (their field hides it)"
+HIDDEN, BY_HAND = f"turn once {MOTORS_OFF}", f"{LIFT} {MOTORS_OFF}"
+"""What shows the rest where the motors change the field, in place of `FULL_TURN` and `LIFT`."""
 OR_LATE = (
     ". A late field looks like this, too: to tell them apart, start and stop several times while "
     "you turn"
@@ -154,15 +173,15 @@ def reference_findings(
     vector, up = state[FIELD], state[UP] * (-1.0 if up_is_down else 1.0)
     strength = float(np.linalg.norm(vector)) * size
     off = float(np.linalg.norm(sigma[FIELD])) * size
-    name, why = "field: strength, inclination", "lift the nose by 20° while it turns"
+    name, why = "field: strength, inclination", LIFT
     if off > TUNING.vague * strength:
         return [not_shown("reference", name, why)]
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
     dip = -math.asin(max(-1.0, min(1.0, along)))
     iron = float(np.linalg.norm(state[IRON])) * size
     evidence = (
-        f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT, inclination {math.degrees(dip):.0f}°, "
-        f"hard iron {iron * 1e6:.0f} µT"
+        f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT without the hard iron of {iron * 1e6:.0f} µT, "
+        f"inclination {math.degrees(dip):.0f}°"
     )
     believed = knowledge.reference
     wrong = []

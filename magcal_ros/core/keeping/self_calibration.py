@@ -75,7 +75,8 @@ class SelfCalibration:
             return f"on probation: {worded}"
         if self.recorder.rests:
             return "waiting for movement"
-        return f"watching, {self.recorder.seconds / 60.0:.0f} min of driving remembered"
+        sought = "a calibration" if self._in_force is None else "a better calibration"
+        return f"looking for {sought}, {self.recorder.seconds / 60.0:.0f} min of driving remembered"
 
     def forget(self) -> None:
         """Forget the drive and its results: the sensors have changed, or the mode has."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from magcal_ros.core.assessment.bounds import SIGMA
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
@@ -144,7 +145,7 @@ def candidate_of(
         0.01 if before is None else before.noise_up,
         fitted.posterior.strength,
         fitted.posterior.inclination,
-        Evidence(METHOD, "good", "good", words, figures=figures),
+        Evidence(METHOD, "good", SIGMA.check(sigma).grade.value, words, figures=figures),
         motors,
     )
     by_place = local_sigma(calibration)

@@ -175,6 +175,8 @@ def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estima
     tilts = np.median(np.abs(np.diff(unit(window.specific_force), axis=0))) / 0.954
     roll, pitch = shared[ROLL_PITCH]
     figures = _figures(found)
+    if not knowledge.reference.is_complete:
+        figures.pop(Figure.RADIUS_RATIO, None)
     swing = _swing(found) if nodes.tied_to is None else None
     if swing is None:
         del figures[Figure.GYRO_CARRIED]

@@ -99,7 +99,7 @@ class Shown:
             f"±{_degrees(self.absolute_tilted)} at 10° of tilt, "
             f"inclination ±{_degrees(self.inclination)}, "
             f"axial hard iron ±{self.axial_hard_iron * 1e6:.2f} µT, "
-            f"soft iron ±{iron:.1f} % at worst (1σ)"
+            f"soft iron ±{iron:.1f}% at worst (1σ)"
         )
 
     def facts(self) -> dict[str, object]:
@@ -246,4 +246,4 @@ def _microtesla(tesla: float) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %"
+    return f"{100.0 * share:.2g}%"

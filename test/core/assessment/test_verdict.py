@@ -226,11 +226,25 @@ class TestJudge:
     def test_a_drive_says_apart_what_the_calibration_and_what_the_way_adds(self):
         verdict = judge(estimate(figures=DRIVE), KNOWN)
         assert re.search(
-            r"heading ±([\d.]+)° on the level, ±[\d.]+° at 10° of tilt \(1σ\); .*\. "
-            r"Of the ±\1° the calibration makes ±[\d.]+°, and local magnetic disturbances along the"
-            r" way ±[\d.]+°\.",
+            r"heading ±[\d.]+° on the level, ±[\d.]+° at 10° of tilt \(1σ\) by the calibration; "
+            r"along the way, with local magnetic disturbances, ±[\d.]+°; hard iron",
             verdict.summary,
         ), verdict.summary
+
+    @pytest.mark.parametrize(
+        ("degrees", "grade"),
+        [(0.6, Grade.EXCELLENT), (1.8, Grade.GOOD), (2.5, Grade.WARN), (13.0, Grade.REFUSED)],
+    )
+    def test_one_heading_error_has_one_grade(self, degrees, grade):
+        """A turn, a drive and known headings; of a drive it is the part by the calibration."""
+        ways = ({}, DRIVE, {Figure.KNOWN_HEADINGS: 4.0, Figure.HEADING_MISFIT: 1.0})
+        for figures in ways:
+            covariance = np.zeros((12, 12))
+            covariance[9:, 9:] = np.eye(3) * (25e-6 * math.radians(degrees)) ** 2
+            verdict = judge(estimate(figures=figures, covariance=covariance), KNOWN)
+            assert verdict.confidence is grade
+            if verdict.accepted:
+                assert f"heading ±{degrees:.2f}° on the level" in verdict.summary
 
     @pytest.mark.parametrize("arc", [math.tau, 4.0])
     def test_a_drive_is_never_told_to_turn_and_to_all_headings_only_where_some_are_missing(

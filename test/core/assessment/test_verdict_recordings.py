@@ -60,7 +60,7 @@ class TestHandHeldTurn:
     def test_the_whole_recording_is_answered_with_what_its_way_adds(self, recording):
         verdict = calibrate(window(recording("broad05")), self.known).verdict
         assert verdict.accepted
-        assert "local magnetic disturbances along the way" in verdict.summary
+        assert "along the way, with local magnetic disturbances" in verdict.summary
 
     @pytest.mark.nightly
     def test_axes_that_are_not_the_imus_are_refused(self, turn):

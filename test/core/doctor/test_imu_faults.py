@@ -9,6 +9,7 @@ import pytest
 from imu_faults_cases import FAULTS, HABITS, Habit, good_case
 from long_form import first_of
 from simulated.turns import measure, turn
+from uneven_turns import ROBOT, driven, evenly
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.explanations import explain, gravity_misfit
@@ -200,6 +201,9 @@ def test_good_sensors_of_other_robots_and_movements_are_not_blamed(name):
     assert wrong(page) == said.get(name, {"latency"} if "clock" in name else set())
 
 
+MOTORS_HIDE = ("gyro_bias", "rate_scale", "reference", "axes")
+
+
 def test_a_field_that_steps_with_the_motors_is_named():
     case = good_case(np.random.default_rng([5, 7]), MOST_SEEN)
     log = case.log
@@ -212,6 +216,10 @@ def test_a_field_that_steps_with_the_motors_is_named():
         assert line.is_wrong
         assert words in line.remedy
         assert "° of heading" in line.evidence
+        hidden = [f for f in page.findings if f.evidence.startswith("not shown")]
+        # The robot stood, turned a circle and lifted its nose: asking for this again is no help.
+        assert not [f.evidence for f in hidden if "then turn a full circle" in f.evidence]
+        assert all("motors off" in f.evidence for f in hidden if f.key in MOTORS_HIDE)
 
 
 def test_without_a_gyro_the_rest_is_looked_at_and_the_movement_said():
@@ -367,3 +375,15 @@ def test_motors_that_follow_the_rate_are_worth_a_look(size):
     lines = {f.key: f for f in examine(SensorLog(time, force, rates, time, field)).findings}
     assert lines["motors"].is_wrong
     assert not lines["latency"].is_wrong
+
+
+def test_a_turn_between_rests_says_that_its_motors_hide_the_gyros_scale():
+    """It stood still and turned a full circle, and was asked for both."""
+    _, window = driven(evenly, ROBOT, 6.0)
+    rate = window.angular_rate[:, 2]
+    added = np.outer(7e-6 * rate / np.abs(rate).max(), [0.6, -0.8, 0.0])
+    page = examine(SensorLog.of_window(replace(window, field=window.field + added)))
+    lines = {finding.key: finding for finding in page.findings}
+    assert lines["motors"].is_wrong
+    said = lines["rate_scale"].evidence
+    assert re.match(r"not shown: within \d\.\d%; turn once by hand, motors off ", said)
