@@ -256,4 +256,4 @@ def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | No
     sigma = math.radians(options.sigma_deg)
     given = [ExternalHeading(math.radians(yaw), sigma, is_true) for yaw in options.heading_deg]
     outcome, words = fit_at_headings(pairs, given, knowledge)
-    return replace(outcome, verdict=replace(outcome.verdict, summary=words))
+    return replace(outcome, verdict=replace(outcome.verdict, says=words))

@@ -83,8 +83,20 @@ class Verdict:
 
     checks: tuple[Check, ...]  # everything that was looked at
     not_shown: tuple[str, ...]  # what this turn could not show
-    summary: str  # the result, and the first reasons against it, for a log
-    headline: str = ""  # the same without reasons; empty of a refusal before the fit
+    headline: str = ""  # the result without reasons; empty of a refusal before the fit
+    says: str = ""  # all of it in words, where that is not the headline with its reasons
+
+    @property
+    def summary(self) -> str:
+        """The result, and the first reasons against it, for a log."""
+        if self.says:
+            return self.says
+        reasons = self.reasons
+        more = len(reasons) - TUNING.reasons
+        words = "; ".join(reasons[: TUNING.reasons]) + (f"; and {more} more" if more > 0 else "")
+        if not self.accepted:
+            return f"{self.headline}: {words}."
+        return f"{self.headline} But {words}." if words else self.headline
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -95,9 +107,7 @@ class Verdict:
     @property
     def in_full(self) -> tuple[str, tuple[str, ...]]:
         """Return the result, and all reasons against it; none where the summary has them."""
-        if not self.headline or self.summary != _summary(self.headline, self):
-            return self.summary, ()
-        return self.headline, self.reasons
+        return (self.says, ()) if self.says else (self.headline, self.reasons)
 
     @property
     def quality(self) -> Grade:
@@ -208,9 +218,8 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     if window is not None:
         checks.append(_check_gravity(window))
     not_shown = _not_shown(estimate, figures, knowledge, has_gyro=has_gyro)
-    verdict = Verdict(tuple(checks), not_shown, "")
-    headline = _headline(verdict, estimate, figures)
-    return replace(verdict, summary=_summary(headline, verdict), headline=headline)
+    verdict = Verdict(tuple(checks), not_shown)
+    return replace(verdict, headline=_headline(verdict, estimate, figures))
 
 
 def _is_drive(figures: Mapping[Figure, float]) -> bool:
@@ -257,7 +266,7 @@ def refuse(refusal: Refusal) -> Verdict:
     """Return the verdict of a refusal."""
     words = str(refusal)
     checks = tuple(Check(refusal.reason, aspect, Grade.REFUSED, words) for aspect in Aspect)
-    return Verdict(checks, (), f"Refused: {words.rstrip('.')}.")
+    return Verdict(checks, (), says=f"Refused: {words.rstrip('.')}.")
 
 
 def _check_strength(strength: float, knowledge: Knowledge) -> Check:
@@ -356,13 +365,3 @@ def _drive_in_words(figures: Mapping[Figure, float]) -> str:
     way = "" if metres is None else f"{metres / 1000.0:.1f} km, "
     seen = f"{figures[Figure.HEADINGS_DRIVEN]:.0f} of 12 headings"
     return f" from {took} of ordinary driving, {way}{seen}"
-
-
-def _summary(headline: str, verdict: Verdict) -> str:
-    """Return the result with its first reasons, in the order of the bounds."""
-    reasons = verdict.reasons
-    more = len(reasons) - TUNING.reasons
-    words = "; ".join(reasons[: TUNING.reasons]) + (f"; and {more} more" if more > 0 else "")
-    if not verdict.accepted:
-        return f"{headline}: {words}."
-    return f"{headline} But {words}." if words else headline

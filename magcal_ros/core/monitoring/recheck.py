@@ -161,9 +161,9 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_field_gap
     no_swing = LOST_GYRO if is_lost else NO_GYRO
     not_shown = (NO_YAW, no_swing) if swing is None else (NO_YAW,)
-    verdict = Verdict(tuple(checks), not_shown, "")
+    verdict = Verdict(tuple(checks), not_shown)
     estimate = _on_fresh_samples(calibration, window, up, arc, swing)
-    return Recheck(replace(verdict, summary=_summary(verdict)), estimate)
+    return Recheck(replace(verdict, says=_summary(verdict)), estimate)
 
 
 def _own(figure: Figure, calibration: Calibration) -> float:

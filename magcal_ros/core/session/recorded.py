@@ -189,7 +189,7 @@ def fit_gathered(
         outcome = calibrate(window, knowledge, method, progress)
         verdict, slow = outcome.verdict, gathering.slow_field
         if slow and not verdict.accepted and outcome.reason is not Reason.TOO_SLOW:
-            verdict = replace(verdict, summary=f"{verdict.summary} {slow}.")
+            verdict = replace(verdict, says=f"{verdict.summary} {slow}.")
         return replace(outcome, verdict=verdict)
     drive = calibrate_drive(log, knowledge) if method == METHODS[0] else None
     return drive if drive and drive.verdict.accepted else Outcome.refused(window)
@@ -340,4 +340,4 @@ def fit_heading_topic(
     if not north:
         return outcome
     words = f"{outcome.verdict.summary} But {north}."
-    return replace(outcome, verdict=replace(outcome.verdict, summary=words))
+    return replace(outcome, verdict=replace(outcome.verdict, says=words))

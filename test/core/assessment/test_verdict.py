@@ -220,7 +220,7 @@ class TestJudge:
         assert len(warned) == 4
 
     def test_a_summary_with_more_words_is_told_as_it_is(self):
-        verdict = replace(judge(estimate(), KNOWN), summary="Calibrated. But something else.")
+        verdict = replace(judge(estimate(), KNOWN), says="Calibrated. But something else.")
         assert verdict.in_full == (verdict.summary, ())
 
     def test_a_drive_says_apart_what_the_calibration_and_what_the_way_adds(self):
