@@ -242,7 +242,7 @@ class OwnAcceleration:
         self._gives, self._pauses_until = False, -math.inf
         self._before, self._is_under_way, self._speed = _Trip(), True, 0.0
         self.sign, self.is_clear = 1.0, False
-        self._slope, self._in_trip = 0j, 0
+        self._slope, self._explained, self._energy, self._in_trip = 0j, 0.0, 0.0, 0
         self._try_anew()
 
     def _try_anew(self) -> None:
@@ -309,7 +309,8 @@ class OwnAcceleration:
         self._before = _Trip(stamp, self.sign, self.is_clear)
         self.sign, self.is_clear = sign, is_clear
         left = [force - self._turn * change for force, change, _ in self._seen]
-        self._slope, self._in_trip = sum(left) / max(len(left), 1), 0
+        self._slope = sum(left) / max(len(left), 1)
+        self._explained, self._energy, self._in_trip = 0.0, 0.0, 0
 
     def _meet(self, tick: Tick, speed: float | None) -> None:
         if speed is None:
@@ -345,14 +346,14 @@ class OwnAcceleration:
         along = (abs(new) - abs(old)) / seconds
         self._seen.append((complex(x, y), self.sign * change, along))
         self._in_trip += 1
+        if not self._is_signed and self._is_under_way:
+            self._decide(complex(x, y), change * self._turn)
         self._judge()
         own = self.sign * change * self._turn
         self._gravity = (end.stamp, (x - own.real, y - own.imag, z))
 
     def _judge(self) -> None:
-        """Look whether the speed explains the force of the last seconds, and with which sign."""
-        if not self._is_signed and self._is_under_way and self.is_yaw_known:
-            self._decide()
+        """Look whether the speed explains the force of the last seconds."""
         force, change, along = np.array(self._seen).T
         without, quiet = float(np.var(force)), OWN.quiet**2
         limit = OWN.gain * without if without > quiet else quiet
@@ -364,25 +365,21 @@ class OwnAcceleration:
         )
         self.is_used = len(force) >= OWN.fewest and is_explained and is_tested
 
-    def _decide(self) -> None:
+    def _decide(self, shown: complex, forwards: complex) -> None:
         """Sum up, since the vehicle stood, what the force shows of the direction of travel.
 
-        What the force is beside the vehicle's own acceleration is that before the trip: later it
-        is known only by the sign that is sought.
+        `shown` is the force, and `forwards` the vehicle's own acceleration if it drives forwards.
+        What the force is beside it is that before the trip: later it is known only by the sign that
+        is sought.
         """
-        first = max(0, len(self._seen) - self._in_trip)
-        trip = list(self._seen)[first:]
-        own = [self._turn * change for _, change, _ in trip]
-        energy = sum(abs(each) ** 2 for each in own)
-        if energy <= 0.0:
+        self._explained += ((shown - self._slope) * forwards.conjugate()).real
+        self._energy += abs(forwards) ** 2
+        if not self.is_yaw_known or self._energy <= 0.0:
             return
-        explained = sum(
-            ((force - self._slope) * each.conjugate()).real
-            for (force, _, _), each in zip(trip, own, strict=True)
-        )
-        sigmas = explained / (math.sqrt(OWN.correlated * energy) * self.noise)
-        if sigmas < -CLEAR:
+        sigmas = self._explained / (math.sqrt(OWN.correlated * self._energy) * self.noise)
+        if sigmas * self.sign < -CLEAR:
             self.sign = -self.sign
-            for row, (force, change, along) in enumerate(trip, first):
+            for row in range(max(0, len(self._seen) - self._in_trip), len(self._seen)):
+                force, change, along = self._seen[row]
                 self._seen[row] = force, -change, along
-        self.is_clear = self.is_clear or abs(sigmas) > CLEAR
+        self.is_clear = self.is_clear or sigmas * self.sign > CLEAR
