@@ -117,8 +117,7 @@ def heading_ratio(estimate, robot):
 
 def test_what_the_turn_cannot_show_has_a_large_variance():
     robot = Robot()
-    motion = turn(start_rpy=(0.0, 0.0, 1.0))
-    window = measure(robot, motion, np.random.default_rng(3), gyro=True)
+    window = measure(robot, turn(start_rpy=(0.0, 0.0, 1.0)), np.random.default_rng(3))
     known = fit(window, robot.knowledge())
     unknown = fit(window, Knowledge())
     assert math.sqrt(known.covariance[11, 11]) < 0.5e-6
