@@ -247,10 +247,7 @@ def test_no_name_in_core_has_two_meanings():
 
 def repeated(paths):
     classes = [
-        node.name
-        for path in paths
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ClassDef)
+        node.name for path in paths for node in nodes_of(path) if isinstance(node, ast.ClassDef)
     ]
     return twice(classes) | twice([path.stem for path in paths])
 

@@ -30,7 +30,7 @@ def turned(sample, imu, field):
 @pytest.fixture(scope="module")
 def samples():
     rng = np.random.default_rng(4)
-    truth = travel(city(rng, 150.0), rng, rate=20.0)
+    truth = travel(city(rng, 150.0), rng, rate=10.0)
     return list(simulated_drive(truth, rng, DRIVE_VEHICLE, streets=None).samples())
 
 

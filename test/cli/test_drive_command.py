@@ -24,7 +24,7 @@ REFERENCE = ["--reference-strength-ut", "48", "--reference-inclination-deg", "65
 
 def sensors(legs, seed=1):
     rng = np.random.default_rng(seed)
-    drive = simulated_drive(travel(legs, rng, rate=20.0), rng, Vehicle(ROBOT))
+    drive = simulated_drive(travel(legs, rng, rate=10.0), rng, Vehicle(ROBOT))
     return drive, list(drive._sensors())
 
 

@@ -85,9 +85,9 @@ def test_the_first_good_fix_of_a_bag_is_its_place_unless_one_is_given(fit, drive
     status, document, err = fit(bag)
     assert status == 0, err
     assert "48.14°N 11.58°E" in document["reference"]["source"]
-    place = ["--latitude", "-20", "--longitude", "-30"]
+    place = ["--latitude", "47", "--longitude", "12"]
     _, document, _ = fit(bag, *place, "--output", str(tmp_path / "other"))
-    assert "20.00°S 30.00°W" in document["reference"]["source"]
+    assert "47.00°N 12.00°E" in document["reference"]["source"]
 
 
 def test_the_words_tell_the_reference_and_check_that_it_is_another(drive_of_2021, tmp_path, capsys):

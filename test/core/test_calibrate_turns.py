@@ -73,7 +73,7 @@ def test_quiet_sensors_show_everything(knowledge):
 
 
 def test_heading_is_absolute_and_its_sigma_is_told():
-    outcome = calibrate_turns(windows_on((LEVEL, EAST, NORTH), 101), KNOWN)
+    outcome = calibrate_turns(windows_on((LEVEL, EAST, NORTH), 101, samples=300), KNOWN)
     assert outcome.verdict.accepted
     off = outcome.estimate.installation.yaw - ROBOT.yaw
     assert abs(off) < 3.0 * outcome.estimate.figures["installation_yaw_sigma"]
@@ -121,7 +121,7 @@ def test_one_turn_more_never_makes_it_worse(seed):
 
 
 def test_the_yaw_of_the_installation_is_not_claimed_before_it_is_shown():
-    flat = calibrate_turns(windows_on([LEVEL, LEVEL], 5), KNOWN)
+    flat = calibrate_turns(windows_on([LEVEL, LEVEL], 5, samples=300), KNOWN)
     assert flat.estimate.installation.yaw == 0.0
     assert "installation_yaw_sigma" not in flat.estimate.figures
     assert any("yaw of the installation" in words for words in flat.verdict.not_shown)

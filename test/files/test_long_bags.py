@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 pytestmark = pytest.mark.faults
 
 MEGABYTE = 1_000_000
-PICTURES = rounds(100, 10_000)
+PICTURES = rounds(70, 10_000)
 """Of a megabyte each, between the sensors' messages."""
 
 READ = """

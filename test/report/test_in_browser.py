@@ -107,9 +107,9 @@ def test_it_prints_on_two_pages_at_most(page, browser):
     assert 1 <= len(pages) <= 2
 
 
-def test_no_script_runs_on_the_page(browser, tmp_path):
+def test_no_script_runs_on_the_page(page, browser, tmp_path):
     """Even if escaping failed, the page's own policy would stop what slipped through."""
-    path = write_report(tmp_path, refused())
+    path, _ = page
     text = path.read_text(encoding="utf-8")
     broken = tmp_path / "broken.html"
     broken.write_text(text.replace("</body>", "<script>document.title = 'ran'</script></body>"))

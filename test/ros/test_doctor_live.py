@@ -123,8 +123,8 @@ def looked(graph):
             for sample in ride.step(turning, tipping=np.array([0.0, lift, 0.0])):
                 source.publish(sample)
                 sent += 1
-            wait_until(lambda: executor.spin_once(0.01) or came(listener) == sent)  # noqa: B023
-        wait_until(lambda: executor.spin_once(0.01) or listener.described_pose is not None)
+            hear(executor, lambda: came(listener) == sent)  # noqa: B023
+        hear(executor, lambda: listener.described_pose is not None)
         executor.shutdown()
         parser = argparse.ArgumentParser()
         doctor.add_doctor(parser.add_subparsers())
@@ -134,6 +134,14 @@ def looked(graph):
     yield run
     for each in (node, other):
         each.destroy_node()
+
+
+def hear(executor, is_heard):
+    """Spin until it is heard; without a pause between the messages, of which there are many."""
+    deadline = time.monotonic() + PATIENCE
+    while not is_heard():
+        assert time.monotonic() < deadline, "it was not heard"
+        executor.spin_once(0.01)
 
 
 def came(listener):

@@ -81,7 +81,7 @@ def test_where_the_turn_itself_shows_the_axis_it_is_not_the_references_word():
 def test_without_a_reference_there_is_none_to_doubt():
     rng = np.random.default_rng(1)
     robot = Robot(hard_iron=np.array([0.0, 0.0, 90e-6]))
-    outcome = calibrate(measure(robot, turn(), rng), Knowledge())
+    outcome = calibrate(measure(robot, turn(), rng, gyro=True), Knowledge())
     assert doubt(outcome) is None
 
 

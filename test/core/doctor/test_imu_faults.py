@@ -39,7 +39,6 @@ def test_nothing_is_said_of_good_sensors(motion):
 
 ONE_OF_A_KIND = [
     "gravity's sign",
-    "degrees for rad",
     "gyro x, y swapped",
     "scale +5 %",
     "bursts of 1 s",

@@ -1,5 +1,6 @@
 """Each habit of a driver is named where it is put on good sensors, and nowhere else."""
 
+import functools
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +29,10 @@ def case_of(seed):
 
 
 def wrong_lines(case, log):
-    page = examine(log, case.knowledge, case.turned_left)
+    return lines_of(examine(log, case.knowledge, case.turned_left))
+
+
+def lines_of(page):
     return [f"{f.name} {f.evidence} {f.remedy}" for f in page.findings if f.is_wrong]
 
 
@@ -97,10 +101,16 @@ CASES = {
 }
 
 
-def is_named(name, seed):
+@functools.cache
+def page_of(name, seed):
+    """What is said of good sensors whose driver has such a habit."""
     case = case_of(seed)
     log = CASES[name](np.random.default_rng([35, seed]), case.log)
-    return any(name in line for line in wrong_lines(case, log))
+    return examine(log, case.knowledge, case.turned_left)
+
+
+def is_named(name, seed):
+    return any(name in line for line in lines_of(page_of(name, seed)))
 
 
 ONE_OF_A_KIND = ["imu_3dm_gx4", "Xsens", "Phidgets", "SBG", "ZED", "MPU-9250", "BNO08x"]
@@ -122,9 +132,7 @@ def test_the_driver_is_named(name):
     ],
 )
 def test_the_sample_for_the_chip_gives_the_mounting_that_doctor_names(name, line):
-    case = case_of(0)
-    log = CASES[name](np.random.default_rng([35, 0]), case.log)
-    page = examine(log, case.knowledge, case.turned_left)
+    page = page_of(name, 0)
     assert np.allclose(*(_rotation(text) for text in (page.parameters, line)), atol=1e-9)
     sample = Path(__file__).parents[3] / "config" / "sensors" / "icm20948.yaml"
     assert line.partition(": ")[2].replace(".0", "") in sample.read_text().replace(".0", "")

@@ -160,13 +160,24 @@ def window_and_robot():
     return measure(robot, turn(arc=2 * math.pi), np.random.default_rng(5)), robot
 
 
+@pytest.fixture(scope="module")
+def known(window_and_robot):
+    """What the turn gives where the model tells the field."""
+    window, _ = window_and_robot
+    return calibrate(window, Knowledge(resolve(NOTHING, LOCAL, MUNICH, YEAR).field))
+
+
+@pytest.fixture(scope="module")
+def unknown(window_and_robot):
+    """What the same turn gives where nothing is known of the field."""
+    window, _ = window_and_robot
+    return calibrate(window, Knowledge())
+
+
 def test_the_model_makes_tilted_headings_certain_and_the_verdict_says_what_its_absence_costs(
-    window_and_robot,
+    window_and_robot, known, unknown
 ):
-    window, robot = window_and_robot
-    found = resolve(NOTHING, LOCAL, MUNICH, YEAR)
-    known = calibrate(window, Knowledge(found.field))
-    unknown = calibrate(window, Knowledge())
+    _, robot = window_and_robot
     assert known.estimate is not None
     assert unknown.estimate is not None
     assert np.linalg.norm(known.estimate.correction.hard_iron - robot.hard_iron) < 2e-6
@@ -178,11 +189,10 @@ def test_the_model_makes_tilted_headings_certain_and_the_verdict_says_what_its_a
     assert [words for words in unknown.verdict.not_shown if "reference field is not known" in words]
 
 
-def test_a_calibration_from_another_field_is_told(window_and_robot):
-    window, _ = window_and_robot
+def test_a_calibration_from_another_field_is_told(known):
     here = resolve(NOTHING, LOCAL, MUNICH, YEAR).field
     there = resolve(NOTHING, LOCAL, SYDNEY, YEAR).field
-    calibration = calibrate(window, Knowledge(here)).calibration
+    calibration = known.calibration
     assert calibration is not None
     assert made_elsewhere(calibration, here) == ""
     words = made_elsewhere(calibration, there)
@@ -193,8 +203,7 @@ def test_a_calibration_from_another_field_is_told(window_and_robot):
     assert made_elsewhere(calibration, dataclasses.replace(there, strength=Belief(5e-5))) == ""
 
 
-def test_a_calibration_without_a_reference_says_nothing_about_its_place(window_and_robot):
-    window, _ = window_and_robot
-    calibration = calibrate(window, Knowledge()).calibration
+def test_a_calibration_without_a_reference_says_nothing_about_its_place(unknown):
+    calibration = unknown.calibration
     there = resolve(NOTHING, LOCAL, SYDNEY, YEAR).field
     assert calibration is None or made_elsewhere(calibration, there) == ""

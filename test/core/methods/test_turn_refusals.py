@@ -91,7 +91,7 @@ def test_a_gyro_that_belongs_to_another_robot():
 
 def test_a_magnetometer_that_is_upside_down_is_named():
     robot = Robot(roll=175 * DEGREE, pitch=5 * DEGREE)
-    window = measure(robot, turn(), np.random.default_rng(7), gyro=True)
+    window = measure(robot, turn(samples=200), np.random.default_rng(7), gyro=True)
     verdict = calibrate(window, robot.knowledge()).verdict
     assert not verdict.accepted
     assert "mount_rpy_deg: [180.0, 0.0, 0.0]" in verdict.summary

@@ -328,7 +328,7 @@ triples = st.one_of(st.tuples(numbers, numbers, numbers), st.tuples(*[st.floats(
 samples = st.builds(ImuSample, st.floats(0.0, 3.0), triples, triples)
 
 
-@examples(80)
+@examples(40)
 @given(st.lists(samples, max_size=30))
 def test_whatever_comes_up_is_a_unit_vector_with_a_variance(messages):
     follower = UpFollower()
