@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 from long_form import first_of
 from realistic_robots import SENSORS, collected, drawn, driven, evenly, heading_error, late
+from simulated.drive import Vehicle, simulated_drive
+from simulated.legs import Leg
+from simulated.travel import travel
 from simulated.turns import measure
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import interpolated
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
@@ -42,3 +46,20 @@ def test_a_level_field_that_is_turned_round_is_no_soft_iron():
     outcome = calibrate(collected(scene.window), knowledge)
     error = heading_error(scene, outcome.estimate.correction)
     assert error < 3.0 * predicted_heading_sigma(outcome.estimate)
+
+
+@pytest.mark.parametrize("seed", first_of([21, 20, 30]))
+def test_weak_motors_in_proportion_to_the_rate_are_not_taken_for_a_late_field(seed):
+    """Between rests at one heading both make the same step; starts and stops tell them apart."""
+    rng = np.random.default_rng(seed)
+    legs = [Leg(6.0), Leg(25.0, turn_rate=math.tau / 25.0), Leg(6.0)]
+    truth = travel(legs, rng, rate=50.0, heading=rng.uniform(-3.0, 3.0))
+    drive = simulated_drive(truth, rng, Vehicle(ROBOT), streets=None, wheels=None, receiver=None)
+    rate = np.gradient(truth.yaw, truth.period)
+    added = 3e-6 * np.outer(rate / rate.max(), [0.0, 1.0, 0.0])
+    window = Window(drive.time, drive.field + added, drive.force, drive.rate)
+    knowledge = replace(ROBOT.knowledge(0.5e-6, 0.5 * DEGREE), exact_sensors=False)
+    outcome = calibrate(collected(window), knowledge)
+    gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
+    assert math.sqrt(np.mean(gap**2)) < 0.5 * DEGREE
+    assert abs(outcome.estimate.figures[Figure.LATENCY]) < 0.02

@@ -84,7 +84,12 @@ def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
     """
     before = float(explanations.parameters[k, LAG])
     start = _of_the_field(log, explanations, k, before)
-    return None if start is None else _latency(before, *_fitted(*start, log))
+    if start is None:
+        return None
+    found = _latency(before, *_fitted(*start, log))
+    # Between rests motors make the same step as a late field: the difference is a doubt of both.
+    beside = _latency(before, *_fitted(*start, log, _by_motors(*start, log)))
+    return found._replace(sigma=math.hypot(found.sigma, found.lag - beside.lag))
 
 
 def motors_field(
@@ -98,7 +103,17 @@ def motors_field(
     start = _of_the_field(log, explanations, k, lag)
     if start is None:
         return None
-    fit, state, part = start
+    fit, _, _ = start
+    fit.prior[LAG, LAG] = TUNING.in_time**-2
+    found, covariance = _fitted(*start, log, _by_motors(*start, log))
+    return TUNING.motors * found[-3:], TUNING.motors**2 * covariance[-3:, -3:]
+
+
+def _by_motors(fit: AlignmentFit, state: FloatArray, part: Stretch, log: SensorLog) -> FloatArray:
+    """Return what motors add while the robot moves otherwise, and while it turns about up.
+
+    Columns of unit prior, shape (n, 3, 6). A nose may be lifted by hand or by motors.
+    """
     rate = (1.0 + state[0, SCALE]) * fit.rate[0] - state[0, BIAS]
     width = max(1, int(TUNING.starts / max(float(np.median(np.diff(part.time))), 1e-4)))
     about_up = np.abs(rate @ unit(np.median(log.force, axis=0)))
@@ -106,12 +121,8 @@ def motors_field(
         running_mean(each, width) > TUNING.turns
         for each in (about_up, np.linalg.norm(rate, axis=1))
     )
-    fit.prior[LAG, LAG] = TUNING.in_time**-2
-    # A nose may be lifted by hand or by motors: what is added then is another unknown.
     when = np.repeat(np.column_stack([moving & ~turning, turning]), 3, axis=1)
-    columns = TUNING.motors / part.size * when[:, None] * np.tile(np.eye(3), 2)
-    found, covariance = _fitted(*start, log, np.asarray(columns))
-    return TUNING.motors * found[-3:], TUNING.motors**2 * covariance[-3:, -3:]
+    return np.asarray(TUNING.motors / part.size * when[:, None] * np.tile(np.eye(3), 2))
 
 
 def _of_the_field(

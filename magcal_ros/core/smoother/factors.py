@@ -117,7 +117,8 @@ def distortion(shared: FloatArray) -> FloatArray:
 def magnetic(course: Course, state: State, places: Places) -> Linear:
     """Return the residuals of the field at the nodes, µT (doc/smoother.md, the model)."""
     nodes, shared = course.nodes, state.shared
-    late = exp_rotations(nodes.rate * shared[AT["latency"]][0])
+    angle, rate = nodes.turned_since(shared[AT["latency"]][0])
+    late = exp_rotations(angle)
     attitude = late @ state.attitude
     earth = attitude @ state.earth
     ahead, gradient = state.attitude[:, 0, :2], shared[AT["gradient"]].reshape(3, 2)
@@ -169,8 +170,8 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
         across = np.cross(turned, axis)
         by[:, :, k] = across @ bend.T + np.cross(inside_street @ turn.T, axis)
     by[:, :, AT["latency"].start] = np.einsum(
-        "nij,nj->ni", by_earth, np.cross(nodes.rate, earth)
-    ) + np.einsum("nij,nj->ni", by_street, np.cross(nodes.rate, street))
+        "nij,nj->ni", by_earth, np.cross(rate, earth)
+    ) + np.einsum("nij,nj->ni", by_street, np.cross(rate, street))
     return Linear(nodes.field - predicted, here, None, by)
 
 

@@ -121,6 +121,26 @@ class Nodes:
             tied_to=None if self.tied_to is None else rotation @ self.tied_to,
         )
 
+    def turned_since(self, delay: float) -> tuple[FloatArray, FloatArray]:
+        """Return by how much the gyro turned in the seconds before each node, and the rate then.
+
+        Radians and rad/s, shapes (n, 3): the integrated rate, interpolated by cubic polynomials.
+        """
+        if delay == 0.0:
+            return np.zeros_like(self.rate), self.rate
+        angle = np.cumsum(np.insert(self.angle, 0, 0.0, axis=0), axis=0)
+        then = self.time - delay
+        first = np.clip(np.searchsorted(self.time, then, side="right") - 1, 0, len(self) - 2)
+        span = (self.time[first + 1] - self.time[first])[:, None]
+        share = (then - self.time[first])[:, None] / span
+        x = np.clip(share, 0.0, 1.0)
+        start, end = self.rate[first], self.rate[first + 1]
+        change = angle[first + 1] - angle[first] - span * start
+        bend = span * (end - start) - 2.0 * change
+        rate = start + (2.0 * x * (change - bend) + 3.0 * x**2 * bend) / span
+        before = angle[first] + x * span * start + x**2 * (change + (x - 1.0) * bend)
+        return angle - before - (share - x) * span * rate, rate
+
     @property
     def link_rate(self) -> FloatArray:
         """Mean turn rate between neighbours, rad/s, shape (n - 1, 3)."""
