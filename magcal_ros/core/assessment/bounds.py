@@ -197,6 +197,10 @@ MOTORS_TAKEN_OFF = (
     "it is subtracted while the robot moves; a magnetometer further away from motors and power "
     "wires is the better cure"
 )
+MOTORS_PARTLY_SHOWN = (
+    "without a gyro a part of it does not show; turn the robot by hand with its motors off, or use "
+    "an IMU with a gyro"
+)
 ALLOWED_SIGMAS = 2.0
 """Sigmas that a bound allows for: of the reference's level field, and of the arc."""
 
@@ -208,7 +212,10 @@ def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
 
 def _adapted(bound: Bound, estimate: Estimate) -> Bound:
     if bound.figure is Figure.MOTOR_FIELD and estimate.motors is not None:
-        return replace(bound, warn=50.0, remedy=MOTORS_TAKEN_OFF)
+        by_gyro = Figure.GYRO_CARRIED in estimate.figures
+        return replace(
+            bound, warn=50.0, remedy=MOTORS_TAKEN_OFF if by_gyro else MOTORS_PARTLY_SHOWN
+        )
     if bound.figure is Figure.ARC and math.degrees(estimate.arc) > bound.warn:
         doubt = ALLOWED_SIGMAS * math.degrees(arc_sigma(estimate))
         least = round(min(bound.warn + doubt, bound.good), 1)

@@ -295,7 +295,7 @@ def widened(model: Model, point: Point, solution: Solution, shown: dict[str, flo
     expected = effect_factors(model, point, solution, frozenset({"soft_iron"}))
     groups = point.groups | {name: expected[name] for name in ("soft_iron", "axes")}
     groups |= _as_large_as_both(point)
-    return replace(point, sizes=wide, groups=groups)
+    return replace(point, sizes=wide, groups=groups, starts_freely=True)
 
 
 def _as_large_as_both(point: Point) -> dict[str, float]:

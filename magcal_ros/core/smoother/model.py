@@ -127,6 +127,9 @@ class Point:
     marginal: FloatArray | None = field(default=None, repr=False)
     """Gradient by the shared unknowns of the logarithm of the determinant of the nodes' information
     matrix: the most likely nodes are not where those unknowns are most likely. Shape (SHARED,)."""
+    starts_freely: bool = False
+    """Whether no heading is carried from a rest to the turn without a gyro. Steps assume an even
+    start, which says how far the motors' field turned it; the covariance does not."""
     is_robust: bool = False
     """Whether residuals follow Student distributions; at first they are Gaussian, or the few
     residuals that show an effect, as rests show the motors, would pass for outliers."""
@@ -276,6 +279,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     per_node = np.median(nodes.count) / nodes.count[:-1]
     force = factors_by_field.force_at_nodes(course, state)
     keeps = np.exp(-nodes.seconds / model.priors.lengths.sway)
+    starts = point.starts_freely & (course.still[1:] != course.still[:-1])
 
     def sized(name: str, linear: Linear, scale: FloatArray) -> Weighted:
         variance = point.sizes[name] ** 2 * scale + 1e-3 * LEAST_VARIANCE
@@ -286,7 +290,9 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
         "force_up": sized("force_up", force.part(UP_AXIS), per_node),
         "lean": sized("lean", factors_by_field.lean(state, nodes.tied_to, keeps), 1.0 - keeps**2),
         "gyro_up": sized(
-            "gyro_up", factors_by_field.turning(course, state, nodes.tied_to), nodes.seconds
+            "gyro_up",
+            factors_by_field.turning(course, state, nodes.tied_to),
+            np.where(starts, math.inf, nodes.seconds),
         ),
         "speed_change": sized(
             "speed_change", factors_by_field.sway(course, state), np.ones(len(per_node))
