@@ -45,7 +45,7 @@ class Tolerances:
     """Steps at most and at least."""
     step: float = 0.05
     """Of the answer, in its own sigmas."""
-    evidence: float = 0.05
+    evidence: float = 0.5
     """Change of minus twice the logarithm of the evidence."""
     largest_turn: float = 0.4
     """Radians that a step may turn any node; longer steps are shortened."""
