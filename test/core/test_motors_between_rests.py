@@ -94,3 +94,18 @@ def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
     assert "subtracted while the robot moves" in outcome.verdict.summary
     gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
     assert math.sqrt(np.mean(gap**2)) < 3.0 * predicted_heading_sigma(outcome.estimate)
+
+
+@pytest.mark.parametrize("by_rate", first_of([True, False]))
+def test_without_a_gyro_the_part_of_the_motors_that_does_not_show_is_doubted(by_rate):
+    """It said half as much: an even start seemed to show how far the robot had turned."""
+    motion, window = driven(evenly, ROBOT, 6.0)
+    rate = motion.angular_rate[:, 2]
+    shape = rate / np.abs(rate).max() if by_rate else (np.abs(rate) > 0.02).astype(float)
+    field = window.field + 7e-6 * np.outer(shape, [0.6, -0.8, 0.0])
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
+    blind = replace(collected(replace(window, field=field)), angular_rate=None)
+    outcome = calibrate(blind, knowledge)
+    gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
+    assert math.sqrt(np.mean(gap**2)) < 3.0 * predicted_heading_sigma(outcome.estimate)
+    assert "without a gyro a part of it does not show" in "; ".join(outcome.verdict.reasons)
