@@ -267,7 +267,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
         Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: share,
         Figure.STEADY_ACCELERATION: _level_acceleration(best) / STANDARD_GRAVITY,
         Figure.POSSIBLE_ACCELERATION: found.by_pull,
-        Figure.GYRO_CARRIED: float(gyro_is_usual(best)),
+        Figure.GYRO_CARRIED: float(found.gyro_explains),
         Figure.NOT_CONVERGED: float(not best.is_settled),
         Figure.ITERATIONS: float(best.rounds),
         Figure.SOFT_IRON: float(best.model.priors.scale[AT["soft_iron"]].any()),

@@ -12,10 +12,10 @@ from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, integral
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.drive_log import DriveLog
+from magcal_ros.core.samples.drive_log import DriveLog, log_of
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoother.factors import soft_iron
+from magcal_ros.core.smoother.factors import gyro, soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
@@ -82,6 +82,13 @@ class Smoothed:
     by_pull: float
     """Standard deviation of the level heading, radians, that is left as nothing shows whether the
     robot or its accelerometer makes up lean: between and within the kinds of motion."""
+    is_gyro_cleared: bool = False
+    """Whether the gyro is plausible by a part of a long drive, where it is not by the whole."""
+
+    @property
+    def gyro_explains(self) -> bool:
+        """Whether the turn that the gyro measured explains the samples."""
+        return self.is_gyro_cleared or gyro_is_usual(self.fit)
 
     @property
     def fit(self) -> Fit:
@@ -292,9 +299,34 @@ def smooth(
         # Sensors that are exact move no more than their robot does.
         for name in () if knowledge.exact_sensors else trials.others:
             trials.add(name, best)
-    else:
-        trials.drives()
-    return trials.mixed()
+        return trials.mixed()
+    trials.drives()
+    found = trials.mixed()
+    return replace(found, is_gyro_cleared=gyro_is_cleared(found, window, knowledge))
+
+
+def gyro_is_cleared(found: Smoothed, samples: Window | DriveLog, knowledge: Knowledge) -> bool:
+    """Return whether only long nodes make a gyro seem noisy, by the part where it seems so most.
+
+    The nodes of a long drive are longer, and streets pass within each: that looks like gyro noise.
+    """
+    nodes, best = found.nodes, found.fit
+    is_long = bool(np.median(nodes.seconds) > WHILE_DRIVING.longest)
+    if not is_long or gyro_is_usual(best):
+        return False
+    off = np.sum(gyro(best.point.course, best.state).residual ** 2, axis=1)
+    span = WHILE_DRIVING.most * WHILE_DRIVING.longest
+    begins = nodes.time[nodes.time <= nodes.time[-1] - span]
+    if not len(begins):
+        return False
+    done = np.append(0.0, np.cumsum(off))
+    gained = np.interp(begins + span, nodes.time, done) - done[: len(begins)]
+    first = float(begins[np.argmax(gained)])
+    # A window would bring the rest before the drive along, hours ahead of the part.
+    log = samples if isinstance(samples, DriveLog) else log_of(samples)
+    trials = _Trials(log.between(first, first + span), knowledge)
+    trials.drives_roughly()
+    return any(gyro_is_usual(each) for each in trials.fits.values())
 
 
 def promised_sigma(window: Window, knowledge: Knowledge) -> float:

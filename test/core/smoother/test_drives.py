@@ -30,10 +30,15 @@ from magcal_ros.core.smoother.drives import (
     fit_iron,
     likelihood_ratio_of,
 )
-from magcal_ros.core.smoother.kinds_of_motion import liveliest_part, smooth
+from magcal_ros.core.smoother.kinds_of_motion import (
+    WHILE_DRIVING,
+    gyro_is_cleared,
+    liveliest_part,
+    smooth,
+)
 from magcal_ros.core.smoother.priors import priors_of
 from magcal_ros.core.smoother.start import start
-from magcal_ros.core.smoother.unknowns import AT, DRIVES, MICROTESLA, SMALL_CIRCLE
+from magcal_ros.core.smoother.unknowns import AT, DRIVES, MICROTESLA, SIZES, SMALL_CIRCLE
 
 NOBODY = np.eye(3)
 
@@ -268,3 +273,17 @@ def test_sigma_is_right_over_many_drives(seconds, speed):
     assert wrong < (3.0 if seconds > 200.0 else 4.5)
     assert 1.0 / 1.5 < wrong / predicted < 1.5
     assert 0.3 < np.mean((np.array(errors) / said) ** 2) < 2.0
+
+
+@pytest.mark.nightly
+def test_long_nodes_of_a_long_drive_do_not_accuse_its_gyro():
+    log = log_from(driven(4, 900.0))
+    found = smooth(log, BOSTON)
+    assert np.median(found.nodes.seconds) > WHILE_DRIVING.longest
+    most = {**found.fit.point.sizes, "gyro_up": SIZES["gyro_up"].most}
+    noisy = dataclasses.replace(found.fit, point=dataclasses.replace(found.fit.point, sizes=most))
+    accused = dataclasses.replace(found, fits={found.mode: noisy}, is_gyro_cleared=False)
+    assert not accused.gyro_explains
+    assert gyro_is_cleared(accused, log, BOSTON)
+    wrong = dataclasses.replace(log, rate=log.rate * [1.0, 1.0, -1.0])
+    assert not gyro_is_cleared(accused, wrong, BOSTON)
