@@ -180,11 +180,7 @@ TUNING = DoubtTuning()
 def check_reference(
     estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge
 ) -> Check | None:
-    """Check the hard iron along the turn's axis; None if more than the reference shows it.
-
-    Hard iron of any direction and of any size has, where its part across the axis is L, the density
-    (L² + z²)^(-3/2) along it.
-    """
+    """Check the hard iron along the turn's axis; None if more than the reference shows it."""
     if not knowledge.reference.is_complete or _is_shown(estimate, figures):
         return None
     axial_field = -estimate.strength * math.sin(estimate.inclination)
@@ -192,12 +188,11 @@ def check_reference(
     iron = correction.matrix @ correction.hard_iron
     axial = float(estimate.axis @ iron)
     own, other = abs(axial), abs(axial + 2.0 * axial_field)
-    across = max(float(iron @ iron) - axial**2, _axial_field_variance(knowledge))
-    ratio = ((across + own**2) / (across + other**2)) ** 1.5
+    across = max(float(iron @ iron) - axial**2, axial_field_variance(knowledge))
     as_much = 1.0 - own / math.sqrt(across + own**2)
     words = f"hard iron along the turn's axis, by the reference field, {_microtesla(own)}"
     found = Grade.EXCELLENT
-    if ratio > TUNING.likelier:
+    if is_likelier(other, own, across):
         found = Grade.WARN
         words += (
             f", but {_microtesla(other)} if the inclination had the other sign: check the sign of "
@@ -214,7 +209,17 @@ def check_reference(
     return Check(Figure.AXIAL_IRON, Aspect.CONFIDENCE, found, words)
 
 
-def _axial_field_variance(knowledge: Knowledge) -> float:
+def is_likelier(other: float, own: float, across: float) -> bool:
+    """Return whether the inclination's other sign is the likelier one by far.
+
+    `own` and `other` are the hard iron along the axis by the reference and by the other sign,
+    tesla, `across` is the square of that across it. Hard iron of any direction and of any size has,
+    where its part across the axis is L, the density (L² + z²)^(-3/2) along it.
+    """
+    return bool(((across + own**2) / (across + other**2)) ** 1.5 > TUNING.likelier)
+
+
+def axial_field_variance(knowledge: Knowledge) -> float:
     """Return the variance of the field along the axis by the reference, tesla²; never zero."""
     strength, dip = knowledge.reference.strength, knowledge.reference.inclination
     by_dip = strength.value * math.cos(dip.value) * dip.sigma

@@ -99,6 +99,7 @@ BOTH = (
     "it. Linear acceleration and iron nearby look like that, too: stand still, turn on the spot "
     f"away from iron, and {LIFT}"
 )
+DEAD_GYRO = "correct the dead axes of the gyro first, then turn once more"
 TURNED_RIGHT = (
     "all sensors saw a turn to the right where one to the left was asked for: look again, turning "
     "left. If it was to the left, all of them have z pointing down"
@@ -203,8 +204,16 @@ class Blame:
     explained: bool  # whether the explanation explains the movement
 
 
-def blame(explanations: Explanations, knowledge: Knowledge, turned_left: bool | None) -> Blame:
-    """Name the sensors whose axes err, or may err."""
+def blame(
+    explanations: Explanations,
+    knowledge: Knowledge,
+    turned_left: bool | None,
+    gyro_is_half_dead: bool = False,
+) -> Blame:
+    """Name the sensors whose axes err, or may err.
+
+    A gyro with dead axes is no witness against the others.
+    """
     best = explanations.best
     if explanations.rms[best] > WEIGHED.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
@@ -226,6 +235,8 @@ def blame(explanations: Explanations, knowledge: Knowledge, turned_left: bool | 
     # The likely ones in the order of what people do.
     gyro, field = explanations.gyro, explanations.field
     fewest.sort(key=lambda k: (misfit[k] > WEIGHED.likely, rank_of(gyro[k]), rank_of(field[k])))
+    if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
+        return Blame((not_shown("axes", "axes", DEAD_GYRO),), given, None, False)
     return _accused(explanations, fewest, rank, knowledge)
 
 

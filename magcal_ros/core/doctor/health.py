@@ -197,6 +197,27 @@ def unchanging(values: FloatArray) -> list[int]:
     return [axis for axis in range(3) if np.ptp(values[:, axis]) == 0.0]
 
 
+def dead_axes(rate: FloatArray) -> list[int]:
+    """Return the axes of a gyro (n, 3) that its driver does not read; none of an absent one."""
+    dead = unchanging(rate)
+    return dead if 0 < len(dead) < 3 and not is_noiseless(rate) else []
+
+
+def dead_in_words(rate: FloatArray, force: FloatArray) -> str:
+    """Say which axes of a gyro (n, 3) are dead, and what became of the turn; empty if none is.
+
+    `force` (m, 3) shows which axis points up.
+    """
+    dead = dead_axes(rate)
+    if not dead:
+        return ""
+    words = alive_finding("gyro", rate).remedy
+    up = int(np.argmax(np.abs(force.mean(axis=0))))
+    if up in dead and len(dead) == 2:
+        words += f", and gives the turn about {'xyz'[up]} as {'xyz'[3 - sum(dead)]}"
+    return words
+
+
 def is_noiseless(rate: FloatArray) -> bool:
     """Return whether rates (n, 3) change without noise: a simulator's may stay at one value."""
     changed = (np.diff(rate, axis=0) != 0.0).any(axis=1)[1:]

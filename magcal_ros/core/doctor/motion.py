@@ -16,7 +16,7 @@ from magcal_ros.core.doctor.explanations import (
     most_turned,
     rate_factors,
 )
-from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.health import Finding, dead_axes, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
@@ -117,11 +117,12 @@ def compare(
     # Where gravity points down, its sign may be wrong: then the field seems to point up.
     dip = knowledge.reference.inclination
     other = replace(given, inclination=Belief(-dip.value, dip.sigma))
-    stands, up_is_down = upright(log, given, other, turned_left)
+    dead = bool(dead_axes(log.rate))
+    stands, up_is_down = upright(log, None if dead else given, other, turned_left)
     explanations = other if up_is_down else given
     if up_is_down and turned_left is not None:
         turned_left = not turned_left
-    blamed = blame(explanations, knowledge, turned_left)
+    blamed = blame(explanations, knowledge, turned_left, dead)
     findings = [_unit(factor, factors is None), stands, *blamed.findings]
     if blamed.explained:
         rest = None if rest is None else rest._replace(rate=factor * rest.rate)

@@ -11,19 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
 from magcal_ros.core.doctor.blame import LIFT, AxesFound, parameter_line
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Explanations, rate_factors
 from magcal_ros.core.doctor.health import (
     Finding,
-    alive_finding,
+    dead_in_words,
     field_findings,
-    is_noiseless,
     looked_at,
     noise_findings,
     not_shown,
-    unchanging,
 )
 from magcal_ros.core.doctor.latency import motors_field
 from magcal_ros.core.doctor.motion import (
@@ -175,7 +173,8 @@ def reference_findings(
     off = float(np.linalg.norm(sigma[FIELD])) * size
     name, why = "field: strength, inclination", LIFT
     if off > TUNING.vague * strength:
-        return [not_shown("reference", name, why)]
+        upwards = None if up_is_down is not False else _points_up(explanations, k, knowledge)
+        return [upwards or not_shown("reference", name, why)]
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
     dip = -math.asin(max(-1.0, min(1.0, along)))
     iron = float(np.linalg.norm(state[IRON])) * size
@@ -204,6 +203,36 @@ def reference_findings(
         else ""
     )
     return [looked_at("reference", name, evidence, remedy)]
+
+
+def _points_up(explanations: Explanations, k: int, knowledge: Knowledge) -> Finding | None:
+    """Return that the field points up after a level turn, where that takes much less hard iron.
+
+    None where the reference is not complete, and where the movement contradicts the other sign.
+    """
+    believed = knowledge.reference
+    if k != explanations.plain or not believed.is_complete:
+        return None
+    size, state = explanations.part.size, explanations.parameters[k]
+    up, field, iron = unit(state[UP]), size * state[FIELD], size * state[IRON]
+    field_off, iron_off = (size * explanations.sigma[k, part] for part in (FIELD, IRON))
+    along = -believed.strength.value * math.sin(believed.inclination.value)
+    is_excluded = abs(float(up @ field) + along) > CLEAR * float(np.linalg.norm(field_off * up))
+    if is_excluded:
+        return None
+    axial = float(up @ iron)
+    both = float(up @ field) + axial
+    own, other = abs(both - along), abs(both + along)
+    across = float(iron @ iron) - axial**2 + float(iron_off**2 @ (1.0 - up**2))
+    across = max(across, axial_field_variance(knowledge))
+    if not is_likelier(other, own, across):
+        return None
+    evidence = (
+        f"vertical hard iron of {own * 1e6:.0f} µT, or of {other * 1e6:.0f} µT if the field points "
+        "the other way"
+    )
+    remedy = f"either the robot has that much iron, or {FIELD_POINTS_UP}"
+    return looked_at("inclination_sign", "field: strength, inclination", evidence, remedy)
 
 
 def motors_finding(
@@ -272,13 +301,7 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
     rate = window.angular_rate
     if rate is None or len(window) < 3:
         return None
-    dead = unchanging(rate)
-    if 0 < len(dead) < 3 and not is_noiseless(rate):
-        words = alive_finding("gyro", rate).remedy
-        up = int(np.argmax(np.abs(window.specific_force.mean(axis=0))))
-        if up in dead and len(dead) == 2:
-            alive = 3 - sum(dead)
-            words += f", and gives the turn about {'xyz'[up]} as {'xyz'[alive]}"
+    if words := dead_in_words(rate, window.specific_force):
         return Refusal(
             Reason.AXES_DISAGREE,
             f"{words}; correct the driver, or let it mark the rates as absent "

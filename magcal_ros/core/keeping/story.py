@@ -102,7 +102,7 @@ def replayed(
         measured = fixes if len(fixes) > 2 else None
         path = path_along(now, rows[:, 0], rows[:, 2:5], rows[:, 5:], rows[:, 1], measured)
     seconds = 0.0 if math.isnan(first) else last - first
-    moved = machine.recorder.seconds
+    moved = machine.recorder.moved
     return DriveStory(tuple(decisions), calibration, now, seconds, moved, machine.in_words, path)
 
 

@@ -178,6 +178,11 @@ class DriveRecorder:
         return self.clock - float(self._chunks[0][0, 0]) if self._chunks else 0.0
 
     @property
+    def moved(self) -> float:
+        """Seconds of movement since it began, with what is no longer kept."""
+        return self.clock - self.begun if self._chunks else 0.0
+
+    @property
     def rests(self) -> bool:
         """Whether the robot stood in the last second."""
         return self._rests
@@ -219,6 +224,8 @@ class DriveRecorder:
         if not self._is_long_enough:
             for _ in self._recent:
                 self._chunks.pop()
+            if not self._chunks:
+                self.begun = math.nan
         self._rows.clear()
         self._recent.clear()
         self._held.clear()

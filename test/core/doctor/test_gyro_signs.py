@@ -1,11 +1,16 @@
+import math
+
 import numpy as np
 import pytest
 from long_form import first_of
+from simulated.drive import Vehicle, simulated_drive
+from simulated.legs import Leg
+from simulated.travel import travel
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.doctor.page import wrong_axes
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.doctor.page import examine, wrong_axes
+from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.samples.window import SensorLog, Window
 from magcal_ros.core.simulation import Robot
 
 
@@ -38,3 +43,23 @@ def test_axes_that_turn_the_wrong_way_are_found(signs):
 
 def test_of_a_gyro_that_is_absent_nothing_is_said():
     assert not is_refused(measure(Robot(), turn(), np.random.default_rng(1)))
+
+
+PLACE = knowledge_of(48.0, inclination_deg=64.0)
+
+
+@pytest.mark.parametrize("knowledge", [Knowledge(), PLACE])
+@pytest.mark.parametrize(("source", "alive"), [(2, 0), (2, 1), (2, 2)])
+def test_a_gyro_with_dead_axes_accuses_no_other_sensor(knowledge, source, alive):
+    rest = [Leg(6.0), Leg(25.0, turn_rate=math.tau / 25.0), Leg(6.0)]
+    robot = Robot(strength=48e-6, inclination=math.radians(64.0), noise_rate=2e-3)
+    rng = np.random.default_rng(40)
+    drive = simulated_drive(travel(rest, rng, rate=50.0), rng, Vehicle(robot), streets=None)
+    rate = np.zeros_like(drive.rate)
+    rate[:, alive] = drive.rate[:, source]
+    page = examine(SensorLog(drive.time, drive.force, rate, drive.time, drive.field), knowledge)
+    assert page.mount_rpy_deg is None
+    said = {finding.name: finding.remedy for finding in page.findings if finding.is_wrong}
+    assert list(said) == ["gyro: axes alive"]
+    moved = f"and gives the turn about z as {'xyz'[alive]}"
+    assert (moved in said["gyro: axes alive"]) == (alive != source)

@@ -178,3 +178,15 @@ def test_silence_at_a_rest_adds_nothing_to_the_clock(ride):
     ride.stamp += 600.0
     ride.go(20.0, rate=0.4)
     assert ride.recorder.clock - before < 22.0
+
+
+def test_movement_counts_when_it_is_no_longer_kept():
+    long, short = Ride(DriveRecorder(600.0)), Ride(DriveRecorder(20.0))
+    for ride in (long, short):
+        ride.go(8.0)
+        ride.stamp += 500.0
+        ride.go(3.0, rate=0.4)
+        ride.stamp += 1000.0
+        ride.go(60.0, rate=0.4)
+    assert short.recorder.seconds < 25.0
+    assert short.recorder.moved == long.recorder.moved == long.recorder.seconds

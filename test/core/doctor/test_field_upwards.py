@@ -1,0 +1,41 @@
+"""A level turn of a field that points up where the reference says down is named."""
+
+import math
+
+import numpy as np
+import pytest
+from simulated.turns import measure, smooth_wobble, turn
+
+from magcal_ros.core.doctor.page import examine_window
+from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
+from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.simulation import Robot
+
+PLACE = knowledge_of(48.0, inclination_deg=64.0)
+
+
+def named(dip, knowledge, iron=(12.0, -7.0, 10.0), wobble=None):
+    """Whether the page names a field that points up."""
+    robot = Robot(strength=48e-6, inclination=math.radians(dip), hard_iron=1e-6 * np.array(iron))
+    window = measure(robot, turn(wobble=wobble), np.random.default_rng(3), gyro=True)
+    findings = examine_window(window, knowledge).findings
+    return any(finding.remedy.endswith(FIELD_POINTS_UP) for finding in findings)
+
+
+@pytest.mark.parametrize("dip", [-64.0, 64.0])
+def test_a_field_that_points_up_is_named_after_a_level_turn(dip):
+    assert named(dip, knowledge_of(48.0, inclination_deg=-dip))
+
+
+@pytest.mark.parametrize("iron", [(12.0, -7.0, 10.0), (40.0, 0.0, -40.0), (0.0, 0.0, 40.0)])
+def test_nothing_is_said_of_a_right_one(iron):
+    assert not named(64.0, PLACE, iron)
+
+
+def test_nothing_is_said_where_no_place_is_known():
+    assert not named(-64.0, Knowledge())
+
+
+def test_a_turn_that_shows_the_field_upright_says_so_itself():
+    leans = smooth_wobble(np.random.default_rng(4), 500, 15.0, math.radians(10.0))
+    assert not named(64.0, PLACE, (0.0, 0.0, -86.0), leans)

@@ -1,0 +1,32 @@
+"""What is told of a recorded drive counts all of it, and not only what is remembered."""
+
+import numpy as np
+import pytest
+from simulated.drive import Vehicle, simulated_drive
+from simulated.legs import Leg
+from simulated.travel import travel
+
+from magcal_ros.core.keeping.jobs import Mode
+from magcal_ros.core.keeping.self_calibration import SelfCalibration
+from magcal_ros.core.keeping.story import replayed
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.drive_log import DriveRecorder
+from magcal_ros.core.simulation import Robot
+
+STANDS, GOES = 30.0, 50.0
+
+
+def test_movement_that_is_forgotten_counts_as_well():
+    rng = np.random.default_rng(5)
+    ride = [Leg(STANDS), Leg(GOES, turn_rate=0.2), Leg(STANDS), Leg(GOES, turn_rate=-0.2)]
+    drive = simulated_drive(
+        travel(ride, rng, rate=20.0), rng, Vehicle(Robot(noise_rate=2e-3)), streets=None
+    )
+    readings = (each for each in drive.samples() if hasattr(each, "field") or hasattr(each, "rate"))
+    machine = SelfCalibration(Mode.APPLY)
+    machine.recorder = DriveRecorder(20.0)
+    story = replayed(Knowledge(), None, readings, (), machine)
+    assert machine.recorder.seconds < 25.0
+    assert story.seconds == pytest.approx(2.0 * (STANDS + GOES), abs=1.0)
+    # Of each rest a few seconds at both ends are kept.
+    assert 2.0 * GOES - 5.0 < story.moved < 2.0 * GOES + 30.0
