@@ -132,7 +132,7 @@ def fit(
         before = found
         if rounds >= tolerances.gaussian:
             point = replace(point, is_robust=True)
-            if model.lean_has_no_scale:
+            if model.nodes.tied_to is not None:
                 marginal = marginal_gradient(model, point, weighted, solution)
                 point = replace(point, marginal=marginal)
         sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)

@@ -101,11 +101,6 @@ class Model:
         return scale
 
     @property
-    def lean_has_no_scale(self) -> bool:
-        """Whether neither a gyro shows the tilt of the body, nor a reference the field."""
-        return self.nodes.tied_to is not None and self.priors.strength is not None
-
-    @property
     def free(self) -> IntArray:
         """Which of the shared unknowns are free; those of the centres of places come after."""
         return np.flatnonzero(self.priors.scale > 0.0)
