@@ -212,7 +212,7 @@ def blame(
 ) -> Blame:
     """Name the sensors whose axes err, or may err.
 
-    A gyro with dead axes is no witness against the others.
+    The axes of the other sensors are not judged by a gyro with dead axes.
     """
     best = explanations.best
     if explanations.rms[best] > WEIGHED.worst_fit:

@@ -122,9 +122,11 @@ class Nodes:
         )
 
     def turned_since(self, delay: float) -> tuple[FloatArray, FloatArray]:
-        """Return by how much the gyro turned in the seconds before each node, and the rate then.
+        """Return the turn by the gyro over a delay before each node, and the rate at its start.
 
-        Radians and rad/s, shapes (n, 3): the integrated rate, interpolated by cubic polynomials.
+        `delay` is in seconds; a negative one begins after the node. Radians and rad/s, shapes
+        (n, 3). The integrated rate is interpolated by cubic Hermite polynomials, and extrapolated
+        linearly.
         """
         if delay == 0.0:
             return np.zeros_like(self.rate), self.rate
