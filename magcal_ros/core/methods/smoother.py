@@ -228,13 +228,11 @@ def _swing(found: Smoothed) -> GyroSwing:
 
 
 def _arc(found: Smoothed, window: Window) -> float:
-    """Return the range of the heading, or of the angle about the axis; radians, at most 2 pi."""
+    """Return the range of the angle about the main axis of rotation, radians, at most 2 pi."""
     attitude, nodes = found.fit.state.attitude, found.nodes
-    if nodes.tied_to is None:
-        angle = np.unwrap(found.fit.state.yaw)
-    else:
-        steps = rotation_vectors(attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2))
-        angle = np.append(0.0, np.cumsum(steps @ nodes.tied_to[:, 2]))
+    steps = rotation_vectors(attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2))
+    main = np.linalg.svd(steps, full_matrices=False)[2][0]
+    angle = np.append(0.0, np.cumsum(steps @ main))
     # The first and the last samples lie half a node beyond the middles.
     pace = np.diff(angle) / nodes.seconds
     first = angle[0] - pace[0] * (nodes.time[0] - window.time[0])

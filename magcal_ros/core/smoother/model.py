@@ -246,12 +246,14 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
 def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
     """Return the prior residuals of velocity and acceleration along one level axis.
 
-    The velocity v and its change a follow dv/dt = a, da/dt = -a / T - (A / V)^2 v + noise, in
-    which V and A are their usual sizes.
+    The velocity v and its change a follow dv/dt = a, da/dt = -d a - (A / V)^2 v + noise, in which V
+    and A are their usual sizes. The damping d is 1 / T, and at least critical: neither oscillates.
     """
     seconds, name = model.nodes.seconds, CHANGES[axis]
     speed, size = model.speed[axis], point.sizes[name]
-    by_v, by_a = damped(seconds, 1.0 / model.priors.lengths.acceleration, size / speed)
+    pace = size / speed
+    damping = max(1.0 / model.priors.lengths.acceleration, 2.0 * pace)
+    by_v, by_a = damped(seconds, damping, pace)
     v_square = speed**2 * (1.0 - by_v[0] ** 2) - size**2 * by_v[1] ** 2
     a_square = size**2 * (1.0 - by_a[1] ** 2) - speed**2 * by_a[0] ** 2
     found = {}

@@ -89,7 +89,7 @@ def test_a_drive_read_once_a_second_is_fitted_within_its_sigma(drive):
     window = Window(*map(thinned, (drive.time, drive.field, drive.force, drive.rate)))
     estimate = fit(window, BOSTON)
     error, said = heading_error(estimate.correction, vehicle.robot), calibration_sigma(estimate)
-    assert said < math.radians(3.0)
+    assert said < math.radians(5.0)
     assert error < 2.0 * math.degrees(said)
 
 
