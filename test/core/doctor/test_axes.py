@@ -33,8 +33,6 @@ def of(axes, kind, seed=0):
     return find_axes(window, knowledge), window, knowledge
 
 
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("which", first_of(range(0, 48, 9)))
 def test_after_a_turn_the_truth_is_among_those_named(which):
