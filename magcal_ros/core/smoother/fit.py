@@ -1,23 +1,16 @@
-"""Fit all unknowns of one window for one kind of motion."""
+"""Fit all unknowns of one window for one kind of motion, or of several windows together."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.smoother.evidence import evidence
-from magcal_ros.core.smoother.model import (
-    Model,
-    Point,
-    course_at,
-    prior_at,
-    solve_at,
-    weigh,
-)
+from magcal_ros.core.smoother.joint import Joint, agreed
+from magcal_ros.core.smoother.model import Model, Point, course_at, prior_at, weigh
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors
@@ -116,39 +109,98 @@ def fit(
     """
     model = Model.of(nodes, priors, start, kind)
     point, first, fewest = _begin(model, start, kind, tolerances, like)
-    sizes, before, damping = SizeSteps(), math.inf, Damping()
+    return optimum([model], [point], tolerances, first, fewest, report).fits([kind])[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """Where the iterations of one or several windows ended."""
+
+    models: list[Model]
+    points: list[Point]
+    joint: Joint
+    """The last step, which is not taken."""
+    wide: list[Point]
+    """The points with the sizes' posterior mean squares."""
+    doubted: Joint
+    """The covariance there."""
+    evidence: float
+    rounds: int
+    converged: bool
+    moved: float
+
+    def fits(self, kinds: Sequence[KindOfMotion]) -> list[Fit]:
+        """Return the fit of each window, with its covariance."""
+        end, out = (self.rounds, self.converged, self.moved), []
+        for k, (kind, model) in enumerate(zip(kinds, self.models, strict=True)):
+            free, covariance = model.free, np.zeros((SHARED, SHARED))
+            known = self.doubted.solutions[k].covariance[: len(free), : len(free)]
+            covariance[np.ix_(free, free)] = known
+            parts = self.joint.weighted[k]
+            out.append(Fit(kind, model, self.points[k], covariance, self.evidence, parts, *end))
+        return out
+
+
+def optimum(
+    models: Sequence[Model],
+    points: Sequence[Point],
+    tolerances: Tolerances,
+    first: int,
+    fewest: int,
+    report: Callable[[int], object] | None = None,
+) -> Optimum:
+    """Iterate from initial points to the optimum of all windows.
+
+    `first` is the number of the first round, `fewest` that from which the iterations may end.
+    Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
+    """
+    models, points, every = list(models), list(points), range(len(models))
+    sizes, before, damping = [SizeSteps() for _ in models], math.inf, Damping()
     for rounds in range(first, tolerances.rounds + 1):
         if report is not None:
             report(rounds)
-        if model.travels and rounds in tolerances.places_at:
-            point = with_places(model, point)
-        weighted, solution = solve_at(model, point)
-        found = evidence(model, point, weighted, solution)
-        share, moved = share_of(solution, tolerances), moved_by(model, solution)
+        if rounds in tolerances.places_at:
+            points = [
+                with_places(models[k], points[k]) if models[k].travels else points[k] for k in every
+            ]
+        joint = Joint.at(models, points)
+        evidence, solutions = joint.evidence(models, points), joint.solutions
+        share = min(share_of(each, tolerances) for each in solutions)
+        answer = np.concatenate([answer_of(models[k], solutions[k]) for k in every])
+        moved = float(np.abs(answer).max(initial=0.0))
         converged = rounds > fewest and share == 1.0 and moved < tolerances.step
-        converged = converged and abs(found - before) < tolerances.evidence
+        converged = converged and abs(evidence - before) < tolerances.evidence
         if converged or rounds == tolerances.rounds:
             break
-        before = found
-        if rounds >= tolerances.gaussian:
-            point = replace(point, is_robust=True)
-            if model.nodes.tied_to is not None:
-                marginal = marginal_gradient(model, point, weighted, solution)
-                point = replace(point, marginal=marginal)
-        sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
-        whole = stepped(model, point, solution, share)
-        if rounds >= tolerances.held:
-            # The factors follow from the posterior mean: the point after a whole step.
-            whole = replace(whole, groups=effect_factors(model, whole, solution))
+        before = evidence
         if rounds > tolerances.undamped:
-            damping = damping.next(answer_of(model, solution))
-        if damping.share < 1.0:
-            shorter = stepped(model, point, solution, share * damping.share)
-            point = replace(shorter, groups=whole.groups)
-        else:
-            point = whole
-    covariance = _covariance(model, point, weighted, solution)
-    return Fit(kind, model, point, covariance, found, weighted, rounds, converged, moved)
+            damping = damping.next(answer)
+        for k in every:
+            model, parts, solution = models[k], joint.weighted[k], solutions[k]
+            point = points[k]
+            if rounds >= tolerances.gaussian:
+                point = _robust(model, point, parts, solution)
+            if rounds > 0:
+                sizes[k], point = sizes[k].next(model, point, parts, solution)
+            stands = stepped(model, point, solution, share * damping.share)
+            if rounds >= tolerances.held:
+                # The factors follow from the posterior mean: the point after a whole step.
+                whole = stepped(model, point, solution, share) if damping.share < 1.0 else stands
+                stands = replace(stands, groups=effect_factors(model, whole, solution))
+            points[k] = stands
+        points = agreed(models, points)
+    windows = zip(models, points, joint.weighted, joint.solutions, strict=True)
+    wide = agreed(models, [_widened(*each) for each in windows])
+    doubted = Joint.at(models, wide, is_expected=True)
+    return Optimum(models, points, joint, wide, doubted, evidence, rounds, converged, moved)
+
+
+def _robust(model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution) -> Point:
+    """Return the point with Student residuals; without a gyro all tilts are integrated out."""
+    point = replace(point, is_robust=True)
+    if model.nodes.tied_to is None:
+        return point
+    return replace(point, marginal=marginal_gradient(model, point, weighted, solution))
 
 
 def marginal_gradient(
@@ -203,11 +255,6 @@ def answer_of(model: Model, solution: Solution) -> FloatArray:
     return np.asarray(solution.shared[answer] / sigma)
 
 
-def moved_by(model: Model, solution: Solution) -> float:
-    """Return the largest step of the answer, in its own sigmas."""
-    return float(np.abs(answer_of(model, solution)).max(initial=0.0))
-
-
 @dataclass(frozen=True, eq=False)
 class Damping:
     """The share of a step that is taken: less where steps go back and forth as far."""
@@ -252,11 +299,8 @@ class SizeSteps:
         point: Point,
         weighted: dict[str, Weighted],
         solution: Solution,
-        counted: bool,
     ) -> tuple[SizeSteps, Point]:
         """Return the change and the point after it; alternating steps are shortened."""
-        if not counted:
-            return self, point
         wanted, _, doubt = noise_sizes(model, point, weighted, solution)
         pace, steps = {}, {}
         for name, size in wanted.items():
@@ -269,24 +313,16 @@ class SizeSteps:
         return SizeSteps(pace, steps), replace(point, sizes=sizes, doubt=doubt)
 
 
-def _covariance(
+def _widened(
     model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
-) -> FloatArray:
-    """Return the covariance of the shared unknowns, including the uncertainty of the sizes.
+) -> Point:
+    """Return the point with the sizes' posterior mean squares, for the covariance.
 
     The yaw error of axes out of square is known from the size of the soft iron only, which counts
     by its mean square. The motors' field may be a step or proportional to the rate. An even turn
     cannot separate them, so that each may be as large as both together.
     """
     _, shown, _ = noise_sizes(model, point, weighted, solution)
-    _, solution = solve_at(model, widened(model, point, solution, shown), is_expected=True)
-    out, free = np.zeros((SHARED, SHARED)), model.free
-    out[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
-    return out
-
-
-def widened(model: Model, point: Point, solution: Solution, shown: dict[str, float]) -> Point:
-    """Return the point with the sizes' posterior mean squares, for the covariance."""
     beliefs = model.priors.sizes
     wide = {
         name: expected_square(size, shown.get(name, 0.0), beliefs[name])

@@ -1,0 +1,236 @@
+"""A Gauss-Newton step of one window, or of several that share unknowns.
+
+Each window keeps its model, its sizes of noises and its kind of motion. Nothing links the nodes of
+two windows. What belongs to the robot and to the place is one unknown for all windows; what belongs
+to a moment is an unknown of each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.smoother.model import (
+    CHANGES,
+    Model,
+    Point,
+    counted_unknowns,
+    prior_at,
+    solve_at,
+)
+from magcal_ros.core.smoother.solver import Solution, Weighted, inverse_and_log_determinant
+from magcal_ros.core.smoother.unknowns import (
+    ACCELERATION,
+    AT,
+    BODY_FIELD,
+    SHARED,
+    STREET,
+    VELOCITY,
+)
+
+OF_A_MOMENT = ("gyro_bias", "drift", "gradient", "place")
+"""Groups of shared unknowns that each window has for itself."""
+OF_A_TURN = ("gyro_matrix", "lever_arm", "height", "axis", "upright")
+"""The same if axes of the gyro are silent: the turn's axis and its circle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The indices of each window's unknowns among those of all."""
+
+    rows: list[IntArray]
+    """For each window, the indices of its free shared unknowns and its centres."""
+    common: IntArray
+    """Which shared unknowns the first rows are."""
+    count: int
+
+    @classmethod
+    def of(cls, models: Sequence[Model], points: Sequence[Point]) -> Layout:
+        """Return the layout: common unknowns first, then those of each window."""
+        counted = [counted_unknowns(m, p.places) for m, p in zip(models, points, strict=True)]
+        owned = [is_own(model, free) for model, free in zip(models, counted, strict=True)]
+        common = np.unique(
+            np.concatenate([free[~own] for free, own in zip(counted, owned, strict=True)])
+        )
+        at, rows = len(common), []
+        for free, own in zip(counted, owned, strict=True):
+            row = np.searchsorted(common, np.where(own, common[0], free))
+            row[own] = np.arange(at, at + int(own.sum()))
+            at += int(own.sum())
+            rows.append(row)
+        return cls(rows, common, at)
+
+
+def own_groups(model: Model) -> tuple[str, ...]:
+    """Return the groups of shared unknowns that belong to one window."""
+    # Dead axes leave the gyro's matrix no spread.
+    has_dead_axes = model.priors.spread["gyro_matrix"] == 0.0
+    is_by_field = model.nodes.tied_to is not None
+    return OF_A_MOMENT + (OF_A_TURN if has_dead_axes or is_by_field else ())
+
+
+def common_groups(models: Sequence[Model]) -> dict[str, int]:
+    """Return the common groups, and the window in which most of each is free."""
+    free = [model.priors.scale > 0.0 for model in models]
+    found = {}
+    for name, at in AT.items():
+        number = [
+            -1 if name in own_groups(model) else int(each[at].sum())
+            for model, each in zip(models, free, strict=True)
+        ]
+        if max(number) >= 0:
+            found[name] = int(np.argmax(number))
+    return found
+
+
+def is_own(model: Model, counted: IntArray) -> BoolArray:
+    """Return which unknowns belong to one window; those of its centres do."""
+    return np.isin(counted, rows_of(own_groups(model))) | (counted >= SHARED)
+
+
+def rows_of(groups: Sequence[str]) -> IntArray:
+    """Return the indices of the shared unknowns of some groups."""
+    return np.concatenate([np.arange(AT[name].start, AT[name].stop) for name in groups])
+
+
+def agreed(models: Sequence[Model], points: Sequence[Point]) -> list[Point]:
+    """Return points with the same factors of the common groups."""
+    factors = {name: points[k].groups[name] for name, k in common_groups(models).items()}
+    return with_factors(models, points, factors)
+
+
+def with_factors(
+    models: Sequence[Model], points: Sequence[Point], factors: dict[str, float]
+) -> list[Point]:
+    """Return points with these factors of the common groups."""
+    out = []
+    for model, point in zip(models, points, strict=True):
+        shared = {name: f for name, f in factors.items() if name not in own_groups(model)}
+        out.append(replace(point, groups={**point.groups, **shared}))
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A Gauss-Newton step of all windows, or their covariance."""
+
+    weighted: list[dict[str, Weighted]]
+    solutions: list[Solution]
+    """Of each window, with the information of all on the shared unknowns."""
+    log_determinant: float
+
+    @classmethod
+    def at(
+        cls, models: Sequence[Model], points: Sequence[Point], *, is_expected: bool = False
+    ) -> Joint:
+        """Take a step, or find the covariance (`solve_at`).
+
+        Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
+        """
+        solved = [
+            solve_at(model, point, is_expected=is_expected)
+            for model, point in zip(models, points, strict=True)
+        ]
+        weighted, alone = [parts for parts, _ in solved], [solution for _, solution in solved]
+        if len(alone) == 1:
+            return cls(weighted, alone, alone[0].log_determinant)
+        layout = Layout.of(models, points)
+        total, gradient = np.zeros((layout.count, layout.count)), np.zeros(layout.count)
+        known = np.zeros(layout.count, dtype=bool)
+        for model, point, solution, row in zip(models, points, alone, layout.rows, strict=True):
+            before = prior_at(model, point)
+            by_prior = before.information @ before.offset
+            # The prior of what windows have in common counts once.
+            new = ~known[row]
+            total[np.ix_(row[new], row[new])] += before.information[np.ix_(new, new)]
+            gradient[row[new]] += by_prior[new]
+            known[row] = True
+            total[np.ix_(row, row)] += solution.information - before.information
+            gradient[row] += solution.gradient - by_prior
+        size = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-12))
+        inverse, determinant = inverse_and_log_determinant(total * np.outer(size, size))
+        covariance = inverse * np.outer(size, size)
+        step = covariance @ gradient
+        solutions = [
+            solution.given(step[row], covariance[np.ix_(row, row)])
+            for solution, row in zip(alone, layout.rows, strict=True)
+        ]
+        determinant += sum(each.chain.log_determinant for each in alone) - 2.0 * float(
+            np.sum(np.log(size))
+        )
+        return cls(weighted, solutions, determinant)
+
+    def evidence(self, models: Sequence[Model], points: Sequence[Point]) -> float:
+        """Return minus twice the logarithm of the evidence by Laplace's approximation.
+
+        But for a constant of the windows; the sizes are at their most likely values.
+        """
+        common, out = common_groups(models), self.log_determinant
+        for k, (model, point) in enumerate(zip(models, points, strict=True)):
+            names = [name for name in AT if common.get(name, k) == k]
+            out += _cost_of_nodes(model, point, self.weighted[k])
+            out += _cost_of_shared(model, point, names)
+        return out
+
+
+def prior_of_common(models: Sequence[Model], points: Sequence[Point]) -> FloatArray:
+    """Return the prior information on the common unknowns, (SHARED, SHARED)."""
+    out = np.zeros((SHARED, SHARED))
+    for model, point in zip(models, points, strict=True):
+        counted = counted_unknowns(model, point.places)
+        common = ~is_own(model, counted)
+        rows = np.ix_(counted[common], counted[common])
+        out[rows] = prior_at(model, point).information[np.ix_(common, common)]
+    return out
+
+
+def _cost_of_nodes(model: Model, point: Point, weighted: dict[str, Weighted]) -> float:
+    """Return minus twice the log of likelihood and priors, except those of shared unknowns."""
+    state, sizes, places = point.state, point.sizes, point.places
+    cost = sum(part.cost for part in weighted.values())
+    levels = (
+        (VELOCITY, model.speed),
+        (STREET, sizes["street"]),
+        (BODY_FIELD, point.body_field_at_first),
+        (ACCELERATION, np.array([sizes[name] for name in CHANGES])),
+    )
+    for which, level in levels:
+        cost += float(np.sum((state.local[0, which] / level) ** 2 + 2.0 * np.log(level)))
+    # A rest is a measurement of the velocity.
+    creep = model.priors.lengths.creep
+    rests = state.local[point.course.still, VELOCITY] / creep
+    cost += float(np.sum(rests**2)) + 2.0 * rests.size * math.log(creep)
+    centres = state.centres / sizes["street"]
+    cost += float(np.sum(places.information * (centres @ centres.T)))
+    cost += 3.0 * (places.log_determinant + 2.0 * len(places) * math.log(sizes["street"]))
+    for name, belief in model.priors.sizes.items():
+        cost += (math.log(sizes[name] / belief.usual) / belief.spread) ** 2
+    return cost
+
+
+def _cost_of_shared(model: Model, point: Point, names: Iterable[str]) -> float:
+    """Return minus twice the log prior of some groups of shared unknowns."""
+    off, scales, cost = point.state.shared - model.priors.mean, model.scales(point.groups), 0.0
+    known: dict[str, float] = {}
+    for name in names:
+        at = AT[name]
+        if name == "earth":
+            earth = model.priors.earth
+            cost += float(off[at] @ np.linalg.solve(earth, off[at]) + np.linalg.slogdet(earth)[1])
+            excess, sigma, _ = model.priors.beyond_strongest(point.state.shared[at])
+            cost += (excess / sigma) ** 2
+            continue
+        seen = scales[at] > 0.0
+        scale = scales[at][seen]
+        cost += float(np.sum((off[at][seen] / scale) ** 2 + 2.0 * np.log(scale)))
+        if model.priors.spread[name] > 0.0:
+            # The factor of crooked axes follows from that of the distortion.
+            if name != "axes":
+                x = np.log([point.groups[name]])
+                cost -= 2.0 * float(model.priors.log_density(name, x, known)[0])
+            known[name] = point.groups[name]
+    return cost
