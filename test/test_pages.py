@@ -181,3 +181,12 @@ def test_sentences_are_short(page):
     sentences = sentences_of(page.read_text())
     assert [each for each in sentences if words_of(each) > LONGEST_SENTENCE] == []
     assert sum(map(words_of, sentences)) / len(sentences) <= MEAN_SENTENCE
+
+
+def test_each_question_is_answered_by_three_sentences_and_a_command():
+    page = (CHECKOUT / "doc" / "questions.md").read_text()
+    for section in page.split("\n## ")[1:]:
+        title, _, rest = section.partition("\n\n")
+        answer, fence, _ = rest.partition("```")
+        assert fence, title
+        assert len(sentences_of(answer)) <= 3, title
