@@ -82,25 +82,20 @@ def _refuse_nonsense(window: Window) -> None:
 class Screening:
     """Bounds beyond which a turn is refused."""
 
-    least_motion: float = 2.5
-    """The raw field must move by this many times its own noise."""
-    smallest_motion: float = 0.005
-    """Spread of the field, or of the force, over its own size."""
+    least_motion: float = 2.5  # the raw field must move by this many times its own noise
+    smallest_motion: float = 0.005  # spread of the field, or of the force, over its own size
     least_arc: float = math.radians(45.0)
     least_arc_alone: float = math.radians(90.0)
     """Radians; the latter without a known field or a gyro."""
-    arc_tolerance: float = math.radians(1.5)
-    """Radians of uncertainty of the ends of an arc."""
+    arc_tolerance: float = math.radians(1.5)  # radians of uncertainty of the ends of an arc
     smallest_radius: float = 0.1
     """Radius of the circle over the field's strength, below which the heading is mostly noise."""
     steepest: float = math.radians(84.0)
     """Radians of inclination at which too little of the field is level for a compass."""
-    worst_field_noise: float = 0.15
-    """Over the field's strength."""
+    worst_field_noise: float = 0.15  # over the field's strength
     worst_wobble: float = math.radians(30.0)
     """Radians beyond which a robot does not turn about one axis."""
-    fewest_inliers: float = 0.4
-    """Share of the samples."""
+    fewest_inliers: float = 0.4  # share of the samples
     widest_rival: float = math.radians(5.0)
     """Radians of heading by which rival solutions may differ."""
 

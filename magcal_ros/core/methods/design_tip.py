@@ -47,15 +47,11 @@ from magcal_ros.core.samples.window import Window
 class AssumedField:
     """The reference field after the turn."""
 
-    strength: float
-    inclination: float
-    """Tesla, radians."""
-    axial: float
-    """Its part along the axis, downwards, tesla."""
-    basis: str
-    """What it is derived from, in words."""
-    axial_unknown: bool = False
-    """Whether the hard iron along the axis is an assumption."""
+    strength: float  # tesla
+    inclination: float  # radians
+    axial: float  # its part along the axis, downwards, tesla
+    basis: str  # what it is derived from, in words
+    axial_unknown: bool = False  # whether the hard iron along the axis is an assumption
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,16 +24,14 @@ from magcal_ros.core.smoother.unknowns import ROLL_PITCH, STANDING, YAW, Size
 
 METHOD = "known_headings"
 DEGREES = 180.0 / math.pi
-FEW = 24
-"""Up to so many standings it is asked which one contradicts the others."""
+FEW = 24  # up to so many standings it is asked which one contradicts the others
 
 
 @dataclass(frozen=True)
 class ContradictionTuning:
     """When known headings contradict field and gyro."""
 
-    chance: float = 1e-3
-    """Probability of a larger misfit by chance, below which they do."""
+    chance: float = 1e-3  # probability of a larger misfit by chance, below which they do
     odds: float = 12.0
     """Minus twice the logarithm of the likelihood ratio by which another reading of the headings
     must be better to be named: one in four hundred."""

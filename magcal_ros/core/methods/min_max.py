@@ -36,8 +36,7 @@ class MinMaxTuning:
     """Smallest over largest range of an axis; below it one axis was never along the field."""
     least_extent: float = 1.6
     """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
-    cells: float = 12.0
-    """Number of cells along the longest range of an axis."""
+    cells: float = 12.0  # number of cells along the longest range of an axis
     starting_quantile: float = 0.05
     """Share of the cells left out at either end of an axis at the start."""
 

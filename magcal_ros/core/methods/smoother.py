@@ -46,14 +46,11 @@ from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
 
 METHOD, DRIVE_METHOD = "maximum_likelihood", "smoother"
 """Names of `fit` and of `fit_drive` in files and in the parameter `method`."""
-FEWEST_SECTORS = 4
-"""Sectors of heading, of twelve, that a drive has to reach."""
+FEWEST_SECTORS = 4  # sectors of heading, of twelve, that a drive has to reach
 LARGEST_STREET = 12.0
 """µT of local disturbance beyond which the axes of the sensors do not belong together."""
-INLIER_WEIGHT = 0.3
-"""Student weight above which a node counts as an inlier."""
-WEAKENED = 0.1
-"""Share of the level field by which no gain of a sensor is too low."""
+INLIER_WEIGHT = 0.3  # Student weight above which a node counts as an inlier
+WEAKENED = 0.1  # share of the level field by which no gain of a sensor is too low
 
 
 def fit(

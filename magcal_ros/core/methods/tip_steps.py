@@ -68,14 +68,11 @@ class AxisSource(str, Enum):
 class Options:
     """Choices of the design tip; ValueError for an unknown name."""
 
-    plane: PlaneFit = PlaneFit.EIGEN
-    """Fit of the planes of gravity and field."""
-    conic: ConicFit = ConicFit.TAUBIN
-    """Fit of the field's circle."""
+    plane: PlaneFit = PlaneFit.EIGEN  # fit of the planes of gravity and field
+    conic: ConicFit = ConicFit.TAUBIN  # fit of the field's circle
     axis: AxisSource = AxisSource.AUTO
     """Centre of the accelerometer's circle, normal of its plane, or both by their variances."""
-    jackknife_blocks: int = 16
-    """Pieces of time that the covariance leaves out one by one."""
+    jackknife_blocks: int = 16  # pieces of time that the covariance leaves out one by one
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "plane", PlaneFit(self.plane))
@@ -89,12 +86,10 @@ class TipSamples:
 
     down: FloatArray
     """Gravity in body axes, forward-right-down, scaled to a mean length of one. Shape (n, 3)."""
-    raw: FloatArray
-    """Raw field in the sensor's own axes, tesla. Shape (n, 3)."""
+    raw: FloatArray  # raw field in the sensor's own axes, tesla. Shape (n, 3).
     field: FloatArray
     """Field in nominal body axes, forward-right-down, gains removed, tesla. Shape (n, 3)."""
-    mounting: FloatArray
-    """Takes `field` back to `raw`. Shape (3, 3)."""
+    mounting: FloatArray  # takes `field` back to `raw`. Shape (3, 3).
     turned: FloatArray | None
     """Rotation between neighbouring samples by the gyro, body axes, radians. Shape (n - 1, 3)."""
 
@@ -120,16 +115,12 @@ def enter(window: Window, mounting: Mounting) -> TipSamples:
 class FieldCircle:
     """The field's circle in sensor axes, gains removed."""
 
-    basis: FloatArray
-    """Columns: two axes in the plane and the normal, right-handed. Shape (3, 3)."""
-    offsets: FloatArray
-    """Samples relative to the centre, in sensor axes, tesla. Shape (n, 3)."""
+    basis: FloatArray  # columns: two axes in the plane and the normal, right-handed. Shape (3, 3).
+    offsets: FloatArray  # samples relative to the centre, in sensor axes, tesla. Shape (n, 3).
     phasor: np.ndarray[tuple[int], np.dtype[np.complex128]]
     """Samples relative to the centre, in the plane, tesla. Shape (n,)."""
-    middle: FloatArray
-    """The centre in the axes of `basis`, tesla. Shape (3,)."""
-    radius: float
-    """Tesla."""
+    middle: FloatArray  # the centre in the axes of `basis`, tesla. Shape (3,).
+    radius: float  # tesla
 
     @property
     def normal(self) -> FloatArray:
@@ -206,12 +197,9 @@ def _refuse_unreliable(plane: Plane, radius: float, raw: FloatArray) -> None:
 class TurnAxis:
     """The axis of the turn."""
 
-    direction: FloatArray
-    """In body axes, forward-right-down; unit, downwards. Shape (3,)."""
-    axial_gravity: float
-    """Cosine of the axis's angle from the vertical."""
-    across: FloatArray
-    """Gravity across the axis, body axes, gravity = 1. Shape (n, 3)."""
+    direction: FloatArray  # in body axes, forward-right-down; unit, downwards. Shape (3,).
+    axial_gravity: float  # cosine of the axis's angle from the vertical
+    across: FloatArray  # gravity across the axis, body axes, gravity = 1. Shape (n, 3).
     noise: float
     """Standard deviation of the accelerometer per axis, gravity = 1, which is radians of tilt."""
 
@@ -294,12 +282,9 @@ class Candidate:
     """One installation that fits the two normals, in the tip's sense."""
 
     roll: float
-    pitch: float
-    """Of the passive rotation Rx(roll) Ry(pitch), radians."""
-    circle: FieldCircle
-    """The field's circle with the normal that this installation needs."""
-    gravity_dot_field: float
-    """Mean product of gravity and field across the axis, tesla."""
+    pitch: float  # of the passive rotation Rx(roll) Ry(pitch), radians
+    circle: FieldCircle  # the field's circle with the normal that this installation needs
+    gravity_dot_field: float  # mean product of gravity and field across the axis, tesla
 
     @property
     def angle(self) -> float:

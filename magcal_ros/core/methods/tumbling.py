@@ -38,12 +38,9 @@ class CloudTuning:
     """Root mean square of the distance from the sphere over its radius; beyond it is no sphere."""
     outlier_deviations: float = 5.0
     """Robust standard deviations from the usual distance beyond which a sample is an outlier."""
-    least_gate: float = 0.02
-    """Share of the radius within which a sample is never an outlier."""
-    rounds: int = 10
-    """Most times that outliers are left out and the rest is fitted again."""
-    least_level_share: float = 0.1
-    """Least level share of the field by which the scatter is divided."""
+    least_gate: float = 0.02  # share of the radius within which a sample is never an outlier
+    rounds: int = 10  # most times that outliers are left out and the rest is fitted again
+    least_level_share: float = 0.1  # least level share of the field by which the scatter is divided
 
 
 CLOUD = CloudTuning()
@@ -60,14 +57,11 @@ measured."""
 class Shape:
     """Centre of a cloud, and the matrix that makes it a sphere."""
 
-    centre: FloatArray
-    """Tesla, in nominal body axes. Shape (3,)."""
+    centre: FloatArray  # tesla, in nominal body axes. Shape (3,).
     to_unit: FloatArray
     """Takes fields from the centre onto the unit sphere, per tesla. Shape (3, 3)."""
-    radius: float
-    """Tesla, the mean radius as the sensor reads it."""
-    figures: Mapping[Figure, float]
-    """Other figures of the method."""
+    radius: float  # tesla, the mean radius as the sensor reads it
+    figures: Mapping[Figure, float]  # other figures of the method
 
     def on_sphere(self, nominal: FloatArray) -> FloatArray:
         """Return fields (n, 3) in nominal axes as points that should lie on the unit sphere."""
@@ -96,15 +90,12 @@ class TumblingOptions:
 class MountingRotation:
     """A rotation of the corrected field against the IMU, as far as gravity shows it."""
 
-    cosine: float
-    """Of the angle between the field and up."""
+    cosine: float  # of the angle between the field and up
     rotation: FloatArray
     """Expectation of the rotation vector from the corrected field to the true one, radians. Shape
     (3,)."""
-    covariance: FloatArray
-    """Of `rotation`, rad². Shape (3, 3)."""
-    scatter: float
-    """Residual standard deviation of the cosine."""
+    covariance: FloatArray  # of `rotation`, rad². Shape (3, 3).
+    scatter: float  # residual standard deviation of the cosine
 
     @property
     def angle(self) -> float:

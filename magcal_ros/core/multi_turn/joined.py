@@ -42,14 +42,11 @@ from magcal_ros.core.smoother.unknowns import (
     YAW,
 )
 
-LOOKED_AT = 2.0
-"""Misfit below which turns are not compared further; this only saves time."""
+LOOKED_AT = 2.0  # misfit below which turns are not compared further; this only saves time
 LEAST = 0.03
 """Share of a turn's own variance that the others take away at least, or they tell it nothing."""
-COPIED = 0.5
-"""Share of samples in common from which a turn is a copy of another."""
-SHOWN_YAW = 0.5
-"""Share of its prior's sigma below which the installation's yaw counts as shown."""
+COPIED = 0.5  # share of samples in common from which a turn is a copy of another
+SHOWN_YAW = 0.5  # share of its prior's sigma below which the installation's yaw counts as shown
 SHORT = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
 """Reasons that forbid a turn to stand alone and that other turns may mend."""
 GUESSED = (Reason.CIRCLE_TOO_SMALL, Reason.AXIS_ALONG_FIELD, Reason.FIELD_TOO_STEEP)

@@ -28,8 +28,7 @@ class Kept:
 
     windows: tuple[Window, ...] = ()
     names: tuple[str, ...] = ()
-    count: int = 0
-    """How many turns were tried, for the next one's name."""
+    count: int = 0  # how many turns were tried, for the next one's name
 
     def joined(self, window: Window, several: Several) -> Kept:
         """Return what is kept once a turn has joined; a turn that had to go for it goes."""
@@ -73,21 +72,16 @@ class Shown:
     one turn and after several can be compared.
     """
 
-    installation_yaw: float
-    """Radians."""
-    soft_iron: tuple[float, ...]
-    """Elements xx, yy, zz, xy, xz, yz; dimensionless."""
-    axial_hard_iron: float
-    """Along body z, tesla."""
+    installation_yaw: float  # radians
+    soft_iron: tuple[float, ...]  # elements xx, yy, zz, xy, xz, yz; dimensionless
+    axial_hard_iron: float  # along body z, tesla
     strength: float
-    inclination: float
-    """Tesla, radians."""
+    inclination: float  # tesla, radians
     level: float
     tilted: float
     """Heading on the level and on slopes of 10° after one common offset is taken off, radians."""
     absolute_level: float
-    absolute_tilted: float
-    """The same with that offset, which the yaw of the installation brings."""
+    absolute_tilted: float  # the same with that offset, which the yaw of the installation brings
 
     @property
     def in_words(self) -> str:
@@ -152,8 +146,7 @@ class Shown:
 class Advice:
     """A further turn, and what it would bring."""
 
-    pose: str
-    """How the robot should stand, to be read after "turn"."""
+    pose: str  # how the robot should stand, to be read after "turn"
     after: Shown
 
 
@@ -163,22 +156,17 @@ class TurnFate:
 
     name: str
     joined: bool
-    words: str
-    """What it added, or why it was left out."""
-    shown: Shown | None = None
-    """What was shown once it had joined; None if it did not."""
+    words: str  # what it added, or why it was left out
+    shown: Shown | None = None  # what was shown once it had joined; None if it did not
 
 
 @dataclass(frozen=True)
 class Several:
     """The report on turns that were put together."""
 
-    fates: tuple[TurnFate, ...]
-    """One for each turn, in their order."""
-    shown: Shown
-    """What is shown by those that joined."""
-    advice: tuple[Advice, ...]
-    """Further turns, the best first."""
+    fates: tuple[TurnFate, ...]  # one for each turn, in their order
+    shown: Shown  # what is shown by those that joined
+    advice: tuple[Advice, ...]  # further turns, the best first
 
     @property
     def joined(self) -> tuple[int, ...]:

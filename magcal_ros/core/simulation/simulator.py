@@ -32,8 +32,7 @@ class Robot:
 
     strength: float = 50e-6
     inclination: float = 60.0 * DEGREE
-    declination: float = 0.0
-    """The field where the robot stands: tesla, radians, radians."""
+    declination: float = 0.0  # the field where the robot stands: tesla, radians, radians
     roll: float = 3.0 * DEGREE
     pitch: float = -4.0 * DEGREE
     yaw: float = 0.0
@@ -41,16 +40,13 @@ class Robot:
     show."""
     hard_iron: FloatArray = field(default_factory=lambda: np.array([30e-6, -20e-6, 25e-6]))
     """Tesla, in the magnetometer's axes. Shape (3,)."""
-    mounting: Mounting = field(default_factory=Mounting)
-    """The known gains and the nominal pose."""
+    mounting: Mounting = field(default_factory=Mounting)  # the known gains and the nominal pose
     soft_iron: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     """E, the soft iron nobody told the estimator of. Shape (3, 3)."""
     noise_field: float = 0.5e-6
     noise_force: float = 0.01 * STANDARD_GRAVITY
-    noise_rate: float = 1e-3
-    """Standard deviations per axis and sample: tesla, m/s², rad/s."""
-    gyro_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """rad/s. Shape (3,)."""
+    noise_rate: float = 1e-3  # standard deviations per axis and sample: tesla, m/s², rad/s
+    gyro_bias: FloatArray = field(default_factory=lambda: np.zeros(3))  # rad/s. Shape (3,).
 
     def __post_init__(self) -> None:
         freeze(self, hard_iron=(3,), soft_iron=(3, 3), gyro_bias=(3,))
@@ -98,8 +94,7 @@ def trial_attitudes(tilt: float = 10.0 * DEGREE) -> FloatArray:
     return np.array([[rotation_from_rpy(r, p, y).T for r in steps for p in steps] for y in yaws])
 
 
-LEVEL_TILT = 4
-"""Index of the level tilt in `trial_attitudes`."""
+LEVEL_TILT = 4  # index of the level tilt in `trial_attitudes`
 
 
 def heading_errors(

@@ -41,10 +41,8 @@ from magcal_ros.core.smoother.unknowns import (
 )
 from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
 
-FEWEST = 16
-"""Nodes of the shortest drive that is fitted."""
-FIXED = 0.01
-"""Spread of the logarithm of a size that is known."""
+FEWEST = 16  # nodes of the shortest drive that is fitted
+FIXED = 0.01  # spread of the logarithm of a size that is known
 TOLERANCES = Tolerances(rounds=60, step=0.2)
 HELD = (
     "installation",
@@ -66,8 +64,7 @@ class DriveFit:
     """The fit of a change of hard iron to a drive."""
 
     fit: Fit
-    posterior: Posterior
-    """Of the raw field."""
+    posterior: Posterior  # of the raw field
 
     @property
     def sectors(self) -> int:

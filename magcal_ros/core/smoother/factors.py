@@ -49,21 +49,17 @@ def _element_matrices() -> FloatArray:
 
 
 ELEMENT_MATRICES = _element_matrices()
-LEVEL = np.diag([1.0, 1.0, 0.0])
-"""What shielding adds to the soft iron."""
+LEVEL = np.diag([1.0, 1.0, 0.0])  # what shielding adds to the soft iron
 X, Y, Z = np.eye(3)
-LEVEL_AXES, UP_AXIS = slice(0, 2), slice(2, 3)
-"""Components of a residual in body axes."""
+LEVEL_AXES, UP_AXIS = slice(0, 2), slice(2, 3)  # components of a residual in body axes
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
     """Residuals of one kind with their derivatives."""
 
-    residual: FloatArray
-    """Shape (k, d)."""
-    here: FloatArray
-    """By the unknowns of node k. Shape (k, d, LOCAL)."""
+    residual: FloatArray  # Shape (k, d)
+    here: FloatArray  # by the unknowns of node k. Shape (k, d, LOCAL).
     there: FloatArray | None = None
     """By those of node k + 1, for residuals between neighbours. Shape (k, d, LOCAL)."""
     shared: FloatArray | None = None
@@ -179,8 +175,7 @@ def _about_x(shared: FloatArray) -> FloatArray:
     return rotation_from_rpy(float(shared[ROLL_PITCH.start]), 0.0)
 
 
-QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
-"""A quarter turn to the left in the level plane."""
+QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])  # A quarter turn to the left in the level plane
 
 
 def force(course: Course, state: State) -> Linear:

@@ -33,21 +33,15 @@ SETTLED = 0.2
 class Tolerances:
     """When the iterations stop."""
 
-    rounds: int = 80
-    fewest: int = 8
-    """Steps at most and at least."""
-    step: float = 0.05
-    """Of the answer, in its own sigmas."""
-    evidence: float = 0.5
-    """Change of minus twice the logarithm of the evidence."""
-    largest_turn: float = 0.4
-    """Radians that a step may turn any node; longer steps are shortened."""
-    places_at: tuple[int, ...] = (7, 11)
-    """Rounds in which the places passed are computed again."""
+    rounds: int = 80  # steps at most
+    fewest: int = 8  # steps at least
+    step: float = 0.05  # of the answer, in its own sigmas
+    evidence: float = 0.5  # change of minus twice the logarithm of the evidence
+    largest_turn: float = 0.4  # radians that a step may turn any node; longer steps are shortened
+    places_at: tuple[int, ...] = (7, 11)  # rounds in which the places passed are computed again
     held: int = 3
     """Rounds in which the sigmas of effects keep their usual sizes, until the rest fits."""
-    gaussian: int = 5
-    """Rounds in which all residuals count fully."""
+    gaussian: int = 5  # rounds in which all residuals count fully
     undamped: int = 20
     """Rounds in which each step is taken as a whole, though it may go back on the one before."""
 
@@ -59,16 +53,12 @@ class Fit:
     kind: KindOfMotion
     model: Model
     point: Point
-    covariance: FloatArray
-    """Of the shared unknowns. Shape (SHARED, SHARED)."""
-    evidence: float
-    """Minus twice the logarithm of the evidence, but for a constant of the window."""
-    weighted: dict[str, Weighted]
-    """The residuals at the optimum."""
+    covariance: FloatArray  # of the shared unknowns. Shape (SHARED, SHARED).
+    evidence: float  # minus twice the logarithm of the evidence, but for a constant of the window
+    weighted: dict[str, Weighted]  # the residuals at the optimum
     rounds: int
     converged: bool
-    moved: float
-    """Last step of the answer, in its own sigmas."""
+    moved: float  # last step of the answer, in its own sigmas
 
     @property
     def state(self) -> State:
@@ -118,12 +108,9 @@ class Optimum:
 
     models: list[Model]
     points: list[Point]
-    joint: Joint
-    """The last step, which is not taken."""
-    wide: list[Point]
-    """The points with the sizes' posterior mean squares."""
-    doubted: Joint
-    """The covariance there."""
+    joint: Joint  # the last step, which is not taken
+    wide: list[Point]  # the points with the sizes' posterior mean squares
+    doubted: Joint  # the covariance there
     evidence: float
     rounds: int
     converged: bool

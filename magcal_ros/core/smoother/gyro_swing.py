@@ -21,16 +21,13 @@ from magcal_ros.core.geometry.rotations import turns_about_z
 class SwingTuning:
     """How errors of the gyro are separated from a swing of the compass."""
 
-    sector: float = math.radians(12.0)
-    """Radians of the turn over which the deviation is averaged."""
+    sector: float = math.radians(12.0)  # radians of the turn over which the deviation is averaged
     bias: float = 0.003
     scale: float = 0.01
     """Usual errors of gyros (rad/s and one). A larger slope is subtracted only if it explains
     nearly all of the deviation: a swing once a turn looks like a slope in part."""
-    rounds: int = 10
-    """Of Cauchy weights; they settle sooner."""
-    spike: float = 6.0
-    """Times the median deviation beyond which a sector does not count."""
+    rounds: int = 10  # of Cauchy weights; they settle sooner
+    spike: float = 6.0  # times the median deviation beyond which a sector does not count
 
 
 SWING = SwingTuning()

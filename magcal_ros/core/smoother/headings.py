@@ -36,10 +36,8 @@ class HeadingAgreement:
     """Minus twice the logarithm of the evidence, but for a constant of the number of standings."""
     misfit: float
     """Squared deviations over their variances at the usual size of the local disturbance."""
-    least: float
-    """The same at the largest plausible size."""
-    freedom: int
-    """How many deviations that adds up: those of the field but for the hard iron."""
+    least: float  # the same at the largest plausible size
+    freedom: int  # how many deviations that adds up: those of the field but for the hard iron
 
     @property
     def chance(self) -> float:
@@ -59,14 +57,12 @@ class HeadingFit:
     """The fit of standings at known headings."""
 
     state: State
-    covariance: FloatArray
-    """Of the shared unknowns. Shape (SHARED, SHARED)."""
+    covariance: FloatArray  # of the shared unknowns. Shape (SHARED, SHARED).
     posterior: Posterior
     agreement: HeadingAgreement
     residual: FloatArray
     """Field less the model's without the local disturbance, tesla, sensor axes. Shape (n, 3)."""
-    yaw_sigma: float
-    """Of the installation's yaw, radians."""
+    yaw_sigma: float  # of the installation's yaw, radians
 
 
 def fit_headings(

@@ -34,25 +34,20 @@ from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import AT, KINDS, MICROTESLA, ON_WHEELS, STREET, UNKNOWNS
 
-FEWEST_SINCE = 4
-"""Nodes before and after the moment at which iron was added."""
+FEWEST_SINCE = 4  # nodes before and after the moment at which iron was added
 SELDOM, STEEL = 300.0, 100.0
 """How many times as often a robot that moves comes to steel as iron comes to it, and the mean
 length of what disturbs the field on the way, metres: bridges, tunnels, garages."""
-LASTING = 0.15
-"""µT that sensors and a place err by all along a stretch in which nothing moves."""
+LASTING = 0.15  # µT that sensors and a place err by all along a stretch in which nothing moves
 
 
 @dataclass(frozen=True, eq=False)
 class IronChange:
     """A change of hard iron during a drive."""
 
-    since: float
-    """Clock from which it is there, seconds."""
-    gain: float
-    """Log evidence ratio of a change against none, times `BELIEVED`."""
-    fit: DriveFit
-    """Of the raw field since then."""
+    since: float  # clock from which it is there, seconds
+    gain: float  # log evidence ratio of a change against none, times `BELIEVED`
+    fit: DriveFit  # of the raw field since then
 
 
 def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) -> IronChange | None:

@@ -42,10 +42,8 @@ OF_A_TURN = ("gyro_matrix", "lever_arm", "height", "axis", "upright")
 class Layout:
     """The indices of each window's unknowns among those of all."""
 
-    rows: list[IntArray]
-    """For each window, the indices of its free shared unknowns and its centres."""
-    common: IntArray
-    """Which shared unknowns the first rows are."""
+    rows: list[IntArray]  # for each window, the indices of its free shared unknowns and its centres
+    common: IntArray  # which shared unknowns the first rows are
     count: int
 
     @classmethod
@@ -119,8 +117,7 @@ class Joint:
     """A Gauss-Newton step of all windows, or their covariance."""
 
     weighted: list[dict[str, Weighted]]
-    solutions: list[Solution]
-    """Of each window, with the information of all on the shared unknowns."""
+    solutions: list[Solution]  # of each window, with the information of all on the shared unknowns
     log_determinant: float
 
     @classmethod

@@ -52,12 +52,10 @@ WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Of a drive, in which there is more of everything than in one turn, longer means are enough."""
 PART, FEWEST_OF_PART = 200.0, 100
 """Seconds of a long window with which a turn on the spot is tried first, and the fewest samples."""
-ROLLS = 0.2
-"""m/s of the speed of the wheels from which a robot certainly drives."""
+ROLLS = 0.2  # m/s of the speed of the wheels from which a robot certainly drives
 MOST_FITS = 3 * len(KINDS)
 """Of a drive: each kind of motion roughly, to the end, and from the best of the others."""
-LATE_BY = 0.1
-"""Initial delay of the field, seconds, of the iterations of `LATE`."""
+LATE_BY = 0.1  # initial delay of the field, seconds, of the iterations of `LATE`
 MOTORS, BEYOND_USUAL = ("motors_moving", "motors_rate"), 2.0
 """The field of the motors, and the factor of their usual size from which a late field is tried."""
 LARGEST_GAIN = 3.0
@@ -71,14 +69,10 @@ class Smoothed:
     """The result of `smooth`: fits by kind of motion, weights and posterior."""
 
     nodes: Nodes
-    mode: str
-    """The most likely kind of motion."""
-    fits: dict[str, Fit]
-    """By kind of motion."""
-    weights: dict[str, float]
-    """Their probabilities."""
-    posterior: Posterior
-    """Of all kinds together."""
+    mode: str  # the most likely kind of motion
+    fits: dict[str, Fit]  # by kind of motion
+    weights: dict[str, float]  # their probabilities
+    posterior: Posterior  # of all kinds together
     by_pull: float
     """Standard deviation of the level heading, radians, that is left as nothing shows whether the
     robot or its accelerometer makes up lean: between and within the kinds of motion."""

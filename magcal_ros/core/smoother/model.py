@@ -31,18 +31,14 @@ from magcal_ros.core.smoother.unknowns import (
     KindOfMotion,
 )
 
-GAUSSIAN = 1e9
-"""Degrees of freedom at which a Student distribution is Gaussian."""
-LEAST_VARIANCE = 1e-9
-"""Added to the variance of the processes' steps, which would be zero at rest."""
+GAUSSIAN = 1e9  # degrees of freedom at which a Student distribution is Gaussian
+LEAST_VARIANCE = 1e-9  # added to the variance of the processes' steps, which would be zero at rest
 
-CHANGES = "acceleration", "slip"
-"""The sizes of the change of velocity, ahead and sideways."""
+CHANGES = "acceleration", "slip"  # the sizes of the change of velocity, ahead and sideways
 VELOCITIES = "velocity ahead", "velocity sideways"
 """Residuals that have no size of their own: velocity follows its change."""
 
-LARGEST_MOTORS = UNKNOWNS["motors_moving"].sigma[0] * UNKNOWNS["motors_moving"].most
-"""µT per axis."""
+LARGEST_MOTORS = UNKNOWNS["motors_moving"].sigma[0] * UNKNOWNS["motors_moving"].most  # µT per axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +46,12 @@ class Model:
     """Constants of the iterations."""
 
     nodes: Nodes
-    axes: FloatArray
-    """The body's level axes (`level_axes`). Shape (3, 3)."""
+    axes: FloatArray  # the body's level axes (`level_axes`). Shape (3, 3).
     priors: Priors
     speed: FloatArray
     """m/s per axis, ahead and sideways, that are usual for the kind of motion. Shape (2,)."""
-    travels: bool
-    """Whether the kind of motion leaves the spot."""
-    traffic: float
-    """m/s, as of the kind of motion."""
+    travels: bool  # whether the kind of motion leaves the spot
+    traffic: float  # m/s, as of the kind of motion
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -112,10 +105,8 @@ class Point:
 
     state: State
     course: Course
-    sizes: dict[str, float]
-    """Of the noises (`SIZES`)."""
-    groups: dict[str, float]
-    """Factors of the sigmas of the shared unknowns (`Unknown`)."""
+    sizes: dict[str, float]  # of the noises (`SIZES`)
+    groups: dict[str, float]  # factors of the sigmas of the shared unknowns (`Unknown`)
     places: Places
     doubt: FloatArray = field(repr=False)
     """Variance of the nodes' velocities, both axes together, (m/s)². Shape (n,)."""

@@ -26,59 +26,45 @@ UNTIED, APART = 10.0, 1000.0
 class Spacing:
     """How samples are averaged to nodes."""
 
-    longest: float = 0.6
-    """Seconds of a node."""
-    most_turn: float = math.radians(6.0)
-    """Radians that a robot turns during a node."""
+    longest: float = 0.6  # seconds of a node
+    most_turn: float = math.radians(6.0)  # radians that a robot turns during a node
     most_unseen: float = math.radians(0.1)
     """Radians within a node that samples which come slowly may miss."""
-    most: int = 1000
-    """Nodes; beyond, all become longer."""
+    most: int = 1000  # nodes; beyond, all become longer
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
     """Means of samples, and the links between the middles of neighbouring nodes."""
 
-    time: FloatArray
-    """Seconds of the middles. Shape (n,)."""
-    field: FloatArray
-    """Mean raw field in nominal body axes, microtesla. Shape (n, 3)."""
+    time: FloatArray  # seconds of the middles. Shape (n,).
+    field: FloatArray  # mean raw field in nominal body axes, microtesla. Shape (n, 3).
     inside: FloatArray
     """Mean rotation from the body axes in the middle to those of the samples. Shape (n, 3, 3)."""
-    rate: FloatArray
-    """Mean turn rate by the gyro, rad/s. Shape (n, 3)."""
-    count: FloatArray
-    """Samples in each mean. Shape (n,)."""
+    rate: FloatArray  # mean turn rate by the gyro, rad/s. Shape (n, 3).
+    count: FloatArray  # samples in each mean. Shape (n,).
     quiet: BoolArray
     """Whether the field stays, and force and rate shake as little as at rest. Shape (n,)."""
-    seconds: FloatArray
-    """Between the middles of neighbours. Shape (n - 1,)."""
+    seconds: FloatArray  # between the middles of neighbours. Shape (n - 1,).
     turned: FloatArray
     """Rotation from the body axes of a node to those of the next, by the gyro. Shape (n - 1, 3,
     3)."""
-    angle: FloatArray
-    """The integral of the turn rate there, radians. Shape (n - 1, 3)."""
-    force: FloatArray
-    """Mean specific force between the middles, m/s². Shape (n - 1, 3)."""
+    angle: FloatArray  # the integral of the turn rate there, radians. Shape (n - 1, 3).
+    force: FloatArray  # mean specific force between the middles, m/s². Shape (n - 1, 3).
     along: FloatArray
     """Mean rotation from the body axes of the first node to those of the force's samples. Shape (n
     - 1, 3, 3)."""
-    swing: FloatArray
-    """Change of the turn rate, rad/s². Shape (n - 1, 3)."""
-    samples: FloatArray
-    """Of force in each mean; zero where there is none. Shape (n - 1,)."""
+    swing: FloatArray  # change of the turn rate, rad/s². Shape (n - 1, 3).
+    samples: FloatArray  # of force in each mean; zero where there is none. Shape (n - 1,).
     unseen: FloatArray
     """Variance of the angle there by what samples that come slowly miss, radians². Shape (n - 1,
     3)."""
-    noise: float
-    """White noise of a field sample per axis, microtesla."""
+    noise: float  # white noise of a field sample per axis, microtesla
     mean_force: FloatArray
     """Mean specific force of the same samples as the field, m/s². Shape (n, 3)."""
     speed: FloatArray | None = None
     """Mean speed ahead, m/s; NaN where none was measured. Shape (n,)."""
-    added_from: float = math.inf
-    """Seconds after which iron that was added is there."""
+    added_from: float = math.inf  # seconds after which iron that was added is there
     tied_to: FloatArray | None = None
     """Without a gyro: axes as columns, the last one along the axis of the turn. The rates are then
     those that the field shows, and serve to average. Shape (3, 3)."""

@@ -16,14 +16,10 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import STREET, VELOCITY
 
-MOST = 32
-"""Centres at most."""
-CLOSEST = 5.0
-"""Metres between centres at least."""
-AGAIN = 3.0
-"""Path over straight line between two nodes from which a place is passed again."""
-SMALL = 0.03
-"""Share of the disturbance's variance that is of small extent, as of a manhole cover."""
+MOST = 32  # centres at most
+CLOSEST = 5.0  # metres between centres at least
+AGAIN = 3.0  # path over straight line between two nodes from which a place is passed again
+SMALL = 0.03  # share of the disturbance's variance that is of small extent, as of a manhole cover
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,16 +28,11 @@ class Places:
 
     weights: FloatArray
     """The expected disturbance at the nodes is `weights @ values at the centres`. Shape (n, k)."""
-    chosen: IntArray
-    """The nodes where the centres are. Shape (k,)."""
-    rest: FloatArray
-    """Standard deviation of what is left, over the disturbance's own. Shape (n,)."""
-    information: FloatArray
-    """Inverse correlation of the centres. Shape (k, k)."""
-    log_determinant: float
-    """Of the correlation."""
-    length: float
-    """Correlation length of the residual, metres."""
+    chosen: IntArray  # the nodes where the centres are. Shape (k,).
+    rest: FloatArray  # standard deviation of what is left, over the disturbance's own. Shape (n,).
+    information: FloatArray  # inverse correlation of the centres. Shape (k, k).
+    log_determinant: float  # of the correlation
+    length: float  # correlation length of the residual, metres
 
     @classmethod
     def none(cls, count: int, length: float) -> Places:

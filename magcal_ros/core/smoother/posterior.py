@@ -36,8 +36,7 @@ from magcal_ros.core.smoother.unknowns import (
 
 MOTORS = {MotorInput.MOVING: "motors_moving", MotorInput.TURN_RATE: "motors_rate"}
 """The unknowns of the motors' field by input."""
-ONE_WAY = 0.8
-"""Mean sign of the turn rate beyond which a turn went one way."""
+ONE_WAY = 0.8  # mean sign of the turn rate beyond which a turn went one way
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +45,11 @@ class Posterior:
 
     numbers: FloatArray
     """The twelve, then the motors' field while moving and per turn rate (`MOTORS`). Shape (18,)."""
-    joint: FloatArray
-    """Their covariance. Shape (18, 18)."""
+    joint: FloatArray  # their covariance. Shape (18, 18).
     by_offset: FloatArray
     """The part of it that knowing the accelerometer's offset would take away. Shape (12, 12)."""
     strength: float
-    inclination: float
-    """Of the Earth's field after the fit: tesla, radians."""
+    inclination: float  # of the Earth's field after the fit: tesla, radians
 
     @property
     def correction(self) -> Correction:

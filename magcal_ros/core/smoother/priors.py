@@ -27,8 +27,7 @@ from magcal_ros.core.smoother.unknowns import (
     Size,
 )
 
-GRID = 60
-"""Factors of an effect's sigma that are tried."""
+GRID = 60  # factors of an effect's sigma that are tried
 RATIOS = np.linspace(-8.0, 8.0, 81)
 """Logarithms of the ratios that are tried of a distortion by soft iron to that by crooked axes."""
 
@@ -37,12 +36,9 @@ RATIOS = np.linspace(-8.0, 8.0, 81)
 class Priors:
     """Means and sigmas of the unknowns' priors."""
 
-    mean: FloatArray
-    """Shape (SHARED,)."""
-    scale: FloatArray
-    """Sigma of each number; zero for one that is known. Shape (SHARED,)."""
-    earth: FloatArray
-    """Covariance of level and downward field, µT². Shape (2, 2)."""
+    mean: FloatArray  # Shape (SHARED,)
+    scale: FloatArray  # sigma of each number; zero for one that is known. Shape (SHARED,).
+    earth: FloatArray  # covariance of level and downward field, µT². Shape (2, 2).
     strength: tuple[float, float] | None = None
     """Strength of the Earth's field and its sigma, µT, without a reference."""
     spread: Mapping[str, float] = field(

@@ -36,14 +36,11 @@ from magcal_ros.core.smoother.unknowns import AT, NOTHING, SHARED, STREET, TURNE
 class Together:
     """The optimum of several windows."""
 
-    fits: list[Fit]
-    """Of each window, with the information of all; its evidence is that of all."""
+    fits: list[Fit]  # of each window, with the information of all; its evidence is that of all
     informations: list[FloatArray]
     """Information of each window on the common unknowns. Shape (SHARED, SHARED)."""
-    prior: FloatArray
-    """What is known of these beforehand. Shape (SHARED, SHARED)."""
-    evidence: float
-    """Minus twice the logarithm of the evidence, but for a constant of the windows."""
+    prior: FloatArray  # what is known of these beforehand. Shape (SHARED, SHARED).
+    evidence: float  # minus twice the logarithm of the evidence, but for a constant of the windows
 
 
 def information_of(model: Model, point: Point, solution: Solution) -> FloatArray:

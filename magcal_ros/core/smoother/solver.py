@@ -20,10 +20,8 @@ class Weighted:
     """Residuals with their variance and Student weights."""
 
     linear: Linear
-    variance: FloatArray
-    """Per component; infinite where there was no measurement. Shape (k,)."""
-    freedom: float
-    """Degrees of freedom of the Student distribution."""
+    variance: FloatArray  # per component; infinite where there was no measurement. Shape (k,).
+    freedom: float  # degrees of freedom of the Student distribution
     is_expected: bool = False
     """Whether the weights are the expected curvature of the cost, of which the inverse is the
     covariance; those of the steps bound the cost from above (Lange, Little and Taylor, JASA 84,
@@ -71,12 +69,9 @@ class Weighted:
 class Solution:
     """One Gauss-Newton step, and the covariance at its linearisation point."""
 
-    local: FloatArray
-    """Step of the nodes' unknowns. Shape (n, LOCAL)."""
-    shared: FloatArray
-    """Step of the shared unknowns that are free. Shape (s,)."""
-    covariance: FloatArray
-    """Of the shared unknowns that are free. Shape (s, s)."""
+    local: FloatArray  # step of the nodes' unknowns. Shape (n, LOCAL).
+    shared: FloatArray  # step of the shared unknowns that are free. Shape (s,).
+    covariance: FloatArray  # of the shared unknowns that are free. Shape (s, s).
     follow: FloatArray
     """By how much the nodes' unknowns follow the shared ones, with the opposite sign. Shape (n,
     LOCAL, s)."""
@@ -84,10 +79,8 @@ class Solution:
     """Of the shared unknowns, with the nodes' unknowns integrated out. Shape (s, s)."""
     gradient: FloatArray
     """What the step of the shared unknowns solves for: `information @ shared`. Shape (s,)."""
-    log_determinant: float
-    """Of the information matrix of all unknowns."""
-    chain: Chain
-    """The information matrix of the nodes' unknowns."""
+    log_determinant: float  # of the information matrix of all unknowns
+    chain: Chain  # the information matrix of the nodes' unknowns
 
     def given(self, shared: FloatArray, covariance: FloatArray) -> Solution:
         """Return the step with further information on the shared unknowns."""
@@ -103,10 +96,8 @@ class Prior:
     local_offset: FloatArray
     """Information of each of the nodes' unknowns, and its expectation less its value. Shape (n,
     LOCAL)."""
-    information: FloatArray
-    """Of the shared unknowns that are free. Shape (s, s)."""
-    offset: FloatArray
-    """Their expectation less their value. Shape (s,)."""
+    information: FloatArray  # of the shared unknowns that are free. Shape (s, s).
+    offset: FloatArray  # their expectation less their value. Shape (s,).
 
 
 def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:

@@ -38,8 +38,7 @@ from magcal_ros.core.smoother.unknowns import (
 
 X = np.array([1.0, 0.0, 0.0])
 STEPS = 30
-CLOSE = 1e-2
-"""Sigmas of an unknown below which a step ends the iterations."""
+CLOSE = 1e-2  # sigmas of an unknown below which a step ends the iterations
 BY_MOTION = (
     *("gyro_bias", "gyro_matrix", "lever_arm", "latency"),
     *("motors_moving", "motors_rate", "drift", "force_moving", "gradient"),
@@ -51,14 +50,10 @@ BY_MOTION = (
 class Standing:
     """The measurements of a robot at rest at a known heading."""
 
-    field: FloatArray
-    """Mean raw field, tesla, in the magnetometer's axes. Shape (3,)."""
-    force: FloatArray
-    """Mean specific force, m/s², body axes. Shape (3,)."""
-    heading: float
-    """ENU yaw to magnetic north of `forward`, radians."""
-    sigma: float
-    """Its standard deviation."""
+    field: FloatArray  # mean raw field, tesla, in the magnetometer's axes. Shape (3,).
+    force: FloatArray  # mean specific force, m/s², body axes. Shape (3,).
+    heading: float  # ENU yaw to magnetic north of `forward`, radians
+    sigma: float  # its standard deviation
     by_declination: bool = False
     """Whether it is to true north: such headings share the declination's error."""
     forward: FloatArray = member(default_factory=lambda: X)

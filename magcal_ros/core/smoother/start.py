@@ -26,12 +26,10 @@ from magcal_ros.core.smoother.unknowns import AT, EARTH, LOCAL, MICROTESLA, SHAR
 
 BIASES = (0.0, 0.01, -0.01, 0.025, -0.025, 0.05, -0.05, 0.1, -0.1)
 """rad/s about up of the gyro's bias that are tried."""
-SMOOTHED = 4.0
-"""Seconds over which up is averaged."""
+SMOOTHED = 4.0  # seconds over which up is averaged
 MOTORS = 20.0
 """µT of the motors' field, over the usual misfit of a node in µT: what the start allows for."""
-DRIFTED = 100.0
-"""Seconds in which the yaw by the gyro drifts too little to harm the start."""
+DRIFTED = 100.0  # seconds in which the yaw by the gyro drifts too little to harm the start
 Z = np.array([0.0, 0.0, 1.0])
 
 
@@ -157,26 +155,20 @@ VISIBLE_CONE = 4.0
 """A circle of up vectors is seen where its variance exceeds its thickness by this factor."""
 THINNEST_CONE = 0.005
 """Standard deviation, of unit vectors, that its thickness is taken for at least."""
-DIP = math.radians(60.0)
-"""Dips that are tried if neither the field's strength nor its dip is known."""
+DIP = math.radians(60.0)  # dips that are tried if neither the field's strength nor its dip is known
 
 
 @dataclass(frozen=True, eq=False)
 class Guess:
     """One geometric solution for axis, circle and dip."""
 
-    attitude: FloatArray
-    """Magnetic ENU to body axes. Shape (n, 3, 3)."""
-    axis: FloatArray
-    """Of the turn, in body axes. Shape (3,)."""
-    iron: FloatArray
-    """Hard iron, µT. Shape (3,)."""
+    attitude: FloatArray  # magnetic ENU to body axes. Shape (n, 3, 3).
+    axis: FloatArray  # of the turn, in body axes. Shape (3,).
+    iron: FloatArray  # hard iron, µT. Shape (3,).
     roll: float
-    pitch: float
-    """Of the installation, radians."""
+    pitch: float  # of the installation, radians
     strength: float
-    inclination: float
-    """µT, radians."""
+    inclination: float  # µT, radians
 
 
 def starts(field: FloatArray, up: FloatArray, reference: ReferenceField) -> list[Guess]:

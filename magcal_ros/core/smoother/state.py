@@ -13,20 +13,17 @@ from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.unknowns import ATTITUDE, EARTH, SHARED, Lengths
 
-SECTORS = 12
-"""Of heading."""
+SECTORS = 12  # of heading
 
 
 @dataclass(frozen=True, eq=False)
 class State:
     """A value of all unknowns."""
 
-    attitude: FloatArray
-    """Magnetic ENU to body axes. Shape (n, 3, 3)."""
+    attitude: FloatArray  # magnetic ENU to body axes. Shape (n, 3, 3).
     local: FloatArray
     """The nodes' other unknowns; the attitude's columns are zero. Shape (n, LOCAL)."""
-    shared: FloatArray
-    """Shape (SHARED,)."""
+    shared: FloatArray  # Shape (SHARED,)
     centres: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     """Local disturbance at the centres of `Places`, µT, world axes. Shape (k, 3)."""
 
@@ -90,13 +87,11 @@ class Course:
     edge: BoolArray
     """Whether the robot starts or stops there; the share is between zero and one then. Shape
     (n,)."""
-    still: BoolArray
-    """Whether the robot rests there. Shape (n,)."""
+    still: BoolArray  # whether the robot rests there. Shape (n,).
     added: FloatArray
     """Expected share of the node in which iron that was added is there: zero, one, and a half where
     it comes. Shape (n,)."""
-    span: FloatArray
-    """Time over the window's length, its middle at zero. Shape (n,)."""
+    span: FloatArray  # time over the window's length, its middle at zero. Shape (n,).
 
     @classmethod
     def of(cls, nodes: Nodes, axes: FloatArray, bias: FloatArray, lengths: Lengths) -> Course:

@@ -35,21 +35,15 @@ OTHER = ", other root"
 USUAL = {SMALL_CIRCLE: 0.1}
 USUAL |= {name + OTHER: share for name, share in USUAL.items()}
 """How usual kinds of motion are without a gyro, which alone would show them, over the usual one."""
-AGAIN = Tolerances(fewest=4)
-"""From the optimum of another kind of motion."""
-SKETCH = Tolerances(rounds=5, fewest=5)
-"""Rounds that are enough to rank the starts."""
-ROOTS = 2
-"""Starts that are followed to the end."""
-RIVAL = 0.05
-"""Probability from which another root is a rival."""
-APART = 0.05
-"""Radians of installation and hard iron over the field by which two starts are two."""
+AGAIN = Tolerances(fewest=4)  # from the optimum of another kind of motion
+SKETCH = Tolerances(rounds=5, fewest=5)  # rounds that are enough to rank the starts
+ROOTS = 2  # starts that are followed to the end
+RIVAL = 0.05  # probability from which another root is a rival
+APART = 0.05  # radians of installation and hard iron over the field by which two starts are two
 FURTHEST, HOPELESS = 60.0, 30.0
 """Of minus twice the logarithm of the evidence over the best one's: starts that are worse after a
 few rounds are dropped, and solutions that are worse at their optimum have no weight."""
-BENDS = 10.0
-"""Initial factor of the gradient's sigma."""
+BENDS = 10.0  # initial factor of the gradient's sigma
 
 
 def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:

@@ -14,8 +14,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 
-MICROTESLA = 1e6
-"""Microtesla in a tesla."""
+MICROTESLA = 1e6  # microtesla in a tesla
 
 ATTITUDE, VELOCITY, STREET, BODY_FIELD = slice(0, 3), slice(3, 5), slice(5, 8), slice(8, 11)
 ACCELERATION = slice(11, 13)
@@ -35,12 +34,10 @@ class Unknown(NamedTuple):
     An effect that the samples do not show stays near zero, and one that they show is not held back.
     """
 
-    sigma: tuple[float, ...]
-    """Median of the sigma of each number."""
+    sigma: tuple[float, ...]  # median of the sigma of each number
     spread: float
     """Standard deviation of the natural logarithm of the factor; zero for a fixed sigma."""
-    most: float
-    """Largest factor."""
+    most: float  # largest factor
     unit: str
     meaning: str
     source: str
@@ -49,19 +46,14 @@ class Unknown(NamedTuple):
 class Size(NamedTuple):
     """The standard deviation of one kind of noise: estimated, with a log-normal prior."""
 
-    usual: float
-    """Median."""
-    spread: float
-    """Standard deviation of its natural logarithm."""
-    freedom: float
-    """Degrees of freedom of the Student distribution of the noise itself."""
+    usual: float  # median
+    spread: float  # standard deviation of its natural logarithm
+    freedom: float  # degrees of freedom of the Student distribution of the noise itself
     unit: str
     meaning: str
     source: str
-    start: float = math.nan
-    """Initial value, if not the median."""
-    most: float = math.inf
-    """Largest value: no sensor or robot exceeds it."""
+    start: float = math.nan  # initial value, if not the median
+    most: float = math.inf  # largest value: no sensor or robot exceeds it
 
 
 UNKNOWNS: dict[str, Unknown] = {
@@ -179,12 +171,10 @@ UNKNOWNS: dict[str, Unknown] = {
     ),
 }
 
-IRON_OVER_AXES = 0.4
-"""Median distortion by soft iron over that by gains and crooked axes."""
+IRON_OVER_AXES = 0.4  # median distortion by soft iron over that by gains and crooked axes
 MODULE = ("axes", "gyro_bias", "gyro_matrix", "force_offset")
 """Groups that depend on the quality of the sensor module: a cheap one has all of them larger."""
-ALIKE = 0.5
-"""Correlation of the logarithms of their factors."""
+ALIKE = 0.5  # correlation of the logarithms of their factors
 
 SIZES: dict[str, Size] = {
     "field": Size(
@@ -227,8 +217,7 @@ STANDING = Size(
 STRONGEST = 50.0, 12.0
 """µT: beyond so many the strength of a field that nobody knows is improbable, with this standard
 deviation; by the World Magnetic Model it is 22 to 67."""
-NOTHING = 1e-3
-"""µT of a local disturbance or of currents that are known to be none."""
+NOTHING = 1e-3  # µT of a local disturbance or of currents that are known to be none
 EXACT_IRON = 1e-5, 2.5, 1e4
 """Median size of soft iron, its spread and its largest factor, where the sensors are exact."""
 
@@ -236,20 +225,16 @@ EXACT_IRON = 1e-5, 2.5, 1e4
 class KindOfMotion(NamedTuple):
     """A kind of motion, with the groups that are free in it."""
 
-    speed: float
-    """Usual velocity ahead, m/s."""
-    aside: float
-    """Usual velocity sideways over that ahead: wheels roll ahead."""
-    lever_arm: float
-    """Usual distance of the accelerometer from the pivot, metres per axis."""
+    speed: float  # usual velocity ahead, m/s
+    aside: float  # usual velocity sideways over that ahead: wheels roll ahead
+    lever_arm: float  # usual distance of the accelerometer from the pivot, metres per axis
     begins: float
     """Initial size of the acceleration, m/s². If it is too small, acceleration is taken for tilt;
     if it is too large, tilt is taken for acceleration."""
     motors: float = 2.0
     """Spread of the logarithm of the motors' field. A vehicle's is small where a compass sits; what
     differs between its rest and its way is the place."""
-    soft_iron: float = 1.0
-    """Factor of the usual soft iron: a vehicle's body is of steel."""
+    soft_iron: float = 1.0  # factor of the usual soft iron: a vehicle's body is of steel
     gradient: float = 1.0
     """Factor of the usual gradient of the field: a drive has local disturbances on its way."""
     traffic: float = 0.0
@@ -287,20 +272,14 @@ and few turn exactly on a spot."""
 class Lengths:
     """Correlation lengths and times."""
 
-    street: float = 30.0
-    """Correlation length of the local disturbance, metres (1/e)."""
-    body_field: float = 4.0
-    """Correlation time of the body's coloured noise, seconds."""
-    acceleration: float = 3.0
-    """Correlation time of the change of velocity, seconds."""
+    street: float = 30.0  # correlation length of the local disturbance, metres (1/e)
+    body_field: float = 4.0  # correlation time of the body's coloured noise, seconds
+    acceleration: float = 3.0  # correlation time of the change of velocity, seconds
     beside: float = 0.15
     """Metres of the magnetometer from the pivot: its path while the robot turns."""
-    creep: float = 0.01
-    """m/s that a robot at rest may still move."""
-    moving: float = 0.03
-    """rad/s of turn rate from which a robot on the spot counts as moving."""
-    sway: float = 1.0
-    """Correlation time of the tilt of a robot that sways, seconds."""
+    creep: float = 0.01  # m/s that a robot at rest may still move
+    moving: float = 0.03  # rad/s of turn rate from which a robot on the spot counts as moving
+    sway: float = 1.0  # correlation time of the tilt of a robot that sways, seconds
 
 
 def _slices() -> tuple[dict[str, slice], int]:
@@ -311,8 +290,7 @@ def _slices() -> tuple[dict[str, slice], int]:
     return found, at
 
 
-AT, SHARED = _slices()
-"""The slice of each group of shared unknowns, and their number."""
+AT, SHARED = _slices()  # the slice of each group of shared unknowns, and their number
 ROLL_PITCH, YAW = AT["installation"], AT["axes"].start
 SHIELDING = AT["shielding"].start
 TURNED = AT["turned"].start

@@ -37,12 +37,9 @@ from magcal_ros.core.smoother.unknowns import (
 
 SMOOTHED = 0.5
 """Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
-NODE = 0.3
-"""Seconds of a node; a sway of more than 1 Hz is not followed."""
-AXIS = 0.3
-"""Radians by which the turn's axis may lean from the one that is guessed, per axis."""
-CIRCLE = 0.6
-"""Metres of the accelerometer from the middle of a small circle: one sigma."""
+NODE = 0.3  # seconds of a node; a sway of more than 1 Hz is not followed
+AXIS = 0.3  # radians by which the turn's axis may lean from the one that is guessed, per axis
+CIRCLE = 0.6  # metres of the accelerometer from the middle of a small circle: one sigma
 NOISELESS = 1e-6
 """Bend of a rate from sample to sample, over its largest value, below which it has no noise."""
 Z = np.array([0.0, 0.0, 1.0])
