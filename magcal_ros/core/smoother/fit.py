@@ -318,7 +318,7 @@ def _widened(
     expected = effect_factors(model, point, solution, frozenset({"soft_iron"}))
     groups = point.groups | {name: expected[name] for name in ("soft_iron", "axes")}
     groups |= _as_large_as_both(point)
-    return replace(point, sizes=wide, groups=groups, starts_freely=True)
+    return replace(point, sizes=wide, groups=groups)
 
 
 def _as_large_as_both(point: Point) -> dict[str, float]:

@@ -113,9 +113,6 @@ class Point:
     marginal: FloatArray | None = field(default=None, repr=False)
     """Gradient by the shared unknowns of the logarithm of the determinant of the nodes' information
     matrix: the most likely nodes are not where those unknowns are most likely. Shape (SHARED,)."""
-    starts_freely: bool = False
-    """Whether no heading is carried from a rest to the turn without a gyro. Steps assume an even
-    start, which says how far the motors' field turned it; the covariance does not."""
     is_robust: bool = False
     """Whether residuals follow Student distributions; at first they are Gaussian, or the few
     residuals that show an effect, as rests show the motors, would pass for outliers."""
@@ -267,7 +264,8 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     per_node = np.median(nodes.count) / nodes.count[:-1]
     force = factors_by_field.force_at_nodes(course, state)
     keeps = np.exp(-nodes.seconds / model.priors.lengths.sway)
-    starts = point.starts_freely & (course.still[1:] != course.still[:-1])
+    # What the motors' field turns at a start looks like a turn: no heading is carried over it.
+    starts = course.still[1:] != course.still[:-1]
 
     def sized(name: str, linear: Linear, scale: FloatArray) -> Weighted:
         variance = point.sizes[name] ** 2 * scale + 1e-3 * LEAST_VARIANCE
