@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol
 
-from magcal_ros.core.session.turn_events import Conclusion
+from magcal_ros.core.session.turn_machine import Conclusion
 
 PAUSE = 10.0
 """Seconds between two lines on one subject."""

@@ -20,7 +20,7 @@ from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, Streams
 from magcal_ros.core.samples.units import Heard, complaints
-from magcal_ros.core.session.turn_events import TurnState
+from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.default_paths import known_as

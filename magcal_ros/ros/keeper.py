@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import MotorField
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.base_view import VehicleYaw
-from magcal_ros.core.session.turn_events import Conclusion
+from magcal_ros.core.session.turn_machine import Conclusion
 from magcal_ros.files.calibration_file import (
     Origin,
     keep_backup,

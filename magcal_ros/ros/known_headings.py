@@ -17,7 +17,7 @@ from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading
-from magcal_ros.core.session.turn_events import Conclusion, TurnState
+from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer

@@ -22,9 +22,9 @@ from magcal_ros.core.monitoring.watch import Watch
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import Drop, FieldSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session import turn_events as ev
+from magcal_ros.core.session import turn_machine as tm
 from magcal_ros.core.session.self_turn import Around, SelfTurn
-from magcal_ros.core.session.turn_machine import TurnMachine
+from magcal_ros.core.session.session import Brief
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, Tell
@@ -103,7 +103,7 @@ class Magnetometer:
         if self.inputs.field.last_heard is not None:
             self.keeper.note_sensor(self.inputs.field.frame)
 
-    def start(self, gyro: GyroAtRest | None) -> ev.Conclusion:
+    def start(self, gyro: GyroAtRest | None) -> tm.Conclusion:
         """Collect the turn that begins."""
         settings = self._pipeline.settled(self.number, self.inputs.field.frame)
         return self.control.start(settings, gyro)
@@ -119,7 +119,7 @@ class Magnetometer:
             return None
         if turn.outcome_is_of_others:
             words = "the last fit is of other sensors than the present ones"
-            return lambda tell: tell(ev.Conclusion(False, words))
+            return lambda tell: tell(tm.Conclusion(False, words))
 
         def put_in_force(tell: Tell) -> None:
             self.reporter.put_in_force()
@@ -141,7 +141,7 @@ class Magnetometer:
 
     def drive_knowledge(self) -> Knowledge | None:
         """Return what is known beforehand of a drive; None while a turn is under way."""
-        if self.control.turn.state is not ev.TurnState.IDLE:
+        if self.control.turn.state is not tm.TurnState.IDLE:
             return None
         return self._pipeline.settled(self.number, self.inputs.field.frame).knowledge
 
@@ -219,21 +219,21 @@ class Control:
         self._streams = streams
         self._pairer = Pairer(streams)
         self._worker = WorkerProcess()
-        self.turn = TurnMachine(robot, self._report)
+        self.turn = tm.TurnMachine(robot, self._report)
         self._settings: Settings | None = None
         self._listeners: list[Tell] = []
-        self._unreported: ev.Conclusion | None = None
+        self._unreported: tm.Conclusion | None = None
 
     def when_done(self, listener: Tell) -> None:
         """Call back once with the conclusion of the turn that is under way."""
         self._listeners.append(listener)
 
-    def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> ev.Conclusion:
+    def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> tm.Conclusion:
         """Open a session; refused while another is under way."""
         turns_itself = settings.rotation.enabled and self._commands_robot
         speed = settings.rotation.speed if turns_itself else None
         asked = settings.knowledge, settings.method, settings.accumulate
-        answer = self.tell(self.turn.open, ev.Brief(settings.limits, *asked, speed, gyro), now())
+        answer = self.tell(self.turn.open, Brief(settings.limits, *asked, speed, gyro), now())
         if answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
             self._unreported = None
@@ -243,11 +243,11 @@ class Control:
 
     def add(self, sample: FieldSample) -> None:
         """Take a field sample of the stream, if a session wants it."""
-        if self.turn.state is ev.TurnState.COLLECTING:
+        if self.turn.state is tm.TurnState.COLLECTING:
             self._pairer.offer(sample)
             self._collect()
 
-    def finish(self) -> ev.Conclusion | None:
+    def finish(self) -> tm.Conclusion | None:
         """End the session now and fit what there is; None means the fit is under way.
 
         The verdict on a turn that ended by itself, and that nobody waited for, is returned once.
@@ -260,10 +260,10 @@ class Control:
 
     def tick(self) -> bool:
         """Let a turn see that time has passed; returns whether one is under way."""
-        if self.turn.state is ev.TurnState.COLLECTING:
+        if self.turn.state is tm.TurnState.COLLECTING:
             self._collect()
             self.tell(self.turn.tick, self._magnetometer.describe_silence(), now())
-        return self.turn.state is not ev.TurnState.IDLE
+        return self.turn.state is not tm.TurnState.IDLE
 
     def look(self, around: Around) -> bool:
         """Look at a robot that turns itself; returns whether there is still one to look at."""
@@ -274,12 +274,12 @@ class Control:
 
     def shut_down(self) -> None:
         """Drop a turn under way; what is in force already is saved before this returns."""
-        if self.turn.state is ev.TurnState.SAVING:
+        if self.turn.state is tm.TurnState.SAVING:
             self._files.finish_within(SAVING_PATIENCE)
         self._worker.end()
 
     def _collect(self) -> None:
-        if self.turn.state is ev.TurnState.COLLECTING:
+        if self.turn.state is tm.TurnState.COLLECTING:
             for pair in self._pairer.take():
                 self.tell(self.turn.take, pair, now())
 
@@ -291,33 +291,33 @@ class Control:
             commands = self.turn.commands()
         except Exception as error:  # short of files even a median fails: its code must be read
             if happened != self.turn.break_off:
-                was_under_way = {before, self.turn.state} != {ev.TurnState.IDLE}
+                was_under_way = {before, self.turn.state} != {tm.TurnState.IDLE}
                 self.tell(self.turn.break_off, _broken_off(error), was_under_way)
             raise
         for command in commands:
             self._do(command)
         return answer
 
-    def _do(self, command: ev.Command) -> None:
+    def _do(self, command: tm.Command) -> None:
         try:
             match command:
-                case ev.MoveBase(rate):
+                case tm.MoveBase(rate):
                     self._owner.rotator.move(rate)
-                case ev.Preview():
+                case tm.Preview():
                     self._preview(command)
-                case ev.FitTurn():
+                case tm.FitTurn():
                     self._fit(command)
-                case ev.PutInForce(calibration):
+                case tm.PutInForce(calibration):
                     # A fault in storing it is only said.
                     saved = partial(self.tell, self.turn.note_saved)
                     self._magnetometer.use(calibration, lambda done: saved(done.message))
-                case ev.Conclusion():
+                case tm.Conclusion():
                     self._conclude(command)
         except Exception as error:  # whatever has failed, all who wait are answered
             self._owner.note_error(error)
             self.tell(self.turn.break_off, _broken_off(error))
 
-    def _preview(self, asked: ev.Preview) -> None:
+    def _preview(self, asked: tm.Preview) -> None:
         known, method = asked.brief.knowledge, asked.brief.method
         self._fits.run(
             lambda: self._worker.run(predicted_sigma, asked.window, known, method),
@@ -326,7 +326,7 @@ class Control:
             lambda _: self.tell(self.turn.note_preview, asked, math.inf, now()),
         )
 
-    def _fit(self, asked: ev.FitTurn) -> None:
+    def _fit(self, asked: tm.FitTurn) -> None:
         brief = asked.brief
         turn = (asked.kept, asked.window, brief.knowledge, brief.method, brief.accumulate)
         self._fits.run(
@@ -343,7 +343,7 @@ class Control:
             self._owner.note_error(error)
             return f"No report: {error}."
 
-    def _conclude(self, conclusion: ev.Conclusion) -> None:
+    def _conclude(self, conclusion: tm.Conclusion) -> None:
         listeners, self._listeners = self._listeners, []
         self._unreported = None if listeners else conclusion
         # Whatever fails here, all who wait are answered.

@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from magcal_ros.core.heading.several_compasses import SeveralCompasses, Share
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.session.turn_events import Conclusion, TurnState
+from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.parameters import Settings

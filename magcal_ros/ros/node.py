@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from magcal_ros.core.samples.streams import Drop, FieldSample
 from magcal_ros.core.session.self_turn import Around, SelfTurn
-from magcal_ros.core.session.turn_events import Conclusion, TurnState
+from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors

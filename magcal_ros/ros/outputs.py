@@ -32,8 +32,7 @@ from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.turn_events import TurnState
-from magcal_ros.core.session.turn_machine import TurnMachine
+from magcal_ros.core.session.turn_machine import TurnMachine, TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.disk import plain
 from magcal_ros.ros import wire

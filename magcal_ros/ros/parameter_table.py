@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, NamedTuple, TypeAlias
 
@@ -58,13 +58,17 @@ class Spec:
     name: str
     default: Value
     """Default, which also fixes the type."""
-    description: str
     span: Span = ANY
     choices: tuple[str, ...] = ()
     """Allowed texts; empty for any."""
     later: Later = Later.ANYTHING
     words: tuple[str, ...] = ("",)
     """Texts that are no path, of a parameter that is one otherwise."""
+    description: str = ""
+
+    def means(self, description: str) -> Spec:
+        """Return the row with its description."""
+        return replace(self, description=description)
 
     @property
     def may_be_unset(self) -> bool:
@@ -193,208 +197,121 @@ def _shown(value: Any) -> str:
 
 MAY_BE_ENABLED = "rotate.may_be_enabled"
 PARAMETERS: tuple[Spec, ...] = (
-    Spec(
-        "calibration_file",
-        "",
+    Spec("calibration_file", "", later=Later.FILE).means(
         "Where the calibration is stored and loaded from. Empty: "
         "$ROS_HOME/magcal/<namespace>/<node>.<frame of the magnetometer>.yaml. While the node runs "
-        "only what lies below $ROS_HOME/magcal, or what it was at start",
-        later=Later.FILE,
+        "only what lies below $ROS_HOME/magcal, or what it was at start"
     ),
-    Spec(
-        "report_folder",
-        "",
+    Spec("report_folder", "", later=Later.FOLDER, words=("", "none")).means(
         "Where a dated folder with report.html and samples.csv is made for each turn. Empty: "
         "$ROS_HOME/magcal/reports; none: no reports. While the node runs only what lies below "
-        "$ROS_HOME/magcal, or below what it was at start",
-        later=Later.FOLDER,
-        words=("", "none"),
+        "$ROS_HOME/magcal, or below what it was at start"
     ),
-    Spec(
-        "reports_kept",
-        50,
+    Spec("reports_kept", 50, Span(1, 100_000)).means(
         "How many reports are kept beside those of turns that were put in force; older ones are "
-        "removed",
-        Span(1, 100_000),
+        "removed"
     ),
-    Spec(
-        "memory_limit_mb",
-        1024,
+    Spec("memory_limit_mb", 1024, Span(256, 1_000_000, "MB"), later=Later.NOTHING).means(
         "How much more memory than at its start the node may take; a request that claims to hold "
-        "millions of values ends there. Read when the node starts; fits are not bounded",
-        Span(256, 1_000_000, "MB"),
-        later=Later.NOTHING,
+        "millions of values ends there. Read when the node starts; fits are not bounded"
     ),
-    Spec("method", METHODS[0], METHOD_WORDS, choices=METHODS),
-    Spec(
-        "accumulate",
-        False,
+    Spec("method", METHODS[0], choices=METHODS).means(METHOD_WORDS),
+    Spec("accumulate", False).means(
         "Join the next turns, made on different tilts, into one estimate of the full correction, "
-        "installation yaw included; false: each turn starts afresh",
+        "installation yaw included; false: each turn starts afresh"
     ),
-    Spec(
-        "self_calibration",
-        "propose",
+    Spec("self_calibration", "propose", choices=tuple(mode.value for mode in Mode)).means(
         "What is done with a calibration from ordinary driving that has proved better: propose it "
         "(call ~/accept), apply it (and take it back where it proves worse), or off: none is "
-        "looked for",
-        choices=tuple(mode.value for mode in Mode),
+        "looked for"
     ),
-    Spec(
-        "reference.strength_ut",
-        UNSET,
-        "Strength of the Earth's field here; .nan to take it from the World Magnetic Model",
-        Span(15.0, 100.0, "µT"),
+    Spec("reference.strength_ut", UNSET, Span(15.0, 100.0, "µT")).means(
+        "Strength of the Earth's field here; .nan to take it from the World Magnetic Model"
     ),
-    Spec(
-        "reference.strength_sigma_ut",
-        STRENGTH_SIGMA_UT,
-        "Local deviation of the strength, by crust and iron near by (1 σ); indoors about 7",
-        Span(0.0, 100.0, "µT"),
+    Spec("reference.strength_sigma_ut", STRENGTH_SIGMA_UT, Span(0.0, 100.0, "µT")).means(
+        "Local deviation of the strength, by crust and iron near by (1 σ); indoors about 7"
     ),
-    Spec(
-        "reference.inclination_deg",
-        UNSET,
-        "Inclination (dip) of the Earth's field here, positive down; .nan for the model's",
-        Span(-90.0, 90.0, "°"),
+    Spec("reference.inclination_deg", UNSET, Span(-90.0, 90.0, "°")).means(
+        "Inclination (dip) of the Earth's field here, positive down; .nan for the model's"
     ),
-    Spec(
-        "reference.inclination_sigma_deg",
-        INCLINATION_SIGMA_DEG,
-        "Local deviation of the inclination, by crust and iron near by (1 σ); indoors about 5",
-        Span(0.0, 90.0, "°"),
+    Spec("reference.inclination_sigma_deg", INCLINATION_SIGMA_DEG, Span(0.0, 90.0, "°")).means(
+        "Local deviation of the inclination, by crust and iron near by (1 σ); indoors about 5"
     ),
-    Spec(
-        "reference.declination_deg",
-        UNSET,
-        "Declination here, positive east; .nan for the model's",
-        Span(-180.0, 180.0, "°"),
+    Spec("reference.declination_deg", UNSET, Span(-180.0, 180.0, "°")).means(
+        "Declination here, positive east; .nan for the model's"
     ),
-    Spec(
-        "reference.declination_sigma_deg",
-        DECLINATION_SIGMA_DEG,
-        "Local deviation of the declination, by crust and iron near by (1 σ); indoors about 5",
-        Span(0.0, 90.0, "°"),
+    Spec("reference.declination_sigma_deg", DECLINATION_SIGMA_DEG, Span(0.0, 90.0, "°")).means(
+        "Local deviation of the declination, by crust and iron near by (1 σ); indoors about 5"
     ),
-    Spec(
-        "reference.latitude_deg",
-        UNSET,
-        "Where the robot is, for the model, positive north; .nan to take it from gps/fix",
-        Span(-90.0, 90.0, "°"),
+    Spec("reference.latitude_deg", UNSET, Span(-90.0, 90.0, "°")).means(
+        "Where the robot is, for the model, positive north; .nan to take it from gps/fix"
     ),
-    Spec("reference.longitude_deg", UNSET, "The same, positive east", Span(-180.0, 180.0, "°")),
-    Spec(
-        "reference.altitude_m",
-        0.0,
-        "The same, above the sea or the ellipsoid; a kilometre changes the strength by 0.05%",
-        Span(*VALIDITY.altitudes, "m"),
+    Spec("reference.longitude_deg", UNSET, Span(-180.0, 180.0, "°")).means(
+        "The same, positive east"
     ),
-    Spec("soft_iron_gains", (1.0, 1.0, 1.0), "Known gains of the sensor's axes", Span(0.1, 10.0)),
-    Spec(
-        "base_frame",
-        "",
+    Spec("reference.altitude_m", 0.0, Span(*VALIDITY.altitudes, "m")).means(
+        "The same, above the sea or the ellipsoid; a kilometre changes the strength by 0.05%"
+    ),
+    Spec("soft_iron_gains", (1.0, 1.0, 1.0), Span(0.1, 10.0)).means(
+        "Known gains of the sensor's axes"
+    ),
+    Spec("base_frame", "").means(
         "Frame that the attitudes are published for, given by the fixed joints of "
-        "robot_description or the static transforms. Empty: the IMU's own",
+        "robot_description or the static transforms. Empty: the IMU's own"
     ),
-    Spec(
-        "vehicle_yaw_deg",
-        UNSET,
+    Spec("vehicle_yaw_deg", UNSET, Span(-360.0, 360.0, "°")).means(
         "Yaw of the IMU in the vehicle by hand, to the left of its front, for base_frame; .nan for "
-        "what the robot's description says, corrected by up to 15° by what driving shows",
-        Span(-360.0, 360.0, "°"),
+        "what the robot's description says, corrected by up to 15° by what driving shows"
     ),
-    Spec(
-        "mount_rpy_deg",
-        (UNSET, UNSET, UNSET),
+    Spec("mount_rpy_deg", (UNSET, UNSET, UNSET), Span(-360.0, 360.0, "°")).means(
         "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF; .nan for "
-        "what the robot's description says if base_frame is set, else zero",
-        Span(-360.0, 360.0, "°"),
+        "what the robot's description says if base_frame is set, else zero"
     ),
-    Spec(
-        "mount_2_rpy_deg",
-        (UNSET, UNSET, UNSET),
-        "The same of the magnetometer on imu/mag_2",
-        Span(-360.0, 360.0, "°"),
+    Spec("mount_2_rpy_deg", (UNSET, UNSET, UNSET), Span(-360.0, 360.0, "°")).means(
+        "The same of the magnetometer on imu/mag_2"
     ),
-    Spec(
-        "magnetometers",
-        2,
+    Spec("magnetometers", 2, Span(1, 8), later=Later.NOTHING).means(
         "How many magnetometers are listened to: imu/mag, imu/mag_2, imu/mag_3 and so on. One that "
-        "is silent from the start does not count. Read when the node starts",
-        Span(1, 8),
-        later=Later.NOTHING,
+        "is silent from the start does not count. Read when the node starts"
     ),
-    Spec(
-        "confidence.target_sigma_deg",
-        0.5,
+    Spec("confidence.target_sigma_deg", 0.5, Span(0.01, 10.0, "°")).means(
         "Predicted heading error (1 σ, on the level) at which a complete turn is enough; after 1.2 "
-        "turns, up to twice as much is",
-        Span(0.01, 10.0, "°"),
+        "turns, up to twice as much is"
     ),
-    Spec(
-        "known_heading.yaw_deg",
-        UNSET,
+    Spec("known_heading.yaw_deg", UNSET, Span(-360.0, 360.0, "°")).means(
         "Heading at which the robot stands when ~/calibrate_at_heading is called: ENU yaw, 0 to "
-        "the east, 90 to the north, positive to the left; .nan for that of the topic heading",
-        Span(-360.0, 360.0, "°"),
+        "the east, 90 to the north, positive to the left; .nan for that of the topic heading"
     ),
-    Spec(
-        "known_heading.north",
-        "",
-        "Which north known_heading.yaw_deg is to; there is no default",
-        choices=("", TRUE_NORTH, MAGNETIC_NORTH),
+    Spec("known_heading.north", "", choices=("", TRUE_NORTH, MAGNETIC_NORTH)).means(
+        "Which north known_heading.yaw_deg is to; there is no default"
     ),
-    Spec(
-        "known_heading.sigma_deg",
-        2.0,
-        "Standard deviation of known_heading.yaw_deg",
-        Span(0.05, 30.0, "°"),
+    Spec("known_heading.sigma_deg", 2.0, Span(0.05, 30.0, "°")).means(
+        "Standard deviation of known_heading.yaw_deg"
     ),
-    Spec(
-        "known_heading.topic_north",
-        TRUE_NORTH,
-        "Which north the topic heading is to; that of two antennas is true",
-        choices=(TRUE_NORTH, MAGNETIC_NORTH),
+    Spec("known_heading.topic_north", TRUE_NORTH, choices=(TRUE_NORTH, MAGNETIC_NORTH)).means(
+        "Which north the topic heading is to; that of two antennas is true"
     ),
-    Spec(
-        "window.timeout_s",
-        90.0,
-        "A turn is used or refused after this time, whatever was seen",
-        Span(2.0, 3600.0, "s"),
+    Spec("window.timeout_s", 90.0, Span(2.0, 3600.0, "s")).means(
+        "A turn is used or refused after this time, whatever was seen"
     ),
-    Spec(
-        "window.silence_s",
-        10.0,
-        "A turn ends when a sensor has been silent for this long",
-        Span(0.5, 600.0, "s"),
+    Spec("window.silence_s", 10.0, Span(0.5, 600.0, "s")).means(
+        "A turn ends when a sensor has been silent for this long"
     ),
-    Spec(
-        "window.max_gap_s",
-        STREAMS.max_gap,
-        "Between IMU samples further apart than this nothing is interpolated",
-        Span(0.001, 5.0, "s"),
+    Spec("window.max_gap_s", STREAMS.max_gap, Span(0.001, 5.0, "s")).means(
+        "Between IMU samples further apart than this nothing is interpolated"
     ),
-    Spec(
-        "fused.patience_s",
-        PATIENCE,
-        "A field that differs from the calibrated one for this long is taken as the new one",
-        Span(1.0, 3600.0, "s"),
+    Spec("fused.patience_s", PATIENCE, Span(1.0, 3600.0, "s")).means(
+        "A field that differs from the calibrated one for this long is taken as the new one"
     ),
-    Spec(
-        "rotate.enabled",
-        False,
+    Spec("rotate.enabled", False, later=Later.SWITCH_OFF).means(
         "Whether the robot turns itself, by velocities on cmd_vel, when a turn is asked for. While "
-        "the node runs it may be switched off, and on only with rotate.may_be_enabled",
-        later=Later.SWITCH_OFF,
+        "the node runs it may be switched off, and on only with rotate.may_be_enabled"
     ),
-    Spec(
-        MAY_BE_ENABLED,
-        False,
+    Spec(MAY_BE_ENABLED, False, later=Later.NOTHING).means(
         "Whether rotate.enabled may be switched on while the node runs, by whoever reaches it. "
-        "Read when the node starts",
-        later=Later.NOTHING,
+        "Read when the node starts"
     ),
-    Spec("rotate.speed_rad_s", 0.4, "How fast it turns", Span(0.1, 1.0, "rad/s")),
-    Spec("rotate.stamped", False, "Whether cmd_vel is a TwistStamped instead of a Twist"),
-    Spec("rotate.frame_id", "base_link", "Frame of the TwistStamped"),
+    Spec("rotate.speed_rad_s", 0.4, Span(0.1, 1.0, "rad/s")).means("How fast it turns"),
+    Spec("rotate.stamped", False).means("Whether cmd_vel is a TwistStamped instead of a Twist"),
+    Spec("rotate.frame_id", "base_link").means("Frame of the TwistStamped"),
 )

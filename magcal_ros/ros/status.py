@@ -17,7 +17,7 @@ from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.monitoring.watch import Watch, Watched
 from magcal_ros.core.session.session import Progress
-from magcal_ros.core.session.turn_events import TurnState
+from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.disk import plain
 from magcal_ros.ros.heading_pipeline import Inputs

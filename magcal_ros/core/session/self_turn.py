@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.rotation import Phase, RotationLimits, RotationPlan, RotationProof
-from magcal_ros.core.session.session import Progress
-from magcal_ros.core.session.turn_events import Brief
+from magcal_ros.core.session.session import Brief, Progress
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.rest import GyroAtRest, apart_from_rests
 from magcal_ros.core.samples.streams import STREAMS, Pair
@@ -72,6 +72,19 @@ class Limits:
     smallest_arc: float = math.radians(45.0)  # radians below which a turn is refused without a fit
     target_sigma: float = math.radians(0.5)
     """Radians of predicted heading sigma at which a complete turn is enough."""
+
+
+@dataclass(frozen=True)
+class Brief:
+    """What a turn is opened with."""
+
+    limits: Limits
+    knowledge: Knowledge
+    method: str
+    """One of `magcal_ros.core.calibrate.METHODS`."""
+    accumulate: bool
+    speed: float | None = None  # rad/s of a robot that turns itself; None if a person turns it
+    gyro: GyroAtRest | None = None  # what a rest before the turn has shown of the gyro
 
 
 class Stage(str, Enum):

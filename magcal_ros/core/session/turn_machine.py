@@ -7,17 +7,106 @@ files and messages belong to the owner.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import ClassVar, TypeAlias
 
 from magcal_ros.core.calibrate import JOINS, Outcome
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.rotation import planned_duration
 from magcal_ros.core.session.self_turn import Around, SelfTurn, Steering
-from magcal_ros.core.session.session import TUNING, Progress, Session, Stage
+from magcal_ros.core.session.session import TUNING, Brief, Progress, Session, Stage
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """How a turn ended, or what a request led to.
+
+    As a command: answer everyone who waits for the turn, and release what computes for it.
+    """
+
+    success: bool
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """Predict how certain a fit would be; answered by `note_preview`."""
+
+    window: Window
+    brief: Brief
+
+
+@dataclass(frozen=True, eq=False)
+class FitTurn:
+    """Fit a turn on top of those kept; answered by `note_fit` or `note_failed_fit`."""
+
+    kept: Kept
+    window: Window
+    brief: Brief
+
+
+@dataclass(frozen=True, eq=False)
+class PutInForce:
+    """Use a calibration from now on and store it; answered by `note_saved`."""
+
+    calibration: Calibration
+
+
+@dataclass(frozen=True)
+class MoveBase:
+    """Tell the base to turn at a rate, rad/s, left positive."""
+
+    rate: float
+
+
+class TurnState(str, Enum):
+    """The state of a turn."""
+
+    IDLE = "idle"
+    COLLECTING = "collecting"
+    FITTING = "fitting"
+    SAVING = "saving"
+
+
+@dataclass(frozen=True, eq=False)
+class Collecting:
+    """Samples arrive; a preview of the fit is running or is planned."""
+
+    brief: Brief
+    session: Session
+    state: ClassVar = TurnState.COLLECTING
+    asked: Preview | None = None
+    asked_at: float = 0.0
+    next_preview: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Fitting:
+    """A window is being fitted."""
+
+    why_ended: str
+    asked: FitTurn
+    state: ClassVar = TurnState.FITTING
+
+
+@dataclass(frozen=True)
+class Saving:
+    """The new calibration is in force and is being written to disk."""
+
+    words: str
+    report: str
+    state: ClassVar = TurnState.SAVING
+
+
+TurnStage: TypeAlias = Collecting | Fitting | Saving
+Command: TypeAlias = Conclusion | Preview | FitTurn | PutInForce | MoveBase
+"""Something that the owner of the state machine has to do."""
+
 
 NO_SENSORS = ("", "")
 """The frames of magnetometer and IMU before either is heard; some drivers never name one."""
@@ -42,16 +131,16 @@ class TurnMachine:
         self.progress: Progress | None = None
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
-        self.last_conclusion: ev.Conclusion | None = None
-        self._stage: ev.TurnStage | None = None
+        self.last_conclusion: Conclusion | None = None
+        self._stage: TurnStage | None = None
         self._kept = Kept()
         self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NO_SENSORS
-        self._commands: list[ev.Command] = []
+        self._commands: list[Command] = []
 
     @property
-    def state(self) -> ev.TurnState:
+    def state(self) -> TurnState:
         """What is going on."""
-        return ev.TurnState.IDLE if self._stage is None else self._stage.state
+        return TurnState.IDLE if self._stage is None else self._stage.state
 
     @property
     def outcome_is_of_others(self) -> bool:
@@ -63,7 +152,7 @@ class TurnMachine:
         """How many turns the next one would join."""
         return len(self._kept.windows)
 
-    def commands(self) -> list[ev.Command]:
+    def commands(self) -> list[Command]:
         """Return what is to be done about what happened, in this order."""
         commands, self._commands = self._commands, []
         return commands
@@ -72,25 +161,25 @@ class TurnMachine:
         """Discard the turns kept so far."""
         self._kept = Kept()
 
-    def open(self, brief: ev.Brief, now: float) -> ev.Conclusion:
+    def open(self, brief: Brief, now: float) -> Conclusion:
         """Begin a turn, at `now`, seconds on a steady clock; returns whether it has begun."""
         refusal = self._why_not(brief)
         if refusal:
-            return ev.Conclusion(False, refusal)
+            return Conclusion(False, refusal)
         if not brief.accumulate:
             self.forget()
         self.last_window = None
         session = Session(brief.limits, brief.knowledge.mounting, now, brief.gyro)
-        self._stage = ev.Collecting(brief, session)
+        self._stage = Collecting(brief, session)
         self.progress = session.progress(now)
         words = "turn the robot once, a full circle, 0.5 rad/s or less"
         if brief.speed is not None:
             self._steer(self.robot.stop())
             self.robot.open(brief, now)
             words = "the robot turns itself, once each way; keep clear"
-        return ev.Conclusion(True, f"collecting: {words}")
+        return Conclusion(True, f"collecting: {words}")
 
-    def _why_not(self, brief: ev.Brief) -> str:
+    def _why_not(self, brief: Brief) -> str:
         """Say why a turn cannot be opened; empty if it can."""
         longest = brief.limits.timeout
         if brief.speed is not None and planned_duration(brief.speed) > longest:
@@ -110,14 +199,14 @@ class TurnMachine:
 
     def take(self, pair: Pair, now: float) -> None:
         """Take a field sample with the IMU at its stamp."""
-        if isinstance(self._stage, ev.Collecting):
+        if isinstance(self._stage, Collecting):
             self._stage.session.add(pair, now)
             self.robot.take(pair, now)
 
     def tick(self, silence: str, now: float) -> None:
         """See that time has passed; `silence` says what is wrong, should nothing come."""
         stage = self._stage
-        if not isinstance(stage, ev.Collecting):
+        if not isinstance(stage, Collecting):
             return
         progress = self.progress = stage.session.progress(now)
         is_held = progress.stage is Stage.COMPLETE and self.robot.is_under_way
@@ -134,7 +223,7 @@ class TurnMachine:
             }[progress.stage]
             self._begin_fit(stage, why, now)
 
-    def _look_ahead(self, stage: ev.Collecting, progress: Progress, now: float) -> None:
+    def _look_ahead(self, stage: Collecting, progress: Progress, now: float) -> None:
         """Ask at intervals how certain a fit would be already, and once the circle is complete."""
         waits = progress.coverage.is_complete and not stage.session.was_seen_whole
         if (
@@ -143,14 +232,14 @@ class TurnMachine:
             and (now > stage.next_preview or waits)
         ):
             window = self.last_window = stage.session.look()
-            asked = ev.Preview(window, stage.brief)
+            asked = Preview(window, stage.brief)
             self._stage = replace(stage, asked=asked, asked_at=now)
             self._commands.append(asked)
 
-    def note_preview(self, asked: ev.Preview, sigma: float, now: float) -> None:
+    def note_preview(self, asked: Preview, sigma: float, now: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
         stage = self._stage
-        if isinstance(stage, ev.Collecting) and stage.asked is asked:
+        if isinstance(stage, Collecting) and stage.asked is asked:
             stage.session.note_sigma(sigma)
             pause = (now - stage.asked_at) * (1.0 / TUNING.preview_share - 1.0)
             self._stage = replace(stage, asked=None, next_preview=now + pause)
@@ -163,7 +252,7 @@ class TurnMachine:
     def _follow(self, steering: Steering, now: float) -> None:
         # Stopping comes first; what it leads to may take a moment.
         self._steer(steering)
-        if not isinstance(self._stage, ev.Collecting):
+        if not isinstance(self._stage, Collecting):
             return
         if steering.broken_off:
             self.break_off(f"{steering.broken_off}; {UNCHANGED}")
@@ -177,21 +266,21 @@ class TurnMachine:
 
     def _steer(self, steering: Steering) -> None:
         if steering.rate is not None:
-            self._commands.append(ev.MoveBase(steering.rate))
+            self._commands.append(MoveBase(steering.rate))
 
     def _leave_collecting(self) -> None:
         self._steer(self.robot.stop())
         self._stage = None
 
-    def finish(self, now: float) -> ev.Conclusion | None:
+    def finish(self, now: float) -> Conclusion | None:
         """Fit what there is; None where a fit is under way."""
-        if isinstance(self._stage, ev.Collecting):
+        if isinstance(self._stage, Collecting):
             self._begin_fit(self._stage, "finished by hand", now)
         elif self._stage is None:
-            return ev.Conclusion(False, "no turn is being collected: call ~/start first")
+            return Conclusion(False, "no turn is being collected: call ~/start first")
         return None
 
-    def _begin_fit(self, stage: ev.Collecting, why: str, now: float) -> None:
+    def _begin_fit(self, stage: Collecting, why: str, now: float) -> None:
         session = stage.session
         self.progress = session.progress(now)
         why = "; ".join(filter(None, (why, SET_BACK * session.was_set_back)))
@@ -205,14 +294,14 @@ class TurnMachine:
         if self._sensors != self._sensors_of_kept:
             self._sensors_of_kept = self._sensors
             self.forget()
-        asked = ev.FitTurn(self._kept, window, stage.brief)
-        self._stage = ev.Fitting(why, asked)
+        asked = FitTurn(self._kept, window, stage.brief)
+        self._stage = Fitting(why, asked)
         self._commands.append(asked)
 
-    def note_fit(self, asked: ev.FitTurn, outcome: Outcome, kept: Kept) -> None:
+    def note_fit(self, asked: FitTurn, outcome: Outcome, kept: Kept) -> None:
         """Take the fit of a turn, and what is kept for the next one to join."""
         stage = self._stage
-        if not isinstance(stage, ev.Fitting) or stage.asked is not asked:
+        if not isinstance(stage, Fitting) or stage.asked is not asked:
             return
         # Turns that were forgotten while this one was fitted do not come back with it.
         if self._kept is asked.kept:
@@ -220,9 +309,9 @@ class TurnMachine:
         self.last_window = outcome.window or self.last_window
         self._judge(outcome, stage.why_ended)
 
-    def note_failed_fit(self, asked: ev.FitTurn, words: str) -> None:
+    def note_failed_fit(self, asked: FitTurn, words: str) -> None:
         """Take note that a fit ended with an error of the program."""
-        if isinstance(self._stage, ev.Fitting) and self._stage.asked is asked:
+        if isinstance(self._stage, Fitting) and self._stage.asked is asked:
             self._conclude(False, f"the fit failed unexpectedly: {words}")
 
     def _judge(self, outcome: Outcome, why: str) -> None:
@@ -238,8 +327,8 @@ class TurnMachine:
         if outcome.calibration is None:
             self._conclude(False, f"{words} {unchanged}.{ending}")
         elif outcome.verdict.accepted:
-            self._stage = ev.Saving(words, ending)
-            self._commands.append(ev.PutInForce(outcome.calibration))
+            self._stage = Saving(words, ending)
+            self._commands.append(PutInForce(outcome.calibration))
         else:
             remedy = "~/accept applies this one anyway"
             self._conclude(False, f"{words} {unchanged}; {remedy}.{ending}")
@@ -247,27 +336,27 @@ class TurnMachine:
     def note_saved(self, words: str) -> None:
         """Take whether the calibration in force is stored, in words."""
         stage = self._stage
-        if isinstance(stage, ev.Saving):
+        if isinstance(stage, Saving):
             self._conclude(True, f"{stage.words} {words}{stage.report}")
 
-    def cancel(self) -> ev.Conclusion:
+    def cancel(self) -> Conclusion:
         """Cancel the turn."""
-        if isinstance(self._stage, ev.Saving):
+        if isinstance(self._stage, Saving):
             words = "too late to cancel: the new calibration is in force already"
-            return ev.Conclusion(False, words)
+            return Conclusion(False, words)
         if self._stage is None:
             words = "nothing to cancel: no turn is being collected or fitted"
-            return ev.Conclusion(False, words)
+            return Conclusion(False, words)
         words = f"cancelled; {UNCHANGED}"
         self.break_off(words)
-        return ev.Conclusion(True, words)
+        return Conclusion(True, words)
 
     def note_sensors(self, field: str, imu: str) -> None:
         """Take the frames of the sensors: turns of others are not joined, nor one turn of two."""
         before = self._sensors
         self._sensors = field or before[0], imu or before[1]
         changes = _changes(before, self._sensors)
-        if changes and isinstance(self._stage, (ev.Collecting, ev.Fitting)):
+        if changes and isinstance(self._stage, (Collecting, Fitting)):
             self.break_off(
                 f"{' and '.join(changes)} during the turn: let one sensor publish, and turn "
                 f"again; {UNCHANGED}"
@@ -281,7 +370,7 @@ class TurnMachine:
 
     def _conclude(self, success: bool, message: str) -> None:
         self._stage = None
-        self.last_conclusion = ev.Conclusion(success, message)
+        self.last_conclusion = Conclusion(success, message)
         self._commands.append(self.last_conclusion)
 
 

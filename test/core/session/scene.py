@@ -13,16 +13,15 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples.streams import ImuSample, Pairer, Streams
 from magcal_ros.core.session.self_turn import Around, SelfTurn
-from magcal_ros.core.session.session import Limits
-from magcal_ros.core.session.turn_events import (
-    Brief,
+from magcal_ros.core.session.session import Brief, Limits
+from magcal_ros.core.session.turn_machine import (
     Conclusion,
     FitTurn,
     MoveBase,
     Preview,
     PutInForce,
+    TurnMachine,
 )
-from magcal_ros.core.session.turn_machine import TurnMachine
 from magcal_ros.core.simulation import Ride, Robot
 
 STEP = 0.02

@@ -14,7 +14,7 @@ from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
 from magcal_ros.core.session.session import TUNING, Limits
-from magcal_ros.core.session.turn_events import Conclusion
+from magcal_ros.core.session.turn_machine import Conclusion
 from magcal_ros.core.simulation import Ride, Robot, heading_errors
 from magcal_ros.files.sources import open_recording
 

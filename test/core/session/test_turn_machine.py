@@ -7,7 +7,7 @@ from long_form import first_of
 from scene import BAD, GOOD, SHORT, Scene
 
 from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.session.turn_events import FitTurn, Preview, PutInForce, TurnState
+from magcal_ros.core.session.turn_machine import FitTurn, Preview, PutInForce, TurnState
 
 
 def asked_for(scene, kind):
