@@ -39,10 +39,7 @@ def node_name(text: str) -> str:
 
 
 def find_calibrator(node: Any, wanted: str | None) -> str:
-    """Return the full name of the calibrator that is meant.
-
-    Misuse if there are several and none is named; a MagcalError that lists those that are there.
-    """
+    """Return the calibrator's full name; Misuse if one of several must be named."""
     begin = first_seen = time.monotonic()
     seen: list[str] = []
     while True:

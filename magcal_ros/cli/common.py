@@ -109,10 +109,7 @@ def tell_result(facts: Mapping[str, Any], words: str, *, as_json: bool) -> None:
 
 
 def wrapped(text: str, width: int) -> str:
-    """Return a text with its long lines broken; what follows stands below the line's last column.
-
-    Words stay whole, so that paths can be clicked at.
-    """
+    """Return a text with long lines broken between words, hanging below their last column."""
     lines = []
     for line in text.split("\n"):
         found = HEAD.match(line)
@@ -194,10 +191,7 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
 def reference_in_use(
     options: argparse.Namespace, recorded: Place | None, stamp: float
 ) -> Reference:
-    """Return what the options give, and the rest from the model.
-
-    `recorded` is the place by the recording's own fixes, `stamp` (s) the newest of the recording.
-    """
+    """Return what the options give, and the rest from the model by recorded place and stamp."""
     given = Given.of(vars(options))
     if given.half_place:
         raise Misuse("give --latitude and --longitude together, or neither")

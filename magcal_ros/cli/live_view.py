@@ -25,10 +25,7 @@ LONGEST_ERROR = 500
 
 @contextlib.contextmanager
 def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
-    """Yield a node of this name, and leave the graph afterwards.
-
-    A MagcalError if there is no rclpy, Misuse if ROS refuses the arguments or the environment.
-    """
+    """Yield a node of this name; a MagcalError without rclpy, Misuse if ROS refuses the names."""
     try:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
@@ -93,11 +90,7 @@ WIDEST = 80
 
 
 def progress_of(status: str) -> dict[str, Any] | None:
-    """Return how far a turn is from the text of `~/status`; None if none is under way.
-
-    Anybody in the graph may publish there: what is no status is ignored, and control characters are
-    replaced.
-    """
+    """Return how far a turn is by the text of `~/status`; None if none is, or it is no status."""
     try:
         content = json.loads(status)
         if content["state"] not in BUSY:
@@ -122,10 +115,7 @@ def turns_itself(status: str) -> bool:
 
 
 def with_all_reasons(message: str, status: str | None) -> str:
-    """Return the answer of ~/calibrate with every reason against the result on a line of its own.
-
-    The answer names the first ones; the text of `~/status` has all of them.
-    """
+    """Return the answer of ~/calibrate with all reasons, which the text of `~/status` has."""
     try:
         verdict = json.loads(status or "")["verdict"]
         summary, headline = str(verdict["summary"]), str(verdict["headline"])

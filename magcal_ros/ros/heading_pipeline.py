@@ -295,10 +295,7 @@ class HeadingPipeline:
         return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
     def settled(self, number: int = FIRST, frame: str = "") -> Settings:
-        """Return the parameters as they hold for a turn of one magnetometer.
-
-        The reference field in use stands in place of the one that was given by hand.
-        """
+        """Return the parameters for a turn of a magnetometer, with the reference field in use."""
         settings, reference = self._reference.table.settings, self._reference.reference.field
         mounting = self.frames.mounting(number, frame)
         known = replace(settings.knowledge, reference=reference, mounting=mounting)

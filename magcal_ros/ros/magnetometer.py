@@ -59,10 +59,7 @@ class Owner(Protocol):
 
 
 class Magnetometer:
-    """A magnetometer's messages, calibration, file and turns.
-
-    One beside the first is nothing but a subscription until its first message comes.
-    """
+    """A magnetometer's messages, calibration, file and turns; no more before its first message."""
 
     def __init__(
         self,

@@ -30,11 +30,7 @@ SILENT = 1.5
 
 
 class Commands:
-    """Receives the commanded speed while something publishes it.
-
-    The type is that of the publisher. Nothing is subscribed to while the wheels measure a speed, or
-    while this node turns the robot and counts the subscribers of its commands.
-    """
+    """Receives the commanded speed while something publishes it, by the publisher's type."""
 
     def __init__(self, node: Node, up: UpFollower) -> None:
         self._node, self._up = node, up
@@ -84,10 +80,7 @@ class Commands:
 
 
 class Motors:
-    """Follows what the motors do, by gyro, wheels and battery, and learns the field that they add.
-
-    It learns while wheels or a battery send, unless self-calibration is off.
-    """
+    """Follows what motors do, by gyro, wheels and battery, and learns the field that they add."""
 
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
         self._up, self._travel = up, travel

@@ -218,10 +218,7 @@ class FusedOutput:
         """The yaw that is propagated; None while none is."""
 
     def begin_anew(self, calibration: Calibration | None) -> None:
-        """Forget the yaw: another calibration is in force, or none.
-
-        While two antennas measure it, no compass is needed.
-        """
+        """Forget the yaw for another calibration, unless two antennas measure it; None for none."""
         self._calibration = calibration
         if calibration is not None and self.yaw is not None and self.yaw.has_external_yaw:
             self.yaw.use(calibration, self.patience)

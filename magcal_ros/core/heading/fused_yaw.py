@@ -49,12 +49,9 @@ class _Moment(NamedTuple):
 
 
 class FusedYaw:
-    """The gyro-aided yaw of one calibration.
+    """The gyro-aided yaw of one calibration; a field that deviates for `patience` s is accepted.
 
-    After `patience` seconds a deviating field is taken for that of the calibration.
-
-    `last_heading_gap` is the angle by which the last heading of another device (`take_heading`) was
-    ahead.
+    `last_heading_gap` is by how much the last heading of another device was ahead, radians.
     """
 
     def __init__(self, calibration: Calibration, patience: float) -> None:
@@ -101,11 +98,7 @@ class FusedYaw:
         known: GyroBias = UNBIASED,
         is_at_rest: bool = False,
     ) -> None:
-        """Go on to the next IMU message.
-
-        `up` belongs to the message. `rate` is the mean since the one before, rad/s, less the bias
-        `known`. At rest the field of the place stays the same.
-        """
+        """Go on to an IMU message with its up, and the mean rate (rad/s) less the `known` bias."""
         seconds = stamp - self._stamp
         if not 0.0 < seconds <= STREAMS.longest_gyro_step and self._north is not None:
             self.restart()
@@ -164,11 +157,7 @@ class FusedYaw:
         self._turn(north, following.observe_bias(left, noise))
 
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
-        """Let the compass correct the yaw.
-
-        `field` is corrected, tesla, body axes, `up` belongs to its `stamp`, and `heading` is what
-        the compass makes of both.
-        """
+        """Let the compass correct the yaw, by a corrected field (T) with the up of its stamp."""
         seen = levelled(field, up.direction)
         if seen is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
             return
@@ -361,10 +350,7 @@ class FusedYaw:
 
 
 def _errors_of(heading: Heading) -> FloatArray:
-    """Return the errors of a compass as `YawFilter` takes them.
-
-    Those of several compasses together depend on the attitude as those of their lead.
-    """
+    """Return the errors of a compass as `YawFilter` takes them; of several, those of their lead."""
     errors = np.array((*heading.lasting, 1.0))
     square = float(errors @ errors) - 1.0
     if square > 0.0:

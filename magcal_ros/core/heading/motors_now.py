@@ -46,10 +46,7 @@ RUNNING = RunningTuning()
 
 
 class MotionSense:
-    """Follows whether a robot moves.
-
-    `newest` is what the motors did when it was asked last.
-    """
+    """Follows whether a robot moves; `newest` is what the motors did when it was asked last."""
 
     def __init__(self) -> None:
         self._moves: bool | None = None
@@ -143,11 +140,10 @@ class PlaceFieldTuning:
     def change(
         self, place: FloatArray, turned: FloatArray, faster: FloatArray, way: float, seconds: float
     ) -> FloatArray:
-        """Return the covariance that a propagated field of the place gains, µT², shape (3, 3).
+        """Return the covariance (3, 3) that a propagated field of the place gains, µT².
 
-        `place` (3,) is the field in µT, body axes, `turned` (3,) the radians by which the robot has
-        turned, `faster` (3,) the rad/s by which the turn rate has grown, and `way` the metres that
-        the magnetometer has gone, zero at rest.
+        `place` is in µT, body axes; it has `turned` (rad), by rates `faster` (rad/s) than before,
+        for a `way` (m).
         """
         lost = self.turn_error**2 * math.sqrt(float(turned @ turned))
         lost += self.latency**2 * float(faster @ faster)

@@ -251,11 +251,7 @@ class SeveralCompasses:
         return "its stamps are far from the others', or its field shows no direction"
 
     def _believed(self, yaws: list[CompassYaw], known: float) -> list[CompassYaw]:
-        """Leave out those that are wrong.
-
-        The gyro shows which one has changed, so it is no help between those that never agreed.
-        `known` is the variance of its yaw, rad².
-        """
+        """Leave out those that are wrong, by the gyro (`known` rad²) if they have ever agreed."""
         if not all(self._members[each.number].has_agreed for each in yaws):
             known = math.inf
         kept = believed(yaws, known, self._gate)
@@ -270,10 +266,7 @@ class SeveralCompasses:
     def _note_disagreement(
         self, yaws: list[CompassYaw], kept: list[CompassYaw], seconds: float
     ) -> None:
-        """Learn the variance by which they disagree without a reason.
-
-        One that is left because the others are silent keeps their disagreement.
-        """
+        """Learn by which variance they disagree for no reason; one left alone keeps it."""
         self.disagreement = 0.0
         if len(yaws) < 2:
             self._between = self._lasting
@@ -369,10 +362,7 @@ def believed(yaws: list[CompassYaw], known: float, gate: float) -> list[CompassY
 
 
 def misfit(yaws: list[CompassYaw], known: float = math.inf) -> float:
-    """Return the squared sigmas by which the yaws miss the one that suits them best.
-
-    `known` is as of `believed`.
-    """
+    """Return the squared sigmas by which the yaws miss the one that suits best; as `believed`."""
     first = yaws[0].ahead if math.isinf(known) else 0.0
     whole, moment, square = 1.0 / max(known, SMALLEST_VARIANCE), 0.0, 0.0
     for each in yaws:
@@ -384,10 +374,7 @@ def misfit(yaws: list[CompassYaw], known: float = math.inf) -> float:
 
 
 def excess_variance(yaws: list[CompassYaw]) -> float:
-    """Return the variance that each must have beside its own for all to agree, rad².
-
-    The estimate of DerSimonian and Laird for the variance between the studies of a meta-analysis.
-    """
+    """Return the further variance of each for all to agree, rad² (DerSimonian and Laird)."""
     weights = [1.0 / each.variance for each in yaws]
     spread = sum(weights) - sum(weight**2 for weight in weights) / sum(weights)
     if spread <= 0.0:

@@ -93,11 +93,7 @@ class YawFilter:
         disturbance: float,
         compass: FloatArray = PERFECT,
     ) -> None:
-        """Start from a compass reading and its errors.
-
-        The variances are those of the reading but for the disturbance, rad², of the bias, (rad/s)²,
-        and of the disturbance, rad².
-        """
+        """Start from a compass, by variances of its yaw, bias and disturbance: rad², (rad/s)²."""
         self.bias = self.disturbance = 0.0
         self.yaw_variance = yaw_variance + disturbance
         self.bias_variance, self._disturbance = bias_variance, disturbance
@@ -131,10 +127,7 @@ class YawFilter:
         self.bias_variance += bias_lost
 
     def move_on(self, share: float, variance: float) -> None:
-        """Let the disturbance become another one.
-
-        `share` of it is left, 0 to 1, and `variance` is that of a disturbance, rad².
-        """
+        """Keep a share (0 to 1) of the disturbance; `variance` is that of a new one, rad²."""
         self.disturbance *= share
         self._yaw_disturbance *= share
         self._bias_disturbance *= share
@@ -190,11 +183,7 @@ class YawFilter:
     def _correct(
         self, left: float, spread: float, by: tuple[float, float, float], apart: FloatArray
     ) -> float:
-        """Take an innovation and its variance, by the covariances of yaw, bias and disturbance.
-
-        All three are estimated as if the calibration's errors were known; `apart` are their shares
-        in the innovation. From what is left then the errors are estimated.
-        """
+        """Take an innovation; then what is left of it estimates the errors of shares `apart`."""
         by_yaw, by_bias, by_disturbance = by[0] / spread, by[1] / spread, by[2] / spread
         self.bias += by_bias * left
         self.disturbance += by_disturbance * left
@@ -259,10 +248,7 @@ class GyroLoss:
         self.begin(0.0, 0.0)
 
     def begin(self, bias: float, variance: float) -> None:
-        """Follow gap and bias anew; the sizes are still known.
-
-        The gyro's whole bias about up, rad/s, is known with a variance, (rad/s)².
-        """
+        """Follow gap and bias (rad/s, with its variance) anew; the sizes are still known."""
         self._stamp, self._heard = math.nan, -math.inf
         self._state: FloatArray = np.tile([0.0, -bias, 0.0], (len(self._walks), 1))
         self._covariance: FloatArray = np.tile(

@@ -72,11 +72,7 @@ class _Interval:
 
 
 class MotorLearning:
-    """Learns the motors' gains from one sample after another.
-
-    It begins with the motors of the calibration in force. `heard` are the inputs that have been
-    reported.
-    """
+    """Learns the motors' gains from one sample after another; `heard` are the inputs that came."""
 
     def __init__(self, calibration: Calibration) -> None:
         self.heard: frozenset[MotorInput] = frozenset()
@@ -105,11 +101,7 @@ class MotorLearning:
         self._forget_place()
 
     def add(self, stamp: float, raw: Triple, rate: Triple, running: Running) -> bool:
-        """Take a raw field sample with what the robot does; returns whether a block is done.
-
-        The stamp is in seconds, `raw` in tesla as the magnetometer reads it, `rate` in rad/s in
-        body axes, less the gyro's bias, and `running` what the motors do.
-        """
+        """Take a raw field (T) and the rate (rad/s less bias); returns whether a block is done."""
         seconds, self._stamp = stamp - self._stamp, stamp
         if not 0.0 < seconds < PLACE_FIELD.longest:
             self._forget_place()
@@ -273,10 +265,7 @@ class MotorLearning:
 
 
 def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozenset[int]]:
-    """Return mean and covariance of hard iron and all gains before learning, and which are known.
-
-    Body axes, µT; what is not known is as large as it can be.
-    """
+    """Return mean and covariance of hard iron and gains beforehand (µT), and which are known."""
     matrix = calibration.correction.matrix
     size = 3 + 3 * len(INPUTS)
     mean, covariance = np.zeros(size), np.zeros((size, size))

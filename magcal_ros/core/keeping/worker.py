@@ -88,11 +88,7 @@ def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveC
 
 
 def prove(nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowledge) -> Proof:
-    """Compare two calibrations on road that neither was fitted to.
-
-    Of a new one that is fitted anew now and then each stretch is predicted by the fit before it
-    (prequential; Dawid, 1984), so that all road since the first fit counts.
-    """
+    """Compare two calibrations on road that neither was fitted to (prequential; Dawid, 1984)."""
     road = nodes.between(new[0].since)
     if len(road) < 4:
         return Proof()
@@ -114,10 +110,7 @@ def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:
 def candidate_of(
     fitted: DriveFit, kind: Kind, before: Calibration | None, start: float, end: float
 ) -> DriveCandidate:
-    """Bring a fit into the form that is put in force.
-
-    `before` was in force while it was driven; `start` and `end` are the clock of the road, seconds.
-    """
+    """Make a candidate of a fit to the road between two stamps, driven with `before` in force."""
     sigma = fitted.posterior.heading_sigma
     covariance = fitted.posterior.covariance
     if kind is Kind.IRON and before is not None:

@@ -180,10 +180,7 @@ def fit_waves(
 
 
 class GyroWaves(NamedTuple):
-    """Compass less gyro: the rows that are compared, the deviation there, and its harmonics.
-
-    There are no harmonics of a part of a turn, which cannot tell them from a bias of the gyro.
-    """
+    """Compass less gyro (rad) at some rows, and its harmonics; none of a part of a turn."""
 
     rows: IntArray
     deviation: FloatArray
@@ -232,11 +229,7 @@ def compass_less_gyro(records: FloatArray, heading: FloatArray, sigmas: float) -
 def check_beside_chance(
     bound: Bound, figure: float, chance: float, before: float | None = None, decided: bool = False
 ) -> Check:
-    """Grade the part of a figure that chance does not explain.
-
-    Where chance alone reaches the bound of stale, the turn is inconclusive: doubtful, unless the
-    figure is small, or the drive itself has shown whether iron was added (`decided`).
-    """
+    """Grade what chance does not explain of a figure; where it may explain all, it is doubtful."""
     excess = math.sqrt(max(figure**2 - chance**2, 0.0))
     seen = chance * bound.scale
     note = f", of which chance may be {shown(seen)}{bound.unit}" if seen > 0.5 * bound.good else ""

@@ -125,10 +125,7 @@ class Recheck:
 
 
 def check(window: Window, calibration: Calibration, drive: DriveLog | None = None) -> Recheck:
-    """Look at a fresh turn, or a good part of one, through a calibration.
-
-    `drive` is all that was driven, where the samples are a drive's: it tells iron from streets.
-    """
+    """Look at a fresh turn through a calibration; `drive` tells iron from streets."""
     up = up_of(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
     corrected = _records(window, up, heading, calibration.correction)
@@ -219,10 +216,7 @@ def _records(
 def _figures(
     records: FloatArray, heading: FloatArray, calibration: Calibration
 ) -> tuple[dict[Figure, tuple[float, float]], GyroSwing | None]:
-    """Return the figures of records, radians and ratios, with what chance may reach of each.
-
-    And compass less gyro, where there is a gyro.
-    """
+    """Return the figures of records with what chance may reach of each, and compass less gyro."""
     stamp, size, rise = records[:, 0], records[:, 2], records[:, 3]
     level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
     dip = np.arctan2(-rise, level)
@@ -308,10 +302,7 @@ def up_of(window: Window) -> FloatArray:
 
 
 def _iron_of(drive: DriveLog, calibration: Calibration) -> tuple[float, float, float] | None:
-    """Return the hard iron that was added, by the drive's own model; None of too short a drive.
-
-    It is a share of the level field, with its standard deviation and the level field, tesla.
-    """
+    """Return added iron over the level field, its sigma, and that field, T; None where unknown."""
     reference = ReferenceField(
         Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
         Belief(calibration.inclination, math.radians(INCLINATION_SIGMA_DEG)),

@@ -69,10 +69,7 @@ def recorded_course(
     travel: Iterable[TravelSample],
     declination: float | None = None,
 ) -> RecordedCourse | None:
-    """Compare a calibration's compass with course; None where nothing was driven straight.
-
-    Readings are in their order, travel by stamp; `declination` (rad) is that of the place.
-    """
+    """Compare a compass with course, at a declination, rad; None where nothing was straight."""
     replay = TravelReplay(travel, Streams(STREAMS.max_gap))
     travelling = replay.travelling
     for _, yaw in _yaws(calibration, replay, readings):
@@ -140,10 +137,7 @@ def against_own_yaw(
     yaw: FloatArray,
     declination: float | None = None,
 ) -> AgainstOwnYaw | None:
-    """Compare a calibration's compass with an autopilot's own yaw; None where it has none.
-
-    `yaw` (n, 2) holds stamps (s) and yaws (rad, ENU, true north); `declination` is in radians.
-    """
+    """Compare a compass with an autopilot's yaw (n, 2), s and rad, ENU; None where it has none."""
     if len(yaw) < 2:
         return None
     replay = TravelReplay((), Streams(STREAMS.max_gap))

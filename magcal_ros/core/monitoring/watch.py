@@ -147,11 +147,7 @@ class Watched:
 def measure(
     records: FloatArray, calibration: Calibration
 ) -> tuple[tuple[Check, ...], tuple[float, float]]:
-    """Compare the records (n, 7) of a drive with what the calibration predicts.
-
-    Returns the findings, and the hard iron's change, tesla in body x and y. What does not stand out
-    of chance is no finding.
-    """
+    """Return the findings of a drive's records (n, 7), and the hard iron's change, T in x and y."""
     figures, iron = _gyro_figure(records), (0.0, 0.0)
     if not what_lacks(records):
         swings, iron = _swings(records, calibration)
@@ -210,10 +206,7 @@ def _swings(
 
 
 def _gyro_figure(records: FloatArray) -> dict[Figure, tuple[float, float]]:
-    """Return by how much compass less gyro swings once around, root mean square.
-
-    If the compass has hardly turned, no swing can be seen: then its median deviation counts.
-    """
+    """Return the RMS swing of compass less gyro, or its median where few headings were seen."""
     name = Figure.GYRO_COMPASS_HARMONIC
     if np.ptp(records[:, 0]) < WATCH.shortest_span or np.ptp(records[:, 4]) < math.tau:
         return {}

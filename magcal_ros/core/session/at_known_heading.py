@@ -132,10 +132,10 @@ def add_standing(
     knowledge: Knowledge,
     in_force: Calibration | None = None,
 ) -> HeadingResult:
-    """Add a standing to those before, fit, and judge.
+    """Add a standing to those before, fit, and judge; bad data are a refused result.
 
-    A calibration in force that is not of known headings stays if it is more certain, and a heading
-    that contradicts it is refused. Bad data raise nothing: the standings before stay.
+    A calibration in force that is not of known headings stays if it is more certain, and refuses a
+    heading that contradicts it.
     """
     other = None if in_force is None or external_heading.is_by_headings(in_force) else in_force
     standings = (*_apart_from(before, new), new)[-TUNING.most :]
@@ -211,10 +211,7 @@ def _next_in_words(standings: Sequence[Standing], knowledge: Knowledge) -> str:
 
 
 class HeadingLog:
-    """Keeps means of the field at known headings, a few for each direction.
-
-    `forward` (3,) is the direction in the IMU's axes whose heading is given.
-    """
+    """Keeps means of the field at headings of `forward` (3,), IMU axes, some for each direction."""
 
     def __init__(self, forward: FloatArray) -> None:
         self.forward = forward
@@ -306,10 +303,7 @@ class HeadingLog:
 
 
 def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outcome, str]:
-    """Calibrate from headings that were measured on the way, and judge the result.
-
-    The text says whether they seem to be to the other north; it is empty if they do not.
-    """
+    """Calibrate from headings on the way; the text says if they seem to be to the other north."""
     try:
         estimate = fit(standings, knowledge, SIZES["street"])
     except Refusal as refusal:
@@ -350,11 +344,7 @@ class HeadingCollector:
         reference: ReferenceField,
         max_gap: float = 0.0,
     ) -> bool:
-        """Take a field sample; returns whether enough is new for a fit.
-
-        `forward` (3,) is the direction in the IMU's axes whose heading is sent, to true north or
-        to magnetic north; `max_gap` is as of `UpFollower.at`.
-        """
+        """Take a field sample; returns whether enough is new for a fit of headings of `forward`."""
         up, heading = self._up.at(sample.stamp, max_gap), self.newest
         given = ExternalHeading(heading.yaw, heading.sigma, is_true)
         shift = given.to_magnetic(reference)

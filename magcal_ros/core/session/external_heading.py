@@ -114,11 +114,7 @@ class TurnSince:
         self._stamp = math.nan
 
     def add(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> None:
-        """Integrate the gyro up to an IMU message at a stamp, seconds.
-
-        `up` is unit, `rate` the mean since the message before, rad/s less the known bias, body
-        axes. The variance is of that bias about up, (rad/s)².
-        """
+        """Integrate the rate, rad/s less a bias of such a variance, up to a stamp, seconds."""
         seconds = stamp - self._stamp
         self._stamp = stamp
         if math.isnan(seconds):
@@ -141,10 +137,7 @@ class TurnSince:
 
 
 class HeadingAgainstGyro:
-    """Whether the headings of a device turn as the gyro does.
-
-    `fault` says in words how they differ; it is empty while they agree.
-    """
+    """Whether the headings of a device turn as the gyro does; else `fault` says how they differ."""
 
     def __init__(self) -> None:
         self.fault = ""

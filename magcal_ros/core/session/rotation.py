@@ -107,11 +107,7 @@ def planned_duration(speed: float) -> float:
 
 
 class RotationPlan:
-    """A turn to the left until every heading was seen or the turn is full, and as far back.
-
-    Speed and commands are in rad/s; `now` is in seconds on a steady clock. `fault` says why the
-    plan was broken off, if it was.
-    """
+    """A turn to the left until all headings were seen, and back; `fault` is why it broke off."""
 
     def __init__(self, speed: float, now: float) -> None:
         self.phase = Phase.OUT
@@ -181,12 +177,7 @@ class RotationPlan:
 
 
 class RotationLimits:
-    """Limits of a robot's turn by the gyro, by the commanded angle, and by time.
-
-    The first of them that is reached ends the motion. The robot starts at `now` (steady clock, s)
-    and may take `longest` seconds. `objection` says why it must not turn on; it is empty while it
-    may.
-    """
+    """Limits of a turn by gyro, commanded angle and time; `objection` is why it must not go on."""
 
     def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
         self.objection = ""
@@ -218,11 +209,7 @@ class RotationLimits:
 
 
 def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArray) -> str:
-    """Say how the field contradicts the gyro; empty if it does not, or it is too early to say.
-
-    The angles by gyro and by commands are (n,), radians to the left; the field in two level axes is
-    (n, 2), tesla.
-    """
+    """Say how the field (n, 2) contradicts the gyro's angles (n,), rad; empty if it does not."""
     for span in TUNING.spans:
         rows = _last(span, turned, commanded)
         if len(rows) < 10:

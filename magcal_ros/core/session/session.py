@@ -170,12 +170,7 @@ class Session:
         return float(self._buffer[self._size - 1, 0]) if self._size else -math.inf
 
     def add(self, pair: Pair, now: float) -> None:
-        """Take a pair.
-
-        One with the stamp of the newest is left out. An older stamp means that time was set back,
-        by a clock or by a bag that loops. The robot may have moved meanwhile, so the turn starts
-        again.
-        """
+        """Take a pair; a repeated stamp is left out, after an older one the turn starts again."""
         rows = self._buffer
         newest = self.newest
         if pair.field.stamp == newest:
@@ -299,10 +294,7 @@ def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
 
 
 def _turned_over(rows: FloatArray) -> IntArray:
-    """Return the rows in which the robot turns about another axis than up.
-
-    Its heading may stand still meanwhile, and the gyro's path through it must be complete.
-    """
+    """Return the rows of turns about other axes than up: the gyro's path through them counts."""
     rate = _rate_if_any(rows)
     if rate is None:
         return np.zeros(0, dtype=np.intp)

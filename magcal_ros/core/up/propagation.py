@@ -100,10 +100,7 @@ class GyroPropagation:
     def add(
         self, stamp: float, force: Triple, rate: Triple, seconds: float, is_given: bool = False
     ) -> None:
-        """Take force (g) and rate so many seconds after the ones before.
-
-        With `is_given` the force is already less a linear acceleration that was measured.
-        """
+        """Take a force (g; less an acceleration that was measured if `is_given`) and a rate."""
         before, old = self._rate, self._force
         self._stamp, self._rate, self._force = stamp, rate, force
         if is_given is not self._is_given:
@@ -169,10 +166,7 @@ class GyroPropagation:
         self._take_over()
 
     def _turn_doubt(self) -> float | None:
-        """Return the rate, rad/s, that may be a turn about up or may be bias; None if it turns.
-
-        Zero where the steady spell shows that the robot does not turn.
-        """
+        """Return the rate (rad/s) that may be turn or bias: zero at rest, None if it turns."""
         spell = self._spell
         if length(spell.rate) > FILTER.largest_bias:
             return None
