@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
@@ -114,7 +115,8 @@ class Motors:
         running = self.running(sample.stamp)
         if learns:
             if self._learning is None:
-                self._learning = MotorLearning(compass.calibration_with_motors)
+                known = replace(compass.calibration, motors=compass.motors)
+                self._learning = MotorLearning(known)
             is_done = self._learning.add(sample.stamp, sample.field, self._up.rate, running)
             self._has_learnt = is_done or self._has_learnt
         if compass.motors is None:

@@ -7,18 +7,12 @@ several times faster than numpy arrays.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import (
-    INPUTS,
-    PARAMETERS,
-    MotorField,
-    Running,
-)
+from magcal_ros.core.calibration.correction import INPUTS, PARAMETERS, MotorField, Running
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
@@ -86,7 +80,7 @@ def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 class Compass:
-    """A calibration made ready to be applied to one message after another."""
+    """A calibration and what is known of `motors`, applied to one message after another."""
 
     def __init__(self, calibration: Calibration) -> None:
         self.calibration = calibration
@@ -95,29 +89,18 @@ class Compass:
         self._h: tuple[float, ...] = tuple(float(value) for value in h)
         variances, directions = np.linalg.eigh(_body_covariance(calibration))
         self._errors = directions * np.sqrt(np.maximum(variances, 0.0))
-        self._motors: MotorField | None = None
+        self.motors: MotorField | None = None
         self._now: MotorsNow | None = None
         self._gains: tuple[tuple[int, float, float, float], ...] = ()
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
-        self._local = calibration.evidence.figure(Figure.LOCAL_FIELD, 0.0) ** 2 * np.asarray(
-            a @ a.T
-        )
+        local = calibration.evidence.figure(Figure.LOCAL_FIELD, 0.0)
+        self._local = local**2 * np.asarray(a @ a.T)
         self._tilt_variance = calibration.noise_up**2
         self.use_motors(calibration.motors)
 
-    @property
-    def motors(self) -> MotorField | None:
-        """What is known of the motors."""
-        return self._motors
-
-    @property
-    def calibration_with_motors(self) -> Calibration:
-        """The calibration in force with what is known of the motors now."""
-        return replace(self.calibration, motors=self._motors)
-
     def use_motors(self, motors: MotorField | None) -> None:
         """Take what is known of the motors from now on."""
-        self._motors, self._gains = motors, ()
+        self.motors, self._gains = motors, ()
         if motors is not None:
             self._gains = tuple(
                 (INPUTS.index(each), float(gain[0]), float(gain[1]), float(gain[2]))
@@ -197,8 +180,10 @@ class Compass:
         by_north = rise / level - nx * ux / forward
         tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
-        gradient = (ex / level, ey / level, ez / level)
-        errors, noise, passing = self._by_field(gradient, field, motors)
+        g, q = np.array((ex / level, ey / level, ez / level)), np.array((mx, my, mz, -1.0))
+        errors = (g[:, None] * q).ravel() @ self._errors
+        noise = float(g @ self._noise @ g)
+        passing = float(g @ (self._local if motors is None else self._local + motors) @ g)
         lasting = float(errors @ errors)
         variance += lasting + noise + passing
         cosine, sine = math.cos(yaw), math.sin(yaw)
@@ -206,15 +191,6 @@ class Compass:
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
         own = variance, roll_yaw, pitch_yaw, noise, lasting, tuple(errors.tolist())
         return Heading(roll, pitch, yaw, tilt, *own)
-
-    def _by_field(
-        self, gradient: Triple, field: Triple, motors: FloatArray | None
-    ) -> tuple[FloatArray, float, float]:
-        """Return the calibration's errors, and the variances by noise, and by place and motors."""
-        g, q = np.array(gradient), np.array((field[0], field[1], field[2], -1.0))
-        v = (g[:, None] * q).ravel()
-        passing = self._local if motors is None else self._local + motors
-        return v @ self._errors, float(g @ self._noise @ g), float(g @ passing @ g)
 
 
 def field_variance(calibration: Calibration) -> float:

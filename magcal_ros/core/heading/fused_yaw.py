@@ -135,11 +135,11 @@ class FusedYaw:
         if variance < own:
             # With so much noise the bias is as certain afterwards as it is known.
             noise = variance * own / (own - variance)
-            self._turn(self._north, following.observe_bias(-following.bias, noise))
+            self._turn(following.observe_bias(-following.bias, noise))
             self._loss.begin(dot(known.rate, self._up.direction), variance)
-        self._rest(self._north, known)
+        self._rest(known)
 
-    def _rest(self, north: Triple, known: GyroBias) -> None:
+    def _rest(self, known: GyroBias) -> None:
         """Learn the bias, and how the gyro loses it, from a robot that rests."""
         rests, following = self._rests, self._filter
         if known.at_rest is not None:
@@ -154,7 +154,7 @@ class FusedYaw:
         self._lost = 0.0
         left = shown - dot(known.rate, self._up.direction) - following.bias
         noise = 1.0 / weight + self._loss.rest_turn
-        self._turn(north, following.observe_bias(left, noise))
+        self._turn(following.observe_bias(left, noise))
 
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
         """Let the compass correct the yaw, by a corrected field (T) with the up of its stamp."""
@@ -191,7 +191,7 @@ class FusedYaw:
                 missing = FUSION.unknown**2 - self._filter.yaw_variance
                 self._filter.yaw_variance += max(0.0, missing)
             return
-        self._weigh(self._north, innovation, heading, compass, min(since, FUSION.noise_tau))
+        self._weigh(innovation, heading, compass, min(since, FUSION.noise_tau))
 
     def take_heading(
         self, stamp: float, yaw: float, variance: float, forward: Triple
@@ -207,7 +207,6 @@ class FusedYaw:
             return None
         since = min(stamp - self._heading_stamp, FUSION.heading_tau)
         self._heading_stamp = stamp
-        assert self._north is not None
         east = cross(north, self._up.direction)
         own = math.atan2(dot(north, forward), dot(east, forward))
         innovation = self.last_heading_gap = wrapped(yaw - own)
@@ -217,7 +216,7 @@ class FusedYaw:
             return missed
         noise = variance * max(1.0, 2.0 * self._loss.heading_lasts / since)
         self._learn_loss(stamp, innovation, variance, since)
-        self._turn(self._north, self._filter.observe_yaw(innovation, noise))
+        self._turn(self._filter.observe_yaw(innovation, noise))
         return missed
 
     def _learn_loss(self, stamp: float, innovation: float, variance: float, since: float) -> None:
@@ -294,21 +293,15 @@ class FusedYaw:
         return max(0.0, heading.yaw_variance - own)
 
     def _weigh(
-        self,
-        north: Triple,
-        innovation: float,
-        heading: Heading,
-        compass: FloatArray,
-        seconds: float,
+        self, innovation: float, heading: Heading, compass: FloatArray, seconds: float
     ) -> None:
         """Correct yaw and bias by how far the compass is from the propagated yaw."""
         following = self._filter
         bent = self._disturbance_variance
         by_tilt = self._by_tilt(heading)
         by_noise = heading.noise_variance + FUSION.small_iron * bent
-        doubt = innovation**2 / (
-            DISTURBANCE.gate**2 * following.spread(by_tilt + by_noise, compass)
-        )
+        spread = following.spread(by_tilt + by_noise, compass)
+        doubt = (innovation / DISTURBANCE.gate) ** 2 / spread
         is_good = self.detector.trust is Trust.GOOD
         clear = min(doubt - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
         self._overruled = max(0.0, self._overruled + clear * seconds) if is_good else 0.0
@@ -329,10 +322,11 @@ class FusedYaw:
             turned = share * innovation
         else:
             turned = following.observe(innovation, noise, compass)
-        self._turn(north, turned)
+        self._turn(turned)
 
-    def _turn(self, north: Triple, angle: float) -> None:
-        self._north = propagated(north, scaled(self._up.direction, angle))
+    def _turn(self, angle: float) -> None:
+        assert self._north is not None
+        self._north = propagated(self._north, scaled(self._up.direction, angle))
         self._shift += angle
 
     def _at(self, stamp: float) -> _Moment | None:
