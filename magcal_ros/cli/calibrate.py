@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from magcal_ros.cli import live_view
-from magcal_ros.cli.common import Exit, tell
+from magcal_ros.cli.common import Exit, command, tell
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.disk import plain
 
@@ -98,12 +98,7 @@ STATUS_WITHIN = 5.0
 
 def add_calibrate(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = commands.add_parser(
-        "calibrate",
-        help="calibrate a running node, with a live view",
-        description="Look at the sensors, call ~/calibrate of a running calibrator node and show "
-        "the turn as it is seen. Ctrl-C cancels.",
-    )
+    parser = command(commands, "calibrate", run, "calibrate a running node, with a live view")
     parser.add_argument(
         "--node",
         type=node_name,
@@ -112,11 +107,13 @@ def add_calibrate(commands: Any) -> None:
     parser.add_argument(
         "--skip-preflight", action="store_true", help="do not check the sensors first"
     )
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Calibrate; the exit status says whether the calibration is in force."""
+    """Look at the sensors, call ~/calibrate of a running calibrator node and show the turn.
+
+    Ctrl-C cancels.
+    """
     with live_view.joined("magcal_calibrate", []) as node:
         from magcal_ros.ros.preflight import inspect
 

@@ -15,6 +15,7 @@ from magcal_ros.cli.common import (
     add_output_option,
     add_reference_options,
     bullets,
+    command,
     new_or_named,
     reference_in_use,
     table,
@@ -38,24 +39,22 @@ from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 
 def add_check(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = commands.add_parser(
-        "check",
-        help="say whether a calibration still holds on a fresh recording",
-        description="Say whether a calibration still holds on a fresh recording in which the "
-        "robot turns. Exit status: 0 it holds or is doubtful (the words tell), 2 usage, 3 too "
-        "little data or nothing that can be judged, 4 stale, 5 file trouble.",
-    )
+    words = "say whether a calibration still holds on a fresh recording"
+    parser = command(commands, "check", run_check, words)
     recorded.add_recording_options(parser)
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="the calibration"
     )
     add_output_option(parser, "the report", "magcal_check")
     add_reference_options(parser)
-    parser.set_defaults(run=run_check)
 
 
 def run_check(options: argparse.Namespace) -> int:
-    """Compare a recording with a calibration and print the result."""
+    """Say whether a calibration still holds on a fresh recording in which the robot turns.
+
+    Exit status: 0 it holds or is doubtful (the words tell), 2 usage, 3 too little data or nothing
+    that can be judged, 4 stale, 5 file trouble.
+    """
     calibration, origin = read_calibration(options.calibration)
     with recorded.opened(options, options.recording) as source:
         gathered = recorded.gather(options, Mounting(), source, calibration)
@@ -174,20 +173,14 @@ def _facts(result: Recheck, notes: list[str]) -> dict[str, Any]:
 
 def add_drive(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = commands.add_parser(
-        "drive",
-        help="say what a recorded drive shows of the compass",
-        description="Replay a recorded drive: what self-calibration would have decided and why, "
-        "and a map of where the field is disturbed. Exit status: 0 a calibration is in force at "
-        "the end, 2 usage, 3 none is, 5 file trouble.",
-    )
+    words = "say what a recorded drive shows of the compass"
+    parser = command(commands, "drive", run_drive, words)
     recorded.add_recording_options(parser)
     parser.add_argument(
         "--calibration", type=Path, metavar="FILE", help="in force at the beginning (default: none)"
     )
     add_output_option(parser, "the report", "magcal_drive")
     recorded.add_knowledge_options(parser)
-    parser.set_defaults(run=run_drive)
 
 
 NO_GYRO = (
@@ -197,7 +190,11 @@ NO_GYRO = (
 
 
 def run_drive(options: argparse.Namespace) -> int:
-    """Replay the drive and write the page."""
+    """Replay a recorded drive: what self-calibration would have decided and why.
+
+    And a map of where the field is disturbed. Exit status: 0 a calibration is in force at the end,
+    2 usage, 3 none is, 5 file trouble.
+    """
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
     folder = new_or_named(options.output, "magcal_drive")
     with recorded.opened(options, options.recording) as source:
@@ -250,22 +247,20 @@ def _drive_facts(story: DriveStory, notes: list[str], files: list[Path]) -> dict
 
 def add_export(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = commands.add_parser(
-        "export",
-        help="write a calibration for another program",
-        description="Write a calibration in the form another program reads. What that program "
-        "cannot hold is said in a comment; what would make its heading wrong is refused.",
-    )
+    parser = command(commands, "export", run_export, "write a calibration for another program")
     parser.add_argument("calibration", type=Path, help="a calibration file of this package")
     parser.add_argument(
         "--to", required=True, choices=sorted(EXPORTERS), metavar="NAME", help=", ".join(EXPORTERS)
     )
     parser.add_argument("--output", type=Path, help="the file to write (default: print it)")
-    parser.set_defaults(run=run_export)
 
 
 def run_export(options: argparse.Namespace) -> int:
-    """Write the calibration in another format."""
+    """Write a calibration in the form another program reads.
+
+    What that program cannot hold is said in a comment; what would make its heading wrong is
+    refused.
+    """
     calibration, origin = read_calibration(options.calibration)
     about = [origin.magnetometer_frame] if options.to in OF_LOGS else []
     text = EXPORTERS[options.to](calibration, *about)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 import math
 import re
@@ -37,6 +38,17 @@ class Exit(IntEnum):
     FAULT = 70
     INTERRUPTED = 130
     PIPE_CLOSED = 141
+
+
+def command(
+    commands: Any, name: str, run: Callable[[argparse.Namespace], int], words: str
+) -> argparse.ArgumentParser:
+    """Add a command; its description is what the function that runs it says of itself."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=words, description=inspect.getdoc(run)
+    )
+    parser.set_defaults(run=run)
+    return parser
 
 
 def number(low: float, high: float) -> Callable[[str], float]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.cli.common import Exit, number, tell
+from magcal_ros.cli.common import Exit, command, number, tell
 from magcal_ros.cli.live_view import best_view, joined, keep_traffic_here
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
@@ -69,12 +69,8 @@ LARGEST_ERROR_DEG = 1.0
 
 def add_demo(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = commands.add_parser(
-        "demo",
-        help="calibrate a simulated robot with the real node",
-        description="Start the calibrator node and a simulated robot with a bad compass, turn "
-        "the robot once, and compare what was found with the truth.",
-    )
+    words = "calibrate a simulated robot with the real node"
+    parser = command(commands, "demo", run_demo, words)
     parser.add_argument(
         "--output",
         type=Path,
@@ -84,11 +80,13 @@ def add_demo(commands: Any) -> None:
     speed, words = number(1e-3, 1e3), "times real time (default: 1)"
     parser.add_argument("--speed", type=speed, default=1.0, help=words)
     parser.add_argument("--seed", type=int, default=1, help="seed of the noise (default: 1)")
-    parser.set_defaults(run=run_demo)
 
 
 def run_demo(options: argparse.Namespace) -> int:
-    """Run the demo; the exit status says whether the heading came out right."""
+    """Start the calibrator node and a simulated robot with a bad compass.
+
+    Turn the robot once, and compare what was found with the truth.
+    """
     require_ours(options.output)
     keep_traffic_here()
     print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
@@ -176,12 +174,8 @@ LAST_STAMP = 2.0**31 - 2.0
 
 def add_replay(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = commands.add_parser(
-        "replay",
-        help="publish a recorded drive on imu/data_raw and imu/mag",
-        description="Publish a recorded drive (a folder with imu.csv: t,ax,ay,az,gx,gy,gz and "
-        "mag.csv: t,mx,my,mz; SI units) on imu/data_raw and imu/mag under its own stamps.",
-    )
+    words = "publish a recorded drive on imu/data_raw and imu/mag"
+    parser = command(commands, "replay", run_replay, words)
     parser.add_argument(
         "folder", type=Path, help="holds imu.csv and mag.csv; `ros2 bag play` replays a bag"
     )
@@ -202,11 +196,13 @@ def add_replay(commands: Any) -> None:
     parser.add_argument(
         "--ros-args", nargs=argparse.REMAINDER, default=[], help="remaps and namespaces"
     )
-    parser.set_defaults(run=run_replay)
 
 
 def run_replay(options: argparse.Namespace) -> int:
-    """Play the recording to its end."""
+    """Publish a recorded drive on imu/data_raw and imu/mag under its own stamps.
+
+    It is a folder with imu.csv: t,ax,ay,az,gx,gy,gz and mag.csv: t,mx,my,mz; SI units.
+    """
     recording = read_csv_folder(options.folder)
     _require_stamps(options.folder, recording)
     with joined("magcal_replay", ["--ros-args", *options.ros_args]) as node:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magcal_ros.cli import recorded
-from magcal_ros.cli.common import Exit, bullets, reference_in_use, tell_result
+from magcal_ros.cli.common import Exit, bullets, command, reference_in_use, tell_result
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.course import CourseSeen
@@ -44,15 +44,8 @@ MOST = 500_000
 
 def add_doctor(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = commands.add_parser(
-        "doctor",
-        help="say what is wrong with the sensors, live or of a recording",
-        description="Look at stamps, latency, units, gravity, repeats, resolution, range, noise "
-        "and axes of the sensors, and say what to change. Without a recording it listens to the "
-        "running sensors for a guided half minute: stand still, turn left, lift the nose. Exit "
-        "status: 0 nothing is wrong (but lines may be worth a look), 2 usage, 3 too little data, "
-        "4 something is wrong, 5 file trouble.",
-    )
+    words = "say what is wrong with the sensors, live or of a recording"
+    parser = command(commands, "doctor", run, words)
     recorded.add_recording_options(parser, optional=True)
     parser.add_argument(
         "--live", action="store_true", help="listen to the running sensors (without a recording)"
@@ -66,7 +59,6 @@ def add_doctor(commands: Any) -> None:
         "--write", type=Path, metavar="FILE", help="write what was found as a parameter file"
     )
     recorded.add_knowledge_options(parser)
-    parser.set_defaults(run=run)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +106,13 @@ class Heard:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Examine the sensors and print the findings."""
+    """Say what is wrong with the sensors, and what to change.
+
+    Stamps, latency, units, gravity, repeats, resolution, range, noise and axes are looked at.
+    Without a recording it listens to the running sensors for a guided half minute: stand still,
+    turn left, lift the nose. Exit status: 0 nothing is wrong (but lines may be worth a look),
+    2 usage, 3 too little data, 4 something is wrong, 5 file trouble.
+    """
     if options.write is not None and options.write.exists():
         raise FileTrouble(f"{options.write} exists already: name another --write")
     if options.recording is not None and options.live:

@@ -18,6 +18,7 @@ from magcal_ros.cli.common import (
     Exit,
     add_output_option,
     bullets,
+    command,
     new_or_named,
     table,
     tell,
@@ -68,14 +69,7 @@ class Fitted:
 
 def add_fit(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = commands.add_parser(
-        "fit",
-        help="calibrate from a recording",
-        description="Calibrate from a recording of a turn, as the node does live. The whole span "
-        "is used. Several recordings of turns on different tilts are joined into one estimate, "
-        "the yaw of the installation included. Exit status: 0 good, 2 usage, 3 too little data, "
-        "4 refused, 5 file trouble.",
-    )
+    parser = command(commands, "fit", run, "calibrate from a recording")
     recorded.add_recording_options(parser, several=True)
     add_output_option(parser, "what is found", "magcal_fit")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0], help=METHOD_WORDS)
@@ -84,11 +78,15 @@ def add_fit(commands: Any) -> None:
     )
     recorded.add_heading_options(parser)
     recorded.add_knowledge_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, fit, write the files, and print the result."""
+    """Calibrate from a recording of a turn, as the node does live.
+
+    The whole span is used. Several recordings of turns on different tilts are joined into one
+    estimate, the yaw of the installation included. Exit status: 0 good, 2 usage, 3 too little data,
+    4 refused, 5 file trouble.
+    """
     folder = new_or_named(options.output, "magcal_fit")
     # What lies there already is never overwritten.
     if (folder / CALIBRATION).exists():

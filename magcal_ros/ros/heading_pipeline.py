@@ -30,6 +30,7 @@ from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import FusedOutput, HeadingOutput
 from magcal_ros.ros.parameters import Parameters, Settings
 from magcal_ros.ros.sensor_frames import SensorFrames
+from magcal_ros.ros.threads import BackgroundThread, SensorGroup
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.wire import FieldArrival
 
@@ -148,7 +149,7 @@ class ReferenceSource:
     """Subscribes to gps/fix and keeps the reference field up to date."""
 
     def __init__(self, node: Node, table: Parameters) -> None:
-        self._node, self.table = node, table
+        self._node, self._table = node, table
         self._fixes = Fixes()
         self._calibration: Calibration | None = None
         self._settings: Settings | None = None
@@ -160,9 +161,14 @@ class ReferenceSource:
     @property
     def reference(self) -> Reference:
         """The reference field in use, by the parameters of this moment."""
-        if self.table.settings is not self._settings:
+        if self._table.settings is not self._settings:
             self.refresh()
         return self._reference
+
+    @property
+    def field(self) -> ReferenceField:
+        """Its field."""
+        return self.reference.field
 
     def use(self, calibration: Calibration | None) -> None:
         """Compare the place where a calibration was made with this one from now on."""
@@ -183,7 +189,7 @@ class ReferenceSource:
             say.tell("reference", f"reference field: {self._reference.words}")
 
     def _resolve(self) -> Reference:
-        settings = self._settings = self.table.settings
+        settings = self._settings = self._table.settings
         given = settings.knowledge.reference
         place = settings.given.place or self._fixes.place
         found = resolve(given, settings.given.local, place, None if place is None else self._year())
@@ -220,24 +226,27 @@ class HeadingPipeline:
     that the heading is based on: that of the first magnetometer that has one.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        up: UpFollower,
-        imu: Sensor,
-        frames: SensorFrames,
-        reference_source: ReferenceSource,
-        travel: Travel,
-    ) -> None:
-        self._node, self.up, self.imu = node, up, imu
-        self.frames, self._reference, self.travel = frames, reference_source, travel
-        self.motors = Motors(node, up, travel)
-        self.headings = HeadingOutput(node, frames)
-        self.fused = FusedOutput(node, up, frames)
+    def __init__(self, node: Node, table: Parameters) -> None:
+        self.node, self._table = node, table
+        self.fits, self.files = (BackgroundThread(node, f"magcal-{n}") for n in ("fit", "files"))
+        self.sensor_group = SensorGroup()
+        self.imu = Sensor(node.resolve_topic_name("imu/data_raw"))
+        self.up = UpFollower()
+        self.reference = ReferenceSource(node, table)
+        self.frames = SensorFrames(node, lambda: table.settings)
+        self.travel = Travel(node, self.fits, self.sensor_group, self.reference.on_fix)
+        self.motors = Motors(node, self.up, self.travel)
+        self.headings = HeadingOutput(node, self.frames)
+        self.fused = FusedOutput(node, self.up, self.frames)
         self.several = SeveralCompasses()
         self.lead: Calibration | None = None
         self._origin: Origin | None = None
         self._in_force: dict[int, Calibration | None] = {}
+
+    @property
+    def settings(self) -> Settings:
+        """The parameters of this moment."""
+        return self._table.settings
 
     def use(self, keepers: Mapping[int, Keeper]) -> None:
         """Use what is in force, by the numbers of the magnetometers."""
@@ -254,22 +263,21 @@ class HeadingPipeline:
             self.lead = lead
             self.headings.begin_anew(lead)
             self.fused.begin_anew(lead)
-            self._reference.use(lead)
+            self.reference.use(lead)
             self.travel.use(self._origin.vehicle_yaw if self._origin else None)
 
-    def follow(self, settings: Settings, keeper: Keeper, turn: TurnState) -> None:
+    def follow(self, keeper: Keeper, turn: TurnState) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
-        self.fused.patience = settings.patience
+        self.fused.patience = self.settings.patience
         kept = None if keeper.calibration is None else keeper.calibration.motors
-        mode, is_turning = Mode(settings.self_calibration), turn is not TurnState.IDLE
+        mode, is_turning = Mode(self.settings.self_calibration), turn is not TurnState.IDLE
         learnt = self.motors.follow(mode, is_turning, kept)
         if learnt is not None:
             keeper.keep(learnt)
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Go on to an IMU message, of which up knows already."""
-        reference = self._reference.reference.field
-        self.fused.on_imu(seconds, stamp, self.body_frame(), reference)
+        self.fused.on_imu(seconds, stamp, self.body_frame(), self.reference.field)
 
     def moment_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> Moment:
         """Return the corrected field, up and heading of a field sample of these streams."""
@@ -285,8 +293,7 @@ class HeadingPipeline:
             if joined is None:
                 return
             moment = joined
-        reference = self._reference.reference.field
-        self.headings.publish(moment, arrived.stamp, self.body_frame(), reference)
+        self.headings.publish(moment, arrived.stamp, self.body_frame(), self.reference.field)
         self.fused.on_field(moment)
         self.travel.on_moment(moment)
 
@@ -296,12 +303,11 @@ class HeadingPipeline:
 
     def settled(self, number: int = FIRST, frame: str = "") -> Settings:
         """Return the parameters for a turn of a magnetometer, with the reference field in use."""
-        settings, reference = self._reference.table.settings, self._reference.reference.field
-        mounting = self.frames.mounting(number, frame)
-        known = replace(settings.knowledge, reference=reference, mounting=mounting)
+        settings, mounting = self.settings, self.frames.mounting(number, frame)
+        known = replace(settings.knowledge, reference=self.reference.field, mounting=mounting)
         return replace(settings, knowledge=known)
 
     def origin_of(self, magnetometer_frame: str) -> Origin:
         """Return where a calibration that is made now comes from."""
-        node = self._node.get_fully_qualified_name()
+        node = self.node.get_fully_qualified_name()
         return Origin.now(magnetometer_frame, self.imu.frame, node, self.travel.yaw)

@@ -6,9 +6,7 @@ import math
 import time
 from typing import TYPE_CHECKING, Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from magcal_ros.core.errors import in_words
@@ -23,7 +21,7 @@ from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.parameters import Settings
-from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
+from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.wire import Unreadable, read_heading
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
@@ -51,16 +49,10 @@ class Antenna:
     """
 
     def __init__(
-        self,
-        node: Node,
-        magnetometer: Magnetometer,
-        pipeline: HeadingPipeline,
-        fits: BackgroundThread,
-        worker: WorkerProcess,
-        group: CallbackGroup,
+        self, magnetometer: Magnetometer, pipeline: HeadingPipeline, worker: WorkerProcess
     ) -> None:
-        self._magnetometer, self._pipeline = magnetometer, pipeline
-        self._fits, self._worker = fits, worker
+        node, group = pipeline.node, pipeline.sensor_group
+        self._magnetometer, self._pipeline, self._worker = magnetometer, pipeline, worker
         self._say = node.get_logger().info
         self.topic = node.resolve_topic_name(TOPIC)
         self.is_heard = False
@@ -170,7 +162,7 @@ class Antenna:
 
             return self._worker.run_once(fit_log, standings, settings.knowledge)
 
-        self._fits.run(work, lambda found: self._note(*found, log), self._lost)
+        self._pipeline.fits.run(work, lambda found: self._note(*found, log), self._lost)
 
     def _lost(self, error: Exception) -> None:
         self._is_fitting = False
@@ -213,18 +205,11 @@ NO_POSE = (
 class KnownHeadings:
     """Calibrates where the robot stands at a known heading; `antenna` uses the topic."""
 
-    def __init__(
-        self,
-        node: Node,
-        magnetometer: Magnetometer,
-        pipeline: HeadingPipeline,
-        fits: BackgroundThread,
-        group: CallbackGroup,
-    ) -> None:
-        self._magnetometer, self._pipeline, self._fits = magnetometer, pipeline, fits
+    def __init__(self, magnetometer: Magnetometer, pipeline: HeadingPipeline) -> None:
+        self._magnetometer, self._pipeline = magnetometer, pipeline
         self.worker = WorkerProcess()
         """Its fits run in the thread of all fits, one at a time."""
-        self.antenna = Antenna(node, magnetometer, pipeline, fits, self.worker, group)
+        self.antenna = Antenna(magnetometer, pipeline, self.worker)
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
         self._answer = ""
@@ -235,7 +220,7 @@ class KnownHeadings:
         self._tell: Tell | None = None
         self._deadline = math.inf
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = node.create_timer(TICK, self._on_tick, clock=steady)
+        self._timer = pipeline.node.create_timer(TICK, self._on_tick, clock=steady)
         self._timer.cancel()
 
     @property
@@ -341,7 +326,7 @@ class KnownHeadings:
             collected = CollectedSamples(pairs, *known)
             return self.worker.run_once(calibrate_standing, before, collected, in_force)
 
-        self._fits.run(work, lambda result: self._note(result, epoch), self._lost)
+        self._pipeline.fits.run(work, lambda result: self._note(result, epoch), self._lost)
 
     def _lost(self, error: Exception) -> None:
         why = "the node ends" if isinstance(error, Stopped) else in_words(error)

@@ -9,8 +9,6 @@ from functools import partial
 from time import monotonic as now
 from typing import Any, Protocol, TypeVar
 
-from rclpy.callback_groups import CallbackGroup
-from rclpy.node import Node
 from sensor_msgs.msg import MagneticField
 
 from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
@@ -62,32 +60,26 @@ class Magnetometer:
     """A magnetometer's messages, calibration, file and turns; no more before its first message."""
 
     def __init__(
-        self,
-        node: Node,
-        owner: Owner,
-        pipeline: HeadingPipeline,
-        settings: Callable[[], Settings],
-        fits: BackgroundThread,
-        files: BackgroundThread,
-        robot: SelfTurn | None,
-        group: CallbackGroup | None,
-        number: int,
+        self, owner: Owner, pipeline: HeadingPipeline, number: int, robot: SelfTurn | None = None
     ) -> None:
-        self._node, self._owner, self._pipeline = node, owner, pipeline
+        node = self._node = pipeline.node
+        self._owner, self._pipeline = owner, pipeline
         self.number, self._topic = number, topic_of(number)
         self.topic = node.resolve_topic_name(self._topic)
-        streams = Streams(settings().max_gap)
+        streams = Streams(pipeline.settings.max_gap)
         self.inputs = inputs = Inputs(pipeline.imu, Sensor(self.topic), streams)
         name, log = (node.get_namespace(), node.get_name()), node.get_logger()
-        kept = files, log, self._apply, lambda: settings().calibration_file, number
+        kept = pipeline.files, log, self._apply, lambda: pipeline.settings.calibration_file, number
         self.keeper = Keeper(name, *kept)
-        self.control = Control(inputs.streams, self, owner, robot, fits, files)
+        self.control = Control(streams, self, owner, robot, pipeline.fits, pipeline.files)
         thread = BackgroundThread(node, "magcal-report")
         self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
         self.compass: Compass | None = None
         self.watch: Watch | None = None
         """Watches the calibration of the first magnetometer."""
-        self.out = FieldOutput(node, self._topic) if number == FIRST else None
+        is_first = number == FIRST
+        self.out = FieldOutput(node, self._topic) if is_first else None
+        group = pipeline.sensor_group if is_first else None
         self.subscription = node.create_subscription(
             MagneticField, self._topic, self._on_field, SENSOR_DATA, raw=True, callback_group=group
         )

@@ -15,10 +15,9 @@ from std_msgs.msg import String
 from magcal_ros.core.samples.streams import Drop, FieldSample
 from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
-from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors
-from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, ReferenceSource, Sensor
+from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
 from magcal_ros.ros.magnetometers import Ask, Magnetometers, Services
@@ -26,9 +25,8 @@ from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.rotator import PERIOD, Rotator
 from magcal_ros.ros.self_keeping import SelfKeeping
-from magcal_ros.ros.sensor_frames import LATCHED, SensorFrames
-from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread, SensorGroup, Spinner
-from magcal_ros.ros.travel import Travel
+from magcal_ros.ros.sensor_frames import LATCHED
+from magcal_ros.ros.threads import SENSOR_DATA, Spinner
 from magcal_ros.ros.wire import Unreadable, read_imu
 
 TICK = 0.1
@@ -47,26 +45,19 @@ class Calibrator(Node):
         self._sensors = "", ""
         self._callback_errors = CallbackErrors(self.get_logger().error)
         self._announcer = Announcer(self.get_logger())
-        self._up = UpFollower()
         self._table = Parameters(self)
-        self._reference = ReferenceSource(self, self._table)
-        self._frames = SensorFrames(self, lambda: self._table.settings)
-        self._fits, self._files = (BackgroundThread(self, f"magcal-{n}") for n in ("fit", "files"))
-        self._sensor_group = SensorGroup()
-        self._travel = Travel(self, self._fits, self._sensor_group, self._reference.on_fix)
+        self._pipeline = pipeline = HeadingPipeline(self, self._table)
+        self._up, self._travel, self._frames = pipeline.up, pipeline.travel, pipeline.frames
+        self._reference = pipeline.reference
         self.rotator = Rotator(self)
-        imu = Sensor(self.resolve_topic_name("imu/data_raw"))
-        where = self._frames, self._reference, self._travel
-        self._pipeline = HeadingPipeline(self, self._up, imu, *where)
         field, commands = map(self.resolve_topic_name, (topic_of(FIRST), "cmd_vel"))
-        self._robot = SelfTurn(imu.topic, field, commands)
-        self._first = first = self._magnetometer(FIRST, self._robot, self._sensor_group)
+        self._robot = SelfTurn(pipeline.imu.topic, field, commands)
+        self._first = first = Magnetometer(self, pipeline, FIRST, self._robot)
         self._inputs = first.inputs
         self._control, self._keeper = first.control, first.keeper
         self._keeping = SelfKeeping(self, first)
-        fitting = self._fits, self._sensor_group
-        self._known = KnownHeadings(self, first, self._pipeline, *fitting)
-        self._magnetometers = Magnetometers(first, self._pipeline.several)
+        self._known = KnownHeadings(first, pipeline)
+        self._magnetometers = Magnetometers(first, pipeline.several)
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers = TurnMarkers(self)
@@ -77,10 +68,10 @@ class Calibrator(Node):
             self._on_imu,
             SENSOR_DATA,
             raw=True,
-            callback_group=self._sensor_group,
+            callback_group=pipeline.sensor_group,
         )
         for number in range(FIRST + 1, self._table.settings.magnetometers + 1):
-            self._magnetometer(number, None, None)
+            Magnetometer(self, pipeline, number)
         # Deadlines and heartbeats go on while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick = self.create_timer(TICK, self._on_tick, clock=steady)
@@ -90,12 +81,6 @@ class Calibrator(Node):
         self.create_timer(HEARTBEAT, self._on_heartbeat, clock=steady)
         self._keeper.begin()
         self._publish_status()
-
-    def _magnetometer(
-        self, number: int, robot: SelfTurn | None, group: SensorGroup | None
-    ) -> Magnetometer:
-        shared = self._pipeline, lambda: self._table.settings, self._fits, self._files
-        return Magnetometer(self, self, *shared, robot, group, number)
 
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers
@@ -121,7 +106,8 @@ class Calibrator(Node):
         wheels, *receiver = self._travel.subscriptions
         sensors = self._imu_subscription, self._first.subscription
         subscriptions = [*sensors, *receiver, self._known.antenna.subscription]
-        return Spinner(self, subscriptions, self._sensor_group, self._on_callback_error, [wheels])
+        group = self._pipeline.sensor_group
+        return Spinner(self, subscriptions, group, self._on_callback_error, [wheels])
 
     def _on_callback_error(self, error: Exception) -> None:
         # What failed may be what watches the turn.
@@ -220,9 +206,12 @@ class Calibrator(Node):
             self.rotator.rest()
             self._look.cancel()
 
+    def _deliver(self) -> None:
+        self._pipeline.fits.deliver()
+        self._pipeline.files.deliver()
+
     def _on_tick(self) -> None:
-        self._fits.deliver()
-        self._files.deliver()
+        self._deliver()
         if not self._magnetometers.tick():
             self._tick.cancel()
         self._publish_status()
@@ -233,21 +222,20 @@ class Calibrator(Node):
         self._markers.draw(self._control.turn, to_body, frame)
 
     def _on_heartbeat(self) -> None:
-        self._fits.deliver()
-        self._files.deliver()
+        self._deliver()
         settings = self._table.settings
         self._magnetometers.look(self.count_publishers, settings)
-        self._pipeline.follow(settings, self._keeper, self._control.turn.state)
+        self._pipeline.follow(self._keeper, self._control.turn.state)
         self._reference.refresh()
         self._keeping.follow(settings.self_calibration, settings.report_folder)
-        news = self._travel.follow(self._reference.reference.field, self._announcer)
+        news = self._travel.follow(self._reference.field, self._announcer)
         if news is not None:
             self._keeper.keep(news)
         self._frames.follow(self._up, self._control.turn.last_outcome, self._travel.yaw)
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
         complaints += [
             *self._known.antenna.complaints,
-            *self._pipeline.headings.complaints(self._reference.reference.field),
+            *self._pipeline.headings.complaints(self._reference.field),
         ]
         self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()
