@@ -12,14 +12,9 @@ from magcal_ros.cli.common import Exit, command, tell
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.disk import plain
 
-PATIENCE = 5.0
-"""Seconds within which a running node is discovered."""
-
-SETTLE = 1.0
-"""Seconds after the first one in which another may be discovered."""
-
-LONGEST_NAME = 255
-"""Characters of a full name that the middleware takes."""
+PATIENCE = 5.0  # seconds within which a running node is discovered
+SETTLE = 1.0  # seconds after the first one in which another may be discovered
+LONGEST_NAME = 255  # characters of a full name that the middleware takes
 
 NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 SIGNS = ("calibrate", "finish", "accept")
@@ -80,20 +75,14 @@ def calibrators(node: Any) -> list[str]:
     return sorted(owner for owner, names in found.items() if len(names) == len(SIGNS))
 
 
-LONGEST_ANSWER = 5000
-"""Characters of the node's answer that are printed."""
+LONGEST_ANSWER = 5000  # characters of the node's answer that are printed
 
 SILENT_AFTER = 6.0
 """Seconds without status and diagnostics, which come every second, after which a node is gone."""
 
-TO_CANCEL = 1.0
-"""Seconds that the node has to answer ~/cancel."""
-
-TO_TELL = 0.5
-"""Seconds that the status may come after the answer."""
-
-STATUS_WITHIN = 5.0
-"""Seconds within which the status of a running node arrives, discovery included."""
+TO_CANCEL = 1.0  # seconds that the node has to answer ~/cancel
+TO_TELL = 0.5  # seconds that the status may come after the answer
+STATUS_WITHIN = 5.0  # seconds within which the status of a running node arrives, discovery included
 
 
 def add_calibrate(commands: Any) -> None:

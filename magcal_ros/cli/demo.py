@@ -63,8 +63,7 @@ and let the command show the turn, as README.md says:
     -p reference.longitude_deg:=11.6
   ros2 run magcal_ros magcal calibrate"""
 
-LARGEST_ERROR_DEG = 1.0
-"""The demo fails if the heading is worse than this afterwards."""
+LARGEST_ERROR_DEG = 1.0  # the demo fails if the heading is worse than this afterwards
 
 
 def add_demo(commands: Any) -> None:

@@ -38,8 +38,7 @@ if TYPE_CHECKING:
     from magcal_ros.ros.preflight import Listener
 
 
-MOST = 500_000
-"""Samples kept of each stream: more than an hour at 100 Hz."""
+MOST = 500_000  # samples kept of each stream: more than an hour at 100 Hz
 
 
 def add_doctor(commands: Any) -> None:
@@ -66,14 +65,10 @@ class Heard:
     """The samples of a recording or of the guided half minute, and what is known beside them."""
 
     samples: list[ImuSample | FieldSample]
-    knowledge: Knowledge
-    """What the user gave, and the described pose of the magnetometer."""
-    turned_left: bool | None
-    """Whether the robot turned to the left; None where that is not known."""
-    more: tuple[Finding, ...]
-    """What the recording or the graph shows beside the samples."""
-    described: str = ""
-    """The described pose in words; empty where none was used."""
+    knowledge: Knowledge  # what the user gave, and the described pose
+    turned_left: bool | None  # whether the robot turned to the left; None where that is not known
+    more: tuple[Finding, ...]  # what the recording or the graph shows beside the samples
+    described: str = ""  # the described pose in words; empty where none was used
     travel: Sequence[TravelSample] = ()
 
     def page_of(self, log: SensorLog) -> Page:
@@ -236,8 +231,7 @@ def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) ->
     return str(path)
 
 
-SILENT_AFTER = 8.0
-"""Seconds within which both sensors must have said something."""
+SILENT_AFTER = 8.0  # seconds within which both sensors must have said something
 
 MISLEADING = (
     "axes",

@@ -40,8 +40,7 @@ class Gathered:
     """A recording that was read."""
 
     gathering: Gathering
-    source: Source
-    """Closed; its names and frames are of use."""
+    source: Source  # closed; its names and frames are of use
     reference: Reference
     repaired: list[str]
     messages: tuple[int, int]

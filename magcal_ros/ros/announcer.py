@@ -13,8 +13,7 @@ from typing import Protocol
 
 from magcal_ros.core.session.turn_machine import Conclusion
 
-PAUSE = 10.0
-"""Seconds between two lines on one subject."""
+PAUSE = 10.0  # seconds between two lines on one subject
 
 LASTING = 3.0
 """Seconds that something must be wrong before it is logged: drivers start one after another."""
@@ -111,8 +110,7 @@ class Announcer:
                 self._log.info(line.text)
 
 
-LONGEST = 300
-"""Characters of an error's own words that go into the log; some quote a whole message."""
+LONGEST = 300  # characters of an error's own words that go into the log; some quote a whole message
 
 
 class CallbackErrors:

@@ -22,14 +22,12 @@ from collections.abc import Callable
 
 from magcal_ros.processes import start
 
-SILENCE = 0.3
-"""Seconds without a word after which the node counts as gone, or the guard."""
+SILENCE = 0.3  # seconds without a word after which the node counts as gone, or the guard
 
 ZEROS_FOR, ZEROS_EVERY = 1.0, 0.05
 """Seconds for which zeros are sent, and between two of them: a single message may be lost."""
 
-ENDING = 2.0
-"""Seconds that a guard is given to go by itself."""
+ENDING = 2.0  # seconds that a guard is given to go by itself
 
 ASKED, ALIVE, DISMISSED = b"?", b".", b"q"
 """What a line of the node begins with; a question follows the first two, and the second says that

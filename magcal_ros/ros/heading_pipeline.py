@@ -34,15 +34,13 @@ from magcal_ros.ros.threads import BackgroundThread, SensorGroup
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.wire import FieldArrival
 
-SILENT_AFTER = 2.0
-"""Seconds without a message after which a sensor is called silent."""
+SILENT_AFTER = 2.0  # seconds without a message after which a sensor is called silent
 
 REMEMBERED = 60
 """Looks, one a second, over which dropped samples are counted for the complaints: what was wrong
 last month is no complaint any more, and what goes wrong after a good month is one."""
 
-RATE_LOOKS = 6
-"""Looks over which a rate is taken."""
+RATE_LOOKS = 6  # looks over which a rate is taken
 
 
 @dataclass
@@ -141,8 +139,7 @@ class Inputs:
 
 HALF_A_PLACE = "give reference.latitude_deg and reference.longitude_deg both, or neither"
 
-FIX_PAUSE = 0.2
-"""Seconds after a look within which another fix brings no new one."""
+FIX_PAUSE = 0.2  # seconds after a look within which another fix brings no new one
 
 
 class ReferenceSource:
@@ -215,8 +212,7 @@ class ReferenceSource:
             self.refresh()
 
 
-FIRST = 1
-"""Number of the magnetometer on `imu/mag`; the second is on `imu/mag_2`."""
+FIRST = 1  # number of the magnetometer on `imu/mag`; the second is on `imu/mag_2`
 
 
 class HeadingPipeline:

@@ -26,11 +26,8 @@ from magcal_ros.ros.threads import BackgroundThread
 
 Tell = Callable[[Conclusion], None]
 
-TO_WRITE = 15.0
-"""Seconds that a slow but living disk may take to store a calibration for good."""
-
-MOST_KNOWN = 100
-"""Names of sensors that are remembered; beyond that the oldest one is dropped."""
+TO_WRITE = 15.0  # seconds that a slow but living disk may take to store a calibration for good
+MOST_KNOWN = 100  # names of sensors that are remembered; beyond that the oldest one is dropped
 
 
 class Loaded(NamedTuple):
@@ -63,8 +60,7 @@ class Keeper:
         self._files, self._log, self._given = files, log, chosen()
         self.calibration: Calibration | None = None
         self.origin: Origin | None = None
-        self.trouble = ""
-        """What went wrong with the file last time, for the diagnostics; empty if nothing."""
+        self.trouble = ""  # what went wrong with the file last; empty if nothing
         self._frame, self._was_named = "", False
         self._last_read: tuple[object, Loaded] | None = None
         self._is_reading = False

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 TOPIC = "heading"
 FRESH = 1.0
 """Seconds for which a heading of the topic counts as the present one."""
-MISSED = 10
-"""Headings in a row that disagree with the fused yaw, after which it is reported."""
+MISSED = 10  # headings in a row that disagree with the fused yaw, after which it is reported
 NO_DECLINATION = (
     "it is to true north, and the declination here is not known: give reference.latitude_deg and "
     "longitude_deg, or wait for gps/fix"
@@ -185,8 +184,7 @@ class Antenna:
         self._magnetometer.use(found, lambda done: self._say(done.message), is_another)
 
 
-TICK = 0.2
-"""Seconds between checks while samples are collected."""
+TICK = 0.2  # seconds between checks while samples are collected
 NO_HEADING = (
     "no known heading: set known_heading.yaw_deg (ENU: 0 to the east, 90 to the north, positive to "
     "the left) and known_heading.north (true_north or magnetic_north), or publish a "

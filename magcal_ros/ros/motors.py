@@ -22,12 +22,9 @@ from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.travel import Travel
 
-BETTER = 0.7
-"""Share of a sigma that is kept, below which what was learnt is kept instead."""
-PAUSE = 60
-"""Seconds of learning between two writings of the file."""
-SILENT = 1.5
-"""Seconds without a message after which the current counts as unknown."""
+BETTER = 0.7  # share of a sigma that is kept, below which what was learnt is kept instead
+PAUSE = 60  # seconds of learning between two writings of the file
+SILENT = 1.5  # seconds without a message after which the current counts as unknown
 
 
 class Commands:

@@ -29,11 +29,8 @@ from magcal_ros.ros.sensor_frames import LATCHED
 from magcal_ros.ros.threads import SENSOR_DATA, Spinner
 from magcal_ros.ros.wire import Unreadable, read_imu
 
-TICK = 0.1
-"""Seconds between looks at a turn under way; at rest nothing ticks."""
-
-HEARTBEAT = 1.0
-"""Seconds between diagnostics, and between repetitions of the bias."""
+TICK = 0.1  # seconds between looks at a turn under way; at rest nothing ticks
+HEARTBEAT = 1.0  # seconds between diagnostics, and between repetitions of the bias
 
 
 class Calibrator(Node):

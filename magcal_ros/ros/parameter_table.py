@@ -26,8 +26,7 @@ LONGEST_TEXT = 4096
 MOST_SHOWN = 20  # items of a list where it is refused
 TRUE_NORTH, MAGNETIC_NORTH = "true_north", "magnetic_north"
 """Choices of a north; plain `true` would be no text in YAML."""
-UNSET = math.nan
-"""Stands for a number that is not known; in YAML it is written .nan or left out."""
+UNSET = math.nan  # stands for a number that is not known; in YAML it is written .nan or left out
 
 
 class Later(Enum):
@@ -56,11 +55,9 @@ class Spec:
     """One row of the table."""
 
     name: str
-    default: Value
-    """Default, which also fixes the type."""
+    default: Value  # which also fixes the type
     span: Span = ANY
-    choices: tuple[str, ...] = ()
-    """Allowed texts; empty for any."""
+    choices: tuple[str, ...] = ()  # allowed texts; empty for any
     later: Later = Later.ANYTHING
     words: tuple[str, ...] = ("",)
     """Texts that are no path, of a parameter that is one otherwise."""

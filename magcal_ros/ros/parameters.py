@@ -45,8 +45,7 @@ class Rotation:
     frame: str
 
 
-ROTATION = ("enabled", "speed_rad_s", "stamped", "frame_id")
-"""The parameters of it, below `rotate`."""
+ROTATION = ("enabled", "speed_rad_s", "stamped", "frame_id")  # the parameters of it, below `rotate`
 
 
 @dataclass(frozen=True)

@@ -32,11 +32,8 @@ FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 MOST_FRAMES = 5
 """Names of frames that are shown."""
 
-FEWEST_STAMPS = 10
-"""Stamps that are needed to see whether they come in bursts."""
-
-SLOWEST_FIELD = 5.0
-"""Hertz, below which a turn of 12 s gives too few samples."""
+FEWEST_STAMPS = 10  # stamps that are needed to see whether they come in bursts
+SLOWEST_FIELD = 5.0  # hertz, below which a turn of 12 s gives too few samples
 
 
 @dataclass(eq=False)
@@ -47,10 +44,8 @@ class Heard:
     kind: str
     take: Callable[[ImuSample | FieldSample], None] | None = None
     messages: int = 0
-    frame: str = ""
-    """The newest."""
-    frames: set[str] = field(default_factory=set)
-    """Fit to be shown."""
+    frame: str = ""  # the newest
+    frames: set[str] = field(default_factory=set)  # fit to be shown
     samples: list[ImuSample | FieldSample] = field(default_factory=list)
 
     def listen(self, node: Node) -> Subscription:
@@ -174,11 +169,8 @@ def _explain_silence(heard: Heard, publishers: int, elsewhere: Sequence[str]) ->
     return lines
 
 
-OURS = ("_unbiased", "_bias", "/enu/imu")
-"""How the names of a calibrator's own topics end."""
-
-DISCOVERY = 3.0
-"""Seconds in which topics are looked for."""
+OURS = ("_unbiased", "_bias", "/enu/imu")  # how the names of a calibrator's own topics end
+DISCOVERY = 3.0  # seconds in which topics are looked for
 
 USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
 """Which of several topics of a type is meant."""

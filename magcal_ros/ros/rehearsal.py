@@ -94,8 +94,7 @@ def replay(
 TURN_RATE = 0.5
 SAMPLES_PER_HEADING = 20
 
-PATIENCE = 30.0
-"""Seconds within which an answer of the node must come, on the slowest machine."""
+PATIENCE = 30.0  # seconds within which an answer of the node must come, on the slowest machine
 
 SETTLE = 0.8
 """Seconds of the robot's time until the node's up vector has followed it into a new pose."""

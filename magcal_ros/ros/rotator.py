@@ -20,11 +20,8 @@ from rclpy.qos import QoSProfile
 from magcal_ros.ros.guard import Guard
 from magcal_ros.ros.parameters import Rotation
 
-PERIOD = 0.05
-"""Seconds between velocity messages."""
-
-LAST_ZEROS = 5
-"""How often zero is sent when the process ends, `LAST_PERIOD` seconds apart."""
+PERIOD = 0.05  # seconds between velocity messages
+LAST_ZEROS = 5  # how often zero is sent when the process ends, `LAST_PERIOD` seconds apart
 LAST_PERIOD = 0.03
 ACKNOWLEDGED_WITHIN = 0.2
 """Seconds that the last zeros are given to arrive."""

@@ -28,10 +28,8 @@ from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 if TYPE_CHECKING:
     from magcal_ros.core.keeping.story import DriveStory
 
-NICENESS = 10
-"""Of the process that fits: whatever else the machine does comes first."""
-IDLE_LOOKS = 300
-"""Heartbeats without a job after which the process and its memory are given back."""
+NICENESS = 10  # of the process that fits: whatever else the machine does comes first
+IDLE_LOOKS = 300  # heartbeats without a job after which the process and its memory are given back
 
 
 class SelfKeeping:
@@ -43,10 +41,8 @@ class SelfKeeping:
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
         self._idle = 0
-        self.lost = 0
-        """Fits that were never finished."""
-        self.trouble = ""
-        """Why there is no decision; empty if the last fit was finished."""
+        self.lost = 0  # fits that were never finished
+        self.trouble = ""  # why there is no decision; empty if the last fit was finished
         self._reports = NO_REPORTS
 
     def on_field(self, sample: FieldSample, imu: ImuSample | None, travel: Travel) -> None:

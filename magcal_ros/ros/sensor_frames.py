@@ -39,8 +39,7 @@ from magcal_ros.ros.wire import by_rclpy
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STATIC_TRANSFORMS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-MOST_FRAMES = 10_000
-"""Frames that are kept; a humanoid with hands has a few hundred."""
+MOST_FRAMES = 10_000  # frames that are kept; a humanoid with hands has a few hundred
 
 
 class Description:
@@ -56,8 +55,7 @@ class Description:
         self._tree = FrameTree()
         self._unread = 0
         self._is_listening = False
-        self.trouble = ""
-        """Why the newest description could not be read; empty if it could."""
+        self.trouble = ""  # why the newest description could not be read; or empty
 
     @property
     def tree(self) -> FrameTree:

@@ -34,8 +34,7 @@ SENSOR_DATA = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches every publisher. The usual depth of 5 loses messages of a fast IMU whenever the machine
 is busy for some milliseconds, and the gyro's path with them."""
 
-MOST_AT_ONCE = 16
-"""Messages of one subscription that are taken before anything else has its turn."""
+MOST_AT_ONCE = 16  # messages of one subscription that are taken before anything else has its turn
 
 FOR_EVER = -1
 

@@ -47,8 +47,7 @@ class ImuArrival(NamedTuple):
     """What the node takes from a sensor_msgs/Imu."""
 
     frame: str
-    sample: ImuSample | None
-    """Its numbers; None if it carries no acceleration."""
+    sample: ImuSample | None  # its numbers; None if it carries no acceleration
     stamp: bytes
     """Seconds and nanoseconds, little-endian, as every answer to this message carries them."""
 
@@ -60,8 +59,7 @@ class FieldArrival(NamedTuple):
     sample: FieldSample
     stamp: bytes
     """Seconds and nanoseconds, little-endian, as every answer to this message carries them."""
-    covariance: bytes
-    """Nine little-endian doubles, row-major, T²."""
+    covariance: bytes  # nine little-endian doubles, row-major, T²
 
 
 def _reader(kind: type, parse: Callable[[bytes], T]) -> Callable[[bytes], T]:

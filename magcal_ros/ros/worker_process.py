@@ -24,14 +24,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-LOOK = 1.0
-"""Seconds between two checks whether the process has been stopped by a signal."""
-
-ENDING = 1.0
-"""Seconds to wait for the end of a process that has closed its output."""
-
-SIZE = 8
-"""Bytes of the length that precedes each message."""
+LOOK = 1.0  # seconds between two checks whether the process has been stopped by a signal
+ENDING = 1.0  # seconds to wait for the end of a process that has closed its output
+SIZE = 8  # bytes of the length that precedes each message
 
 
 class Lost(MagcalError):

@@ -23,11 +23,8 @@ from magcal_ros.core.up.follower import Up
 
 Quaternion = tuple[float, float, float, float]
 
-CERTAIN = (0.0,) * PARAMETERS
-"""By how much a calibration without errors is wrong."""
-
-SMALLEST_LEVEL_SHARE = 0.02
-"""Below this share of level field (a dip of 89°) there is no yaw."""
+CERTAIN = (0.0,) * PARAMETERS  # by how much a calibration without errors is wrong
+SMALLEST_LEVEL_SHARE = 0.02  # below this share of level field (a dip of 89°) there is no yaw
 
 SMALLEST_FORWARD = 1e-6
 """Squared level share of body x; nose up or down, where it vanishes, roll and yaw are one."""

@@ -34,10 +34,8 @@ from magcal_ros.core.samples.streams import STREAMS, enclosing
 from magcal_ros.core.up.follower import Up
 from magcal_ros.core.up.propagation import GyroBias
 
-HISTORY = 512
-"""IMU messages within which the moment of a field message is looked for."""
-UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)
-"""Of a gyro whose bias is taken off already."""
+HISTORY = 512  # IMU messages within which the moment of a field message is looked for
+UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)  # of a gyro whose bias is taken off already
 
 
 class _Moment(NamedTuple):

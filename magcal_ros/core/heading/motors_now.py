@@ -28,16 +28,12 @@ class RunningTuning:
     speed: float = 0.01  # m/s from which it drives: below a step of a wheel's encoder
     turning: float = 0.1  # rad/s at which it surely turns to one side
     slow: float = 0.05  # m/s below which it is about to stop, and twice `rate` likewise
-    edge: float = 0.1
-    slowing: float = 0.3
-    """Seconds after a start or stop is seen, and after it got slow, in which it is not known
-    whether the motors run."""
-    settles: float = 0.7
-    idle: float = 5.0
-    """Seconds at rest after which the current is that of rest, and over which that is averaged."""
+    edge: float = 0.1  # seconds after a start or stop in which it is not known what runs
+    slowing: float = 0.3  # the same after the robot got slow
+    settles: float = 0.7  # seconds at rest after which the current is that of rest
+    idle: float = 5.0  # seconds over which that is averaged
     body_length: float = 4.0  # seconds over which what no input shows is alike
-    late_share: float = 0.03
-    """Of the time in which motors run and nothing shows it yet, or the other way round."""
+    late_share: float = 0.03  # of the time in which motors run unseen, or do not
     longest: float = 0.5  # seconds that this lasts at most
     latency: float = 0.2  # seconds by which a speed or a current may be late
 
@@ -117,17 +113,13 @@ EYE = np.eye(3)
 class PlaceFieldTuning:
     """How the field of a place changes in the axes of a robot."""
 
-    field: float = 100.0
-    """µT of the Earth's field and all around it: what is believed of a place before the first
-    sample."""
+    field: float = 100.0  # µT of the Earth's field and all around it, before the first sample
     longest: float = 1.0  # seconds without a sample after which the field of the place is unknown
-    street: float = 2.0
-    street_length: float = 30.0
-    """µT per axis by which places differ, and metres over which they are alike."""
+    street: float = 2.0  # µT per axis by which places differ
+    street_length: float = 30.0  # metres over which they are alike
     passing: float = 0.03  # µT per root second by which the field changes while the robot stands
     walk: float = 0.002  # rad per root second of the gyro's random walk
-    turn_error: float = 0.01
-    """Share of an angle by which the gyro is off, as a random walk over radians."""
+    turn_error: float = 0.01  # share of an angle that a gyro gets wrong, as a random walk
     latency: float = 0.01  # seconds by which gyro and field may be apart
     beside: float = 0.15  # metres of the magnetometer from the pivot
     unknown_speed: float = 0.3  # m/s of a robot that moves and does not tell its speed

@@ -24,8 +24,7 @@ LASTING = 3.0
 """Seconds over which a disagreement without a reason is averaged, for when only one is left."""
 
 
-SMALLEST_VARIANCE = 1e-10
-"""rad². Smallest variance that is believed."""
+SMALLEST_VARIANCE = 1e-10  # rad². Smallest variance that is believed.
 
 
 class CompassYaw(NamedTuple):

@@ -29,16 +29,11 @@ class FusionTuning:
     """Median of how much a gyro's bias walks, rad/s per root second, and standard deviation of its
     natural logarithm: cheap gyros drift in a minute by a thousandth to a hundredth of a degree per
     second."""
-    rest_turn: float = 1e-4
-    rest_spread: float = 1.5
-    """The same of how fast a robot turns that seems to rest, rad/s: one on wheels stands, a boat
-    swings by a tenth of a degree per second."""
+    rest_turn: float = 1e-4  # rad/s, median of how fast a robot turns that seems to rest
+    rest_spread: float = 1.5  # the same: one on wheels stands, a boat swings
     rest_lasts: float = 10.0  # seconds over which such a turn is the same
-    loss_spread: float = 1.5
-    """Standard deviation of the natural logarithm of the share of `angle_walk` and `turn_error`,
-    squared, that a gyro has."""
-    tilt_tau: float = 3.0
-    """Seconds over which errors by tilt are correlated: more samples add no information."""
+    loss_spread: float = 1.5  # sigma of the logarithm of a gyro's loss over `angle_walk`²
+    tilt_tau: float = 3.0  # seconds over which errors by tilt are alike: more show no more
     noise_tau: float = 0.5  # the same for the field's noise and for small iron on the way
     small_iron: float = 0.3  # share of the disturbance's variance that changes within two metres
     moving_tau: float = 20.0
@@ -47,11 +42,8 @@ class FusionTuning:
     would be reported as more certain than it is."""
     standing_tau: float = 300.0  # the same of a robot that stands
     learning_step: float = 0.1  # seconds after which the disturbance is learnt anew
-    overruled_after: float = 3.0
-    """Seconds of a good field that disagrees beyond all doubt, after which rather the propagated
-    yaw is wrong."""
-    beyond_doubt: float = 4.0
-    """Squared gates of disagreement that count fully; what disagrees less needs longer."""
+    overruled_after: float = 3.0  # seconds of doubt in a good field that turn the yaw to it
+    beyond_doubt: float = 4.0  # squared gates of disagreement that count fully
     heading_tau: float = 2.0  # seconds of headings from another device that are joined
     heading_lasts: float = 1.0
     lasts_spread: float = 1.5
@@ -67,8 +59,7 @@ UNKNOWN_YAW = math.pi**2 / 3.0
 """Variance of a yaw of which nothing is known, rad²."""
 
 
-PERFECT: FloatArray = np.array((*CERTAIN, 1.0))
-"""A compass without errors, as `YawFilter` takes it."""
+PERFECT: FloatArray = np.array((*CERTAIN, 1.0))  # a compass without errors, as `YawFilter` takes it
 
 
 class YawFilter:

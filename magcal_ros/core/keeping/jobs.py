@@ -24,35 +24,26 @@ from magcal_ros.core.samples.drive_log import DriveLog
 class KeepingTuning:
     """Numbers of self-calibration; seconds are of movement."""
 
-    look_every: float = 20.0
-    look_again: float = 10.0
-    """Seconds between two looks, and while a changed hard iron is on probation."""
+    look_every: float = 20.0  # seconds between two looks
+    look_again: float = 10.0  # the same while a changed hard iron is on probation
     windows: tuple[float, ...] = (120.0, 200.0, 300.0, 420.0)
     """Seconds of road to which all twelve numbers are fitted."""
     look_back: float = 240.0
     shortest_since: float = 25.0
     """Seconds of road in which a change is looked for, and the least of the road since it to which
     the hard iron is fitted."""
-    notice_differs: float = 4.0
-    notice_proof: float = 2.0
-    """Sigmas by which a changed hard iron must differ from what is in force to be reported, and
-    units of log likelihood by which the road before and since must be likelier with it."""
-    plainly: float = 0.2
-    """Share of the difference from what is in force that a changed hard iron may be uncertain
-    by."""
-    largest_sigma: float = math.radians(3.0)
-    """Radians of heading beyond which a candidate is not believed."""
-    fewest_sectors: int = 6
-    fewest_for_iron: int = 4
-    """Of twelve headings that all twelve numbers need, and the hard iron alone."""
+    notice_differs: float = 4.0  # sigmas by which a changed hard iron must differ to be reported
+    notice_proof: float = 2.0  # units of log likelihood by which the road must speak for it
+    plainly: float = 0.2  # share of its difference that the sigma of a changed iron may reach
+    largest_sigma: float = math.radians(3.0)  # radians beyond which no candidate is believed
+    fewest_sectors: int = 6  # of twelve headings that all twelve numbers need
+    fewest_for_iron: int = 4  # and that the hard iron alone needs
     differs: float = 2.0  # sigmas within which two calibrations agree: then nothing is to be mended
     much_better: float = 0.6
     """Share of the other's sigma below which it is taken up all the same. Where that is beyond
     `largest_sigma` and both agree, this is enough."""
-    longest_probation: float = 180.0
-    longest_trial: float = 300.0
-    """Seconds of road after which a candidate that has not proved itself is dropped, and one in
-    force is no longer compared with the one before."""
+    longest_probation: float = 180.0  # seconds of road after which an unproved candidate is dropped
+    longest_trial: float = 300.0  # and after which the one before is no longer compared
     likelihood_proof: float = 12.0
     iron_proof: float = 8.0
     """Fall of minus log likelihood, independent units, on the road of probation, with a rise in
@@ -60,14 +51,12 @@ class KeepingTuning:
     elsewhere_proof: float = 2.0
     """Units of it that must be left without the quarter of headings that speaks most, where all
     twelve numbers are new."""
-    most_against: float = 1.5
-    """Units that the headings which speak against a changed hard iron may have together."""
+    most_against: float = 1.5  # units that headings against a changed hard iron may have
     usual_speed: float = 5.0  # m/s of a robot whose speed is not measured
     memory: float = 600.0  # seconds of road that are remembered
     map_every: float = 0.5  # seconds between points of the map of a drive
-    kept: int = 3
-    remembered: int = 20
-    """Calibrations before the one in force, and decisions, that are kept."""
+    kept: int = 3  # calibrations that are kept from before the one in force
+    remembered: int = 20  # decisions that are kept
 
 
 KEEPING = KeepingTuning()
@@ -91,9 +80,8 @@ class DriveCandidate:
     calibration: Calibration
     sigma: float  # radians of heading, as it says
     sectors: int  # of twelve headings driven
-    start: float
-    end: float
-    """Clock of the road that it was fitted to, seconds."""
+    start: float  # clock of the road that it was fitted to, seconds
+    end: float  # and where that ends
 
     @property
     def seconds(self) -> float:
@@ -148,8 +136,7 @@ class Decision:
 
     clock: float  # seconds of movement since the drive began
     verb: Verb
-    words: str
-    """What and why, one sentence."""
+    words: str  # what and why, one sentence
     calibration: Calibration | None = None  # what is to be put in force, where something is
 
 
@@ -165,8 +152,7 @@ class Trial(NamedTuple):
     """The calibration before the one in force, still compared with it."""
 
     calibration: Calibration
-    since: float
-    """Clock from which road counts, seconds."""
+    since: float  # clock from which road counts, seconds
 
 
 class Probation(NamedTuple):
@@ -234,8 +220,7 @@ class DriveJob:
     windows: tuple[float, ...]
     """Seconds of the newest road to which all twelve numbers are fitted."""
     not_before: float  # clock before which no window begins, seconds: something changed there
-    changed: float
-    """Clock of the change after which what is in force was fitted; minus infinity without one."""
+    changed: float  # clock of the change that it was fitted after; minus infinity without
     contests: dict[str, tuple[Step, ...]]
     """What is compared with what is in force, by names: steps, each for the road that it was not
     fitted to; what is before the first does not count."""

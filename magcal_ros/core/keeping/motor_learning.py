@@ -35,17 +35,13 @@ class LearningTuning:
     """What is taken for granted of robots and places."""
 
     block: float = 0.2  # seconds whose samples are averaged
-    body: float = 0.05
-    body_length: float = 4.0
-    """µT per axis of the body's coloured noise at rest, and seconds over which it is alike."""
+    body: float = 0.05  # µT per axis of the body's coloured noise at rest
+    body_length: float = 4.0  # seconds over which it is alike
     freedom: float = 5.0  # degrees of freedom of the Student distribution of samples
-    pace: float = 0.01
-    """Share by which the sizes of the coloured noise and of the inputs follow one block."""
+    pace: float = 0.01  # share by which sizes of noise and inputs follow one block
     iron_walk: float = 0.003  # µT per root second by which the hard iron drifts
-    usual: float = 0.05
-    spread: float = 2.0
-    """Median of the field that an input makes at its usual size, µT, and standard deviation of its
-    natural logarithm, as of `motors_moving` (`smoother.unknowns`)."""
+    usual: float = 0.05  # µT, median of the field of an input at its usual size
+    spread: float = 2.0  # sigma of its natural logarithm, as of `motors_moving`
     most: float = 30.0  # µT, largest such field
     late: float = 0.1  # seconds by which a current is reported late, and their sigma
 
@@ -304,11 +300,9 @@ class _SeenGains:
 
     shown: FloatArray  # information of the samples alone, shape (m, m)
     weighted: FloatArray  # the same times their mean, shape (m,)
-    prior: FloatArray
-    prior_mean: FloatArray
-    """Information and mean of what is known. Shapes (m, m) and (m,)."""
-    known: BoolArray
-    """Of which numbers something is; the others have a sigma, about zero. Shape (m,)."""
+    prior: FloatArray  # information of what is known, shape (m, m)
+    prior_mean: FloatArray  # and its mean, shape (m,)
+    known: BoolArray  # of which numbers something is, shape (m,); the others have a sigma
 
     def posterior(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return covariance and mean under sigmas of what is not known."""

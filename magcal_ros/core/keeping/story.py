@@ -47,18 +47,14 @@ class DrivePath:
 class DriveStory:
     """What became of a drive."""
 
-    decisions: tuple[tuple[float, Decision], ...]
-    """Seconds from the beginning, and what was decided."""
-    begun: Calibration | None
-    ended: Calibration | None
-    """What was in force at the beginning and at the end."""
-    seconds: float
-    moved: float
-    """How long the recording is, and how long the robot moved in it."""
+    decisions: tuple[tuple[float, Decision], ...]  # seconds from the beginning, and the decision
+    begun: Calibration | None  # in force at the beginning
+    ended: Calibration | None  # in force at the end
+    seconds: float  # how long the recording is
+    moved: float  # how long the robot moved in it
     doing: str  # what went on at the end, in words
     path: DrivePath | None  # None where no calibration tells a heading
-    course: str = ""
-    """How the compass goes against course at the end, in words; empty where nothing tells it."""
+    course: str = ""  # how the compass goes against course at the end, in words; or empty
 
 
 def replayed(

@@ -35,8 +35,7 @@ from magcal_ros.core.samples.coverage import COVERAGE, Coverage
 class ChangeTuning:
     """What is assumed of places, sensors and driving."""
 
-    correlation_time: float = 30.0
-    """Seconds over which the records' errors are taken to be alike, less and less."""
+    correlation_time: float = 30.0  # seconds over which errors are alike, less and less
     few: float = 10.0  # independent stretches that know their own scatter half as well as many do
     huber: float = 1.5  # scatters from which a record weighs less
     smallest_scatter: float = 0.002  # of the field; the least scatter that is assumed for records
@@ -44,22 +43,16 @@ class ChangeTuning:
     """s/m, standard deviation of driving speed over gravity: how far curves may lean up, per
     rad/s."""
     longest_piece: float = 60.0  # seconds over which the gyro's drift is taken as steady
-    steepest_nose: float = 0.75
-    """Squared share of up along body x (60°) beyond which yaw is not compared."""
-    widest_hole: float = math.radians(100.0)
-    """Radians of heading that may be missing in one stretch where swings are fitted."""
-    chance: float = 2.0
-    clearly: float = 4.0
-    """Sigmas that chance may reach in a recheck; and in one of many looks, and on a street."""
+    steepest_nose: float = 0.75  # squared share of up along x (60°) beyond which no yaw counts
+    widest_hole: float = math.radians(100.0)  # radians that may be missing for swings
+    chance: float = 2.0  # sigmas that chance may reach in a recheck
+    clearly: float = 4.0  # and in one of many looks, and on a street
     own_share: float = 0.25
     """Of the bound of what is stale: so much of a swing the calibration's own sigma explains. A
     rough calibration that swings is to be made again whether or not anything has changed."""
-    largest_sigma: float = 0.06
-    """Of added iron, against the level field, beyond which a drive shows nothing of it."""
-    sectors: int = 4
-    """Courses, of eight, that must have been driven to compare the compass with them."""
-    longest_visit: float = 4.0
-    """Seconds after which a visit to a heading is recorded, though the robot has not turned."""
+    largest_sigma: float = 0.06  # of added iron, over level field, that shows nothing
+    sectors: int = 4  # courses, of eight, that the compass is compared with at least
+    longest_visit: float = 4.0  # seconds after which a visit is recorded in any case
 
 
 CHANGE = ChangeTuning()
@@ -72,8 +65,7 @@ GYRO_BOUND = Bound(
 )
 ROUNDS = 8
 """Of reweighting."""
-ONCE, TWICE = slice(1, 3), slice(3, 5)
-"""Columns of the first and the second harmonic."""
+ONCE, TWICE = slice(1, 3), slice(3, 5)  # columns of the first and the second harmonic
 
 
 class Record(NamedTuple):
@@ -99,9 +91,8 @@ class Waves:
 
     columns: FloatArray
     """Mean, sine and cosine of the heading, and of twice the heading. Shape (n, 3 or more)."""
-    values: FloatArray
-    covariance: FloatArray
-    """Of the columns' coefficients."""
+    values: FloatArray  # of the columns
+    covariance: FloatArray  # of these coefficients
     chance: float
     """Sigmas that chance may reach; more where few stretches of driving were seen, which know
     little of their own scatter."""

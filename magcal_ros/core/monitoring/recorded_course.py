@@ -30,8 +30,7 @@ class RecordedCourse:
     checks: tuple[Check, ...]
     """Of the calibration; empty where too few courses were driven, or nothing says that the vehicle
     goes where it looks."""
-    mounting: MountingYaw | None = None
-    """How the IMU sits in the vehicle, where its acceleration shows it."""
+    mounting: MountingYaw | None = None  # of the IMU, by its acceleration
     declination: float | None = None
     """Radians, positive east, of the place; it is part of the offset. None where it is not known
     it."""

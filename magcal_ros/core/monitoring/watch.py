@@ -90,13 +90,11 @@ class WatchTuning:
 
     memory: float = 600.0  # seconds of driving that are looked at
     most_records: int = 400  # visits that are kept at most
-    turned: float = math.radians(12.0)
-    """Radians; a robot that has turned so far from where a visit began looks to another heading."""
+    turned: float = math.radians(12.0)  # radians from where a visit began that end it
     most_in_a_row: int = 3  # records of one heading; the next one takes the place of the last
     look_every: float = 15.0  # seconds between two looks at the records
     confirm: float = 60.0  # seconds for which every look must agree before the state changes
-    shortest_span: float = 150.0
-    """Seconds that the records must span: a disturbance that passes is shorter."""
+    shortest_span: float = 150.0  # seconds of records: what passes is shorter
     predicted: float = 3.0  # predicted standard deviations of the heading that are no change
     lost: float = math.radians(20.0)
     """Radians of compass against gyro, from which a compass that shows few headings is not to be
@@ -113,10 +111,8 @@ class Watched:
     is_stale: bool = False  # whether the calibration no longer holds
     findings: tuple[Check, ...] = ()
     """Everything measured at the last look; while stale, at the one that showed it."""
-    minutes: float = 0.0
-    """Since when it does not hold, in minutes before the newest look; zero while it holds."""
-    hard_iron: tuple[float, float] = (0.0, 0.0)
-    """Change of the hard iron in the IMU's x and y, tesla."""
+    minutes: float = 0.0  # for how long it has not held, before the newest look
+    hard_iron: tuple[float, float] = (0.0, 0.0)  # its change in x and y, tesla
     was_judged: bool = False  # whether it could be judged at all since it is in force
     lacking: str = "the robot has not driven yet"
     """What has not been seen in the last minutes; empty if they were judged."""

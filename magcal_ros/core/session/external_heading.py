@@ -27,13 +27,10 @@ class KnownHeadingTuning:
     rate: float = math.radians(1.5)  # rad/s beyond the bias from which a robot turns
     creep: float = 0.7e-6  # tesla by which the field's mean may move meanwhile, noise apart
     contradicted: float = 3.0  # sigmas by which a calibration in force may miss a known heading
-    same: float = math.radians(5.0)
-    """Radians within which another standing takes the place of one before: it says the same."""
+    same: float = math.radians(5.0)  # radians within which a standing replaces another one
     most: int = 24  # standings that are kept
-    turn: float = math.radians(40.0)
-    apart: float = math.radians(12.0)
-    """Radians that the gyro must turn before a device's heading is compared with it, and by which
-    the two may differ."""
+    turn: float = math.radians(40.0)  # radians that the gyro must turn for a comparison
+    apart: float = math.radians(12.0)  # radians by which both may differ
     times: int = 3  # comparisons in a row that must fail
     longest: float = 60.0  # seconds over which the gyro is trusted
 
@@ -45,19 +42,15 @@ TUNING = KnownHeadingTuning()
 class LogTuning:
     """What is kept of a drive along which external headings arrive."""
 
-    sectors: int = 12
-    each: int = 8
-    """Number of directions, and how many means are kept of each."""
-    block: float = 0.5
-    pause: float = 4.0
-    """Seconds of a mean, and between those of one direction: streets bend the field over 30 m."""
+    sectors: int = 12  # directions
+    each: int = 8  # means that are kept of each
+    block: float = 0.5  # seconds of a mean
+    pause: float = 4.0  # and between those of one direction: streets bend the field over 30 m
     fewest: int = 4  # samples of a mean
     rate: float = 0.1  # rad/s of turning from which heading and field are not of one moment
-    sigma: float = math.radians(0.7)
-    """Radians that are added to the sigma of a heading for what the two are apart in time."""
+    sigma: float = math.radians(0.7)  # radians of heading, for being apart in time
     force: float = 0.15  # m/s² per axis by which up is wrong on the way
-    speed: float = 5.0
-    """m/s while the robot moves, as nobody tells how far it goes between two means."""
+    speed: float = 5.0  # m/s of a robot that moves: nobody tells how far it goes
     first: int = 8  # new means after which it is worth while to fit
 
 
@@ -70,8 +63,7 @@ class ExternalHeading:
 
     yaw: float  # ENU yaw, radians: zero to the east, positive to the left
     sigma: float
-    is_true: bool
-    """Whether it is to true north; otherwise to magnetic north."""
+    is_true: bool  # whether it is to true north; otherwise to magnetic north
 
     def to_magnetic(self, reference: ReferenceField) -> float | None:
         """Return what is added for magnetic north, radians; None where it is not known."""

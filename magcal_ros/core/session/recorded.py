@@ -57,10 +57,8 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 """One sample; None is an Imu message that marks its acceleration as absent."""
 
 
-LONGEST_DRIVE = 7200.0
-"""Seconds of movement that are remembered; of a longer drive the last ones."""
-LONGER = 20
-"""Times that what is kept of a recording may be as long as a turn: two hours at 50 Hz."""
+LONGEST_DRIVE = 7200.0  # seconds of movement that are remembered; of a longer drive the last ones
+LONGER = 20  # times that what is kept of a recording may be as long as a turn: two hours at 50 Hz
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Refusals that a longer recording could avoid."""
@@ -225,8 +223,7 @@ def _window_or_refusal(gathering: Gathering) -> Window | Refusal:
 
 AnyReading = TypeVar("AnyReading", bound=ImuSample | FieldSample | None)
 
-SILENT = 1.5
-"""Seconds without a message after which speed and current count as unknown."""
+SILENT = 1.5  # seconds without a message after which speed and current count as unknown
 
 
 def without_motors(
@@ -265,8 +262,7 @@ def _newest(values: Sequence[tuple[float, float]], stamp: float) -> float:
     return value if stamp - since < SILENT else math.nan
 
 
-FORWARD = np.array([1.0, 0.0, 0.0])
-"""The heading is that of the IMU's x axis."""
+FORWARD = np.array([1.0, 0.0, 0.0])  # the heading is that of the IMU's x axis
 
 
 def standing_pairs(readings: Iterable[Reading]) -> tuple[Pair, ...]:

@@ -31,18 +31,12 @@ class RotationTuning:
 
     acceleration: float = 0.5  # rad/s² of the ramps
     pause: float = 0.5  # seconds at rest between the two ways
-    longest_step: float = 0.2
-    """Seconds. After a longer delay between two looks the ramp goes on as after this one."""
+    longest_step: float = 0.2  # seconds that a ramp goes on after any longer delay
     least_share: float = 0.3  # a robot that turns with less of the commanded rate does not turn
-    most_share: float = 1.75
-    most_more: float = 0.1
-    """A robot that turns with more than so many times the commanded rate, and so many rad/s on top,
-    is far too fast."""
-    leeway: float = 1.5
-    """The two turns may take so many times as long as planned, and be commanded so many times as
-    far: wheels slip."""
-    farthest_beyond: float = math.radians(45.0)
-    """Radians that a robot may stand beyond either end of its full turn, by the gyro: it coasts."""
+    most_share: float = 1.75  # times the commanded rate beyond which a robot is far too fast
+    most_more: float = 0.1  # and rad/s on top
+    leeway: float = 1.5  # times the planned time and angle that a turn may take: wheels slip
+    farthest_beyond: float = math.radians(45.0)  # radians beyond either end: it coasts
     rate_span: float = 0.5  # seconds over which the gyro's rate is averaged
     kept: int = 2000  # samples kept to tell the compass's sense of rotation
     asked_every: float = 0.25  # seconds between two looks at the field
@@ -52,12 +46,9 @@ class RotationTuning:
         math.radians(300.0),
     )
     """Radians that gyro or commands have turned before a test; larger spans show more."""
-    disagree: float = 0.38
-    """Share of the span by which gyro and commands must differ before the field is tested."""
-    factors: tuple[float, float, float] = (0.85, 1.0, 1.2)
-    """How far an angle may be off in scale and still be taken for the true one."""
-    clearly_worse: float = 1.4
-    """Times the squared misfit of another angle, from which an angle is rejected."""
+    disagree: float = 0.38  # share by which gyro and commands differ before the field is tested
+    factors: tuple[float, float, float] = (0.85, 1.0, 1.2)  # scales of an angle that may be true
+    clearly_worse: float = 1.4  # times the squared misfit at which an angle is rejected
     smallest_radius: float = 1.5e-6  # tesla. A field on a smaller circle has not turned.
     most_rows: int = 200  # samples that are looked at, evenly over the span
 

@@ -24,12 +24,9 @@ class SelfTurnTuning:
     gyro_silence: float = 0.5
     """Seconds without an angular velocity after which a robot that is controlled by the gyro is
     stopped, and between two looks at a moving robot: later it could not be stopped in time."""
-    listeners_within: float = 3.0
-    """Seconds within which something must have subscribed to the commands."""
-    stands_first: float = 3.0
-    """Seconds that it stands before it starts: they show the gyro's bias and the motors' field."""
-    guarded_within: float = 10.0
-    """Seconds within which the guard must be ready; a small computer takes three to start one."""
+    listeners_within: float = 3.0  # seconds within which the commands must have a listener
+    stands_first: float = 3.0  # seconds at rest first: for the gyro's bias, the motors' field
+    guarded_within: float = 10.0  # seconds for the guard: a small computer takes three
 
 
 TUNING = SelfTurnTuning()
@@ -50,12 +47,10 @@ GUARD_GONE = (
 class Around:
     """The state of sensors, base and guard at one look."""
 
-    imu_age: float
-    field_age: float
-    """Seconds since the newest message of either sensor; infinite before the first."""
+    imu_age: float  # seconds since the newest message; infinite before the first
+    field_age: float  # the same
     listeners: int
-    is_allowed: bool
-    """Whether the user still lets the robot turn itself."""
+    is_allowed: bool  # whether the user still lets the robot turn itself
     is_guarded: bool  # whether the guard would stop the robot if this node failed
 
 
@@ -101,8 +96,7 @@ class SelfTurn:
         self._imu, self._field, self._command = imu, field, command
         self._stage: Brief | Moving | None = None
         """A brief while it waits for both sensors, a subscriber of the commands and the guard."""
-        self._zeros = 0
-        """So many zeros are still sent to end a turn."""
+        self._zeros = 0  # so many zeros are still sent to end a turn
         self._opened = self._looked = self._paired = 0.0
         self._gyro_heard: float | None = None
 

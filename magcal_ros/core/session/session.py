@@ -33,28 +33,21 @@ class SessionTuning:
     enough_for_progress: int = 2_000
     """Rows beyond which progress looks at every second, third ... row: it is asked ten times a
     second, between the messages."""
-    most_turns: float = 2.0
-    """Full turns after which more of the same hardly makes the answer more certain."""
+    most_turns: float = 2.0  # full turns after which more hardly shows anything
     near: float = 2.0
     """Times the target up to which turning may end before the target is reached. Far from it the
     surroundings are at fault, and a second round is useful."""
-    once_more: float = 1.2
-    """Full turns at which it ends, unless a look at a whole turn was farther than `near`."""
-    stands_still: float = 3.0
-    """Seconds without turning, after a complete turn, from which the robot is taken to be done."""
+    once_more: float = 1.2  # full turns at which it ends, unless farther than `near` then
+    stands_still: float = 3.0  # seconds at rest, after a complete turn, that end it
     slowest_turn: float = math.radians(3.0)  # rad/s. Slower than this the robot stands.
-    turned_over: float = 0.3
-    """rad/s about other axes than up: more than ground and wheels do to a robot that turns."""
-    preview_arc: float = math.radians(120.0)
-    """Radians of arc before which the heading sigma is not predicted."""
-    preview_share: float = 0.25
-    """Share of one core that may go into predicting it while the robot turns."""
+    turned_over: float = 0.3  # rad/s about other axes than up, more than ground and wheels do
+    preview_arc: float = math.radians(120.0)  # radians of arc for a first prediction
+    preview_share: float = 0.25  # share of one core that predictions may take
 
 
 TUNING = SessionTuning()
 
-ROWS = 10
-"""Columns of the buffer: stamp, field, specific force, angular rate."""
+ROWS = 10  # columns of the buffer: stamp, field, specific force, angular rate
 
 
 UNSEEN = (
@@ -70,8 +63,7 @@ class Limits:
     timeout: float = 90.0  # seconds on a steady clock until whatever was seen is used or refused
     silence: float = 10.0  # seconds without a usable pair after which waiting longer is pointless
     smallest_arc: float = math.radians(45.0)  # radians below which a turn is refused without a fit
-    target_sigma: float = math.radians(0.5)
-    """Radians of predicted heading sigma at which a complete turn is enough."""
+    target_sigma: float = math.radians(0.5)  # radians at which a turn is enough
 
 
 @dataclass(frozen=True)
@@ -103,11 +95,9 @@ class Progress:
     stage: Stage  # whether it is over, and why
     coverage: Coverage
     samples: int
-    elapsed: float
-    """Seconds since the start on a steady clock."""
+    elapsed: float  # seconds since the start on a steady clock
     turn_rate: float  # rad/s over the last seconds, left positive; zero when not known
-    heading_sigma: float = math.inf
-    """Radians, as a fit of what is there predicts it; infinite while none could."""
+    heading_sigma: float = math.inf  # radians, as predicted; infinite while not
 
     @property
     def in_words(self) -> str:

@@ -135,8 +135,7 @@ class Levelling:
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0
 """m/s². Outside, in free fall or a fault of the driver, a reading has no direction."""
-LARGEST_RATE = 100.0
-"""rad/s, three times what any gyro measures."""
+LARGEST_RATE = 100.0  # rad/s, three times what any gyro measures
 
 
 class Up(NamedTuple):
