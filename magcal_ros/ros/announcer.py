@@ -8,7 +8,7 @@ import re
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from types import TracebackType
+from traceback import walk_tb
 from typing import Protocol
 
 from magcal_ros.core.session.turn_machine import Conclusion
@@ -48,10 +48,7 @@ class Announcer:
     """Logs what has changed, at most once in ten seconds for each subject."""
 
     def __init__(
-        self,
-        log: Log,
-        clock: Callable[[], float] = time.monotonic,
-        lasting: float = LASTING,
+        self, log: Log, clock: Callable[[], float] = time.monotonic, lasting: float = LASTING
     ) -> None:
         self._log, self._clock, self._lasting = log, clock, lasting
         self._lines: dict[str, _Line] = {}
@@ -124,10 +121,17 @@ class CallbackErrors:
     def note(self, error: BaseException) -> str:
         """Count an error that a callback raised, and log it if its kind is new; says what it is."""
         self.total += 1
-        kind = type(error), _place(error.__traceback__)
+        # Without the lines of the source: what is short of files can read none.
+        calls = list(walk_tb(error.__traceback__))
+        place = "an unknown place"
+        if calls:
+            innermost, line = calls[-1]
+            place = f"{os.path.basename(innermost.f_code.co_filename)}, line {line}"
+        kind = type(error), place
         words = " ".join(str(error).split())[:LONGEST]
-        said = f"an error in a callback, {kind[0].__name__} in {kind[1]}"
-        if _is_of_clock(error.__traceback__):
+        said = f"an error in a callback, {kind[0].__name__} in {place}"
+        # What rclpy does with a message on /clock.
+        if any(frame.f_globals.get("__name__") == "rclpy.time_source" for frame, _ in calls):
             said = "the simulated time on /clock jumped to a time that ROS does not have"
         if kind not in self._known:
             self._known.add(kind)
@@ -136,19 +140,3 @@ class CallbackErrors:
                 "Inputs of /diagnostics"
             )
         return said
-
-
-def _is_of_clock(trace: TracebackType | None) -> bool:
-    """Whether it comes of what rclpy does with a message on /clock."""
-    while trace is not None and trace.tb_frame.f_globals.get("__name__") != "rclpy.time_source":
-        trace = trace.tb_next
-    return trace is not None
-
-
-def _place(trace: TracebackType | None) -> str:
-    """Return file and line of the innermost call."""
-    if trace is None:
-        return "an unknown place"
-    while trace.tb_next is not None:
-        trace = trace.tb_next
-    return f"{os.path.basename(trace.tb_frame.f_code.co_filename)}, line {trace.tb_lineno}"

@@ -291,7 +291,8 @@ class HeadingPipeline:
             moment = joined
         self.headings.publish(moment, arrived.stamp, self.body_frame(), self.reference.field)
         self.fused.on_field(moment)
-        self.travel.on_moment(moment)
+        if moment.heading is not None:
+            self.travel.travelling.add_yaw(moment.heading.yaw)
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""

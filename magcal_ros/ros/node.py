@@ -128,7 +128,8 @@ class Calibrator(Node):
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
-            self._up.add(sample, self._travel.on_imu(sample, self._up))
+            own = self._travel.travelling.add_imu(sample, self._up.gyro_bias.rate)
+            self._up.add(sample, own)
             if self._robot.is_under_way:
                 self._robot.hear(sample.rate, monotonic())
             for each in self._magnetometers.further:

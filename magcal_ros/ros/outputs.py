@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import math
-from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -338,15 +337,12 @@ def turn_markers(
     `to_body` (3, 3) turns the magnetometer's axes to nominal body axes; all is in the IMU's frame.
     """
     every = max(1, len(window) // MOST_POINTS)
-    raw = window.field @ to_body.T
-    up = unit(window.specific_force.mean(axis=0))
-    drawn = [_marker("raw", Marker.POINTS, RAW, raw[::every], POINT_SIZE, POINT_SIZE)]
-    shown = raw
+    shown = window.field @ to_body.T
+    up, size = unit(window.specific_force.mean(axis=0)), (POINT_SIZE, POINT_SIZE)
+    drawn = [_marker("raw", Marker.POINTS, RAW, shown[::every], *size)]
     if estimate is not None:
-        shown = estimate.correction.apply(window.field)
-        points = shown[::every]
-        drawn.append(_marker("corrected", Marker.POINTS, CORRECTED, points, POINT_SIZE, POINT_SIZE))
-        up = estimate.axis
+        shown, up = estimate.correction.apply(window.field), estimate.axis
+        drawn.append(_marker("corrected", Marker.POINTS, CORRECTED, shown[::every], *size))
     # A robot that has not turned yet draws no circle.
     with contextlib.suppress(Refusal):
         drawn += _circle(fit_circle_in_space(shown, up), shown)
@@ -371,18 +367,11 @@ def _circle(circle: Circle, points: FloatArray) -> list[Marker]:
     return drawn
 
 
-def _marker(
-    name: str,
-    kind: int,
-    colour: Sequence[float],
-    field: FloatArray,
-    width: float,
-    height: float = 0.0,
-) -> Marker:
-    """Draw points of the field; the meaning of width and height depends on the kind."""
+def _marker(name: str, kind: int, colour: Triple, field: FloatArray, *scale: float) -> Marker:
+    """Draw points of the field; the meaning of its width and height depends on the kind."""
     marker = Marker(ns=name, type=kind, action=Marker.ADD)
     marker.pose.orientation.w = 1.0
-    marker.scale.x, marker.scale.y = width, height
+    marker.scale.x, marker.scale.y = (*scale, 0.0)[:2]
     red, green, blue = colour
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
     marker.points = [Point(x=x, y=y, z=z) for x, y, z in (field * METRES_PER_TESLA).tolist()]

@@ -18,18 +18,10 @@ from magcal_ros.core.driving.driving_tuning import SpeedSource
 from magcal_ros.core.driving.mounting_yaw import fault_words
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
-from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.base_view import (
-    FRONT,
-    Front,
-    VehicleYaw,
-    vehicle_front,
-)
-from magcal_ros.core.heading.compass import Moment
+from magcal_ros.core.heading.base_view import FRONT, Front, VehicleYaw, vehicle_front
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
-from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
-from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.core.samples.streams import SpeedSample, VelocitySample
 from magcal_ros.ros import wire
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
@@ -90,10 +82,6 @@ class Travel:
         gap = math.remainder(found.offset - kept.offset, math.tau)
         return abs(gap) >= 3.0 * math.hypot(found.sigma, kept.sigma)
 
-    def on_imu(self, sample: ImuSample, follower: UpFollower) -> Triple | None:
-        """Take an IMU sample; returns the vehicle's own acceleration, m/s², where it is known."""
-        return self.travelling.add_imu(sample, follower.gyro_bias.rate)
-
     @property
     def has_wheels(self) -> bool:
         """Whether the speed of wheels comes often enough to time starts and stops by it."""
@@ -108,11 +96,6 @@ class Travel:
         if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
             return math.nan
         return track.last
-
-    def on_moment(self, moment: Moment) -> None:
-        """Take what a field message comes to."""
-        if moment.heading is not None:
-            self.travelling.add_yaw(moment.heading.yaw)
 
     def use(self, kept: VehicleYaw | None) -> None:
         """Another calibration is in force; take what lies beside it."""

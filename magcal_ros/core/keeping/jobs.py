@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import (
     calibration_sigma,
     headings_apart,
@@ -148,13 +147,6 @@ class Mode(str, Enum):
     OFF = "off"
 
 
-class Trial(NamedTuple):
-    """The calibration before the one in force, still compared with it."""
-
-    calibration: Calibration
-    since: float  # clock from which road counts, seconds
-
-
 class Probation(NamedTuple):
     """A candidate as it is known by now; each earlier step is for the road from there."""
 
@@ -164,8 +156,7 @@ class Probation(NamedTuple):
     @staticmethod
     def of(candidate: DriveCandidate, before: tuple[Step, ...] = ()) -> Probation:
         """Return the probation of a candidate that was something else at the steps before."""
-        step = Step(candidate.end, candidate.calibration.correction)
-        return Probation(candidate, (*before, step))
+        return Probation(candidate, (*before, Step(candidate.end, candidate.calibration)))
 
 
 def is_same(one: Calibration | None, other: Calibration | None) -> bool:
@@ -204,10 +195,10 @@ class Proof:
 
 
 class Step(NamedTuple):
-    """A correction, and the clock from which road is read by it, seconds."""
+    """A calibration, and the clock from which road is read by it, seconds."""
 
     since: float
-    correction: Correction
+    calibration: Calibration
 
 
 @dataclass(frozen=True, eq=False)

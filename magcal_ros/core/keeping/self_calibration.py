@@ -24,7 +24,6 @@ from magcal_ros.core.keeping.jobs import (
     Probation,
     Proof,
     Step,
-    Trial,
     Verb,
     difference,
     is_another,
@@ -54,7 +53,7 @@ class SelfCalibration:
         self.before: deque[Calibration] = deque(maxlen=KEEPING.kept)
         self._on_probation: dict[Kind, Probation] = {}
         self._first: DriveCandidate | None = None
-        self._trial: Trial | None = None
+        self._trial: Step | None = None  # what was in force before, and is still compared
         self.decisions: deque[Decision] = deque(maxlen=KEEPING.remembered)
         self._not_before = self._changed = -math.inf
         self._looked = -math.inf
@@ -106,7 +105,7 @@ class SelfCalibration:
             return
         self._trial = None
         if decided and old is not None and not rolled:
-            self._trial = Trial(old, self.recorder.clock)
+            self._trial = Step(self.recorder.clock, old)
         if not decided or rolled:
             self._changed = -math.inf
         if not decided:
@@ -135,7 +134,7 @@ class SelfCalibration:
         in_force, windows = self._in_force, KEEPING.windows
         contests = {kind.value: each.steps for kind, each in self._on_probation.items()}
         if self._trial is not None:
-            contests[TRIAL] = (Step(self._trial.since, self._trial.calibration.correction),)
+            contests[TRIAL] = (self._trial,)
         if in_force is not None:
             # One window a look is enough where something is in force already.
             windows = windows[self._round % len(windows) :][:1]
@@ -279,7 +278,7 @@ class SelfCalibration:
         self._on_probation[Kind.IRON] = Probation.of(since)
         if self.before:
             # Iron that goes again leaves what was in force before it came.
-            self._trial = Trial(self.before[-1], since.start)
+            self._trial = Step(since.start, self.before[-1])
         words = (
             f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
             f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"

@@ -101,9 +101,10 @@ def prove(nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowl
 def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:
     """Return the nodes, each corrected by the step of its time."""
     field = nodes.field.copy()
-    for since, correction in steps:
+    for since, calibration in steps:
         later = nodes.time > since
-        field[later] = corrected(nodes, correction, knowledge.mounting.matrix).field[later]
+        read = corrected(nodes, calibration.correction, knowledge.mounting.matrix)
+        field[later] = read.field[later]
     return replace(nodes, field=field)
 
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,6 +36,11 @@ def driven(**options):
     return drive_nodes(log_of(window), np.eye(3))
 
 
+def step(since, correction):
+    """Return from when road is read by a correction."""
+    return Step(since, SimpleNamespace(correction=correction))
+
+
 def proved(road, *steps, old=OLD):
     return prove(road, old, steps, BOSTON)
 
@@ -47,7 +53,7 @@ def road():
 @pytest.fixture(scope="module")
 def whole(road):
     """What all of the road says of the right calibration."""
-    return proved(road, Step(road.time[0], RIGHT))
+    return proved(road, step(road.time[0], RIGHT))
 
 
 def test_the_right_one_explains_the_road_in_both_halves(whole):
@@ -57,14 +63,14 @@ def test_the_right_one_explains_the_road_in_both_halves(whole):
 
 
 def test_road_before_the_first_fit_does_not_count(road):
-    proof = proved(road, Step(road.time[-1] - 30.0, RIGHT))
+    proof = proved(road, step(road.time[-1] - 30.0, RIGHT))
     assert proof.seconds < 30.0
-    assert proved(road, Step(road.time[-1], RIGHT)).seconds == 0.0
+    assert proved(road, step(road.time[-1], RIGHT)).seconds == 0.0
 
 
 def test_a_fit_counts_only_for_the_road_after_it(road, whole):
     middle = 0.5 * (road.time[0] + road.time[-1])
-    first, last = Step(road.time[0], WORSE), Step(middle, RIGHT)
+    first, last = step(road.time[0], WORSE), step(middle, RIGHT)
     both = proved(road, first, last).likelihood
     assert proved(road, first).likelihood < both < whole.likelihood
 
@@ -77,7 +83,7 @@ def test_iron_that_came_is_spoken_against_by_no_heading(whole):
 def test_steel_on_one_side_of_the_way_is_no_iron_that_came(heading):
     side = (0.0, 15e-6, 0.0)
     road = driven(fences=(Fence(side, math.radians(heading), math.radians(100.0)),))
-    proof = proved(road, Step(road.time[0], OLD), old=RIGHT)
+    proof = proved(road, step(road.time[0], OLD), old=RIGHT)
     assert proof.against > 1.5
     assert proof.stands(kind=Kind.IRON) == ""
     explained = replace(proof, likelihood=20.0, halves=(5.0, 5.0))
