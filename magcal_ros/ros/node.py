@@ -269,7 +269,7 @@ class Calibrator(Node):
             "known_headings": self._known.facts(),
         }
         reference = self._reference.reference
-        text = status.status_json(self._first, self._magnetometers, reference, parts)
+        text = status.status_json(self._magnetometers, reference, parts)
         if text != self._status:
             self._status = text
             self._status_out.publish(String(data=text))

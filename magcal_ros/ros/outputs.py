@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import math
 from functools import lru_cache, partial
 from typing import Any
 
@@ -270,9 +269,7 @@ class FusedOutput:
             message = f"the field is not the calibrated one and {detector.trust.value}"
             if detector.trust is Trust.IGNORED and detector.last is not None:
                 message += f": {detector.last.in_words}; the gyro alone propagates the yaw"
-        if heading is not None:
-            values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
-            values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
+        values |= wire.yaw_values(heading)
         return wire.diagnostic("Fused", message, values, level)
 
     def _silence(self) -> str:

@@ -25,19 +25,17 @@ from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.self_keeping import SelfKeeping
-from magcal_ros.ros.wire import diagnostic
+from magcal_ros.ros.wire import diagnostic, yaw_values
 
 
 def status_json(
-    first: Magnetometer,
-    magnetometers: Magnetometers,
-    reference: Reference,
-    parts: Mapping[str, Any],
+    magnetometers: Magnetometers, reference: Reference, parts: Mapping[str, Any]
 ) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units.
 
     `parts` are entries that others give.
     """
+    first = magnetometers.heard[0]
     keeper, streams, turn = first.keeper, first.inputs.streams, first.control.turn
     state = magnetometers.state.value
     if magnetometers.state is TurnState.IDLE:
@@ -70,7 +68,7 @@ def status_json(
 def _progress(progress: Progress | None) -> Mapping[str, Any] | None:
     if progress is None:
         return None
-    coverage = progress.coverage
+    coverage, sigma = progress.coverage, math.degrees(progress.heading_sigma)
     return {
         "stage": progress.stage.value,
         "arc_deg": round(math.degrees(coverage.arc), 1),
@@ -82,15 +80,13 @@ def _progress(progress: Progress | None) -> Mapping[str, Any] | None:
         "samples": progress.samples,
         "elapsed_s": round(progress.elapsed, 1),
         "turn_rate_deg_s": round(math.degrees(progress.turn_rate), 1),
-        "heading_sigma_deg": round(math.degrees(progress.heading_sigma), 3)
-        if math.isfinite(progress.heading_sigma)
-        else None,
+        "heading_sigma_deg": round(sigma, 3) if math.isfinite(sigma) else None,
     }
 
 
 def _verdict(outcome: Outcome) -> Mapping[str, Any]:
     verdict, estimate = outcome.verdict, outcome.estimate
-    installation = None if estimate is None else estimate.installation
+    found = None if estimate is None else estimate.installation
     headline, against = verdict.in_full
     return {
         "accepted": verdict.accepted,
@@ -101,9 +97,7 @@ def _verdict(outcome: Outcome) -> Mapping[str, Any]:
         "against": list(against),
         "reasons": [check.words for check in verdict.checks],
         "not_shown": list(verdict.not_shown),
-        "installation_rpy_deg": None
-        if installation is None
-        else [round(math.degrees(angle), 6) for angle in astuple(installation)],
+        "installation_rpy_deg": found and [round(math.degrees(a), 6) for a in astuple(found)],
     }
 
 
@@ -174,10 +168,8 @@ def field_diagnostic(
         strength, heading = math.hypot(*moment.field), moment.heading
         shown, calibrated = f"{strength * 1e6:.1f} µT", f"{calibration.strength * 1e6:.1f} µT"
         values = {"corrected strength": shown, "calibrated strength": calibrated}
+        values |= yaw_values(heading)
         message = f"{shown}, calibrated {calibrated}"
-        if heading is not None:
-            values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
-            values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
         if not 0.7 < strength / max(calibration.strength, 1e-9) < 1.4:
             level = DiagnosticStatus.WARN
             message += ": something magnetic is near, or the calibration is another sensor's"

@@ -121,16 +121,14 @@ _FRAME_PLACE = _STAMP_END + 4
 
 
 class Template:
-    """A message with a header and doubles right after it, that is filled again and again.
+    """A message that is filled again and again: a header, a vector and its covariance (3, 3).
 
-    `put` sets the doubles in the message itself, where rclpy lays it out otherwise.
+    Where rclpy lays it out otherwise, the numbers are set in the message itself.
     """
 
-    def __init__(
-        self, message: Any, doubles: int, put: Callable[[Any, tuple[float, ...]], None]
-    ) -> None:
-        self._message, self._put = message, put
-        self._body = Struct(f"<{doubles}d")
+    def __init__(self, message: Any, vector: str, axes: str) -> None:
+        self._message, self._vector, self._axes = message, vector, axes
+        self._body = Struct(f"<{len(axes) + 9}d")
         self._frame: str | None = None
         self._data: bytearray | None = None
         self._place = 0
@@ -140,9 +138,11 @@ class Template:
         if frame != self._frame:
             self._lay_out(frame)
         if self._data is None:
-            header = self._message.header
-            header.stamp.sec, header.stamp.nanosec = STAMP.unpack(stamp)
-            self._put(self._message, numbers)
+            _set_stamp(self._message, stamp)
+            for axis, number in zip(self._axes, numbers, strict=False):
+                setattr(getattr(self._message, self._vector), axis, number)
+            covariance = numbers[len(self._axes) :]
+            setattr(self._message, f"{self._vector}_covariance", covariance)
             return self._message
         self._data[CDR_START:_STAMP_END] = stamp
         self._body.pack_into(self._data, self._place, *numbers)
@@ -159,27 +159,20 @@ class Template:
 
 def field_template() -> Template:
     """Return a sensor_msgs/MagneticField to fill: tesla, and the covariance in T²."""
-
-    def put(message: MagneticField, numbers: tuple[float, ...]) -> None:
-        vector = message.magnetic_field
-        vector.x, vector.y, vector.z = numbers[:3]
-        message.magnetic_field_covariance = numbers[3:]
-
-    return Template(MagneticField(), 3 + 9, put)
+    return Template(MagneticField(), "magnetic_field", "xyz")
 
 
 def attitude_template() -> Template:
     """Return a sensor_msgs/Imu to fill: quaternion and covariance; all else is marked absent."""
-
-    def put(message: Imu, numbers: tuple[float, ...]) -> None:
-        q = message.orientation
-        q.x, q.y, q.z, q.w = numbers[:4]
-        message.orientation_covariance = numbers[4:]
-
     message = Imu()
     message.angular_velocity_covariance[0] = ABSENT
     message.linear_acceleration_covariance[0] = ABSENT
-    return Template(message, 4 + 9, put)
+    return Template(message, "orientation", "xyzw")
+
+
+def _set_stamp(message: Any, stamp: bytes) -> None:
+    time = message.header.stamp
+    time.sec, time.nanosec = STAMP.unpack(stamp)
 
 
 def bias_message(correction: Correction, frame: str) -> MagneticField:
@@ -199,7 +192,7 @@ def azimuth_message(
     """Return a heading as a compass_interfaces/msg/Azimuth: ENU, radians."""
     message = kind()
     message.header.frame_id = frame
-    message.header.stamp.sec, message.header.stamp.nanosec = STAMP.unpack(stamp)
+    _set_stamp(message, stamp)
     message.unit, message.orientation = kind.UNIT_RAD, kind.ORIENTATION_ENU
     message.reference = kind.REFERENCE_MAGNETIC
     message.azimuth, message.variance = heading.yaw, heading.yaw_variance
@@ -208,6 +201,15 @@ def azimuth_message(
         message.azimuth = true_yaw(heading.yaw, reference.declination or 0.0)
         message.variance += reference.declination_sigma**2
     return message
+
+
+def yaw_values(heading: Heading | None) -> dict[str, str]:
+    """Return what diagnostics say of a heading, if there is one."""
+    if heading is None:
+        return {}
+    sigma = math.degrees(math.sqrt(heading.yaw_variance))
+    yaw = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
+    return {"yaw": yaw, "yaw sigma": f"{sigma:.2f}°"}
 
 
 def diagnostic(
