@@ -56,64 +56,55 @@ class Gathered:
         return [*found, *self.reference.complaints]
 
 
+RECORDINGS = (
+    "rosbag2 (folder, .mcap, .db3), ROS 1 bag, a folder with imu.csv and mag.csv (and odom.csv, "
+    "gps.csv), a log of ArduPilot (.BIN, .log, .tlog) or PX4 (.ulg), or the unpacked folder of a "
+    "phone's Sensor Logger or phyphox"
+)
+ANGLES = ("ROLL", "PITCH", "YAW")
+
+
 def add_recording_options(
     parser: argparse.ArgumentParser, *, several: bool = False, optional: bool = False
 ) -> None:
     """Add the recording, or several as `recordings`, and which part of it to read."""
-    kinds = (
-        "rosbag2 (folder, .mcap, .db3), ROS 1 bag, a folder with imu.csv and mag.csv (and "
-        "odom.csv, gps.csv), a log of ArduPilot (.BIN, .log, .tlog) or PX4 (.ulg), or the unpacked "
-        "folder of a phone's Sensor Logger or phyphox"
-    )
     if several:
-        parser.add_argument(
-            "recordings",
-            type=Path,
-            nargs="+",
-            metavar="recording",
-            help=f"{kinds}; turns of several recordings are joined",
-        )
+        words = f"{RECORDINGS}; turns of several recordings are joined"
+        many: dict[str, Any] = {"dest": "recordings", "nargs": "+", "metavar": "recording"}
+        parser.add_argument(type=Path, help=words, **many)
     else:
-        many = "?" if optional else None
-        parser.add_argument("recording", type=Path, nargs=many, help=kinds)
-    parser.add_argument(
-        "--imu", default="", metavar="TOPIC", help="Imu topic of a bag, or IMU[1] of a log"
-    )
-    parser.add_argument("--mag", default="", metavar="TOPIC", help="field topic; MAG[1] of a log")
-    parser.add_argument(
-        "--imu-rpy-deg",
-        type=number(-360.0, 360.0),
-        nargs=3,
-        metavar=("ROLL", "PITCH", "YAW"),
-        help="pose of a log's or phone's sensors in the vehicle, ° (not of a bag)",
-    )
+        count = "?" if optional else None
+        parser.add_argument("recording", type=Path, nargs=count, help=RECORDINGS)
+    for option, words in (
+        ("--imu", "Imu topic of a bag, or IMU[1] of a log"),
+        ("--mag", "field topic; MAG[1] of a log"),
+    ):
+        parser.add_argument(option, default="", metavar="TOPIC", help=words)
+    words = "pose of a log's or phone's sensors in the vehicle, ° (not of a bag)"
+    add_three(parser, "--imu-rpy-deg", number(-360.0, 360.0), words, metavar=ANGLES)
+    span: dict[str, Any] = {"type": number(0.0, math.inf), "metavar": "SECONDS"}
     before = "leave out what comes before, counted from the recording's beginning"
     after = "leave out what comes after"
-    for name, dest, default, words in (
-        ("--from", "start", 0.0, before),
-        ("--to", "stop", math.inf, after),
-    ):
-        about: dict[str, Any] = {"dest": dest, "default": default, "metavar": "SECONDS"}
-        parser.add_argument(name, type=number(0.0, math.inf), help=words, **about)
+    parser.add_argument("--from", dest="start", default=0.0, help=before, **span)
+    parser.add_argument("--to", dest="stop", default=math.inf, help=after, **span)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
+
+
+def add_three(parser: Any, option: str, kind: Any, words: str, **about: Any) -> None:
+    """Add an option with three numbers."""
+    parser.add_argument(option, type=kind, nargs=3, help=words, **about)
 
 
 def add_knowledge_options(parser: argparse.ArgumentParser) -> None:
     """Add what may be known beforehand; ranges and defaults are the node's."""
     add_reference_options(parser)
     group = parser.add_argument_group("the sensor (each may be left out)")
-    for name, low, high, default, words in (
-        ("--soft-iron-gains", 0.1, 10.0, 1.0, "known gains of the magnetometer's axes"),
-        ("--mount-rpy-deg", -360.0, 360.0, 0.0, "its nominal pose in the IMU's frame, °"),
-    ):
-        group.add_argument(
-            name,
-            type=number(low, high),
-            nargs=3,
-            default=[default] * 3,
-            metavar=("X", "Y", "Z") if "gains" in name else ("ROLL", "PITCH", "YAW"),
-            help=words,
-        )
+    gains: dict[str, Any] = {"default": [1.0] * 3, "metavar": ("X", "Y", "Z")}
+    words = "known gains of the magnetometer's axes"
+    add_three(group, "--soft-iron-gains", number(0.1, 10.0), words, **gains)
+    pose: dict[str, Any] = {"default": [0.0] * 3, "metavar": ANGLES}
+    words = "its nominal pose in the IMU's frame, °"
+    add_three(group, "--mount-rpy-deg", number(-360.0, 360.0), words, **pose)
 
 
 def mounting_from(options: argparse.Namespace) -> Mounting:
@@ -128,9 +119,8 @@ def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManag
         raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
     chosen = {"imu": options.imu, "field": options.mag}
     span = {"start": options.start, "stop": options.stop}
-    pose = None
-    if options.imu_rpy_deg is not None:
-        pose = rotation_from_rpy(*map(math.radians, options.imu_rpy_deg))
+    angles = options.imu_rpy_deg
+    pose = None if angles is None else rotation_from_rpy(*map(math.radians, angles))
     shares = [0.0]
     with at_work(lambda: f"reading, {100.0 * shares[-1]:.0f}%", sys.stderr):
         return open_recording(recording, **chosen, **span, imu_pose=pose, progress=shares.append)
