@@ -104,22 +104,15 @@ def run_check(options: argparse.Namespace) -> int:
     return Exit.GOOD if result.is_judged else Exit.TOO_LITTLE_DATA
 
 
+NOTHING_SEEN = "This recording does not show whether the calibration holds."
+
+
 def _words(result: Recheck, notes: list[str]) -> str:
     against = [f for f in result.findings if STATES[f.grade] != "holds"]
-    by_chance = [f for f in result.findings if f not in against and _is_beyond(f)]
-    rows = [("", "raw", "corrected", "want", "stale", "")]
-    rows += [
-        (
-            f.name.removesuffix(" by"),
-            _number(f.before),
-            _number(f.value),
-            *_limits(f),
-            "chance" if f in by_chance else _state(f),
-        )
-        for f in result.findings
-    ]
+    found = [_row(finding) for finding in result.findings]
+    by_chance = [f for f, row in zip(result.findings, found, strict=True) if row[-1] == "chance"]
     title = f"{SENTENCES[result.state]}." if result.is_judged else NOTHING_SEEN
-    text = f"{title}\n\n{table(rows)}\n"
+    text = f"{title}\n\n{table([('', 'raw', 'corrected', 'want', 'stale', ''), *found])}\n"
     text += bullets("What contradicts it:", [f.words for f in against if f.is_judged])
     text += bullets("Beyond what is wanted:", [f.words for f in by_chance])
     text += bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
@@ -128,27 +121,18 @@ def _words(result: Recheck, notes: list[str]) -> str:
     return text.rstrip("\n")
 
 
-NOTHING_SEEN = "This recording does not show whether the calibration holds."
-
-
-def _limits(finding: Check) -> tuple[str, str]:
-    """Return up to which value a figure holds, and beyond which the calibration is stale."""
-    bound, unit = finding.bound, finding.unit
-    return ("", "") if bound is None else (f"≤ {bound.good:g}{unit}", f"> {bound.warn:g}{unit}")
-
-
-def _is_beyond(finding: Check) -> bool:
-    """Whether a figure would not hold if chance had no part in it."""
-    bound, value = finding.bound, finding.value
-    return bound is not None and value is not None and value > bound.good
-
-
-def _state(finding: Check) -> str:
-    return STATES[finding.grade] if finding.is_judged else "unclear"
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else shown(value)
+def _row(finding: Check) -> tuple[str, ...]:
+    """Return name, raw and corrected value, what is wanted and what is stale, and the state."""
+    bound, value, unit = finding.bound, finding.value, finding.unit
+    # Of a recheck's findings both are there.
+    assert bound is not None
+    assert value is not None
+    state = STATES[finding.grade] if finding.is_judged else "unclear"
+    if state == "holds" and value > bound.good:
+        state = "chance"
+    raw = "" if finding.before is None else shown(finding.before)
+    limits = f"≤ {bound.good:g}{unit}", f"> {bound.warn:g}{unit}"
+    return (finding.name.removesuffix(" by"), raw, shown(value), *limits, state)
 
 
 def _facts(result: Recheck, notes: list[str]) -> dict[str, Any]:
