@@ -8,19 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli import recorded
-from magcal_ros.cli.common import (
-    CALIBRATION,
-    Exit,
-    add_output_option,
-    add_reference_options,
-    bullets,
-    command,
-    new_or_named,
-    reference_in_use,
-    table,
-    tell_result,
-)
+from magcal_ros.cli import common, recorded
 from magcal_ros.core.assessment.grading import Check, shown
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
@@ -40,13 +28,13 @@ from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 def add_check(commands: Any) -> None:
     """Add the command's arguments."""
     words = "say whether a calibration still holds on a fresh recording"
-    parser = command(commands, "check", run_check, words)
+    parser = common.command(commands, "check", run_check, words)
     recorded.add_recording_options(parser)
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="the calibration"
     )
-    add_output_option(parser, "the report", "magcal_check")
-    add_reference_options(parser)
+    common.add_output_option(parser, "the report", "magcal_check")
+    common.add_reference_options(parser)
 
 
 def run_check(options: argparse.Namespace) -> int:
@@ -62,7 +50,7 @@ def run_check(options: argparse.Namespace) -> int:
         travel, readings = source.travel, RepairedReadings(source, known=calibration)
         course = recorded_course(calibration, readings, travel, north) if travel else None
         own = against_own_yaw(calibration, readings, source.yaw, north)
-    folder = new_or_named(options.output, "magcal_check")
+    folder = common.new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, gathered.reference.field)
     made_for, heard = origin.magnetometer_frame, gathered.source.field_frame
     notes = gathered.complaints()
@@ -78,9 +66,9 @@ def run_check(options: argparse.Namespace) -> int:
         result = check(window, calibration, drive=gathered.gathering.drive())
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
-        words = f"Too little data: {refusal}.\n{bullets('About the recording:', notes)}"
-        tell_result(content, words.rstrip("\n"), as_json=options.json)
-        return Exit.TOO_LITTLE_DATA
+        words = f"Too little data: {refusal}.\n{common.bullets('About the recording:', notes)}"
+        common.tell_result(content, words.rstrip("\n"), as_json=options.json)
+        return common.Exit.TOO_LITTLE_DATA
     outcome = Outcome(result.verdict, calibration, result.estimate)
     subject = Subject(
         window,
@@ -98,10 +86,10 @@ def run_check(options: argparse.Namespace) -> int:
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     facts["course"] = None if course is None else course.facts()
     words = f"{_words(result, notes)}\n\nReport: {report}"
-    tell_result(facts, words, as_json=options.json)
+    common.tell_result(facts, words, as_json=options.json)
     if not result.verdict.accepted:
-        return Exit.REFUSED
-    return Exit.GOOD if result.is_judged else Exit.TOO_LITTLE_DATA
+        return common.Exit.REFUSED
+    return common.Exit.GOOD if result.is_judged else common.Exit.TOO_LITTLE_DATA
 
 
 NOTHING_SEEN = "This recording does not show whether the calibration holds."
@@ -112,12 +100,13 @@ def _words(result: Recheck, notes: list[str]) -> str:
     found = [_row(finding) for finding in result.findings]
     by_chance = [f for f, row in zip(result.findings, found, strict=True) if row[-1] == "chance"]
     title = f"{SENTENCES[result.state]}." if result.is_judged else NOTHING_SEEN
-    text = f"{title}\n\n{table([('', 'raw', 'corrected', 'want', 'stale', ''), *found])}\n"
-    text += bullets("What contradicts it:", [f.words for f in against if f.is_judged])
-    text += bullets("Beyond what is wanted:", [f.words for f in by_chance])
-    text += bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
-    text += bullets("Not shown by this recording:", result.verdict.not_shown)
-    text += bullets("About the recording:", notes)
+    rows = [("", "raw", "corrected", "want", "stale", ""), *found]
+    text = f"{title}\n\n{common.table(rows)}\n"
+    text += common.bullets("What contradicts it:", [f.words for f in against if f.is_judged])
+    text += common.bullets("Beyond what is wanted:", [f.words for f in by_chance])
+    text += common.bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
+    text += common.bullets("Not shown by this recording:", result.verdict.not_shown)
+    text += common.bullets("About the recording:", notes)
     return text.rstrip("\n")
 
 
@@ -158,12 +147,12 @@ def _facts(result: Recheck, notes: list[str]) -> dict[str, Any]:
 def add_drive(commands: Any) -> None:
     """Add the command's arguments."""
     words = "say what a recorded drive shows of the compass"
-    parser = command(commands, "drive", run_drive, words)
+    parser = common.command(commands, "drive", run_drive, words)
     recorded.add_recording_options(parser)
     parser.add_argument(
         "--calibration", type=Path, metavar="FILE", help="in force at the beginning (default: none)"
     )
-    add_output_option(parser, "the report", "magcal_drive")
+    common.add_output_option(parser, "the report", "magcal_drive")
     recorded.add_knowledge_options(parser)
 
 
@@ -180,9 +169,9 @@ def run_drive(options: argparse.Namespace) -> int:
     2 usage, 3 none is, 5 file trouble.
     """
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
-    folder = new_or_named(options.output, "magcal_drive")
+    folder = common.new_or_named(options.output, "magcal_drive")
     with recorded.opened(options, options.recording) as source:
-        reference = reference_in_use(options, source.place, source.begun)
+        reference = common.reference_in_use(options, source.place, source.begun)
         knowledge = Knowledge(reference.field, recorded.mounting_from(options))
         repaired = RepairedReadings(source, for_drive=True, known=begun)
         travel = source.travel
@@ -200,19 +189,19 @@ def run_drive(options: argparse.Namespace) -> int:
     page = write_drive_page(folder, story, plain(str(options.recording)))
     files = [page]
     if story.ended is not None and story.ended is not begun:
-        files.append(folder / CALIBRATION)
+        files.append(folder / common.CALIBRATION)
         write_calibration(files[-1], story.ended, Origin.now(*frames))
     notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
     content = story, notes, files
-    tell_result(_drive_facts(*content), _drive_words(*content), as_json=options.json)
-    return Exit.TOO_LITTLE_DATA if story.ended is None else Exit.GOOD
+    common.tell_result(_drive_facts(*content), _drive_words(*content), as_json=options.json)
+    return common.Exit.TOO_LITTLE_DATA if story.ended is None else common.Exit.GOOD
 
 
 def _drive_words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
     lines = [summary_of(story)]
     lines += [f"At the end: {story.course}."] if story.course else []
     lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
-    lines += bullets("About the recording:", notes).strip("\n").splitlines()
+    lines += common.bullets("About the recording:", notes).strip("\n").splitlines()
     return "\n".join([*lines, *(f"Written: {file}" for file in files)])
 
 
@@ -231,7 +220,9 @@ def _drive_facts(story: DriveStory, notes: list[str], files: list[Path]) -> dict
 
 def add_export(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = command(commands, "export", run_export, "write a calibration for another program")
+    parser = common.command(
+        commands, "export", run_export, "write a calibration for another program"
+    )
     parser.add_argument("calibration", type=Path, help="a calibration file of this package")
     parser.add_argument(
         "--to", required=True, choices=sorted(EXPORTERS), metavar="NAME", help=", ".join(EXPORTERS)
@@ -254,4 +245,4 @@ def run_export(options: argparse.Namespace) -> int:
         write_atomically(options.output, text)
     if options.to in NOTES:
         print(f"magcal: {options.to}: {NOTES[options.to]}", file=sys.stderr)
-    return Exit.GOOD
+    return common.Exit.GOOD

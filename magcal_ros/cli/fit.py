@@ -12,19 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.cli import recorded
-from magcal_ros.cli.common import (
-    CALIBRATION,
-    Exit,
-    add_output_option,
-    bullets,
-    command,
-    new_or_named,
-    table,
-    tell,
-    tell_result,
-    with_options,
-)
+from magcal_ros.cli import common, recorded
 from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
 from magcal_ros.core.calibration.calibration import Estimate
@@ -60,18 +48,22 @@ class Fitted:
         return list(dict.fromkeys(found))
 
     @property
-    def status(self) -> Exit:
+    def status(self) -> common.Exit:
         """What the shell sees."""
         if self.outcome.verdict.accepted:
-            return Exit.GOOD
-        return Exit.TOO_LITTLE_DATA if self.outcome.reason in LITTLE_DATA else Exit.REFUSED
+            return common.Exit.GOOD
+        return (
+            common.Exit.TOO_LITTLE_DATA
+            if self.outcome.reason in LITTLE_DATA
+            else common.Exit.REFUSED
+        )
 
 
 def add_fit(commands: Any) -> None:
     """Add the command's arguments."""
-    parser = command(commands, "fit", run, "calibrate from a recording")
+    parser = common.command(commands, "fit", run, "calibrate from a recording")
     recorded.add_recording_options(parser, several=True)
-    add_output_option(parser, "what is found", "magcal_fit")
+    common.add_output_option(parser, "what is found", "magcal_fit")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0], help=METHOD_WORDS)
     parser.add_argument(
         "--compare", action="store_true", help="print every method side by side; write no files"
@@ -87,10 +79,10 @@ def run(options: argparse.Namespace) -> int:
     estimate, the yaw of the installation included. Exit status: 0 good, 2 usage, 3 too little data,
     4 refused, 5 file trouble.
     """
-    folder = new_or_named(options.output, "magcal_fit")
+    folder = common.new_or_named(options.output, "magcal_fit")
     # What lies there already is never overwritten.
-    if (folder / CALIBRATION).exists():
-        raise FileTrouble(f"{folder / CALIBRATION} exists already: name another --output")
+    if (folder / common.CALIBRATION).exists():
+        raise FileTrouble(f"{folder / common.CALIBRATION} exists already: name another --output")
     _check_use(options)
     mounting = recorded.mounting_from(options)
     everything = tuple(_gathered(options, mounting, path) for path in options.recordings)
@@ -101,10 +93,10 @@ def run(options: argparse.Namespace) -> int:
     ):
         fitted = _fit(everything, options, shares.append)
     if options.compare:
-        tell(compare_methods(fitted.outcome.window, fitted.knowledge))
+        common.tell(compare_methods(fitted.outcome.window, fitted.knowledge))
         return fitted.status
     files = _write_files(folder, fitted, options)
-    tell_result(_facts(fitted, files), _words(fitted, files), as_json=options.json)
+    common.tell_result(_facts(fitted, files), _words(fitted, files), as_json=options.json)
     return fitted.status
 
 
@@ -156,7 +148,7 @@ def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> l
     outcome, gathered = fitted.outcome, fitted.gathered
     if outcome.calibration is not None and outcome.verdict.accepted:
         origin = Origin.now(gathered.source.field_frame, gathered.source.imu_frame)
-        files.append(folder / CALIBRATION)
+        files.append(folder / common.CALIBRATION)
         write_calibration(files[-1], outcome.calibration, origin)
     if outcome.window is not None:
         files.append(write_report(folder, _subject(fitted, outcome.window, options)))
@@ -193,12 +185,12 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     # Along a drive the disturbances of the way say more, and the headings driven.
     left_out = ("residual_percent", "arc_deg") if is_drive else ()
     rows = [row[1:] for row in _numbers(fitted) if row[0] not in left_out]
-    text = with_options(headline) + "\n"
+    text = common.with_options(headline) + "\n"
     against = "But" if verdict.accepted else "The reasons"
-    text += bullets(f"{against}:", [with_options(words) for words in reasons])
+    text += common.bullets(f"{against}:", [common.with_options(words) for words in reasons])
     reference = fitted.gathered.reference
     known = reference.words if reference.is_known else f"{reference.words}: {GIVE_PLACE}"
-    text += f"\n{table(rows)}\n\nReference field: {known}.\n"
+    text += f"\n{common.table(rows)}\n\nReference field: {known}.\n"
     several = fitted.outcome.several
     if several is not None:
         lines = [
@@ -207,12 +199,12 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
         ]
         has_yaw = estimate is not None and Figure.INSTALLATION_YAW_SIGMA in estimate.figures
         title = "Turns:" if has_yaw else f"Turns ({APART}):"
-        text += bullets(title, [*lines, several.advice_in_words])
+        text += common.bullets(title, [*lines, several.advice_in_words])
     which = "this recording" if len(fitted.everything) == 1 else "these recordings"
-    text += bullets(f"Not shown by {which}:", verdict.not_shown)
-    text += bullets("About the recording:", fitted.complaints)
-    text += bullets("Written:", [str(file) for file in files])
-    if fitted.status != Exit.GOOD:
+    text += common.bullets(f"Not shown by {which}:", verdict.not_shown)
+    text += common.bullets("About the recording:", fitted.complaints)
+    text += common.bullets("Written:", [str(file) for file in files])
+    if fitted.status != common.Exit.GOOD:
         text += "\nNo calibration was written.\n"
     return text.rstrip("\n")
 
@@ -333,7 +325,7 @@ def compare_methods(window: Window | None, knowledge: Knowledge) -> str:
     }
     rows = [HEADER, *(_row(method, outcome) for method, outcome in outcomes.items())]
     why = (f"{method}: {outcome.verdict.summary}" for method, outcome in outcomes.items())
-    return "\n".join([table(rows), "", *why])
+    return "\n".join([common.table(rows), "", *why])
 
 
 def _row(method: str, outcome: Outcome) -> tuple[str, ...]:

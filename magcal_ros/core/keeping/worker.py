@@ -24,21 +24,14 @@ from magcal_ros.core.keeping.jobs import (
     Step,
 )
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.smoother.drives import (
-    DriveFit,
-    corrected,
-    drive_nodes,
-    fit_drive,
-    fit_iron,
-    likelihood_ratio_of,
-)
+from magcal_ros.core.smoother import drives
 from magcal_ros.core.smoother.iron_added import find_change
 from magcal_ros.core.smoother.nodes import Nodes
 
 
 def answer(job: DriveJob) -> Findings:
     """Do a job."""
-    nodes = drive_nodes(job.log, job.knowledge.mounting.to_body)
+    nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
     since_change, finer = _since_change(nodes, job, clock), None
     if math.isfinite(job.changed):
@@ -75,13 +68,13 @@ def _iron_since(nodes: Nodes, job: DriveJob, start: float, clock: float) -> Driv
     if job.in_force is None or clock - start < KEEPING.shortest_since:
         return None
     start = max(start, clock - KEEPING.look_back)
-    fitted = fit_iron(nodes.between(start), job.in_force.correction, job.knowledge)
+    fitted = drives.fit_iron(nodes.between(start), job.in_force.correction, job.knowledge)
     return None if fitted is None else candidate_of(fitted, Kind.IRON, job.in_force, start, clock)
 
 
 def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate | None:
     try:
-        fitted = fit_drive(job.log, nodes.between(start), job.knowledge)
+        fitted = drives.fit_drive(job.log, nodes.between(start), job.knowledge)
     except Refusal:
         return None
     return candidate_of(fitted, Kind.ALL, job.in_force, start, end)
@@ -92,8 +85,8 @@ def prove(nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowl
     road = nodes.between(new[0].since)
     if len(road) < 4:
         return Proof()
-    before = corrected(road, old, knowledge.mounting.matrix)
-    ratio = likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
+    before = drives.corrected(road, old, knowledge.mounting.matrix)
+    ratio = drives.likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
     seconds = float(np.ptp(road.time))
     return Proof(seconds, ratio.gain, ratio.halves, ratio.elsewhere, ratio.against)
 
@@ -103,13 +96,13 @@ def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:
     field = nodes.field.copy()
     for since, calibration in steps:
         later = nodes.time > since
-        read = corrected(nodes, calibration.correction, knowledge.mounting.matrix)
+        read = drives.corrected(nodes, calibration.correction, knowledge.mounting.matrix)
         field[later] = read.field[later]
     return replace(nodes, field=field)
 
 
 def candidate_of(
-    fitted: DriveFit, kind: Kind, before: Calibration | None, start: float, end: float
+    fitted: drives.DriveFit, kind: Kind, before: Calibration | None, start: float, end: float
 ) -> DriveCandidate:
     """Make a candidate of a fit to the road between two stamps, driven with `before` in force."""
     sigma = fitted.posterior.heading_sigma
