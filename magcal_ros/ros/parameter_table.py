@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, NoReturn, TypeAlias
 
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS
 from magcal_ros.core.earth_field.wmm import VALIDITY
@@ -75,54 +75,50 @@ class Spec:
 
     def parse(self, value: Any) -> Value:
         """Return a value in the right type; a ValueError says what would be right."""
-        if isinstance(self.default, bool):
-            if isinstance(value, bool):
-                return value
-            raise ValueError(f"{self.name} must be true or false, not {_shown(value)}")
-        if isinstance(self.default, str):
+        default = self.default
+        if isinstance(default, bool):
+            return value if isinstance(value, bool) else self._refuse("true or false", value)
+        if isinstance(default, str):
             return self._parse_text(value)
-        if isinstance(self.default, tuple):
-            return self._parse_list(value, len(self.default))
-        if isinstance(self.default, int):
-            number = _number(value)
-            if number is None or not number.is_integer():
-                raise ValueError(f"{self.name} must be a whole number, not {_shown(value)}")
-            return int(self._within(number))
-        return self._parse_number(value)
+        if isinstance(default, tuple):
+            return self._parse_list(value, len(default))
+        number = _number(value)
+        if isinstance(default, int) and (number is None or not number.is_integer()):
+            self._refuse("a whole number", value)
+        return type(default)(self._parse_number(value))
 
     def _parse_text(self, value: Any) -> str:
         if not isinstance(value, str):
-            raise ValueError(f"{self.name} must be a text, not {_shown(value)}")
+            self._refuse("a text", value)
         if self.choices and value not in self.choices:
-            raise ValueError(f"{self.name} must be {self.constraints}, not {_shown(value)}")
+            self._refuse(self.constraints, value)
         if len(value) > LONGEST_TEXT:
             raise ValueError(f"{self.name} must be no longer than {LONGEST_TEXT} characters")
-        return value
+        return str(value)
 
     def _parse_list(self, value: Any, count: int) -> tuple[float, ...]:
         items = _items(value) or ()
         if len(items) != count:
-            raise ValueError(
-                f"{self.name} must be {count} numbers, as in {self.yaml_default}, "
-                f"not {_shown(value)}"
-            )
+            self._refuse(f"{count} numbers, as in {self.yaml_default}", value)
         numbers = tuple(self._parse_number(item) for item in items)
         if len({math.isnan(number) for number in numbers}) > 1:
-            raise ValueError(f"{self.name} must be known as a whole or not, not {_shown(value)}")
+            self._refuse("known as a whole or not", value)
         return numbers
 
     def _parse_number(self, value: Any) -> float:
         number = _number(value)
         if number is None:
-            raise ValueError(f"{self.name} must be a number, not {_shown(value)}")
-        return UNSET if math.isnan(number) and self.may_be_unset else self._within(number)
-
-    def _within(self, number: float) -> float:
+            self._refuse("a number", value)
+        if math.isnan(number) and self.may_be_unset:
+            return UNSET
         low, high, unit = self.span
         if not low <= number <= high:
             within = f"between {low:g} and {high:g} {unit}".rstrip()
             raise ValueError(f"{self.name} must lie {within}, not {number:g}")
         return number
+
+    def _refuse(self, wanted: str, value: Any) -> NoReturn:
+        raise ValueError(f"{self.name} must be {wanted}, not {_shown(value)}")
 
     @property
     def constraints(self) -> str:
