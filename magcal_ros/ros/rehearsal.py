@@ -77,17 +77,15 @@ def replay(
 ) -> int:
     """Publish a recording by its stamps, `rate` times as fast; returns the number of samples."""
     clock_out, message = node.create_publisher(Clock, "/clock", 10) if clock else None, Clock()
-    started: float | None = None
-    count = 0
-    for sample in recording.cut(0.0, math.inf).samples():
-        if started is None:
+    started, count = math.nan, 0
+    for count, sample in enumerate(recording.cut(0.0, math.inf).samples(), start=1):
+        if count == 1:
             started = time.monotonic() - sample.stamp / rate
         between(max(0.0, started + sample.stamp / rate - time.monotonic()))
         if clock_out is not None:
             set_time(message.clock, sample.stamp)
             clock_out.publish(message)
         source.publish(sample)
-        count += 1
     return count
 
 
@@ -112,9 +110,7 @@ class Rehearsal:
         calibrator: str = "/calibrator",
         **ride: Any,
     ) -> None:
-        self.node = node
-        self.robot = robot
-        self.speed = speed
+        self.node, self.robot, self.speed = node, robot, speed
         self.ride = Ride(robot, np.random.default_rng(seed), start=time.time(), **ride)
         self.source = SensorSource(node)
         self.status: dict[str, Any] = {}

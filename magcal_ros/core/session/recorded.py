@@ -155,14 +155,10 @@ class Gathering:
 
     def _choose(self) -> None:
         """Keep the part with most of a turn, of the parts between which time was set back."""
-        best = self._best
-        if best is not None and _arc(best) >= _arc(self._session):
-            self._session = best
+        if self._best is not None:
+            both = self._best, self._session
+            self._session = max(both, key=lambda session: session.progress(0.0).coverage.arc)
         self._best = None
-
-
-def _arc(session: Session) -> float:
-    return session.progress(0.0).coverage.arc
 
 
 def fit_gathered(
@@ -201,8 +197,7 @@ def fit_several(
     left_out = {k: found for k, found in enumerate(looked) if isinstance(found, Refusal)}
     if not windows:
         return Outcome.refused(left_out[len(gatherings) - 1]), len(gatherings) - 1
-    used = list(windows)
-    turns = [windows[index] for index in used]
+    used, turns = list(windows), list(windows.values())
     outcome = calibrate_turns(turns, knowledge, method, [names[index] for index in used])
     if outcome.several is None:
         return outcome, used[-1]
@@ -210,8 +205,7 @@ def fit_several(
     fates = dict(zip(used, outcome.several.fates, strict=True))
     fates |= {k: TurnFate(names[k], False, str(why).rstrip(".")) for k, why in left_out.items()}
     ordered = tuple(fates[index] for index in sorted(fates))
-    outcome = replace(outcome, several=replace(outcome.several, fates=ordered))
-    return outcome, newest
+    return replace(outcome, several=replace(outcome.several, fates=ordered)), newest
 
 
 def _window_or_refusal(gathering: Gathering) -> Window | Refusal:

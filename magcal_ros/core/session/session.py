@@ -138,16 +138,12 @@ class Session:
     ) -> None:
         self.limits, self._gyro, self._longer = limits, gyro, longer
         self._to_body = mounting.to_body
-        self._started = self._last_pair = now
+        self._started = self._last_pair = self._last_turning = now
         self._buffer = np.empty((1024, ROWS))
         self._size = 0
         self._turned = self._looked_at = 0.0
-        self._forget_looks()
-        self._last_turning = now
-        self.was_set_back = False
-
-    def _forget_looks(self) -> None:
         self._sigma, self._seen = math.inf, 0.0
+        self.was_set_back = False
 
     @property
     def has_samples(self) -> bool:
@@ -161,18 +157,16 @@ class Session:
 
     def add(self, pair: Pair, now: float) -> None:
         """Take a pair; a repeated stamp is left out, after an older one the turn starts again."""
-        rows = self._buffer
-        newest = self.newest
-        if pair.field.stamp == newest:
+        stamp, newest = pair.field.stamp, self.newest
+        if stamp == newest:
             return
-        if pair.field.stamp < newest:
+        if stamp < newest:
             self._size, self._turned = 0, 0.0
-            self._forget_looks()
+            self._sigma, self._seen = math.inf, 0.0
             self.was_set_back = True
-        if self._size == len(rows):
+        if self._size == len(self._buffer):
             self._thin_out()
-        row = (pair.field.stamp, *pair.field.field, *pair.imu.force, *pair.imu.rate)
-        self._buffer[self._size] = row
+        self._buffer[self._size] = (stamp, *pair.field.field, *pair.imu.force, *pair.imu.rate)
         self._size += 1
         self._last_pair = now
 

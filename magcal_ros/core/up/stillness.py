@@ -36,17 +36,11 @@ class FieldStillness:
         self._stamp = -math.inf
         self._last = self.mean = ZERO
         self._noise = 0.0
-        self._begin()
-
-    def _begin(self) -> None:
-        self._first = ZERO
-        self._first_count = 0
-        self._since = math.inf
+        self.begin()
 
     def begin(self) -> None:
         """Begin a new spell with the next field sample."""
-        if self._first_count:
-            self._begin()
+        self._first, self._first_count, self._since = ZERO, 0, math.inf
 
     def add(self, stamp: float, field: Triple) -> None:
         """Take a raw field sample (tesla, or any unit) at a stamp in seconds."""
@@ -54,7 +48,7 @@ class FieldStillness:
         self._stamp = stamp
         if not 0.0 < seconds < REST.field_lasts:
             self.mean, self._noise = field, 0.0
-            self._begin()
+            self.begin()
         else:
             share = min(1.0, seconds / REST.field_mean)
             self.mean = between(self.mean, field, share)
