@@ -98,11 +98,16 @@ def planned_duration(speed: float) -> float:
 
 
 class RotationPlan:
-    """A turn to the left until all headings were seen, and back; `fault` is why it broke off."""
+    """A turn to the left until all headings were seen, and back; `fault` is why it broke off.
 
-    def __init__(self, speed: float, now: float) -> None:
+    It may take `longest` seconds. `objection` is why it must not go on, by the gyro's angle or the
+    commanded one.
+    """
+
+    def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
         self.phase = Phase.OUT
         self.fault: Fault | None = None
+        self.objection = ""
         self.command = 0.0
         self._speed = speed
         self._last = now
@@ -111,6 +116,31 @@ class RotationPlan:
         self._brakes = False
         self._paused_at = now
         self._suspected: dict[Fault, float] = {}
+        self._deadline = now + min(longest, TUNING.leeway * planned_duration(speed))
+        self._noted = now
+        self._commanded = self._path = 0.0
+
+    def is_late(self, now: float) -> bool:
+        """Whether the time for the turn is up."""
+        return now > self._deadline
+
+    def note(self, now: float, command: float, seen: Seen) -> None:
+        """Take the command (rad/s) that was in force until `now`, and what the sensors show."""
+        step, self._noted = (now - self._noted) * command, now
+        self._commanded += step
+        self._path += abs(step)
+        if self.objection:
+            return
+        beyond = TUNING.farthest_beyond
+        if seen.by_gyro and not -beyond <= seen.turned <= math.tau + beyond:
+            self.objection = (
+                f"by the gyro it is at {math.degrees(seen.turned):+.0f}° of a turn that goes "
+                "from 0° to 360°"
+            )
+        elif max(abs(self._commanded), 0.5 * self._path) > TUNING.leeway * math.tau:
+            self.objection = (
+                f"{math.degrees(self._path):.0f}° were commanded, and its turn is not complete"
+            )
 
     @property
     def direction(self) -> float:
@@ -165,38 +195,6 @@ class RotationPlan:
             elif now - self._suspected.setdefault(fault, now) > longest[fault]:
                 return fault
         return None
-
-
-class RotationLimits:
-    """Limits of a turn by gyro, commanded angle and time; `objection` is why it must not go on."""
-
-    def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
-        self.objection = ""
-        self._deadline = now + min(longest, TUNING.leeway * planned_duration(speed))
-        self._noted = now
-        self._commanded = self._path = 0.0
-
-    def is_late(self, now: float) -> bool:
-        """Whether the time for the turn is up."""
-        return now > self._deadline
-
-    def note(self, now: float, command: float, seen: Seen) -> None:
-        """Take the command (rad/s) that was in force until `now`, and what the sensors show."""
-        step, self._noted = (now - self._noted) * command, now
-        self._commanded += step
-        self._path += abs(step)
-        if self.objection:
-            return
-        beyond = TUNING.farthest_beyond
-        if seen.by_gyro and not -beyond <= seen.turned <= math.tau + beyond:
-            self.objection = (
-                f"by the gyro it is at {math.degrees(seen.turned):+.0f}° of a turn that goes "
-                "from 0° to 360°"
-            )
-        elif max(abs(self._commanded), 0.5 * self._path) > TUNING.leeway * math.tau:
-            self.objection = (
-                f"{math.degrees(self._path):.0f}° were commanded, and its turn is not complete"
-            )
 
 
 def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArray) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
-from magcal_ros.core.session.rotation import Phase, RotationLimits, RotationPlan, RotationProof
+from magcal_ros.core.session.rotation import Phase, RotationPlan, RotationProof
 from magcal_ros.core.session.session import Brief, Progress
 
 
@@ -73,15 +73,6 @@ class Moving:
 
     plan: RotationPlan
     proof: RotationProof
-    limits: RotationLimits
-
-    @classmethod
-    def of(cls, brief: Brief, now: float) -> Moving:
-        """Begin to turn as a brief says, which has a speed."""
-        assert brief.speed is not None
-        limits = RotationLimits(brief.speed, now, brief.limits.timeout)
-        to_body = brief.knowledge.mounting.to_body
-        return cls(RotationPlan(brief.speed, now), RotationProof(to_body), limits)
 
 
 class SelfTurn:
@@ -169,7 +160,10 @@ class SelfTurn:
                 return self.break_off(f"nothing subscribes to {self._command}: {remedy}")
         elif around.is_guarded:
             if waited >= TUNING.stands_first:
-                self._stage, self._paired = Moving.of(brief, now), now
+                assert brief.speed is not None
+                plan = RotationPlan(brief.speed, now, brief.limits.timeout)
+                self._stage = Moving(plan, RotationProof(brief.knowledge.mounting.to_body))
+                self._paired = now
         elif waited > TUNING.guarded_within:
             return self.break_off(UNGUARDED)
         return Steering()
@@ -179,11 +173,11 @@ class SelfTurn:
     ) -> Steering:
         plan, proof = stage.plan, stage.proof
         seen, commanded = proof.seen(progress), plan.command
-        stage.limits.note(now, commanded, seen)
-        objection = self._objection(stage, now, since, around) or stage.limits.objection
+        plan.note(now, commanded, seen)
+        objection = self._objection(stage, now, since, around) or plan.objection
         if objection:
             return self.break_off(objection)
-        if stage.limits.is_late(now):
+        if plan.is_late(now):
             words = "the robot did not complete its turn in time"
             return Steering(self.stop().rate, ended=words)
         rate = plan.step(now, seen)

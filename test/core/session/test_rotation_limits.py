@@ -4,7 +4,7 @@ import pytest
 
 from magcal_ros.core.session.rotation import (
     TUNING,
-    RotationLimits,
+    RotationPlan,
     Seen,
     planned_duration,
 )
@@ -22,7 +22,7 @@ BLIND = Seen(0.0, 0.0, False, False)
 
 @pytest.mark.parametrize("turned", [-BEYOND, 0.0, math.tau + BEYOND])
 def test_it_allows_a_turn_and_what_a_robot_coasts(turned):
-    limits = RotationLimits(SPEED, 0.0)
+    limits = RotationPlan(SPEED, 0.0)
     limits.note(1.0, 0.0, by_gyro(turned))
     assert not limits.objection
 
@@ -32,14 +32,14 @@ def test_it_allows_a_turn_and_what_a_robot_coasts(turned):
     [-TUNING.farthest_beyond - 0.01, math.tau + TUNING.farthest_beyond + 0.01],
 )
 def test_it_ends_where_the_gyro_shows_more_than_a_turn(turned):
-    limits = RotationLimits(SPEED, 0.0)
+    limits = RotationPlan(SPEED, 0.0)
     limits.note(1.0, 0.0, by_gyro(turned))
     assert f"{math.degrees(turned):+.0f}°" in limits.objection
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_it_ends_where_the_commands_come_to_more_than_a_slipping_turn(sense):
-    limits, now = RotationLimits(SPEED, 0.0), 0.0
+    limits, now = RotationPlan(SPEED, 0.0), 0.0
     while not limits.objection:
         now += 0.1
         limits.note(now, sense * SPEED, BLIND)
@@ -48,14 +48,14 @@ def test_it_ends_where_the_commands_come_to_more_than_a_slipping_turn(sense):
 
 
 def test_late_commands_count_for_as_long_as_they_were_in_force():
-    limits = RotationLimits(SPEED, 0.0)
+    limits = RotationPlan(SPEED, 0.0)
     limits.note(1.0, SPEED, BLIND)
     limits.note(1.0 + TUNING.leeway * math.tau / SPEED, SPEED, BLIND)
     assert limits.objection
 
 
 def test_to_and_fro_counts_both_ways():
-    limits, now = RotationLimits(SPEED, 0.0), 0.0
+    limits, now = RotationPlan(SPEED, 0.0), 0.0
     while not limits.objection:
         now += 1.0
         limits.note(now, SPEED * (-1.0) ** int(now / 5.0), BLIND)
@@ -65,6 +65,6 @@ def test_to_and_fro_counts_both_ways():
 
 def test_its_time_is_that_of_the_plan_with_leeway_or_what_the_user_gives_if_less():
     longest = TUNING.leeway * planned_duration(SPEED)
-    assert not RotationLimits(SPEED, 7.0).is_late(7.0 + longest - 0.1)
-    assert RotationLimits(SPEED, 7.0).is_late(7.0 + longest + 0.1)
-    assert RotationLimits(SPEED, 7.0, 5.0).is_late(12.1)
+    assert not RotationPlan(SPEED, 7.0).is_late(7.0 + longest - 0.1)
+    assert RotationPlan(SPEED, 7.0).is_late(7.0 + longest + 0.1)
+    assert RotationPlan(SPEED, 7.0, 5.0).is_late(12.1)
