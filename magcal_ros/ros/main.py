@@ -30,9 +30,6 @@ class EndSignals:
     """Notes that the process was told to end; to be made before the middleware starts threads."""
 
     def __init__(self) -> None:
-        self._told = threading.Event()
-        self._listener: Callable[[], None] | None = None
-        self._lock = threading.Lock()
         self._reader, writer = os.pipe()
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
@@ -40,23 +37,15 @@ class EndSignals:
             # nohup means: stay when the terminal goes.
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, lambda *_: None)
-        threading.Thread(target=self._watch, name="magcal-signals", daemon=True).start()
 
     def when_given(self, listener: Callable[[], None]) -> None:
         """Call back once, from another thread; at once if a signal has come already."""
-        with self._lock:
-            self._listener = listener
-            if not self._told.is_set():
-                return
-        listener()
 
-    def _watch(self) -> None:
-        os.read(self._reader, 1)
-        with self._lock:
-            self._told.set()
-            listener = self._listener
-        if listener is not None:
+        def watch() -> None:
+            os.read(self._reader, 1)
             listener()
+
+        threading.Thread(target=watch, name="magcal-signals", daemon=True).start()
 
 
 SWITCH_INTERVAL = 0.0005
