@@ -50,35 +50,27 @@ ROTATION = ("enabled", "speed_rad_s", "stamped", "frame_id")  # the parameters o
 
 @dataclass(frozen=True)
 class Settings:
-    """The parameters' values in SI units and in the core's own types.
-
-    What is named like a parameter is its value. `knowledge` is what was given by hand; `given` and
-    the World Magnetic Model fill in what its reference field lacks. `mounts` has the poses of
-    magnetometers that were given, by their numbers. An empty `base_frame` is the IMU's.
-    `vehicle_yaw` is that of the IMU in the vehicle by hand, radians; None without. `known_heading`
-    is None without one, or while its north is not given. `heading_is_true` is the north of the
-    topic `heading`.
-    """
+    """The parameters' values in SI units and in the core's own types, under their names."""
 
     calibration_file: str
     report_folder: str
     reports_kept: int
     method: str
     accumulate: bool
-    knowledge: Knowledge
+    knowledge: Knowledge  # given by hand
     limits: Limits
     max_gap: float
     patience: float
-    given: Given
+    given: Given  # with the model, what the reference field lacks
     rotation: Rotation
-    base_frame: str
-    mounts: Mapping[int, FloatArray]
+    base_frame: str  # empty for the IMU's
+    mounts: Mapping[int, FloatArray]  # poses that were given, by number of magnetometer
     magnetometers: int
     self_calibration: str
-    vehicle_yaw: float | None
-    known_heading: ExternalHeading | None
+    vehicle_yaw: float | None  # of the IMU in the vehicle by hand, radians; None without
+    known_heading: ExternalHeading | None  # None without one, or without its north
     north_is_missing: bool
-    heading_is_true: bool
+    heading_is_true: bool  # the north of the topic `heading`
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:

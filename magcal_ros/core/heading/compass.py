@@ -31,26 +31,18 @@ SMALLEST_FORWARD = 1e-6
 
 
 class Heading(NamedTuple):
-    """Attitude seen by gravity and field at one moment.
-
-    `yaw` is ENU to magnetic north, radians. `tilt_variance` (rad²) is the up vector's in either
-    direction: it holds for pitch as it stands, and for roll over cos² pitch. `roll_yaw` and
-    `pitch_yaw` are the covariances that a tilt error causes. `noise_variance` is the part of the
-    yaw's variance that is new with each field sample, `lasting_variance` the calibration's.
-    `lasting` (12,) tells how the calibration's error depends on the attitude: the radians of yaw
-    that each of twelve independent errors of unit variance makes here.
-    """
+    """Attitude seen by gravity and field at one moment: radians, and variances in rad²."""
 
     roll: float
     pitch: float
-    yaw: float
-    tilt_variance: float
+    yaw: float  # ENU, to magnetic north
+    tilt_variance: float  # of up in either direction; roll's is over cos² pitch
     yaw_variance: float
-    roll_yaw: float
-    pitch_yaw: float
-    noise_variance: float = 0.0
-    lasting_variance: float = 0.0
-    lasting: tuple[float, ...] = CERTAIN
+    roll_yaw: float  # covariance by an error of tilt
+    pitch_yaw: float  # the same
+    noise_variance: float = 0.0  # part of the yaw's that is new with each sample
+    lasting_variance: float = 0.0  # the calibration's part
+    lasting: tuple[float, ...] = CERTAIN  # (12,): yaw by each of twelve independent unit errors
 
     def quaternion(self, declination: float = 0.0) -> Quaternion:
         """Return x, y, z, w of the attitude body to ENU, to true north if declination is given."""
@@ -213,19 +205,13 @@ def _body_covariance(calibration: Calibration) -> FloatArray:
 
 
 class Moment(NamedTuple):
-    """A field sample under a calibration.
+    """A field sample under a calibration."""
 
-    `stamp` is that of the field message, seconds, and `field` the corrected one, body axes, tesla.
-    `up` belongs to the same moment, None if no IMU sample is near enough. `heading` is None where
-    both show no direction. `rate` is the newest angular velocity, rad/s, NaN without a gyro, None
-    before the first IMU message.
-    """
-
-    stamp: float
-    field: Triple
-    up: Up | None
-    heading: Heading | None
-    rate: Triple | None
+    stamp: float  # of the field message, seconds
+    field: Triple  # corrected, body axes, tesla
+    up: Up | None  # of the same moment; None if no IMU sample is near enough
+    heading: Heading | None  # None where both show no direction
+    rate: Triple | None  # the newest, rad/s; NaN without a gyro, None before any IMU message
 
     @classmethod
     def of(

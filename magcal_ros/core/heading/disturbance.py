@@ -86,17 +86,14 @@ class DisturbanceDetector:
     """Compares the corrected field with what the calibration expects.
 
     After `patience` seconds a deviating field is taken for the expected one.
-
-    `departure` is that of the newest sample in sigmas, and `trust` how it is to be taken; `last` is
-    the newest disturbance. `amplitude_variance` is that of what places add to the field per axis,
-    over its squared strength, as far as learnt.
     """
 
     def __init__(self, calibration: Calibration, patience: float) -> None:
         self.patience = patience
-        self.trust = Trust.GOOD
-        self.departure = 0.0
-        self.last: Disturbance | None = None
+        self.trust = Trust.GOOD  # how the newest sample is to be taken
+        self.departure = 0.0  # of the newest sample, sigmas
+        self.last: Disturbance | None = None  # the newest
+        # What places add to the field per axis, over its squared strength, as far as learnt.
         self.amplitude_variance = DISTURBANCE.amplitude**2
         expected = Expected(calibration.strength, calibration.inclination)
         self._calibrated = self._expected = expected

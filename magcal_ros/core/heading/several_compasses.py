@@ -45,25 +45,18 @@ class Share(NamedTuple):
 
 @dataclass
 class _Member:
-    """A magnetometer with its calibration, and what came of it last.
-
-    `arrived` and `changed` are stamps of the IMU: when a message came, and when one came with
-    other values than before. `doubt_variance` is what its field adds to its yaw's variance. `off`
-    is how far its yaw is ahead of the origin of all, smoothed, radians; `offset` its field less
-    the mean of all, tesla in body axes, `learnt` over so many seconds. `has_agreed` is whether it
-    did with others since it sends.
-    """
+    """A magnetometer with its calibration, and what came of it last."""
 
     compass: Compass
     doubt: FieldDoubt
     moment: Moment | None = None
-    arrived: float = -math.inf
-    changed: float = -math.inf
-    doubt_variance: float = 0.0
-    off: float = math.nan
-    offset: Triple = (0.0, 0.0, 0.0)
-    learnt: float = 0.0
-    has_agreed: bool = False
+    arrived: float = -math.inf  # stamp of the IMU when a message came
+    changed: float = -math.inf  # the same of one with other values
+    doubt_variance: float = 0.0  # what its field adds to its yaw's, rad²
+    off: float = math.nan  # smoothed yaw ahead of the origin of all, radians
+    offset: Triple = (0.0, 0.0, 0.0)  # its field less the mean of all, body axes, tesla
+    learnt: float = 0.0  # seconds over which that was learnt
+    has_agreed: bool = False  # with others, since it sends
     share: Share = field(default_factory=lambda: Share(0.0))
 
     def take(self, moment: Moment, now: float) -> None:

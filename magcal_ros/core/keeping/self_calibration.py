@@ -38,28 +38,23 @@ TRIAL = "trial"
 
 
 class SelfCalibration:
-    """Follows a drive and decides.
-
-    `before` are the calibrations that were in force, the newest last, `proposal` is what waits for
-    a person, `decisions` are the last ones, the oldest first, and `lost` counts the jobs that were
-    not finished since the last one that was. `recorder` remembers the movement.
-    """
+    """Follows a drive and decides; `recorder` remembers the movement."""
 
     def __init__(self, mode: Mode = Mode.PROPOSE) -> None:
         self.mode = mode
-        self.proposal: Calibration | None = None
+        self.proposal: Calibration | None = None  # what waits for a person
         self.recorder = DriveRecorder(KEEPING.memory)
         self._in_force: Calibration | None = None
-        self.before: deque[Calibration] = deque(maxlen=KEEPING.kept)
+        self.before: deque[Calibration] = deque(maxlen=KEEPING.kept)  # the newest last
         self._on_probation: dict[Kind, Probation] = {}
         self._first: DriveCandidate | None = None
         self._trial: Step | None = None  # what was in force before, and is still compared
-        self.decisions: deque[Decision] = deque(maxlen=KEEPING.remembered)
+        self.decisions: deque[Decision] = deque(maxlen=KEEPING.remembered)  # the oldest first
         self._not_before = self._changed = -math.inf
         self._looked = -math.inf
         self._round = 0
         self._is_pending = self._is_outdated = False
-        self.lost = 0
+        self.lost = 0  # jobs that were not finished since the last one that was
 
     @property
     def in_words(self) -> str:

@@ -69,20 +69,15 @@ ONCE, TWICE = slice(1, 3), slice(3, 5)  # columns of the first and the second ha
 
 
 class Record(NamedTuple):
-    """One visit to a heading.
+    """One visit to a heading."""
 
-    `stamp` in seconds; `yaw` (rad) by the compass; `strength` and `rise` (tesla) of the corrected
-    field, the rise upwards; `turned` (rad) by the gyro since its path began, NaN without one;
-    `path` its number; `rate` (rad/s) of yaw.
-    """
-
-    stamp: float
-    yaw: float
-    strength: float
-    rise: float
-    turned: float
-    path: int
-    rate: float
+    stamp: float  # seconds
+    yaw: float  # by the compass, radians
+    strength: float  # of the corrected field, tesla
+    rise: float  # the same upwards
+    turned: float  # by the gyro since its path began, radians; NaN without one
+    path: int  # its number
+    rate: float  # of yaw, rad/s
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,8 +115,7 @@ UNCHANGED = "the calibration in force is unchanged"
 class TurnMachine:
     """One turn at a time, from the request to the calibration in force.
 
-    `progress`, `last_window`, `last_outcome` and `last_conclusion` are the newest of each; None
-    before the first. `report` begins the report on a turn, and returns where it will lie, in words.
+    `report` begins the report on a turn, and returns where it will lie, in words.
     """
 
     def __init__(
@@ -125,7 +124,7 @@ class TurnMachine:
         report: Callable[[Window, Outcome], str] = lambda _, __: "",
     ) -> None:
         self.robot, self._report = SelfTurn() if robot is None else robot, report
-        self.progress: Progress | None = None
+        self.progress: Progress | None = None  # like the next ones the newest; None before any
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
         self.last_conclusion: Conclusion | None = None

@@ -58,17 +58,16 @@ class Block(NamedTuple):
 class GyroPropagation:
     """Propagates up by the gyro, and corrects it by the accelerometer where the motion allows.
 
-    `up` is in g, body axes; its length is what the accelerometer reads at rest. `mean_rate` is the
-    turn rate since the message before, less the bias, rad/s, and `variance` that of up in either
-    direction, rad². `is_settled` is whether the accelerometer shows up, because the robot stands or
-    rolls on steadily. `field` takes the raw field, where there is one.
+    `up` is in g, as long as the accelerometer reads at rest; `mean_rate` is that since the message
+    before, less the bias, rad/s. `is_settled` is whether the accelerometer shows up: at rest, or
+    rolling steadily.
     """
 
     def __init__(self) -> None:
         self.up = self.bias = ZERO
-        self.variance = math.inf
+        self.variance = math.inf  # of up in either direction, rad²
         self.check = GyroCheck()
-        self.field = FieldStillness()
+        self.field = FieldStillness()  # takes the raw field, where there is one
         self._shaken = ShakenRest()
         self._filter = UpFilter()
         self._noise = PROPAGATION.starting_noise**2

@@ -94,14 +94,12 @@ class BlockMeans(NamedTuple):
 class SteadySpell:
     """Watches blocks of messages for a spell in which nothing changes.
 
-    `seconds` it has lasted; zero when there is none. `force` (g) and `rate` (rad/s) are its means
-    in body axes, `count` its messages, and `sway` and `shake` the variances per axis of the blocks'
-    rates and forces about their means, (rad/s)² and g².
+    `sway` and `shake` are the variances per axis of its rates, (rad/s)², and forces, g².
     """
 
     def __init__(self) -> None:
         self.seconds = self.sway = self.shake = 0.0
-        self.count = 0
+        self.count = 0  # messages
         self.force = self.rate = ZERO
 
     def add(self, block: BlockMeans, noise: float, rate_noise: float) -> bool:
