@@ -31,12 +31,9 @@ from magcal_ros.report import Subject, write_report
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A recording, or several that were joined, and the result.
+    """A recording, or several that were joined, and the result."""
 
-    Of several, `gathered` is the last that joined.
-    """
-
-    gathered: Gathered
+    gathered: Gathered  # of several, the last that joined
     knowledge: Knowledge
     outcome: Outcome
     everything: tuple[Gathered, ...]

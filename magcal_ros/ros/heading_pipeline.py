@@ -216,11 +216,7 @@ FIRST = 1  # number of the magnetometer on `imu/mag`; the second is on `imu/mag_
 
 
 class HeadingPipeline:
-    """Computes and publishes the heading from the messages of all magnetometers.
-
-    `motors` follows the motors, and `several` joins the magnetometers. `lead` is the calibration
-    that the heading is based on: that of the first magnetometer that has one.
-    """
+    """Computes and publishes the heading from the messages of all magnetometers."""
 
     def __init__(self, node: Node, table: Parameters) -> None:
         self.node, self._table = node, table
@@ -235,7 +231,7 @@ class HeadingPipeline:
         self.headings = HeadingOutput(node, self.frames)
         self.fused = FusedOutput(node, self.up, self.frames)
         self.several = SeveralCompasses()
-        self.lead: Calibration | None = None
+        self.lead: Calibration | None = None  # of the first that has one: the heading's
         self._origin: Origin | None = None
         self._in_force: dict[int, Calibration | None] = {}
 

@@ -41,11 +41,7 @@ NO_DECLINATION = (
 
 
 class Antenna:
-    """Uses the topic `heading`: for the fused yaw, and for a calibration along the way.
-
-    While `is_heard`, it needs IMU and field samples. `collected` takes each heading while it is a
-    list.
-    """
+    """Uses the topic `heading`: for the fused yaw, and for a calibration along the way."""
 
     def __init__(
         self, magnetometer: Magnetometer, pipeline: HeadingPipeline, worker: WorkerProcess
@@ -55,7 +51,7 @@ class Antenna:
         self._say = node.get_logger().info
         self.topic = node.resolve_topic_name(TOPIC)
         self.is_heard = False
-        self.collected: list[HeadingSample] | None = None
+        self.collected: list[HeadingSample] | None = None  # takes each while it is a list
         self._heard_at = -math.inf
         self._collector: HeadingCollector | None = None
         self._is_fitting = False

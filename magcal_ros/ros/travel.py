@@ -38,11 +38,7 @@ BETTER = 0.7  # share of the sigma that is kept, below which a newly found yaw i
 
 
 class Travel:
-    """Receives `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
-
-    `subscriptions` are those of wheels, velocity and fixes; their callbacks take bytes.
-    `travelling` follows what they say.
-    """
+    """Receives `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing."""
 
     def __init__(
         self,
@@ -59,7 +55,7 @@ class Travel:
         self.front = Front()
         self.kept: VehicleYaw | None = None
         """The yaw that lies beside the calibration in force."""
-        self.subscriptions = []
+        self.subscriptions = []  # of wheels, velocity and fixes; their callbacks take bytes
         for source, kind, topic, read in RECEIVED:
             self._topics[source] = node.resolve_topic_name(topic)
             take = partial(self._take, source, read)

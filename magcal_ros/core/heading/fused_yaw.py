@@ -47,10 +47,7 @@ class _Moment(NamedTuple):
 
 
 class FusedYaw:
-    """The gyro-aided yaw of one calibration; a field that deviates for `patience` s is accepted.
-
-    `last_heading_gap` is by how much the last heading of another device was ahead, radians.
-    """
+    """The gyro-aided yaw of one calibration; a field that deviates for `patience` s is accepted."""
 
     def __init__(self, calibration: Calibration, patience: float) -> None:
         self._path: deque[_Moment] = deque(maxlen=HISTORY)
@@ -82,7 +79,7 @@ class FusedYaw:
         self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
         self._is_at_rest = False
         self._corrected = self._start_stamp = self._heading_stamp = self._heading_since = -math.inf
-        self.last_heading_gap = 0.0
+        self.last_heading_gap = 0.0  # by which the last of another device was ahead, radians
         self._overruled = 0.0
         self._headings_ahead: list[float] = []
         self._rests: list[tuple[float, float, float]] = []

@@ -90,11 +90,7 @@ class _Member:
 
 
 class SeveralCompasses:
-    """Joins the moments of several magnetometers.
-
-    `disagreement` is the angle between those that disagree while none of them is known to be wrong,
-    radians; else zero.
-    """
+    """Joins the moments of several magnetometers."""
 
     def __init__(self) -> None:
         self._members: dict[int, _Member] = {}
@@ -147,7 +143,9 @@ class SeveralCompasses:
         self._is_by_gyro = False
         self._left_out: frozenset[int] = frozenset()
         self._gate = DISTURBANCE.gate**2  # squared sigmas
-        self._between = self._lasting = self.disagreement = 0.0
+        self._between = self._lasting = 0.0
+        # Radians between those that disagree while none of them is known to be wrong.
+        self.disagreement = 0.0
         self._members = {
             number: _Member(each.compass, each.doubt, share=each.share)
             for number, each in self._members.items()

@@ -56,15 +56,11 @@ class Around:
 
 @dataclass(frozen=True)
 class Steering:
-    """What a look at the robot leads to: a rate to command (rad/s), or none.
+    """What a look at the robot leads to."""
 
-    `broken_off` is why its turn is given up, `ended` why it goes no further and what was seen is to
-    be fitted. Both are empty while it goes on, and where every heading was seen.
-    """
-
-    rate: float | None = None
-    broken_off: str = ""
-    ended: str = ""
+    rate: float | None = None  # to command, rad/s, if any
+    broken_off: str = ""  # why its turn is given up
+    ended: str = ""  # why it goes no further, and what was seen is to be fitted
 
 
 @dataclass(frozen=True)
