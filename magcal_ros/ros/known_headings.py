@@ -6,7 +6,6 @@ import math
 import time
 from typing import TYPE_CHECKING, Any
 
-from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Imu
 
 from magcal_ros.core.errors import in_words
@@ -180,7 +179,6 @@ class Antenna:
         self._magnetometer.use(found, lambda done: self._say(done.message), is_another)
 
 
-TICK = 0.2  # seconds between checks while samples are collected
 NO_HEADING = (
     "no known heading: set known_heading.yaw_deg (ENU: 0 to the east, 90 to the north, positive to "
     "the left) and known_heading.north (true_north or magnetic_north), or publish a "
@@ -213,9 +211,6 @@ class KnownHeadings:
         self._given: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = pipeline.node.create_timer(TICK, self._on_tick, clock=steady)
-        self._timer.cancel()
 
     @property
     def _is_collecting(self) -> bool:
@@ -238,7 +233,6 @@ class KnownHeadings:
         self._pairs, self.antenna.collected = [], []
         self._pairer = Pairer(self._magnetometer.inputs.streams)
         self._deadline = time.monotonic() + external_heading.TUNING.patience
-        self._timer.reset()
 
     def _why_not(self, turns: Magnetometers, settings: Settings) -> str:
         if turns.state is not TurnState.IDLE:
@@ -288,14 +282,12 @@ class KnownHeadings:
             "topic": topic,
         }
 
-    def _on_tick(self) -> None:
-        if not self._is_collecting:
-            self._timer.cancel()
-        elif time.monotonic() > self._deadline:
+    def look(self) -> None:
+        """Answer by what has come, once the time is up; to be called about once a second."""
+        if time.monotonic() > self._deadline:
             self._fit()
 
     def _fit(self) -> None:
-        # The timer cancels itself: another thread might do it while its callback is due.
         self._deadline = math.inf
         settings, follower = self._pipeline.settled(), self._pipeline.up
         heard, self.antenna.collected = self.antenna.collected or [], None

@@ -225,6 +225,7 @@ class Calibrator(Node):
         self._magnetometers.look(self.count_publishers, settings)
         self._pipeline.follow(self._keeper, self._control.turn.state)
         self._reference.refresh()
+        self._known.look()
         self._keeping.follow(settings.self_calibration, settings.report_folder)
         news = self._travel.follow(self._reference.field, self._announcer)
         if news is not None:
