@@ -30,7 +30,7 @@ class FusionTuning:
     natural logarithm: cheap gyros drift in a minute by a thousandth to a hundredth of a degree per
     second."""
     rest_turn: float = 1e-4  # rad/s, median of how fast a robot turns that seems to rest
-    rest_spread: float = 1.5  # the same: one on wheels stands, a boat swings
+    rest_spread: float = 1.5  # sigma of its natural logarithm: wheels stand, boats swing
     rest_lasts: float = 10.0  # seconds over which such a turn is the same
     loss_spread: float = 1.5  # sigma of the logarithm of a gyro's loss over `angle_walk`²
     tilt_tau: float = 3.0  # seconds over which errors by tilt are alike: more show no more

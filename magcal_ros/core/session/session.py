@@ -37,7 +37,7 @@ class SessionTuning:
     near: float = 2.0
     """Times the target up to which turning may end before the target is reached. Far from it the
     surroundings are at fault, and a second round is useful."""
-    once_more: float = 1.2  # full turns at which it ends, unless farther than `near` then
+    once_more: float = 1.2  # full turns at which it ends, unless a whole one was beyond `near`
     stands_still: float = 3.0  # seconds at rest, after a complete turn, that end it
     slowest_turn: float = math.radians(3.0)  # rad/s. Slower than this the robot stands.
     turned_over: float = 0.3  # rad/s about other axes than up, more than ground and wheels do
