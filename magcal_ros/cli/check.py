@@ -60,7 +60,7 @@ def run_check(options: argparse.Namespace) -> int:
     slow = gathered.gathering.slow_field
     notes += [words for words in (slow, elsewhere) if words]
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
-    notes += [] if own is None else [own.words]
+    notes += [own] if own else []
     try:
         window = gathered.gathering.window()
         result = check(window, calibration, drive=gathered.gathering.drive())

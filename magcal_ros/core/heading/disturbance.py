@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
@@ -75,13 +74,6 @@ class Disturbance:
         return f"{line}; accepted because it lasted" if self.is_accepted else line
 
 
-class Expected(NamedTuple):
-    """A field by what is the same at every heading: tesla, and radians below the horizon."""
-
-    strength: float
-    inclination: float
-
-
 class DisturbanceDetector:
     """Compares the corrected field with what the calibration expects.
 
@@ -95,9 +87,9 @@ class DisturbanceDetector:
         self.last: Disturbance | None = None  # the newest
         # What places add to the field per axis, over its squared strength, as far as learnt.
         self.amplitude_variance = DISTURBANCE.amplitude**2
-        expected = Expected(calibration.strength, calibration.inclination)
-        self._calibrated = self._expected = expected
-        self._noise = _own_variance(calibration) / max(expected.strength, 1e-9) ** 2
+        # What is the same at every heading: strength, tesla, and radians below the horizon.
+        self._calibrated = self._expected = calibration.strength, calibration.inclination
+        self._noise = _own_variance(calibration) / max(calibration.strength, 1e-9) ** 2
         self._mean: tuple[float, float] | None = None
         self._stamp = -math.inf
         self._disturbed_since: float | None = None
@@ -148,7 +140,7 @@ class DisturbanceDetector:
             return Trust.IGNORED
         return Trust.GOOD if self.departure <= 1.0 else Trust.WEIGHED_DOWN
 
-    def _distance(self, expected: Expected, tilt_variance: float) -> float:
+    def _distance(self, expected: tuple[float, float], tilt_variance: float) -> float:
         """Return how far the mean is from a field, in sigmas."""
         strength, dip = self._off(expected)
         common = self._noise + self.amplitude_variance
@@ -156,11 +148,11 @@ class DisturbanceDetector:
         of_dip = DISTURBANCE.dip**2 + common + tilt_variance
         return math.sqrt(strength**2 / of_strength + dip**2 / of_dip)
 
-    def _off(self, expected: Expected) -> tuple[float, float]:
+    def _off(self, expected: tuple[float, float]) -> tuple[float, float]:
         """Return how far the mean is from a field: strength, relative, and dip, radians."""
         assert self._mean is not None
         strength, dip = self._mean
-        return strength / max(expected.strength, 1e-9) - 1.0, dip - expected.inclination
+        return strength / max(expected[0], 1e-9) - 1.0, dip - expected[1]
 
     def _note(self, stamp: float, yaw: float) -> bool:
         """Record the disturbance; returns whether it has lasted long enough."""
@@ -180,7 +172,7 @@ class DisturbanceDetector:
         )
         if accepts:
             assert self._mean is not None
-            self._expected = Expected(*self._mean)
+            self._expected = self._mean
             self._disturbed_since = None
         return accepts
 

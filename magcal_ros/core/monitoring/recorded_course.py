@@ -16,7 +16,7 @@ from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry.attitude import wrap_angle, wrapped
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.monitoring.change import CHANGE
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample
@@ -107,50 +107,34 @@ def _north(offset: float, declination: float | None) -> str:
     )
 
 
-@dataclass(frozen=True)
-class AgainstOwnYaw:
-    """Compass less an autopilot's own yaw."""
-
-    offset: float
-    scatter: float
-    """Radians: median, and 1.48 median deviations from it."""
-    samples: int
-    declination: float | None
-    """Radians; taken off the compass where it is known."""
-
-    @property
-    def words(self) -> str:
-        """What was found, in one sentence."""
-        unknown = self.declination is None
-        north = "with the declination, which is not known" if unknown else "declination subtracted"
-        return (
-            f"compass less the autopilot's own yaw {math.degrees(self.offset):+.1f}°, scattered by "
-            f"{math.degrees(self.scatter):.1f}° (1σ) over {self.samples} samples, {north}: its yaw "
-            "rests on its own compass and calibration, so this is no proof"
-        )
-
-
 def against_own_yaw(
     calibration: Calibration,
     readings: Iterable[ImuSample | FieldSample | None],
     yaw: FloatArray,
     declination: float | None = None,
-) -> AgainstOwnYaw | None:
-    """Compare a compass with an autopilot's yaw (n, 2), s and rad, ENU; None where it has none."""
+) -> str:
+    """Compare a compass with an autopilot's yaw (n, 2), s and rad, ENU; empty if it has none."""
     if len(yaw) < 2:
-        return None
+        return ""
     replay = TravelReplay((), Streams(STREAMS.max_gap))
     seen = _yaws(calibration, replay, readings)
     inside = [each for each in seen if yaw[0, 0] <= each[0] <= yaw[-1, 0]]
     if not inside:
-        return None
+        return ""
     stamps, compass_yaw = np.array(inside).T
     own = np.interp(stamps, yaw[:, 0], np.unwrap(yaw[:, 1]))
     gaps = wrap_angle(compass_yaw - (declination or 0.0) - own)
     middle = math.atan2(float(np.sin(gaps).mean()), float(np.cos(gaps).mean()))
     offset = middle + float(np.median(wrap_angle(gaps - middle)))
     scatter = 1.4826 * float(np.median(np.abs(wrap_angle(gaps - offset))))
-    return AgainstOwnYaw(math.remainder(offset, math.tau), scatter, len(gaps), declination)
+    north = "with the declination, which is not known"
+    if declination is not None:
+        north = "declination subtracted"
+    return (
+        f"compass less the autopilot's own yaw {math.degrees(wrapped(offset)):+.1f}°, scattered by "
+        f"{math.degrees(scatter):.1f}° (1σ) over {len(gaps)} samples, {north}: its yaw rests on "
+        "its own compass and calibration, so this is no proof"
+    )
 
 
 SWING_ONCE = Bound(
