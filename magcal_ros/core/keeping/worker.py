@@ -33,9 +33,7 @@ def answer(job: DriveJob) -> Findings:
     """Do a job."""
     nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
-    since_change, finer = _since_change(nodes, job, clock), None
-    if math.isfinite(job.changed):
-        finer = _iron_since(nodes, job, job.changed, clock)
+    since_change = _since_change(nodes, job, clock)
     first = max(float(nodes.time[0]) - 5.0, job.not_before)
     if since_change is not None:
         first = max(first, since_change.start)
@@ -50,7 +48,7 @@ def answer(job: DriveJob) -> Findings:
         for name, steps in job.contests.items()
         if job.in_force is not None
     }
-    return Findings(clock, whole, since_change, finer, proofs)
+    return Findings(clock, whole, since_change, _iron_since_known(nodes, job, clock), proofs)
 
 
 def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
@@ -64,10 +62,12 @@ def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate |
     return candidate_of(change.fit, Kind.IRON, job.in_force, change.since, clock)
 
 
-def _iron_since(nodes: Nodes, job: DriveJob, start: float, clock: float) -> DriveCandidate | None:
-    if job.in_force is None or clock - start < KEEPING.shortest_since:
+def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
+    """Return the hard iron of all road since the change that was proved, if there is one."""
+    is_long = KEEPING.shortest_since <= clock - job.changed < math.inf
+    if job.in_force is None or not is_long:
         return None
-    start = max(start, clock - KEEPING.look_back)
+    start = max(job.changed, clock - KEEPING.look_back)
     fitted = drives.fit_iron(nodes.between(start), job.in_force.correction, job.knowledge)
     return None if fitted is None else candidate_of(fitted, Kind.IRON, job.in_force, start, clock)
 
@@ -105,13 +105,13 @@ def candidate_of(
     fitted: drives.DriveFit, kind: Kind, before: Calibration | None, start: float, end: float
 ) -> DriveCandidate:
     """Make a candidate of a fit to the road between two stamps, driven with `before` in force."""
-    sigma = fitted.posterior.heading_sigma
-    covariance = fitted.posterior.covariance
+    posterior = fitted.posterior
+    sigma, covariance = posterior.heading_sigma, posterior.covariance
     if kind is Kind.IRON and before is not None:
         # The matrix is the old one's, and so is its uncertainty.
         covariance = np.zeros_like(covariance)
         covariance[:9, :9] = before.covariance[:9, :9]
-        covariance[9:, 9:] = fitted.posterior.covariance[9:, 9:]
+        covariance[9:, 9:] = posterior.covariance[9:, 9:]
     words = (
         f"Calibrated from {fitted.seconds:.0f} s of ordinary driving, {fitted.sectors} of 12"
         f" headings: heading ±{math.degrees(sigma):.1f}° on the level (1σ) by the calibration"
@@ -126,23 +126,17 @@ def candidate_of(
     motors = None if before is None else before.motors
     motors = None if motors is None else motors.with_another_calibration()
     calibration = Calibration(
-        fitted.posterior.correction,
+        posterior.correction,
         covariance,
         fitted.noise,
         0.01 if before is None else before.noise_up,
-        fitted.posterior.strength,
-        fitted.posterior.inclination,
+        posterior.strength,
+        posterior.inclination,
         Evidence(METHOD, "good", SIGMA.check(sigma).grade.value, words, figures=figures),
         motors,
     )
+    # Two more figures of the same evidence follow from it.
     by_place = local_sigma(calibration)
     figures[Figure.LOCAL_SIGMA.value] = by_place
     figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, by_place)
-    return DriveCandidate(
-        kind,
-        replace(calibration, evidence=replace(calibration.evidence, figures=figures)),
-        sigma,
-        fitted.sectors,
-        start,
-        end,
-    )
+    return DriveCandidate(kind, calibration, sigma, fitted.sectors, start, end)
