@@ -221,12 +221,7 @@ class HeadingLog:
         self._newest, self._fresh = -math.inf, 0
         self._rested = False
         self._heard, self._metres = math.nan, 0.0
-        self._begin(math.nan)
-
-    def _begin(self, stamp: float) -> None:
-        self._started, self._count = stamp, 0
-        self._field, self._up = np.zeros(3), np.zeros(3)
-        self._east = self._north = 0.0
+        self._block: list[tuple[float, ...]] = []  # stamp, field, up, and heading as a direction
 
     def add(
         self,
@@ -250,21 +245,18 @@ class HeadingLog:
         if self._rested:
             return False
         if abs(dot(rate, up)) > LOG.rate:
-            self._begin(math.nan)
+            self._block = []
             return False
-        if not 0.0 <= stamp - self._started < 2.0 * LOG.block:
-            self._begin(stamp)
-        self._field += sample.field
-        self._up += up
-        self._east += math.cos(given.yaw)
-        self._north += math.sin(given.yaw)
-        self._count += 1
-        if stamp - self._started < LOG.block or self._count < LOG.fewest:
+        if self._block and not 0.0 <= stamp - self._block[0][0] < 2.0 * LOG.block:
+            self._block = []
+        self._block.append((stamp, *sample.field, *up, math.cos(given.yaw), math.sin(given.yaw)))
+        if stamp - self._block[0][0] < LOG.block or len(self._block) < LOG.fewest:
             return False
-        heading = wrapped(math.atan2(self._north, self._east) + shift)
+        mean = np.mean(self._block, axis=0)
+        heading = wrapped(math.atan2(mean[8], mean[7]) + shift)
         standing = Standing(
-            self._field / self._count,
-            STANDARD_GRAVITY * self._up / self._count,
+            mean[1:4],
+            STANDARD_GRAVITY * mean[4:7],
             heading,
             math.hypot(given.sigma, LOG.sigma),
             by_declination=given.is_true,
@@ -272,8 +264,7 @@ class HeadingLog:
             force_sigma=LOG.force,
             way=self._metres,
         )
-        self._begin(math.nan)
-        self._rested = is_at_rest
+        self._block, self._rested = [], is_at_rest
         return self._keep(stamp, heading, standing)
 
     def _keep(self, stamp: float, heading: float, standing: Standing) -> bool:
