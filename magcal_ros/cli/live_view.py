@@ -25,7 +25,7 @@ LONGEST_ERROR = 500
 
 @contextlib.contextmanager
 def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
-    """Yield a node of this name; a MagcalError without rclpy, Misuse if ROS refuses the names."""
+    """Yield a node; a MagcalError without rclpy, Misuse if ROS refuses name or arguments."""
     try:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
@@ -91,6 +91,7 @@ WIDEST = 80
 
 def progress_of(status: str) -> dict[str, Any] | None:
     """Return how far a turn is by the text of `~/status`; None if none is, or it is no status."""
+    # Anybody in the graph may publish there.
     try:
         content = json.loads(status)
         if content["state"] not in BUSY:

@@ -164,7 +164,7 @@ class ReferenceSource:
 
     @property
     def field(self) -> ReferenceField:
-        """Its field."""
+        """The field of this reference, by the parameters of this moment."""
         return self.reference.field
 
     def use(self, calibration: Calibration | None) -> None:

@@ -122,6 +122,7 @@ class Motors:
 
     def follow(self, mode: Mode, is_turning: bool, kept: MotorField | None) -> MotorField | None:
         """Use what was learnt, once a second; returns what is to be kept in place of `kept`."""
+        # Where this node turns the robot, it counts the subscribers of its commands.
         self.commands.follow(not self._travel.has_wheels and not is_turning)
         if mode is Mode.OFF:
             self._learning = None

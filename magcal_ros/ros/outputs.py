@@ -216,7 +216,7 @@ class FusedOutput:
         """The yaw that is propagated; None while none is."""
 
     def begin_anew(self, calibration: Calibration | None) -> None:
-        """Forget the yaw for another calibration, unless two antennas measure it; None for none."""
+        """Use another calibration, or none; forget the yaw unless two antennas measure it."""
         self._calibration = calibration
         if calibration is not None and self.yaw is not None and self.yaw.has_external_yaw:
             self.yaw.use(calibration, self.patience)

@@ -30,7 +30,7 @@ from magcal_ros.core.up.filter import CHECK, REST
 
 
 class FieldStillness:
-    """Compares the `mean` field of the last tenths of a second with that a spell began with."""
+    """Compares the `mean` field of the last tenths of a second with that when a spell began."""
 
     def __init__(self) -> None:
         self._stamp = -math.inf
