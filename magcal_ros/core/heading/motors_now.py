@@ -101,13 +101,13 @@ class MotionSense:
         return self.newest
 
     def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
-        """Return by how much a current is beyond that at rest, and follow the latter."""
+        """Return by how much a current, if known, is beyond that at rest, and follow the latter."""
         rests = moves is False and self._stamp - self._since > RUNNING.settles
         if rests and not math.isnan(current):
             share = min(max(seconds, 0.0) / RUNNING.idle, 1.0)
             old = current if math.isnan(self._idle) else self._idle
             self._idle = old + share * (current - old)
-        return 0.0 if moves is False else current - self._idle
+        return 0.0 * current if moves is False else current - self._idle
 
 
 MICROTESLA = 1e6

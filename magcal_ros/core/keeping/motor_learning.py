@@ -224,9 +224,9 @@ class MotorLearning:
         u = np.where(known, u, 0.0)
         moves = u[0] > 0.0
         self._predict(block, moves)
-        if not known[[self._is_used(each) for each in INPUTS]].all():
-            return
-        if not (block.clear and is_even):
+        # At rest all inputs are zero, also those that fall silent there.
+        is_known = not moves or known[[self._is_used(each) for each in INPUTS]].all()
+        if not (is_known and block.clear and is_even):
             return
         raw = np.asarray(block.field) / count
         y = self._calibration.correction.apply(raw) * MICROTESLA

@@ -9,6 +9,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction, MotorInput, Running
 from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.heading.motors_now import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 
 STEP = 0.05
@@ -89,6 +90,20 @@ def test_what_explains_nothing_is_near_zero_with_its_sigma():
 def test_only_what_was_told_is_named():
     motors = learnt(CASES["step"], current=False)
     assert set(motors.inputs) == set(MotorInput) - {MotorInput.CURRENT}
+
+
+@pytest.mark.parametrize("is_silent_at_rest", [False, True])
+def test_it_is_learnt_without_a_battery(is_silent_at_rest):
+    learning, sense = MotorLearning(known()), MotionSense()
+    for stamp, raw, rate, now in driven(np.random.default_rng(3), CASES["speed"]):
+        rests = now.moving == 0.0
+        speed = math.nan if rests and is_silent_at_rest else now.speed
+        learning.add(stamp, raw, rate, sense.at(stamp, rate, rests, speed, math.nan))
+    motors = learning.motors
+    assert MotorInput.CURRENT not in motors.inputs
+    at = motors.inputs.index(MotorInput.SPEED)
+    assert np.linalg.norm(motors.gain[at] - CASES["speed"]["speed"]) < 4.0 * motors.sigma(at)
+    assert motors.sigma(at) < 0.5e-6
 
 
 def test_before_the_first_start_an_input_may_be_anything():
