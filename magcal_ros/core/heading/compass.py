@@ -29,8 +29,8 @@ from magcal_ros.core.up.follower import Up
 
 Quaternion = tuple[float, float, float, float]
 
-CERTAIN = (0.0,) * PARAMETERS
-"""By how much a calibration without errors is wrong."""
+CERTAIN = (0.0,) * (PARAMETERS + 1)
+"""By how much a compass without errors is wrong."""
 
 SMALLEST_LEVEL_SHARE = 0.02
 """Below this share of level field (a dip of 89°) there is no yaw."""
@@ -46,8 +46,8 @@ class Heading(NamedTuple):
     direction: it holds for pitch as it stands, and for roll over cos² pitch. `roll_yaw` and
     `pitch_yaw` are the covariances that a tilt error causes. `noise_variance` is the part of the
     yaw's variance that is new with each field sample, `lasting_variance` the calibration's.
-    `lasting` (12,) tells how the calibration's error depends on the attitude: the radians of yaw
-    that each of twelve independent errors of unit variance makes here.
+    `lasting` (13,) tells how its error depends on the attitude: the radians of yaw that each of
+    thirteen independent errors of unit variance makes here, of which the last is alike at all.
     """
 
     roll: float
@@ -211,7 +211,7 @@ class Compass:
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
-        own = variance, roll_yaw, pitch_yaw, noise, lasting, tuple(errors.tolist())
+        own = variance, roll_yaw, pitch_yaw, noise, lasting, (*errors.tolist(), 0.0)
         return Heading(roll, pitch, yaw, tilt, *own)
 
     def _by_field(
