@@ -136,8 +136,9 @@ class Compass:
     def without_motors(self, raw: Triple, running: Running) -> Triple:
         """Return a raw field, tesla, as it would be if the robot stood there."""
         x, y, z = raw
+        values = running.values
         for place, by_x, by_y, by_z in self._gains:
-            value = running[place]
+            value = values[place]
             if value and not math.isnan(value):
                 x, y, z = x - value * by_x, y - value * by_y, z - value * by_z
         return (x, y, z)

@@ -206,7 +206,7 @@ class MotorsNow:
         most = self._whole + self._level(Running(1.0), np.array(motors.usual))
         # Motors that a sample's own noise hides are not worth the time.
         self._is_felt = bool(np.trace(most) > np.trace(self._noise))
-        late = (MotorInput.SPEED, MotorInput.CURRENT)
+        late = (MotorInput.SPEED, MotorInput.CURRENT, MotorInput.ABS_SPEED)
         self._latency = np.array([RUNNING.latency * (each in late) for each in motors.inputs])
         if len(self._values) != count:
             self._values, self._change = np.zeros(count), np.zeros(count)

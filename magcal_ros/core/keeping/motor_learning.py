@@ -52,7 +52,7 @@ class LearningTuning:
 
 TUNING = LearningTuning()
 
-USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0), strict=True))
+USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0, 0.5, 0.5), strict=True))
 """Of an input while a robot moves, until its own is known: rad/s, m/s, A."""
 
 
@@ -126,7 +126,7 @@ class MotorLearning:
         block.count += 1
         block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
         block.field = block.field + np.array(raw)
-        block.inputs = block.inputs + np.array(running)
+        block.inputs = block.inputs + np.array(running.values)
         block.clear = block.clear and running.moving in (0.0, 1.0)
         if stamp - block.begin < TUNING.block:
             return False
