@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from sensor_msgs.msg import Imu
 
-from magcal_ros.core.errors import in_words
+from magcal_ros.core.errors import Reason, in_words
 from magcal_ros.core.heading.yaw_filter import FUSION
 from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
@@ -55,7 +55,7 @@ class Antenna:
         self._collector: HeadingCollector | None = None
         self._is_fitting = False
         self._missed, self._gap = 0, 0.0
-        self._fault = self._answer = self._north = ""
+        self._fault = self._answer = self._doubt = ""
         self.subscription = node.create_subscription(
             Imu, TOPIC, self._on_heading, SENSOR_DATA, raw=True, callback_group=group
         )
@@ -64,7 +64,7 @@ class Antenna:
         """Begin anew."""
         if self._collector is not None:
             self._collector.log = None
-        self._answer, self._north, self._missed = "", "", 0
+        self._answer, self._doubt, self._missed = "", "", 0
 
     @property
     def silence(self) -> str:
@@ -80,7 +80,7 @@ class Antenna:
         """What is wrong with the headings, in words."""
         words = [self._fault]
         if self.is_heard and self._collector is not None:
-            words += [self._collector.check.fault, self._north]
+            words += [self._collector.check.fault, self._doubt]
         if self.is_heard and self._missed >= MISSED:
             words.append(
                 f"it differs from the fused yaw by {math.degrees(self._gap):.0f}°, far more than "
@@ -167,7 +167,9 @@ class Antenna:
         self._is_fitting = False
         if self._collector is None or log is not self._collector.log:
             return
-        self._answer, self._north = outcome.verdict.summary, north
+        self._answer, self._doubt = outcome.verdict.summary, north
+        if outcome.reason is Reason.HEADING_CONTRADICTED:
+            self._doubt = self._answer
         found, before = outcome.calibration, self._magnetometer.keeper.calibration
         is_wanted = self._pipeline.settled().self_calibration != Mode.OFF.value
         if found is None or not (is_wanted and outcome.verdict.accepted):

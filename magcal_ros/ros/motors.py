@@ -177,10 +177,10 @@ class Motors:
         """Return the source of an input, in words."""
         if which is MotorInput.CURRENT:
             return self._topic
-        if which in (MotorInput.TURN_RATE, MotorInput.SIDE):
+        if which in (MotorInput.TURN_RATE, MotorInput.SIDE, MotorInput.ABS_TURN_RATE):
             return "gyro"
         speed = self.commands.topic if self.commands.is_heard else self._odom
-        if which is MotorInput.SPEED:
+        if which in (MotorInput.SPEED, MotorInput.ABS_SPEED):
             return speed
         is_known = self._travel.has_wheels or self.commands.is_heard
         return f"gyro and {speed}" if is_known else "gyro"

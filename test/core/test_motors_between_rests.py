@@ -10,6 +10,7 @@ from realistic_robots import heading_error, with_motors
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.correction import Running
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
@@ -56,7 +57,8 @@ def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
     knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     motors = calibrate(collected(replace(window, field=field)), knowledge).calibration.motors
     for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 0.2e-6, 6e-6)):
-        u = np.kron([1.0, turn_rate, 1.0], np.eye(3))
+        inputs, _ = motors.known(Running(1.0, turn_rate, side=1.0))
+        u = np.kron(inputs, np.eye(3))
         found = u @ motors.gain.ravel()
         sigma = np.sqrt(np.diag(u @ motors.covariance @ u.T))
         true = size * np.array([0.6, -0.8, 0.0]) * (turn_rate / full if by_rate else 1.0)

@@ -181,6 +181,22 @@ def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
     assert actor.status["state"] == "uncalibrated"
 
 
+def test_antennas_that_sit_across_are_named_before_anything_is_calibrated(stage):
+    actor = stage(parameters=PLACE, speed=SPEED, imu_rate=50.0)
+    said = []
+    actor.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: said.append(str(array.status)), 10
+    )
+    Antennas(actor, lambda yaw: yaw + 0.5 * math.pi)
+
+    def turns_and_stands():
+        return 0.6 if actor.ride.stamp % 4.0 < 2.0 else 0.0
+
+    actor.run(PATIENCE, turns_and_stands, lambda: any("quarter turn" in each for each in said))
+    assert any("quarter turn" in each for each in said)
+    assert actor.status["state"] == "uncalibrated"
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("calibrated", [True, False])
 def test_antennas_to_the_other_north_are_named(calibrated, stage, loaded):

@@ -76,20 +76,22 @@ class Correction:
 
 
 class MotorInput(str, Enum):
-    """Inputs that the field of motors may be proportional to, in the order of `Running`."""
+    """Inputs that the field of motors may be proportional to, in the order of `Running.values`."""
 
     MOVING = "moving"
     TURN_RATE = "turn_rate"
     SPEED = "speed"
     CURRENT = "current"
     SIDE = "side"
+    ABS_TURN_RATE = "abs_turn_rate"
+    ABS_SPEED = "abs_speed"
 
     @property
     def unit(self) -> str:
         """The unit of the input."""
         units = {"turn_rate": "rad/s", "speed": "m/s", "current": "A"}
         words = {"moving": "while it moves", "side": "while it turns left, less right"}
-        return {**units, **words}[self.value]
+        return {**units, **words}[self.value.removeprefix("abs_")]
 
 
 INPUTS = tuple(MotorInput)
@@ -108,6 +110,11 @@ class Running(NamedTuple):
     """Amperes, of a constant sign convention."""
     side: float = 0.0
     """One while it turns left, minus one to the right, between them at low rates."""
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """All inputs: a current's field in its leads has the sign of a motion, or always one."""
+        return (*self, abs(self.turn_rate), abs(self.speed))
 
 
 AT_REST = Running()
@@ -143,7 +150,8 @@ class MotorField:
         uncertain whether the robot moves, or to which side it turns, the step and its side are
         uncertain too.
         """
-        values = np.array([running[INPUTS.index(each)] for each in self.inputs])
+        inputs = running.values
+        values = np.array([inputs[INPUTS.index(each)] for each in self.inputs])
         unknown = np.isnan(values)
         covariance = np.diag(np.where(unknown, running.moving * np.square(self.usual), 0.0))
         side = 0.0 if math.isnan(running.side) else running.side
@@ -172,25 +180,24 @@ class MotorField:
         """Return the same field, uncorrelated with the twelve numbers."""
         return replace(self, beside=np.zeros_like(self.beside))
 
-    def with_side(self, side: float) -> MotorField:
-        """Return the same field with a step that may change its sign with the side of the turn.
+    def with_twin(self, which: MotorInput, twin: MotorInput, side: float) -> MotorField:
+        """Return the same field with an input that has a sign with the side, beside one without.
 
-        Turns to one side cannot separate a step with motion from one that changes sign: either may
-        be all of it.
+        Turns to one `side` cannot separate an input from its twin: either may be all of it.
         """
-        at, count = self.inputs.index(MotorInput.MOVING), 3 * len(self.inputs)
+        at, count = self.inputs.index(which), 3 * len(self.inputs)
         split, apart = np.eye(count + 3, count), np.zeros((count + 3, 3))
         step, turned = slice(3 * at, 3 * at + 3), math.copysign(1.0, side)
         split[step, step], split[count:, step] = 0.5 * np.eye(3), 0.5 * turned * np.eye(3)
         apart[step], apart[count:] = np.eye(3), -turned * np.eye(3)
         whole = np.outer(self.gain[at], self.gain[at]) + self.covariance[step, step]
         return MotorField(
-            (*self.inputs, MotorInput.SIDE),
+            (*self.inputs, twin),
             (split @ self.gain.ravel()).reshape(-1, 3),
             split @ self.covariance @ split.T + apart @ (0.25 * whole) @ apart.T,
             self.beside @ split.T,
             self.ripple,
-            (*self.usual, 1.0),
+            (*self.usual, self.usual[at]),
         )
 
     def and_of(self, older: MotorField) -> MotorField:

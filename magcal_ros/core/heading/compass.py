@@ -23,7 +23,7 @@ from magcal_ros.core.up.follower import Up
 
 Quaternion = tuple[float, float, float, float]
 
-CERTAIN = (0.0,) * PARAMETERS  # by how much a calibration without errors is wrong
+CERTAIN = (0.0,) * (PARAMETERS + 1)  # by how much a compass without errors is wrong
 SMALLEST_LEVEL_SHARE = 0.02  # below this share of level field (a dip of 89°) there is no yaw
 
 SMALLEST_FORWARD = 1e-6
@@ -42,7 +42,8 @@ class Heading(NamedTuple):
     pitch_yaw: float  # the same
     noise_variance: float = 0.0  # part of the yaw's that is new with each sample
     lasting_variance: float = 0.0  # the calibration's part
-    lasting: tuple[float, ...] = CERTAIN  # (12,): yaw by each of twelve independent unit errors
+    # (13,): radians of yaw by each of thirteen independent unit errors, the last alike everywhere
+    lasting: tuple[float, ...] = CERTAIN
 
     def quaternion(self, declination: float = 0.0) -> Quaternion:
         """Return x, y, z, w of the attitude body to ENU, to true north if declination is given."""
@@ -104,8 +105,9 @@ class Compass:
     def without_motors(self, raw: Triple, running: Running) -> Triple:
         """Return a raw field, tesla, as it would be if the robot stood there."""
         x, y, z = raw
+        values = running.values
         for place, by_x, by_y, by_z in self._gains:
-            value = running[place]
+            value = values[place]
             if value and not math.isnan(value):
                 x, y, z = x - value * by_x, y - value * by_y, z - value * by_z
         return (x, y, z)
@@ -178,7 +180,7 @@ class Compass:
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
-        own = variance, roll_yaw, pitch_yaw, noise, lasting, tuple(errors.tolist())
+        own = variance, roll_yaw, pitch_yaw, noise, lasting, (*errors.tolist(), 0.0)
         return Heading(roll, pitch, yaw, tilt, *own)
 
 

@@ -339,12 +339,8 @@ class FusedYaw:
 
 
 def _errors_of(heading: Heading) -> FloatArray:
-    """Return the errors of a compass as `YawFilter` takes them; of several, those of their lead."""
-    errors = np.array((*heading.lasting, 1.0))
-    square = float(errors @ errors) - 1.0
-    if square > 0.0:
-        errors[:-1] *= math.sqrt(heading.lasting_variance / square)
-    return errors
+    """Return the errors of a compass as `YawFilter` takes them."""
+    return np.array((*heading.lasting, 1.0))
 
 
 def yaw_ahead(north: Triple, seen: Triple, up: Triple) -> float:

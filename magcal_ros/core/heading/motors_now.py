@@ -94,13 +94,13 @@ class MotionSense:
         return self.newest
 
     def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
-        """Return by how much a current is beyond that at rest, and follow the latter."""
+        """Return by how much a current, if known, is beyond that at rest, and follow the latter."""
         rests = moves is False and self._stamp - self._since > RUNNING.settles
         if rests and not math.isnan(current):
             share = min(max(seconds, 0.0) / RUNNING.idle, 1.0)
             old = current if math.isnan(self._idle) else self._idle
             self._idle = old + share * (current - old)
-        return 0.0 if moves is False else current - self._idle
+        return 0.0 * current if moves is False else current - self._idle
 
 
 MICROTESLA = 1e6
@@ -194,7 +194,7 @@ class MotorsNow:
         most = self._whole + self._level(Running(1.0), np.array(motors.usual))
         # Motors that a sample's own noise hides are not worth the time.
         self._is_felt = bool(np.trace(most) > np.trace(self._noise))
-        late = (MotorInput.SPEED, MotorInput.CURRENT)
+        late = (MotorInput.SPEED, MotorInput.CURRENT, MotorInput.ABS_SPEED)
         self._latency = np.array([RUNNING.latency * (each in late) for each in motors.inputs])
         if len(self._values) != count:
             self._values, self._change = np.zeros(count), np.zeros(count)

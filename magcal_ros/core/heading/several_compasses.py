@@ -23,8 +23,7 @@ from magcal_ros.core.up.follower import Up
 LASTING = 3.0
 """Seconds over which a disagreement without a reason is averaged, for when only one is left."""
 
-
-SMALLEST_VARIANCE = 1e-10  # rad². Smallest variance that is believed.
+SMALLEST_VARIANCE = 1e-10  # rad², the smallest that is believed
 
 
 class CompassYaw(NamedTuple):
@@ -226,11 +225,8 @@ class SeveralCompasses:
         variance = member.own_variance + member.doubt_variance
         change = wrapped(ahead - member.off)
         # A step that is too large for noise need not be averaged.
-        leaps = abs(change) > DISTURBANCE.gate * math.sqrt(member.heading.noise_variance)
-        if math.isnan(change) or leaps:
-            member.off = ahead
-        else:
-            member.off = wrapped(member.off + share * change)
+        is_noise = abs(change) <= DISTURBANCE.gate * math.sqrt(member.heading.noise_variance)
+        member.off = wrapped(member.off + share * change) if is_noise else ahead
         return CompassYaw(number, seen, member.off, variance)
 
     def _silence(self, member: _Member) -> str:
@@ -241,11 +237,15 @@ class SeveralCompasses:
         return "its stamps are far from the others', or its field shows no direction"
 
     def _believed(self, yaws: list[CompassYaw], known: float) -> list[CompassYaw]:
-        """Leave out those that are wrong, by the gyro (`known` rad²) if they have ever agreed."""
-        if not all(self._members[each.number].has_agreed for each in yaws):
+        """Leave out those that are wrong; `known` is the variance of the gyro's yaw, rad².
+
+        The gyro shows which one has changed, so it is no help where none has agreed with another.
+        """
+        if not any(self._members[each.number].has_agreed for each in yaws):
             known = math.inf
         kept = believed(yaws, known, self._gate)
-        if len(kept) > 1 and misfit(kept) <= self._gate:
+        # With large doubts all yaws agree.
+        if len(kept) > 1 and self._are_sound(kept) and misfit(kept) <= self._gate:
             for each in kept:
                 self._members[each.number].has_agreed = True
         self._left_out = frozenset(each.number for each in yaws if each not in kept)
@@ -253,19 +253,22 @@ class SeveralCompasses:
         self._gate = (DISTURBANCE.believed_below if self._left_out else DISTURBANCE.gate) ** 2
         return kept
 
+    def _are_sound(self, yaws: list[CompassYaw]) -> bool:
+        return not any(self._members[each.number].is_doubted for each in yaws)
+
     def _note_disagreement(
         self, yaws: list[CompassYaw], kept: list[CompassYaw], seconds: float
     ) -> None:
-        """Learn by which variance they disagree for no reason; one left alone keeps it."""
+        """Learn by which variance they disagree for no reason; kept while others say nothing."""
         self.disagreement = 0.0
-        if len(yaws) < 2:
-            self._between = self._lasting
-            return
-        # A field that is seen to be bent is a reason.
-        sound = [each for each in kept if not self._members[each.number].is_doubted] or kept
-        self._between = excess_variance(sound)
-        share = 1.0 - math.exp(-max(seconds, 0.0) / LASTING)
-        self._lasting += share * (self._between - self._lasting)
+        # A field that is seen to be bent is a reason as far as its doubt explains the difference.
+        is_explained = misfit(kept) <= self._gate
+        sound = [each for each in kept if not is_explained or self._are_sound([each])]
+        excess = excess_variance(sound or kept)
+        if sound and len(yaws) > 1:
+            share = 1.0 - math.exp(-max(seconds, 0.0) / LASTING)
+            self._lasting += share * (excess - self._lasting)
+        self._between = max(excess, self._lasting)
         if len(sound) > 1 and misfit(sound) > self._gate:
             first = sound[0].ahead
             self.disagreement = max(abs(wrapped(each.ahead - first)) for each in sound)
@@ -276,8 +279,7 @@ class SeveralCompasses:
         A difference of hard iron stays in the axes of the body. With it taken off, those that are
         left go on where all of them were.
         """
-        are_sound = not any(self._members[each.number].is_doubted for each in kept)
-        if len(kept) < 2 or self.disagreement or not are_sound or seconds <= 0.0:
+        if len(kept) < 2 or self.disagreement or not self._are_sound(kept) or seconds <= 0.0:
             return
         mean = _mean([each.field for each in kept], shares)
         for each in kept:
@@ -305,22 +307,29 @@ class SeveralCompasses:
     def _with_heading(
         self, moment: Moment, up: Up, kept: list[CompassYaw], shares: list[float]
     ) -> Moment:
-        """Return the moment with the heading of its joined field, and what is not known of it."""
+        """Return the moment with the heading of its joined field, and what is not known of it.
+
+        The errors of all depend on the attitude as the lead's do. A disagreement without a reason
+        is alike at all attitudes, as a wrong mount is.
+        """
         assert self.lead is not None
         heading = self.lead.heading(moment.field, up.direction, up.variance)
         if heading is None:
             return moment._replace(heading=None)
         by_tilt = heading.yaw_variance - heading.lasting_variance - heading.noise_variance
-        lasting = noise = 0.0
+        lasting = between = noise = 0.0
         for share, each in zip(shares, kept, strict=True):
             own = self._members[each.number].heading
-            lasting += share**2 * (own.lasting_variance + self._between)
+            lasting += share**2 * own.lasting_variance
+            between += share**2 * self._between
             noise += share**2 * own.noise_variance
+        scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return moment._replace(
             heading=heading._replace(
-                yaw_variance=by_tilt + lasting + noise,
-                lasting_variance=lasting,
+                yaw_variance=by_tilt + lasting + between + noise,
+                lasting_variance=lasting + between,
                 noise_variance=noise,
+                lasting=(*(scale * each for each in heading.lasting[:-1]), math.sqrt(between)),
             )
         )
 

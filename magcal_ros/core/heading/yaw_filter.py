@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import PARAMETERS
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.heading.compass import CERTAIN
 
@@ -96,7 +95,7 @@ class YawFilter:
     def _know_nothing_of_errors(self, shares: FloatArray) -> None:
         self._shares = shares
         self._bias_shares = self._disturbance_shares = self.errors = 0.0 * shares
-        self._covariance = np.diag(np.append(np.ones(PARAMETERS), 0.0))
+        self._covariance = np.diag(np.append(np.ones(len(CERTAIN)), 0.0))
 
     def use_another_calibration(self) -> None:
         """Go on with a compass whose errors are others; what they were stays in the variance."""
@@ -188,8 +187,12 @@ class YawFilter:
         self._bias_shares = self._bias_shares - by_bias * apart
         self._disturbance_shares = self._disturbance_shares - by_disturbance * apart
         shown = self._covariance @ apart
-        gain = shown / (spread + float(apart @ shown))
-        self._covariance = self._covariance - np.outer(gain, shown)
+        whole = spread + float(apart @ shown)
+        gain = shown / whole
+        # By how much compasses disagree changes: the error by it is considered and not learnt.
+        gain[-2] = 0.0
+        both = np.outer(gain, shown - 0.5 * whole * gain)
+        self._covariance = self._covariance - both - both.T
         found = gain * left
         self.errors = self.errors + found
         self.bias += float(self._bias_shares @ found)

@@ -48,7 +48,7 @@ class LearningTuning:
 
 TUNING = LearningTuning()
 
-USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0), strict=True))
+USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0, 0.5, 0.5), strict=True))
 """Of an input while a robot moves, until its own is known: rad/s, m/s, A."""
 
 
@@ -114,7 +114,7 @@ class MotorLearning:
         block.count += 1
         block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
         block.field = block.field + np.array(raw)
-        block.inputs = block.inputs + np.array(running)
+        block.inputs = block.inputs + np.array(running.values)
         block.clear = block.clear and running.moving in (0.0, 1.0)
         if stamp - block.begin < TUNING.block:
             return False
@@ -212,9 +212,9 @@ class MotorLearning:
         u = np.where(known, u, 0.0)
         moves = u[0] > 0.0
         self._predict(block, moves)
-        if not known[[self._is_used(each) for each in INPUTS]].all():
-            return
-        if not (block.clear and is_even):
+        # At rest all inputs are zero, also those that fall silent there.
+        is_known = not moves or known[[self._is_used(each) for each in INPUTS]].all()
+        if not (is_known and block.clear and is_even):
             return
         raw = np.asarray(block.field) / count
         y = self._calibration.correction.apply(raw) * MICROTESLA

@@ -168,6 +168,7 @@ TURNS_AS = {
     -1.0: "it turns to the other side than the gyro: its sign is wrong (a bearing counts "
     "clockwise, yaw counts to the left), or the antennas are mirrored",
     DEGREES: "it turns about 57 times as far as the gyro: degrees were put where radians belong",
-    1.0 / DEGREES: "it hardly turns when the gyro does: radians were taken for degrees",
+    1.0 / DEGREES: "it hardly turns when the gyro does: the device repeats an old heading, or "
+    "radians were taken for degrees",
 }
 """What is wrong with a heading that turns so many times as far as the gyro."""

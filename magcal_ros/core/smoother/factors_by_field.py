@@ -6,10 +6,18 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.rotations import exp_rotations, rotation_vectors, skews
+from magcal_ros.core.geometry.rotations import exp_rotations, rotation_vectors, skew, skews
 from magcal_ros.core.smoother.factors import QUARTER, Linear
 from magcal_ros.core.smoother.state import Course, State
-from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, LOCAL, RATE, SHARED, VELOCITY
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    ATTITUDE,
+    CLIMB,
+    LOCAL,
+    RATE,
+    SHARED,
+    VELOCITY,
+)
 
 
 def force_at_nodes(course: Course, state: State) -> Linear:
@@ -31,9 +39,11 @@ def force_at_nodes(course: Course, state: State) -> Linear:
     by_arm = spin @ spin
     moving = course.moving[:-1, None]
     acceleration = (velocity[1:] - velocity[:-1]) / seconds + turning * mean @ QUARTER.T
+    climb = np.diff(state.local[:, CLIMB])[:, None] / seconds
     predicted = (
         np.einsum("nij,nj->ni", inside, gravity)
         + acceleration @ level.T
+        + climb * up
         + by_arm @ shared[AT["lever_arm"]]
         + shared[AT["force_offset"]]
         + moving * shared[AT["force_moving"]]
@@ -44,6 +54,8 @@ def force_at_nodes(course: Course, state: State) -> Linear:
     bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
     here[:, :, VELOCITY] = bend - level / seconds[:, :, None]
     there[:, :, VELOCITY] = bend + level / seconds[:, :, None]
+    there[:, :, CLIMB] = up / seconds
+    here[:, :, CLIMB] = -there[:, :, CLIMB]
     by = np.zeros((count, 3, SHARED))
     by[:, :, AT["lever_arm"]] = by_arm
     by[:, :, AT["force_offset"]] = np.eye(3)
@@ -54,26 +66,35 @@ def force_at_nodes(course: Course, state: State) -> Linear:
 def sway(course: Course, state: State) -> Linear:
     """Return the residuals of the accelerometer's velocity against the sway of its body, m/s.
 
-    An accelerometer above the pivot is moved by every change of lean. The velocity of node k is
-    that between nodes k - 1 and k.
+    An accelerometer off the pivot is moved by every change of lean: above it to the side, beside
+    it along the turn's axis. The velocity of node k, in level axes, is that between nodes k - 1
+    and k.
     """
-    level, up = course.axes[:, :2], course.axes[:, 2]
-    seconds = course.nodes.seconds[:, None]
-    between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
+    shared, attitude, seconds = state.shared, state.attitude, course.nodes.seconds[:, None]
+    between = attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2)
     rate = -rotation_vectors(between) / seconds
-    height = float(state.shared[AT["height"]][0])
+    height = shared[AT["sway_arm"]][2]
+    arm = course.axes @ shared[AT["sway_arm"]]
     # Of rate x (height up), in level axes.
-    across = -level.T @ skews(up[None])[0]
+    across = -course.axes[:, :2].T @ skew(course.axes[:, 2])
+    upright, by_upright = _leaning(np.eye(3), shared[AT["upright"]])
+    axis = attitude @ upright
+    rises = (axis[1:] - axis[:-1]) / seconds
     count = len(seconds)
-    here, there = np.zeros((count, 2, LOCAL)), np.zeros((count, 2, LOCAL))
+    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
     by_rate = height * across / seconds[:, :, None]
-    here[:, :, ATTITUDE] = -by_rate @ between
-    there[:, :, ATTITUDE] = by_rate
-    there[:, :, VELOCITY] = np.eye(2)
-    by = np.zeros((count, 2, SHARED))
-    by[:, :, AT["height"]] = -(rate @ across.T)[:, :, None]
-    residual = height * rate @ across.T - state.local[1:, VELOCITY]
-    return Linear(residual, here, there, by)
+    here[:, :2, ATTITUDE] = -by_rate @ between
+    there[:, :2, ATTITUDE] = by_rate
+    here[:, 2, ATTITUDE] = -arm @ skews(axis[:-1]) / seconds
+    there[:, 2, ATTITUDE] = arm @ skews(axis[1:]) / seconds
+    moves = [*range(VELOCITY.start, VELOCITY.stop), CLIMB]
+    there[:, :, moves] = np.eye(3)
+    by = np.zeros((count, 3, SHARED))
+    by[:, :2, AT["sway_arm"].stop - 1] = -rate @ across.T
+    by[:, 2, AT["sway_arm"]] = -rises @ course.axes
+    by[:, 2, AT["upright"]] = -arm @ (attitude[1:] - attitude[:-1]) @ by_upright / seconds
+    moved = np.column_stack([height * rate @ across.T, rises @ arm])
+    return Linear(moved - state.local[1:, moves], here, there, by)
 
 
 def turning(course: Course, state: State, axes: FloatArray) -> Linear:

@@ -23,8 +23,8 @@ from magcal_ros.core.smoother.solver import Solution, Weighted, chain_of
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, UNKNOWNS, KindOfMotion
 
-STEPS = {EARTH.stop - 1: 0.1, AT["height"].start: 0.01}
-"""Of the downward field, µT, and the height, m, by which derivatives are taken."""
+STEPS = {EARTH.stop - 1: 0.1, AT["sway_arm"].stop - 1: 0.01}
+"""Of the downward field, µT, and the height above the pivot, m, by which derivatives are taken."""
 SETTLED = 0.2
 """Step of the answer, in its own sigmas, of a fit whose last rounds still change something else."""
 

@@ -124,7 +124,10 @@ def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
         (1.0, float(np.sqrt(np.mean(rate**2))) if len(rate) else 0.0),
     )
     side = float(np.mean(np.sign(rate))) if len(rate) else 0.0
-    return motors.with_side(side) if abs(side) > ONE_WAY else motors
+    if abs(side) <= ONE_WAY:
+        return motors
+    motors = motors.with_twin(MotorInput.MOVING, MotorInput.SIDE, side)
+    return motors.with_twin(MotorInput.TURN_RATE, MotorInput.ABS_TURN_RATE, side)
 
 
 def correction_of(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> Correction:

@@ -148,7 +148,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         spread["gyro_bias"] = 0.0
     # With a gyro these are not needed, or only several turns separate them.
     for name in (
-        "height",
+        "sway_arm",
         "axis",
         "upright",
         "turned",

@@ -43,7 +43,6 @@ APART = 0.05  # radians of installation and hard iron over the field by which tw
 FURTHEST, HOPELESS = 60.0, 30.0
 """Of minus twice the logarithm of the evidence over the best one's: starts that are worse after a
 few rounds are dropped, and solutions that are worse at their optimum have no weight."""
-BENDS = 10.0  # initial factor of the gradient's sigma
 
 
 def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
@@ -74,7 +73,7 @@ def _elsewhere(first: Fit) -> dict[str, Fit]:
     The field of an open place is one that bends by nothing, not another kind of motion.
     """
     # A field that bends looks like axes out of square, which are square to begin with.
-    groups = {**first.point.groups, "axes": 1.0, "soft_iron": 1.0, "gradient": BENDS}
+    groups = {**first.point.groups, "axes": 1.0, "soft_iron": 1.0}
     like = replace(first, point=replace(first.point, groups=groups))
     spot = _upright(in_a_bent_field(first.model.priors), like) or first
     circle = _upright(in_a_circle(spot.model.priors), spot)

@@ -22,8 +22,9 @@ ACCELERATION = slice(11, 13)
 local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT),
 lasting change of the velocity (m/s², level axes of the body)."""
 LOCAL = 13
-RATE = slice(5, 6)
-"""Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s."""
+RATE, CLIMB = slice(5, 6), 6
+"""Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s,
+and the accelerometer's velocity upward, m/s."""
 
 
 class Unknown(NamedTuple):
@@ -141,8 +142,13 @@ UNKNOWNS: dict[str, Unknown] = {
     "force_offset": Unknown(
         (0.06,) * 3, 0.5, 10.0, "m/s²", "offset of the accelerometer", "MEMS: .02 to .5"
     ),
-    "height": Unknown(
-        (0.2,), 0.0, 1.0, "m", "accelerometer above the pivot of its sway", "robots: 0 to .6"
+    "sway_arm": Unknown(
+        (0.08, 0.08, 0.2),
+        0.0,
+        1.0,
+        "m",
+        "accelerometer from the pivot of its sway: ahead, left, up",
+        "robots: 0 to .6 above it",
     ),
     "mounting_yaw": Unknown(
         (0.06,), 0.7, 8.0, "rad", "ahead of wheels, left of the x axis", "boards fixed by hand"

@@ -120,7 +120,7 @@ def without_rates(priors: Priors, *, rests: bool) -> Priors:
     """Return the priors of a window that has no gyro; `rests` says whether it shows a rest."""
     scale = priors.scale.copy()
     scale[AT["gyro_bias"]] = scale[AT["gyro_matrix"]] = scale[AT["gradient"]] = 0.0
-    for name in ("axis", "upright", "height"):
+    for name in ("axis", "upright", "sway_arm"):
         scale[AT[name]] = UNKNOWNS[name].sigma
     # The accelerometer's own up is what the answer leads to: its offset is part of the roll.
     scale[AT["latency"]] = scale[AT["force_offset"]][:2] = 0.0

@@ -67,3 +67,9 @@ def test_a_turn_keeps_its_side_until_its_end_is_sure(rate):
     side = math.copysign(1.0, rate)
     assert all(each.side * side >= 0.5 for each in plan if each.moving > 0.0)
     assert [each.side for each in plan if each.moving == 0.0] == [0.0] * 7
+
+
+def test_a_current_that_nobody_reports_is_not_zero_at_rest():
+    sense = MotionSense()
+    assert math.isnan(sense.at(0.0, STILL, True, 0.0, math.nan).current)
+    assert sense.at(1.0, STILL, True, 0.0, 2.0).current == 0.0

@@ -192,6 +192,33 @@ def test_two_that_always_disagreed_are_said_and_sigma_holds_it():
     assert math.degrees(rows[-1, 2]) > 10.0
 
 
+def test_those_that_always_disagreed_still_do_where_the_field_is_bent():
+    scene = two(yaw=math.radians(20.0))
+    scene.run(5.0, 0.3)
+    # So far, and for so long, that the doubt in both explains their difference.
+    scene.iron = dict.fromkeys((1, 2), np.array([0.0, 0.0, 12e-6]))
+    bent = scene.run(10.0, 0.3)
+    scene.iron.clear()
+    rows = np.concatenate([bent, scene.run(20.0, 0.3)])
+    assert (np.abs(rows[:, 1]) < 3.0 * rows[:, 2]).all()
+    fused = scene.fused.heading()
+    off = abs(wrapped(fused.yaw - scene.ride.magnetic_yaw))
+    assert off < 3.0 * math.sqrt(fused.yaw_variance)
+
+
+def test_one_that_was_turned_while_it_was_silent_takes_no_part_when_it_returns():
+    scene = two()
+    scene.run(5.0, 0.3)
+    scene.silent.add(2)
+    scene.run(5.0, 0.3)
+    scene.compasses[2] = Compass(calibration(ROBOTS[2], yaw=math.radians(25.0)))
+    scene.silent.clear()
+    rows = scene.run(10.0, 0.3)
+    assert scene.weights[2] == 0.0
+    assert "its yaw is" in scene.why(2)
+    assert np.abs(rows[:, 1]).max() < math.radians(3.0)
+
+
 def test_of_three_without_a_gyro_two_outvote_one():
     scene = Scene({k: calibration(robot) for k, robot in ROBOTS.items()}, gyro=False)
     scene.run(3.0)

@@ -68,3 +68,15 @@ def test_a_robot_at_rest_shows_the_bias_and_corrects_the_yaw_that_it_has_turned(
     assert following.bias == pytest.approx(5e-4, rel=1e-3)
     assert turned == pytest.approx(-0.03, rel=1e-3)
     assert math.sqrt(following.yaw_variance) < 1e-3
+
+
+def test_how_far_compasses_disagree_stays_in_the_yaw_that_comes_from_them():
+    sigma, following, compass = math.radians(10.0), YawFilter(), PERFECT.copy()
+    following.begin(1e-6, 1e-10, 1e-6)
+    compass[-2] = sigma
+    for _ in range(200):
+        following.propagate(0.5, 1e-6, 1e-14)
+        following.move_on(0.9, 1e-6)
+        following.observe(math.radians(5.0), 1e-6, compass)
+    assert following.errors[-2] == 0.0
+    assert math.sqrt(following.own_error_variance) == pytest.approx(sigma, rel=0.05)

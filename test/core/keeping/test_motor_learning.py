@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction, MotorInput, Running
+from magcal_ros.core.calibration.correction import INPUTS, Correction, MotorInput, Running
 from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.heading.motors_now import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 
 STEP = 0.05
@@ -40,7 +41,7 @@ def driven(rng, gains, seconds=120.0, current=True):
         ampere = moves * (1.0 + 2.0 * speed) * (1.0 + 0.3 * math.sin(2.0 * k * STEP))
         side = math.copysign(1.0, rate) if rate else 0.0
         now = Running(moves, rate, speed, ampere if current else math.nan, side)
-        added = sum(np.array(gain) * getattr(now, name) for name, gain in gains.items())
+        added = sum(np.array(g) * now.values[INPUTS.index(name)] for name, g in gains.items())
         raw = np.linalg.solve(MATRIX, attitude @ (earth + place)) + IRON + added
         raw = raw + 0.3e-6 * rng.standard_normal(3)
         yield begin + k * STEP, tuple(raw), (0.0, 0.0, rate), now
@@ -58,6 +59,7 @@ CASES = {
     "step": {"moving": (6e-6, -4e-6, 1e-6)},
     "speed": {"speed": (6e-6, -4e-6, 1e-6)},
     "turn rate": {"turn_rate": (6e-6, -4e-6, 1e-6)},
+    "turn rate to either side": {"abs_turn_rate": (6e-6, -4e-6, 1e-6)},
     "current": {"current": (3e-6, -4e-6, 1e-6)},
     "side": {"side": (6e-6, -4e-6, 1e-6)},
 }
@@ -74,7 +76,8 @@ def test_what_they_add_is_found_for_every_motion(name):
         u, _ = motors.known(now)
         wide = np.kron(u, np.eye(3))
         sigma = np.sqrt(np.diag(wide @ motors.covariance @ wide.T))
-        true = sum((np.array(g) * getattr(now, k) for k, g in CASES[name].items()), np.zeros(3))
+        gains = CASES[name].items()
+        true = sum((np.array(g) * now.values[INPUTS.index(k)] for k, g in gains), np.zeros(3))
         assert (np.abs(u @ motors.gain - true) < 4.0 * sigma + 0.02e-6).all()
         assert (sigma < 0.6e-6).all()
 
@@ -89,6 +92,23 @@ def test_what_explains_nothing_is_near_zero_with_its_sigma():
 def test_only_what_was_told_is_named():
     motors = learnt(CASES["step"], current=False)
     assert set(motors.inputs) == set(MotorInput) - {MotorInput.CURRENT}
+
+
+@pytest.mark.parametrize("is_silent_at_rest", [False, True])
+def test_it_is_learnt_without_a_battery(is_silent_at_rest):
+    learning, sense = MotorLearning(known()), MotionSense()
+    for stamp, raw, rate, now in driven(np.random.default_rng(3), CASES["speed"]):
+        rests = now.moving == 0.0
+        speed = math.nan if rests and is_silent_at_rest else now.speed
+        learning.add(stamp, raw, rate, sense.at(stamp, rate, rests, speed, math.nan))
+    motors = learning.motors
+    assert MotorInput.CURRENT not in motors.inputs
+    # It drives forwards alone.
+    both = [motors.inputs.index(each) for each in (MotorInput.SPEED, MotorInput.ABS_SPEED)]
+    off = np.linalg.norm(motors.gain[both].sum(axis=0) - CASES["speed"]["speed"])
+    sum_ = np.kron([float(k in both) for k in range(len(motors.inputs))], np.eye(3))
+    sigma = math.sqrt(np.trace(sum_ @ motors.covariance @ sum_.T))
+    assert off < 4.0 * sigma < 2e-6
 
 
 def test_before_the_first_start_an_input_may_be_anything():

@@ -16,6 +16,7 @@ from magcal_ros.core.session.external_heading import HeadingAgainstGyro, TurnSin
         (lambda yaw: 0.5 * math.pi - yaw, "bearing"),
         (lambda yaw: math.degrees(yaw), "degrees were put where radians belong"),
         (lambda yaw: math.radians(yaw), "radians were taken for degrees"),
+        (lambda yaw: 0.7, "repeats an old heading"),
     ],
 )
 def test_a_heading_that_turns_otherwise_than_the_gyro_is_named(read, named):

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from long_form import first_of
+from realistic_robots import by_turn
+from realistic_robots import heading_error as turn_error
 from simulated.turns import Motion, measure, smooth_wobble, turn
 
 from magcal_ros.core.calibration.figure import Figure
@@ -101,6 +103,16 @@ def test_lean_is_told_from_sway_that_shakes_a_high_accelerometer(height):
     assert error < 3.0 * predicted_heading_sigma(estimate, 10.0 * DEGREE)
     assert error < 3.0 * DEGREE
     assert abs(down_of(estimate) - 1.0) < 0.05
+
+
+@pytest.mark.parametrize("number", first_of([9910, 9909, 9904]))
+def test_what_sway_lifts_beside_the_pivot_is_not_taken_for_a_lever_arm_of_a_metre(number):
+    """A lever arm would explain the changes upward by a lean of the body, and hide the true one."""
+    scene, knowledge = by_turn("fast", "typical", "open")(number)
+    estimate = fit(replace(scene.window, angular_rate=None), knowledge)
+    error = turn_error(scene, estimate.correction)
+    assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
+    assert error < 1.0 * DEGREE
 
 
 @pytest.mark.nightly
