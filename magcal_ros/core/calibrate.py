@@ -41,8 +41,7 @@ METHODS = tuple(_FITS)
 """Names of the methods, the recommended one first."""
 JOINS, DRIVES, *_ = METHODS
 """The method that joins turns, and the one that takes a drive without a turn."""
-ONE_SMOOTHER = JOINS, METHODS[2]
-"""Two names of one method (doc/smoother.md)."""
+ONE_SMOOTHER = JOINS, METHODS[2]  # two names of one method (doc/smoother.md)
 METHOD_WORDS = (
     f"How a turn is turned into a calibration. {JOINS}, also named {METHODS[2]}, is right for turns"
     f" and drives; {DRIVES} takes a turn for a drive; the others are for comparison"
@@ -63,8 +62,7 @@ class Outcome:
     """Why nothing was found."""
     several: Several | None = None
     """What each turn adds and which turn comes next, if several were joined."""
-    window: Window | None = None
-    """The samples; the estimate's residuals are of its rows."""
+    window: Window | None = None  # the samples; the estimate's residuals are of its rows
 
     @classmethod
     def refused(cls, refusal: Refusal, window: Window | None = None) -> Outcome:

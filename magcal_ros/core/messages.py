@@ -100,8 +100,7 @@ def velocity_from(
 
 HEADING_SIGMA = math.radians(1.0)
 """Sigma of a heading whose orientation covariance is zero, which means unknown."""
-NO_HEADING = math.radians(30.0)
-"""Sigma from which a heading counts as unknown."""
+NO_HEADING = math.radians(30.0)  # sigma from which a heading counts as unknown
 
 
 def heading_from(

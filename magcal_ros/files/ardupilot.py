@@ -31,8 +31,7 @@ from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
 
-TESLA = 1e-7
-"""In a milligauss."""
+TESLA = 1e-7  # in a milligauss
 
 NAMES = logs.Names(
     "IMU",
@@ -52,14 +51,9 @@ RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU
 
 TELEMETRY_KINDS = {*RAW_KINDS, "ATTITUDE", "GPS_RAW_INT", "PARAM_VALUE"}
 
-AUTOPILOT = 1
-"""Component of MAVLink: cameras and gimbals have others."""
-
-SLOTS = ("", "2", "3")
-"""How the parameters of the compasses, and of the IMUs, are numbered."""
-
-PARAMETERS = ("COMPASS_", "EK3_", "INS_USE")
-"""How those begin that are read."""
+AUTOPILOT = 1  # component of MAVLink: cameras and gimbals have others
+SLOTS = ("", "2", "3")  # how the parameters of the compasses, and of the IMUs, are numbered
+PARAMETERS = ("COMPASS_", "EK3_", "INS_USE")  # how those begin that are read
 
 SMALLEST_SCALE, LARGEST_SCALE = 1.0 / 1.5, 1.5
 """Of COMPASS_SCALE; the autopilot ignores others (Compass::have_scale_factor)."""
@@ -94,8 +88,7 @@ def read_ardupilot(
 class _Logged:
     """The numbers of a log by sensor, as logged, forward-right-down."""
 
-    imus: dict[int, FloatArray] = field(default_factory=dict)
-    """Stamp, specific force, rate."""
+    imus: dict[int, FloatArray] = field(default_factory=dict)  # stamp, specific force, rate
     mags: dict[int, FloatArray] = field(default_factory=dict)
     """Stamp, field, offsets and motors' part, milligauss; NaN where they are not logged."""
     parameters: list[tuple[float, dict[str, float]]] = field(

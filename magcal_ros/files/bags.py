@@ -43,8 +43,7 @@ RECEIVER_TOPICS = ("vel", "fix_velocity")
 """How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
 body's. A bag without fixes has no receiver."""
 
-LATEST = 2**63 - 1
-"""Nanoseconds: after every message."""
+LATEST = 2**63 - 1  # nanoseconds: after every message
 
 REMEDIES = {
     ".mcap": "`mcap recover IN -o OUT` saves what is whole",

@@ -26,8 +26,7 @@ FORMAT_VERSION = 1
 LARGEST_FILE = 100_000
 """Bytes. A calibration has about ten thousand; anything larger is something else."""
 
-DEEPEST = 10
-"""Levels of nesting; a calibration has three."""
+DEEPEST = 10  # levels of nesting; a calibration has three
 
 _SAYS_IT_IS_OURS = re.compile(
     rb"""^(format: *["']?magcal_ros/calibration\b|# Magnetometer calibration by magcal_ros\.)""",
@@ -51,10 +50,8 @@ class Origin:
     magnetometer_frame: str
     imu_frame: str
     """`frame_id` of the two sensors' messages."""
-    created: str
-    """ISO 8601, UTC."""
-    node: str = ""
-    """Fully qualified name of the node that made it; empty where there was none."""
+    created: str  # ISO 8601, UTC
+    node: str = ""  # fully qualified name of the node that made it; empty where there was none
     vehicle_yaw: VehicleYaw | None = None
     """How the IMU sits in the vehicle, as drives have shown it; no part of the calibration."""
 
@@ -341,8 +338,7 @@ def _positive(value: Any, name: str) -> float:
     return number
 
 
-KEPT = 3
-"""Former files that are kept."""
+KEPT = 3  # former files that are kept
 
 
 def backup_files(path: Path) -> list[Path]:

@@ -45,8 +45,7 @@ class DataFlash:
 
     tables: dict[str, FloatArray] = field(default_factory=dict)
     """By message: the stamp and `COLUMNS`, NaN where a release has none."""
-    parameters: list[tuple[float, str, float]] = field(default_factory=list)
-    """Stamp, name, value."""
+    parameters: list[tuple[float, str, float]] = field(default_factory=list)  # stamp, name, value
 
 
 def read_dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> DataFlash:

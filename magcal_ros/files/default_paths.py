@@ -12,8 +12,7 @@ from magcal_ros.files.disk import FileTrouble
 
 LONGEST_NAME = 80
 
-LONGEST_FRAME = 200
-"""Characters of a frame that are kept; the network may send a million."""
+LONGEST_FRAME = 200  # characters of a frame that are kept; the network may send a million
 
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\Z", re.IGNORECASE)
 """Names that are devices on some file systems."""
@@ -90,8 +89,7 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
 
 
-FRAMELESS = "magnetometer"
-"""Stands in a path for the frame of a sensor that names none."""
+FRAMELESS = "magnetometer"  # stands in a path for the frame of a sensor that names none
 
 
 @dataclass(frozen=True)
@@ -102,8 +100,7 @@ class SensorFile:
     names stand in the file's.
     """
 
-    frame: str
-    """`frame_id` of the field messages; empty if they have none."""
+    frame: str  # `frame_id` of the field messages; empty if they have none
     namespace: str = "/"
     node: str = "calibrator"
     """The node's: two robots may carry the same sensor."""

@@ -23,14 +23,9 @@ from magcal_ros.core.geometry.rotations import rotation_angle, rpy_from_rotation
 from magcal_ros.files.disk import plain
 from magcal_ros.files.px4 import mounting_of
 
-GAUSS = 1e4
-"""Gauss in a tesla."""
-
-MILLIGAUSS = 1e7
-"""Milligauss in a tesla."""
-
-DECIMALS = 9
-"""Of a matrix or of gauss. What is cut off changes no field by more than 0.001 nT."""
+GAUSS = 1e4  # gauss in a tesla
+MILLIGAUSS = 1e7  # milligauss in a tesla
+DECIMALS = 9  # of a matrix or of gauss. What is cut off changes no field by more than 0.001 nT.
 
 OF_TESLA = 13
 

@@ -23,8 +23,7 @@ from magcal_ros.files.recording import Recording, travel_of
 
 GIGABYTE = 1 << 30
 LARGEST_LOG = GIGABYTE
-"""Bytes: half a day of an autopilot's usual log. Its samples, and the libraries' index of all its
-messages, are held in memory."""
+"""Bytes: half a day of an autopilot's usual log, of which samples and index are held in memory."""
 
 LONGEST_READING = 600.0
 """Seconds. The libraries step through damaged bytes one by one, which may take days."""
@@ -36,12 +35,10 @@ GRAVITY = 9.80665
 FIX_3D = 3
 """Kind of a receiver's fix from which it has a place."""
 
-Progress = Callable[[float], None]
-"""Is given the share of a log that has been read, 0 to 1."""
+Progress = Callable[[float], None]  # is given the share of a log that has been read, 0 to 1
 
 
-EVERY = 1000
-"""Messages, or pieces of a file, between two looks at the clock."""
+EVERY = 1000  # messages, or pieces of a file, between two looks at the clock
 
 
 class Deadline:

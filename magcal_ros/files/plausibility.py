@@ -18,17 +18,13 @@ class Bounds:
 
     smallest_gain: float = 0.05
     largest_gain: float = 20.0
-    """By which the matrix may multiply a field: known gains from 0.1 to 10, and soft iron that
-    halves or doubles it."""
+    """By which the matrix may multiply a field: gains of 0.1 to 10, twice that by soft iron."""
     largest_variance: float = 1e8
     """Of the matrix and in tesla squared: far beyond every doubt, far within the floats."""
     weakest_field: float = 5e-6
-    """Tesla. The Earth's field has 22 to 67 µT, and steel around divides or multiplies it a few
-    times."""
-    strongest_field: float = 300e-6
-    """Tesla."""
-    asymmetry: float = 1e-6
-    """Relative to the two sigmas, as from a copy with few digits."""
+    """Tesla. The Earth's field has 22 to 67 µT, which steel divides or multiplies a few times."""
+    strongest_field: float = 300e-6  # tesla
+    asymmetry: float = 1e-6  # relative to the two sigmas, as from a copy with few digits
     negative: float = 1e-6
     """Smallest eigenvalue of the correlations that rounding alone can make negative."""
     most_samples: float = 1e8

@@ -63,8 +63,7 @@ RIGHT_ANGLES = (
 )  # fmt: skip
 """Roll, pitch and yaw of MAV_SENSOR_ORIENTATION, degrees, by its number."""
 
-CUSTOM = 100
-"""The number of the rotation whose angles are the parameters CAL_MAGn_ROLL, PITCH, YAW."""
+CUSTOM = 100  # the number of the rotation whose angles are the parameters CAL_MAGn_ROLL, PITCH, YAW
 
 DEFAULT_PRIORITY = 50.0
 

@@ -44,12 +44,9 @@ class Recording:
 
     imu: FloatArray
     """Stamp (s), specific force (m/s²), angular rate (rad/s; NaN without a gyro). Shape (n, 7)."""
-    field: FloatArray
-    """Stamp (s), raw field (tesla). Shape (m, 4)."""
-    travel: tuple[TravelSample, ...] = ()
-    """The samples of receiver and wheels, by stamp."""
-    place: Place | None = None
-    """Where the first good fix was."""
+    field: FloatArray  # stamp (s), raw field (tesla). Shape (m, 4).
+    travel: tuple[TravelSample, ...] = ()  # the samples of receiver and wheels, by stamp
+    place: Place | None = None  # where the first good fix was
     imu_topic: str = "imu.csv"
     field_topic: str = "mag.csv"
     field_frame: str = ""
@@ -129,11 +126,8 @@ def read_csv_folder(folder: Path) -> Recording:
     return Recording(imu, field)
 
 
-LONGEST_LINE = 10_000
-"""Characters."""
-
-LATEST_STAMP = 2.0**33
-"""Seconds, whichever sign: the stamps of ROS end at a quarter of that."""
+LONGEST_LINE = 10_000  # characters
+LATEST_STAMP = 2.0**33  # seconds, whichever sign: the stamps of ROS end at a quarter of that
 
 
 def read_columns(

@@ -10,8 +10,7 @@ from magcal_ros.core.geometry.frame_tree import FrameJoint
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.files.default_paths import known_as
 
-LARGEST = 4_000_000
-"""Bytes. The largest humanoid's description has a quarter of that."""
+LARGEST = 4_000_000  # bytes. The largest humanoid's description has a quarter of that.
 
 KINDS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 

@@ -34,8 +34,7 @@ from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
-Source: TypeAlias = Bag | Recording
-"""A recording of any kind, opened."""
+Source: TypeAlias = Bag | Recording  # A recording of any kind, opened
 
 
 def open_recording(
@@ -95,11 +94,8 @@ def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Record
     return replace(read_csv_folder(path), travel=travel, place=place)
 
 
-LOOKED_AT = 20_000
-"""Messages from which bursts of stamps and the rate of the IMU are recognised."""
-
-SLOWEST = 1.5
-"""Seconds between IMU samples beyond which nothing is known of what lies between."""
+LOOKED_AT = 20_000  # messages from which bursts of stamps and the rate of the IMU are recognised
+SLOWEST = 1.5  # seconds between IMU samples beyond which nothing is known of what lies between
 
 TURN_WITHIN = math.radians(20.0)
 """Radians within one sample of a slow IMU: its mean of the level field is 0.5% too small then."""

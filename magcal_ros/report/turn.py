@@ -37,18 +37,15 @@ class Subject:
     knowledge: Knowledge
     outcome: Outcome
     """What came of it; a refusal is reported too."""
-    source: str
-    """Where the samples came from: topics, or a recording. Any text: it is escaped."""
-    method: str
-    """Name of the method that was asked for."""
+    source: str  # where the samples came from: topics, or a recording. Any text: it is escaped.
+    method: str  # name of the method that was asked for
     created: datetime = field(default_factory=lambda: datetime.now().astimezone())
     """When the calibration was made; this moment unless given."""
     title: str = "Compass calibration"
     magnetometer_frame: str = ""
     imu_frame: str = ""
     """`frame_id` of field and IMU where they are known. Any text: it is escaped."""
-    vehicle: str = ""
-    """How the IMU sits in the vehicle, where driving has shown it."""
+    vehicle: str = ""  # how the IMU sits in the vehicle, where driving has shown it
 
     @property
     def answered_by(self) -> str:
@@ -78,12 +75,9 @@ class Corrected:
     """Corrected field in body axes, tesla. Shape (n, 3)."""
     circle: FloatArray
     """The field that was found, turned once about the axis, body axes, tesla. Shape (m, 3)."""
-    yaw: FloatArray
-    """Magnetic ENU yaw, radians. Shape (n,)."""
-    sigma: FloatArray
-    """Its standard deviation as the node would publish it, radians. Shape (n,)."""
-    reference: FloatArray
-    """The yaw that the turn asks for, radians. Shape (n,)."""
+    yaw: FloatArray  # magnetic ENU yaw, radians. Shape (n,).
+    sigma: FloatArray  # its standard deviation as the node would publish it, radians. Shape (n,).
+    reference: FloatArray  # the yaw that the turn asks for, radians. Shape (n,).
     radial: FloatArray
     axial: FloatArray
     """Residual away from the turn's axis and along it, tesla. Shape (n,)."""
@@ -98,28 +92,21 @@ class Corrected:
 class Turn:
     """The samples of a subject, one row per sample."""
 
-    time: FloatArray
-    """Seconds since the first sample. Shape (n,)."""
+    time: FloatArray  # seconds since the first sample. Shape (n,).
     field: FloatArray
     """Raw field after the known gains and the nominal mounting, tesla. Shape (n, 3)."""
-    up: FloatArray
-    """Specific force over its length. Shape (n, 3)."""
-    yaw: FloatArray
-    """Yaw of the raw field, radians. Shape (n,)."""
+    up: FloatArray  # specific force over its length. Shape (n, 3).
+    yaw: FloatArray  # yaw of the raw field, radians. Shape (n,).
     angle: FloatArray | None
-    """Radians turned since the first sample, left positive; None if nothing shows it. Shape
-    (n,)."""
-    has_gyro: bool
-    """Whether a gyro measured the angle."""
-    inliers: BoolArray
-    """Inliers of the fit; all where there was none. Shape (n,)."""
+    """Radians since the first sample, left positive; None if nothing shows it. Shape (n,)."""
+    has_gyro: bool  # whether a gyro measured the angle
+    inliers: BoolArray  # inliers of the fit; all where there was none. Shape (n,).
     coverage: Coverage
     corrected: Corrected | None
     sensors: Page
     """What the samples show of the sensors themselves."""
     swing_bound: float | None = None
-    """Degrees rms up to which the compass's swing against the gyro is called good; None where it
-    was not judged."""
+    """Degrees rms up to which the swing against the gyro is called good; None if not judged."""
 
     @classmethod
     def of(cls, subject: Subject) -> Turn:

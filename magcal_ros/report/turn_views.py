@@ -33,8 +33,7 @@ LEFT_OUT = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0
 
 MICRO = 1e6
 
-SIZE = (4.9, 5.5)
-"""Width and height of every picture, inches."""
+SIZE = (4.9, 5.5)  # width and height of every picture, inches
 
 STYLE: dict[str, Any] = {
     "axes.edgecolor": "#666666",
@@ -103,8 +102,7 @@ def legend_below(figure: Figure, source: Any, columns: int = 2) -> None:
     figure.legend(handles, labels, loc="lower center", ncol=columns, markerscale=2.2)
 
 
-POINTS = 200
-"""Of each cloud in each of the four views."""
+POINTS = 200  # of each cloud in each of the four views
 
 VIEWS = ((0, 2, "from the right"), (1, 2, "from the front"), (0, 1, "from above"))
 NAMES = ("x forward", "y left", "z up")

@@ -11,8 +11,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
 from magcal_ros.core.samples.units import Z_NOT_UP
 
-FULL_ARC_DEG = 300.0
-"""Degrees of a turn from which it counts as a full circle."""
+FULL_ARC_DEG = 300.0  # degrees of a turn from which it counts as a full circle
 INSTALLATION = Bound(
     Figure.INSTALLATION_ANGLE,
     15.0,

@@ -68,8 +68,7 @@ class Bound:
     unit: str = "°"  # unit people see: "°", "%", "σ", ""
     aspect: Aspect = Aspect.QUALITY  # quality or confidence
     at_least: bool = False  # whether more is better; usually less is
-    after_full: str = ""
-    """Remedy after a full circle; empty if it is the same."""
+    after_full: str = ""  # remedy after a full circle; empty if it is the same
     when_refused: str = ""  # what to do instead beyond `warn`; empty where that is the same
 
     @property
@@ -138,8 +137,7 @@ class Check:
     before: float | None = None
     """The figure in the unit people see, and that of the raw field."""
     bound: Bound | None = None  # what it was graded by
-    is_judged: bool = True
-    """False where the samples are too uncertain to judge it."""
+    is_judged: bool = True  # false where the samples are too uncertain to judge it
 
     @property
     def name(self) -> str:
@@ -166,8 +164,7 @@ def worst(grades: list[Grade]) -> Grade:
 class DoubtTuning:
     """When a hard iron along the axis makes the reference doubtful."""
 
-    likelier: float = 7.0
-    """Likelihood ratio of the inclination's other sign from which it is named."""
+    likelier: float = 7.0  # likelihood ratio of the inclination's other sign from which it is named
     unusual: float = 0.025
     """Probability of so much hard iron along the axis, below which it is named."""
     shown: float = 10.0

@@ -61,16 +61,14 @@ class VerdictTuning:
     """Share of the gyro's squared rates about one axis from which a turn has one axis. Of a sensor
     that is turned over by hand the median orientation counts."""
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
-    """Radians of heading on a slope, and its ratio to the level's, from which an unobserved axial
-    hard iron is mentioned."""
+    """Radians on a slope, and ratio to the level's, from which unseen axial iron is mentioned."""
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
     """Range of the Earth's field; outside of it there is a warning that names the likely unit."""
     guessed: float = 1.5  # factor by which that range is wider without a reference field
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
     """Range of the field with iron on the robot; outside of it the calibration is refused."""
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
-    """Relative deviation of the accelerometer's length from gravity: excellent, good; beyond it
-    there is a warning."""
+    """Relative deviation of acceleration from gravity: excellent, good; beyond it a warning."""
     reasons: int = 2  # how many reasons a summary names
 
 

@@ -41,8 +41,7 @@ class CourseSeen:
 
     gap: float = math.nan
     sigma: float = math.nan
-    """Yaw of the compass less course, less declination, less the yaw of the IMU where it is
-    known."""
+    """Yaw of the compass less course, less declination, less the IMU's yaw where it is known."""
     imu_yaw: float = math.nan
     imu_sigma: float = math.nan
     """Of the IMU in the vehicle, to the left, by the vehicle's own acceleration."""
@@ -52,10 +51,8 @@ class CourseSeen:
 class AxesInUse:
     """The magnetometer's axes by which the page goes, and the compass that they make."""
 
-    axes: FloatArray
-    """Rows in the body's, after the mounting that is known. Shape (3, 3)."""
-    pose: FloatArray
-    """The mounting that is known. Shape (3, 3)."""
+    axes: FloatArray  # rows in the body's, after the mounting that is known. Shape (3, 3).
+    pose: FloatArray  # the mounting that is known. Shape (3, 3).
     compass: Calibration  # good enough to be compared with a course
 
 

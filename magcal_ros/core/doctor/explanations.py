@@ -55,8 +55,7 @@ class ExplanationTuning:
     most_named: int = 3  # explanations that are written out for one sensor
     most: int = 32  # ways that are fitted
     doubtful: float = 12.0
-    """Chi-square at most that field or gravity count for where soft iron or linear acceleration
-    could explain it."""
+    """Most chi-square of field or gravity where soft iron or linear acceleration may explain it."""
     good_fit: float = 0.06
     """Residual over the changing field up to which small differences of the fit are believed."""
     settled: float = 0.02  # seconds of latency that need no further look
@@ -74,8 +73,7 @@ class ExplanationTuning:
     moved: float = 0.15  # share of its size by which the field must move in that time to take part
     below: float = 8.0
     above: float = 2.2
-    """Times by which a known factor may be below and above the rough one: short arcs and noise make
-    that too large."""
+    """Times a known factor may be below and above the rough one, which noise makes too large."""
 
 
 TUNING = ExplanationTuning()
@@ -90,12 +88,10 @@ class Explanations:
     """Axes of the two sensors in the accelerometer's. Shape (k, 3, 3)."""
     base: FloatArray
     """Chi-square in independent samples, above the best's, without the inclination. Shape (k,)."""
-    rms: FloatArray
-    """Typical residual of the field over the size of its changing part. Shape (k,)."""
+    rms: FloatArray  # typical residual of the field over the size of its changing part. Shape (k,).
     parameters: FloatArray
     sigma: FloatArray
-    """What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
-    Shape (k, 23)."""
+    """What was fitted, as in `AlignmentFit`, and its standard deviations. Shape (k, 23)."""
     part: Stretch  # what was fitted
     found: Alignment  # the fit, which does not separate the field from its opposite
     inclination: Belief  # which alone does

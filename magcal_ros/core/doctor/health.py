@@ -65,23 +65,19 @@ class HealthTuning:
     fewest: int = 50  # samples below which nothing is said of a stream
     field_noise: float = 3e-6
     rate_noise: float = 0.3
-    """Tesla and rad/s, standard deviation per axis and sample that is worth a look; an engine
-    shakes a good gyro by a tenth."""
+    """Tesla and rad/s per axis (1σ) that are worth a look; an engine shakes a gyro by a tenth."""
     frozen: float = 1.0  # seconds for which a frozen sensor repeats one value
     moving_rate: float = 0.09
     moving_field: float = 0.2
-    """rad/s of the gyro beyond its median, and share of the field's whole swing, that show that the
-    robot moves meanwhile."""
+    """rad/s of the gyro beyond its median, and share of the field's swing, that show movement."""
     overlap: float = 0.5  # share of the shorter stream that the other one on its clock must cover
     pace_step: float = 0.1
     longest: float = 7200.0
-    """Seconds at which the paces of gyro and field are compared, and of a log beyond which they are
-    not."""
+    """Seconds between the paces of gyro and field that are compared, and of the longest log."""
     latency: float = 0.6  # seconds of shift below which it is a latency, not another clock
     alike: float = 0.55
     better: float = 0.2
-    """Correlation of the paces at a larger shift that is believed, and by how much it must exceed
-    the best within a latency."""
+    """Correlation at a larger shift that is believed, and its lead over any within a latency."""
 
 
 TUNING = HealthTuning()

@@ -43,8 +43,7 @@ from magcal_ros.core.samples.window import (
 
 OF_FIELD = replace(WIDE, field_floor=1e-3, freedom=10.0)
 OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
-"""What is believed of the magnetometer and of the accelerometer, whose offset counts in the
-changing part of gravity."""
+"""What is believed of both; the accelerometer's offset counts in the changing part of gravity."""
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,7 @@ class MotionTuning:
     confirmed: float = 0.4  # share of the bias by which the rate at rest may be another
     lag: float = 0.015  # seconds between the sensors' stamps
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
-    """Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
-    beyond which it is not shown."""
+    """Most 1σ of bias (rad/s), scale, lag of field and of accelerometer (s) that are shown."""
     largest_noise: float = 0.25
     """Usual change between neighbours, over the whole changing part, that is no noise at rest."""
 
@@ -84,8 +83,7 @@ class MotionFound:
     up_is_down: bool | None = False
     """Whether gravity's sign is what errs; None where that is not decided."""
     body: SensorLog | None = None
-    """The log with rates in rad/s and the known mounting taken off; None where nothing was
-    compared."""
+    """The log in rad/s and in body axes; None where nothing was compared."""
 
 
 def compare(

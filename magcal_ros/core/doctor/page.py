@@ -42,8 +42,7 @@ from magcal_ros.core.samples.stamps import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
 
-PAIRED = ("bursts", "stamps", "repeats")
-"""Lines of which paired samples show nothing."""
+PAIRED = ("bursts", "stamps", "repeats")  # lines of which paired samples show nothing
 
 
 @dataclass(frozen=True)
@@ -52,8 +51,7 @@ class Page:
 
     findings: tuple[Finding, ...]  # all lines
     mount_rpy_deg: tuple[int, int, int] | None = None
-    """The mounting that alone corrects the magnetometer's axes; None where none does, or where none
-    has to."""
+    """The mounting that corrects the magnetometer's axes; None where none does, or none has to."""
     used: AxesInUse | None = None  # what a drive's course can be compared with
     axes: AxesFound | None = None  # what the movement shows of the magnetometer's axes
 

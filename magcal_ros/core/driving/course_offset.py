@@ -85,10 +85,8 @@ class CourseOffset:
     offset: float
     sigma: float
     """Radians: yaw of the compass less course, as a constant."""
-    harmonics: FloatArray
-    """cos psi, sin psi, cos 2psi, sin 2psi, radians. Shape (4,)."""
-    covariance: FloatArray
-    """Of offset and harmonics. Shape (5, 5)."""
+    harmonics: FloatArray  # cos psi, sin psi, cos 2psi, sin 2psi, radians. Shape (4,).
+    covariance: FloatArray  # of offset and harmonics. Shape (5, 5).
     metres: float  # straight way driven
     sectors: int  # courses seen, of eight
 

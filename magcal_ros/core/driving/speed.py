@@ -41,8 +41,7 @@ def is_jump(before: tuple[float, float], after: tuple[float, float]) -> bool:
 class SpeedRecord:
     """What one source has measured, frozen."""
 
-    kept: FloatArray
-    """Stamps and speeds of some minutes, thinned. Shape (n, 2)."""
+    kept: FloatArray  # stamps and speeds of some minutes, thinned. Shape (n, 2).
     wild_share: float  # share of the newest samples to which the speed jumps as no vehicle can
     delay: float
     gap: float

@@ -35,10 +35,8 @@ class PositionTuning:
     """When the robot counts as moved to another place."""
 
     moved: float = 10_000.0
-    """Metres after which the field is computed again; over them it changes by less than 0.1° and
-    0.1 µT at most places."""
-    confirmed: int = 3
-    """Fixes in a row that must agree on a new place: one alone may be an outlier."""
+    """Metres after which the field is computed again: it changes by 0.1° or 0.1 µT at most."""
+    confirmed: int = 3  # fixes in a row that must agree on a new place: one alone may be an outlier
     far: float = 50_000.0
     """Metres from the given place, or from the first fix, beyond which a warning is given."""
 
@@ -56,14 +54,12 @@ NOWHERE = "lie at 0° N 0° E, where receivers without a fix are"
 class Fix:
     """One message of a receiver."""
 
-    has_fix: bool
-    """Its own status."""
+    has_fix: bool  # its own status
     latitude_deg: float
     longitude_deg: float
     altitude: float
     """Degrees and metres; the altitude may be NaN."""
-    stamp: float
-    """Seconds."""
+    stamp: float  # seconds
 
 
 def place_of(fix: Fix) -> Place | str:
@@ -179,8 +175,7 @@ UNITS = {
 class Local(NamedTuple):
     """Local deviation from the Earth's main field by crust, buildings and iron (1 σ)."""
 
-    strength: float = STRENGTH_SIGMA_UT * 1e-6
-    """Tesla."""
+    strength: float = STRENGTH_SIGMA_UT * 1e-6  # tesla
     inclination: float = math.radians(INCLINATION_SIGMA_DEG)
     declination: float = math.radians(DECLINATION_SIGMA_DEG)
     """Radians."""
@@ -194,8 +189,7 @@ class Given:
     local: Local
     place: Place | None
     """None unless latitude and longitude are given."""
-    half_place: bool
-    """Whether only one of the two is."""
+    half_place: bool  # whether only one of the two is
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Given:

@@ -14,8 +14,7 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief
 
-EARTH_RADIUS = 6_371_200.0
-"""Metres: the sphere to which the coefficients belong."""
+EARTH_RADIUS = 6_371_200.0  # metres: the sphere to which the coefficients belong
 
 SEMI_MAJOR = 6378.137
 FLATTENING = 1.0 / 298.257223563
@@ -26,11 +25,9 @@ FLATTENING = 1.0 / 298.257223563
 class Harmonics:
     """A model of the main field."""
 
-    epoch: float
-    """Decimal year for which g and h hold."""
+    epoch: float  # decimal year for which g and h hold
     terms: FloatArray
-    """Degree, order, g and h in nT (Schmidt semi-normalised), and their change in nT a year. Shape
-    (k, 6)."""
+    """Degree, order, g and h in nT (Schmidt), and their change in nT a year. Shape (k, 6)."""
 
     @classmethod
     def parse(cls, text: str) -> Harmonics:
@@ -110,19 +107,16 @@ class Validity:
     """Metres between which the model holds (WMM2025 Technical Report)."""
     first_year: float = 2015.0
     """Start of the oldest model that is shipped; a clock that was never set is earlier."""
-    life: float = 5.0
-    """Years for which a model is made."""
+    life: float = 5.0  # years for which a model is made
     most_years_late: float = 5.0
     """Years after the end of its life during which a model is still used, with grown sigmas."""
     drift_strength: float = 30e-9
     """Tesla a year, growth of a component's error after the model's life: WMM2010, 2015 and 2020
     extrapolated for five to ten years differ from their successors by 24 to 28 nT and 0.03 to 0.05°
     a year (RMS over the globe)."""
-    drift_inclination: float = math.radians(0.05)
-    """Radians of the same."""
+    drift_inclination: float = math.radians(0.05)  # radians of the same
     blackout: float = 2000e-9
-    """Tesla of level field below which a compass is of no use (WMM2025 Technical Report, blackout
-    zone)."""
+    """Tesla of level field below which a compass is of no use (WMM2025 report, blackout zone)."""
     caution: float = 6000e-9
     """Tesla of level field below which a compass is unreliable (caution zone)."""
 
@@ -196,10 +190,8 @@ class ModelField:
     declination: Belief
     """Tesla and radians, signs as everywhere in this package. The sigmas are those of the published
     error model, which holds outdoors anywhere on Earth."""
-    model: str
-    """Its name."""
-    years_late: float = 0.0
-    """Years from the end of the model's life to the date; zero inside it."""
+    model: str  # its name
+    years_late: float = 0.0  # years from the end of the model's life to the date; zero inside it
 
     @property
     def level(self) -> float:

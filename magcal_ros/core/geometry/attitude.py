@@ -8,8 +8,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 
-STANDARD_GRAVITY = 9.80665
-"""m/s², the specific force of an accelerometer at rest, upwards."""
+STANDARD_GRAVITY = 9.80665  # m/s², the specific force of an accelerometer at rest, upwards
 
 FRD_FROM_FLU: FloatArray = np.diag([1.0, -1.0, -1.0])
 """Body axes forward-right-down from forward-left-up, and the other way round."""

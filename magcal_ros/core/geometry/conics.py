@@ -17,10 +17,8 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
 
-THINNEST = 1e-6
-"""Width over length of points below which they are a line, or in space a plane."""
-LARGEST_RADIUS = 1e4
-"""Radii beyond this many times the points' own size are a line or a plane, too."""
+THINNEST = 1e-6  # width over length of points below which they are a line, or in space a plane
+LARGEST_RADIUS = 1e4  # radii beyond this many times the points' own size are a line or a plane, too
 FLAT = {
     2: (
         Reason.FIELD_ON_A_LINE,
@@ -61,8 +59,7 @@ class Ellipsoid:
     centre: FloatArray  # in the points' unit, shape (d,)
     radii: FloatArray  # half axes, shape (d,)
     axes: FloatArray
-    """Columns: the directions of the half axes, in the order of `radii`; in space a rotation. Shape
-    (d, d)."""
+    """Columns: directions of the half axes, as in `radii`; in space a rotation. Shape (d, d)."""
 
     def __post_init__(self) -> None:
         freeze(self, centre=(-1,), radii=(-1,), axes=(-1, -1))

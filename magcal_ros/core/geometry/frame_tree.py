@@ -13,8 +13,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, freeze
 from magcal_ros.core.geometry.attitude import angle_between
 from magcal_ros.core.geometry.rotations import rpy_from_rotation
 
-FIXED = "fixed"
-"""The kind of joint that does not move, by its name in URDF."""
+FIXED = "fixed"  # the kind of joint that does not move, by its name in URDF
 
 
 class FrameTrouble(MagcalError):
@@ -123,13 +122,11 @@ class SensorPoses:
     """Poses of the sensors."""
 
     magnetometer: FloatArray
-    """Nominal pose of the magnetometer in the IMU's frame, sensor axes to IMU axes. Shape (3,
-    3)."""
+    """Nominal pose of the magnetometer, sensor axes to IMU axes. Shape (3, 3)."""
     is_described: bool
     """Whether it is from the robot's description; else given by hand, or the identity."""
     imu: FloatArray | None
-    """Pose of the IMU in the base, IMU axes to base axes; None while it is not known. Shape (3,
-    3)."""
+    """Pose of the IMU, IMU axes to base axes; None while it is not known. Shape (3, 3)."""
     complaints: tuple[str, ...] = ()  # what is missing
 
     def contradiction(self, up: FloatArray, frames: Frames) -> str:

@@ -14,16 +14,14 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
 from magcal_ros.core.geometry.conics import THINNEST, taubin_circle
 
-ROBUST_ROUNDS = 4
-"""Rounds of reweighting."""
+ROBUST_ROUNDS = 4  # rounds of reweighting
 
 
 @dataclass(frozen=True, eq=False)
 class Circle:
     """A circle in space."""
 
-    centre: FloatArray
-    """In the unit of the points. Shape (3,)."""
+    centre: FloatArray  # in the unit of the points. Shape (3,).
     basis: FloatArray
     """Rows: two axes in the plane and the normal, unit, right-handed. Shape (3, 3)."""
     radius: float  # in the unit of the points
@@ -86,8 +84,7 @@ def _weighted_circle(points: FloatArray, weight: FloatArray) -> Circle:
     return Circle(mean + plane @ centre, np.stack([first, np.cross(normal, first), normal]), radius)
 
 
-SMALLEST = 1e-9
-"""Clouds smaller than this share of their distance from the origin are one point."""
+SMALLEST = 1e-9  # clouds smaller than this share of their distance from the origin are one point
 
 
 @dataclass(frozen=True, eq=False)

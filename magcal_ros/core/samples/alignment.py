@@ -75,17 +75,14 @@ class Alignment:
     """What became of every candidate."""
 
     misfit: FloatArray
-    """Twice the negative logarithm of the posterior in independent samples, above the best's. Shape
-    (k,)."""
-    rms: FloatArray
-    """Typical residual of the field over the size of its changing part. Shape (k,)."""
+    """Twice the negative log of the posterior of independent samples above the best's, (k,)."""
+    rms: FloatArray  # typical residual of the field over the size of its changing part. Shape (k,).
     parameters: FloatArray
     """Soft iron and installation, field, hard iron, gravity (both sensors in body axes), the gyro's
     bias (rad/s) and scale error, and the field's lag (s). Shape (k, 23)."""
     covariance: FloatArray
     """Of the parameters; infinite for candidates that were given up. Shape (k, 23, 23)."""
-    tilt: float
-    """Radians RMS by which the movement was more than a turn about one axis."""
+    tilt: float  # radians RMS by which the movement was more than a turn about one axis
     least_tilt: float
     """The part of it that is not the gyro's own wandering: so much of it may be that as gravity
     deviates in the world meanwhile."""

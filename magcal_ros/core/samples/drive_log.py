@@ -20,10 +20,8 @@ from magcal_ros.core.samples.window import Window
 class RecorderTuning:
     """How a drive is averaged, and when a robot rests on the way."""
 
-    row: float = 0.1
-    """Seconds of samples that make one row."""
-    chunk: int = 10
-    """Rows after which it is asked whether the robot rests."""
+    row: float = 0.1  # seconds of samples that make one row
+    chunk: int = 10  # rows after which it is asked whether the robot rests
     rests: int = 60
     rest_chunks: int = 60
     """What is remembered of the gyro: rests, and chunks of each that its mean is over."""
@@ -44,22 +42,16 @@ TUNING = RecorderTuning()
 class DriveLog:
     """Means over short stretches, one row each."""
 
-    time: FloatArray
-    """Seconds, increasing. Shape (m,)."""
-    field: FloatArray
-    """Raw field, tesla. Shape (m, 3)."""
-    force: FloatArray
-    """Specific force, m/s², body axes. Shape (m, 3)."""
-    rate: FloatArray
-    """rad/s, body axes. Shape (m, 3)."""
-    speed: FloatArray
-    """m/s ahead; NaN where it was not measured. Shape (m,)."""
+    time: FloatArray  # seconds, increasing. Shape (m,).
+    field: FloatArray  # raw field, tesla. Shape (m, 3).
+    force: FloatArray  # specific force, m/s², body axes. Shape (m, 3).
+    rate: FloatArray  # rad/s, body axes. Shape (m, 3).
+    speed: FloatArray  # m/s ahead; NaN where it was not measured. Shape (m,).
     bias_sigma: float = math.inf
     """rad/s per axis by which `rate` may still be biased, where a rest has shown the gyro's bias
     and it was taken off; infinite where none has."""
     rested: BoolArray | None = None
-    """Where the robot certainly stood: a recorder has seen it, and cut the rest out. None where
-    nobody has looked. Shape (m,)."""
+    """Where a recorder saw the robot stand; None where nobody has looked. Shape (m,)."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -96,8 +88,7 @@ def log_of(window: Window) -> DriveLog:
 COLUMNS = 12
 FIELD, FORCE, RATE, SPEED, RESTED = slice(1, 4), slice(4, 7), slice(7, 10), 10, 11
 
-CHUNKS_OF_REST = 5
-"""Chunks over which a rest is looked for."""
+CHUNKS_OF_REST = 5  # chunks over which a rest is looked for
 
 
 @dataclass

@@ -19,8 +19,7 @@ class BurstTuning:
     fewest: int = 10  # gaps from which they are more than pauses
     alike: float = 0.4
     apart: float = 0.25
-    """Share of them that are no further than this off the usual one, relative: a buffer is read by
-    the clock."""
+    """Share within this relative distance of the usual one: buffers are read by the clock."""
     each: float = 3.0
     """Samples that a burst has at least; pairs are rather messages that come twice."""
     straight: float = 1.5

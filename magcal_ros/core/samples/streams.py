@@ -30,8 +30,7 @@ class StreamTuning:
     longest_gyro_step: float = 0.5
     """Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
     longest_field_gap: float = 0.6
-    """Seconds, the same of the field on a drive. The gaps of 2 Hz are often a little longer than
-    half a second."""
+    """Seconds, the same of the field on a drive: gaps of 2 Hz are often longer than half of one."""
     remembered: int = 4096  # samples kept of each stream: four seconds of the fastest sensors
     smallest: float = 1e-9  # tesla and m/s²; less is a sensor that reads nothing
     largest_field: float = 1e-3
@@ -315,8 +314,7 @@ class VelocitySample(NamedTuple):
     sigma: float
 
 
-TravelSample = SpeedSample | PositionSample | VelocitySample
-"""Whatever shows how a vehicle travels."""
+TravelSample = SpeedSample | PositionSample | VelocitySample  # whatever shows how a vehicle travels
 
 
 class HeadingSample(NamedTuple):

@@ -99,8 +99,7 @@ class DiagnosisTuning:
     """Share of repeated field values beyond which the sensor is frozen or the robot at rest."""
     largest_offset: float = 1.0  # seconds between the two sensors' newest stamps
     ahead_in_gaps: float = 1.5
-    """Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter any
-    more."""
+    """Gaps (the largest that is bridged) by which a field may lead the IMU by mere jitter."""
 
 
 TUNING = DiagnosisTuning()

@@ -36,10 +36,8 @@ class Window:
         If lengths differ, a number is not finite or time does not increase.
     """
 
-    time: FloatArray
-    """Seconds of the field's stamps, increasing. Shape (n,)."""
-    field: FloatArray
-    """Raw field in tesla, in the magnetometer's axes. Shape (n, 3)."""
+    time: FloatArray  # seconds of the field's stamps, increasing. Shape (n,).
+    field: FloatArray  # raw field in tesla, in the magnetometer's axes. Shape (n, 3).
     specific_force: FloatArray
     """m/s² in body axes at the same moments, +9.81 upwards at rest. Shape (n, 3)."""
     angular_rate: FloatArray | None = None
@@ -51,8 +49,7 @@ class Window:
     """What was seen right before and after the turn, where the robot stood there; the gyro's bias
     that they show is taken off `angular_rate`."""
     sigma_before: float = math.inf
-    """rad/s per axis, of a bias of the gyro that was known from before and was taken off, too;
-    infinite where none was."""
+    """Of a bias known before, which was taken off too, rad/s per axis; infinite without one."""
 
     def __post_init__(self) -> None:
         freeze(self, time=(-1,))
@@ -111,13 +108,10 @@ class SensorLog:
     """Both streams in the order in which they came, nothing cleaned."""
 
     imu_time: FloatArray  # stamps, seconds, shape (n,)
-    force: FloatArray
-    """Specific force as published, meant as m/s². Shape (n, 3)."""
-    rate: FloatArray
-    """Angular rate as published, meant as rad/s; NaN without a gyro. Shape (n, 3)."""
+    force: FloatArray  # specific force as published, meant as m/s². Shape (n, 3).
+    rate: FloatArray  # angular rate as published, meant as rad/s; NaN without a gyro. Shape (n, 3).
     field_time: FloatArray  # stamps, seconds, shape (m,)
-    field: FloatArray
-    """Raw field as published, meant as tesla. Shape (m, 3)."""
+    field: FloatArray  # raw field as published, meant as tesla. Shape (m, 3).
     orientation: FloatArray | None = None
     """Quaternions x, y, z, w of the same IMU messages, NaN where there is none. Shape (n, 4)."""
 
@@ -173,19 +167,15 @@ class Stretch:
     """Averaged samples with the turns between them."""
 
     field: FloatArray  # over `size`, shape (n, 3)
-    up: FloatArray
-    """Specific force over its own usual size. Shape (n, 3)."""
+    up: FloatArray  # specific force over its own usual size. Shape (n, 3).
     turn: FloatArray
     """The gyro's rate integrated from each sample to the next, radians. Shape (n - 1, 3)."""
     coning: FloatArray
-    """What must be added for rotation vectors, because turns do not commute: second order. Shape (n
-    - 1, 3)."""
+    """Second order of the rotation vectors, as turns do not commute. Shape (n - 1, 3)."""
     seconds: FloatArray  # shape (n - 1,)
-    rate: FloatArray
-    """The gyro's mean rate, rad/s. Shape (n, 3)."""
+    rate: FloatArray  # the gyro's mean rate, rad/s. Shape (n, 3).
     size: float  # of the field's changing part, tesla
-    time: FloatArray
-    """Stamps of the IMU to which the samples belong, seconds. Shape (n,)."""
+    time: FloatArray  # stamps of the IMU to which the samples belong, seconds. Shape (n,).
 
 
 def field_size(field: FloatArray) -> float:
