@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,6 +80,21 @@ class ExplanationTuning:
 TUNING = ExplanationTuning()
 
 
+class Way(NamedTuple):
+    """One way in which axes may lie, as in `Explanations`."""
+
+    gyro: FloatArray
+    field: FloatArray  # axes of both sensors in the accelerometer's, shape (3, 3)
+    state: FloatArray
+    sigma: FloatArray  # what was fitted, and its standard deviations, shape (23,)
+    part: Stretch  # what was fitted
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether all axes are right."""
+        return bool((self.gyro == np.eye(3)).all() and (self.field == np.eye(3)).all())
+
+
 @dataclass(frozen=True, eq=False)
 class Explanations:
     """What became of every way that was weighed."""
@@ -91,7 +107,7 @@ class Explanations:
     rms: FloatArray  # typical residual of the field over the size of its changing part. Shape (k,).
     parameters: FloatArray
     sigma: FloatArray
-    """What was fitted, as in `AlignmentFit`, and its standard deviations. Shape (k, 23)."""
+    """What was fitted, as in `AlignmentFit`, with the whole latency, and its sigmas, (k, 23)."""
     part: Stretch  # what was fitted
     found: Alignment  # the fit, which does not separate the field from its opposite
     inclination: Belief  # which alone does
@@ -141,6 +157,11 @@ class Explanations:
         """
         axes_fit = bool(self.rms[self.plain] < TUNING.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
+
+    def way(self, k: int) -> Way:
+        """Return one way."""
+        values = self.gyro[k], self.field[k], self.parameters[k], self.sigma[k]
+        return Way(*values, self.part)
 
     def turned(self, k: int) -> float:
         """Return the angle turned about the accelerometer's up, by one way, radians."""

@@ -177,14 +177,21 @@ def gravity_size_finding(force: FloatArray) -> Finding:
     return looked_at("force_unit", "accelerometer: unit", evidence, hint)
 
 
-def alive_finding(name: str, values: FloatArray) -> Finding:
-    """Look for axes of values (n, 3) that never change."""
+def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None) -> Finding:
+    """Look for axes of values (n, 3) that never change.
+
+    By `force` (m, 3), which shows the axis that points up, it is said of a gyro which of its axes
+    has the turn.
+    """
     still = unchanging(values)
     evidence = f"{3 - len(still)} of 3 axes change"
     if not still:
         return looked_at("frozen", f"{name}: axes alive", evidence)
     verb, them = ("never changes", "it") if len(still) == 1 else ("never change", "them")
     words = f"the {name}'s {_axes(still)} {verb}: the driver does not read {them}"
+    up = -1 if force is None else int(np.argmax(np.abs(force.mean(axis=0))))
+    if up in still and len(still) == 2:
+        words += f", and gives the turn about {'xyz'[up]} as {'xyz'[3 - sum(still)]}"
     return wrong("frozen", f"{name}: axes alive", evidence, words)
 
 
@@ -197,21 +204,6 @@ def dead_axes(rate: FloatArray) -> list[int]:
     """Return the axes of a gyro (n, 3) that its driver does not read; none of an absent one."""
     dead = unchanging(rate)
     return dead if 0 < len(dead) < 3 and not is_noiseless(rate) else []
-
-
-def dead_in_words(rate: FloatArray, force: FloatArray) -> str:
-    """Say which axes of a gyro (n, 3) are dead, and what became of the turn; empty if none is.
-
-    `force` (m, 3) shows which axis points up.
-    """
-    dead = dead_axes(rate)
-    if not dead:
-        return ""
-    words = alive_finding("gyro", rate).remedy
-    up = int(np.argmax(np.abs(force.mean(axis=0))))
-    if up in dead and len(dead) == 2:
-        words += f", and gives the turn about {'xyz'[up]} as {'xyz'[3 - sum(dead)]}"
-    return words
 
 
 def is_noiseless(rate: FloatArray) -> bool:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Explanations
+from magcal_ros.core.doctor.explanations import Way
 from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import skews
@@ -33,13 +33,7 @@ from magcal_ros.core.samples.alignment import (
     inefficiency,
     turned,
 )
-from magcal_ros.core.samples.window import (
-    SensorLog,
-    Stretch,
-    StretchTuning,
-    stretch_of_log,
-    white_noise,
-)
+from magcal_ros.core.samples.window import SensorLog, StretchTuning, stretch_of_log, white_noise
 
 OF_FIELD = replace(WIDE, field_floor=1e-3, freedom=10.0)
 OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
@@ -75,14 +69,13 @@ TUNING = LatencyTuning()
 EACH_SAMPLE = StretchTuning(fewest=TUNING.most, most=TUNING.most)
 
 
-def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency | None:
-    """Return the field's latency by one explanation; None where there are too few samples.
+def field_latency(log: SensorLog, way: Way) -> Latency | None:
+    """Return the field's latency by one way; None where there are too few samples.
 
-    `log` is as it was explained: rates in rad/s, the known mounting taken off. Explanation `k`
-    gives the axes, the bias and the hard iron.
+    `log` is as it was explained: rates in rad/s, the known mounting taken off.
     """
-    before = float(explanations.parameters[k, LAG])
-    start = _of_the_field(log, explanations, k, before)
+    before = float(way.state[LAG])
+    start = _of_the_field(log, way, before)
     if start is None:
         return None
     found = _latency(before, *_fitted(*start, log))
@@ -91,70 +84,74 @@ def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
     return found._replace(sigma=math.hypot(found.sigma, found.lag - beside.lag))
 
 
-def motors_field(
-    log: SensorLog, explanations: Explanations, k: int, lag: float
-) -> tuple[FloatArray, FloatArray] | None:
+def motors_field(log: SensorLog, way: Way, lag: float) -> tuple[FloatArray, FloatArray] | None:
     """Return what the motors add to the field while the robot turns about up, tesla in body axes.
 
     Shape (3,), and the covariance (3, 3), which is that of the prior where it did not both rest and
     turn. The field is late by `lag`, seconds; the rest is as in `field_latency`.
     """
-    start = _of_the_field(log, explanations, k, lag)
+    start = _of_the_field(log, way, lag)
     if start is None:
         return None
-    fit, _, _ = start
-    fit.prior[LAG, LAG] = TUNING.in_time**-2
+    start[0].prior[LAG, LAG] = TUNING.in_time**-2
     found, covariance = _fitted(*start, log, _by_motors(*start, log))
     return TUNING.motors * found[-3:], TUNING.motors**2 * covariance[-3:, -3:]
 
 
-def _by_motors(fit: AlignmentFit, state: FloatArray, part: Stretch, log: SensorLog) -> FloatArray:
-    """Return what motors add while the robot moves otherwise, and while it turns about up.
-
-    Columns of unit prior, shape (n, 3, 6). A nose may be lifted by hand or by motors.
-    """
+def _by_motors(fit: AlignmentFit, state: FloatArray, log: SensorLog) -> FloatArray:
+    """Return what motors add beside turns, and in turns about up, of unit prior, (n, 3, 6)."""
+    # A nose may be lifted by hand or by motors.
     rate = (1.0 + state[0, SCALE]) * fit.rate[0] - state[0, BIAS]
-    width = max(1, int(TUNING.starts / max(float(np.median(np.diff(part.time))), 1e-4)))
+    width = rows_in(TUNING.starts, fit.stretch.time)
     about_up = np.abs(rate @ unit(np.median(log.force, axis=0)))
     turning, moving = (
         running_mean(each, width) > TUNING.turns
         for each in (about_up, np.linalg.norm(rate, axis=1))
     )
     when = np.repeat(np.column_stack([moving & ~turning, turning]), 3, axis=1)
-    return np.asarray(TUNING.motors / part.size * when[:, None] * np.tile(np.eye(3), 2))
+    size = TUNING.motors / fit.stretch.size
+    return np.asarray(size * when[:, None] * np.tile(np.eye(3), 2))
 
 
-def _of_the_field(
-    log: SensorLog, explanations: Explanations, k: int, lag: float
-) -> tuple[AlignmentFit, FloatArray, Stretch] | None:
-    """Return the fit of the field by each sample, where it begins, and the samples."""
-    state = explanations.parameters[k : k + 1].copy()
+def rows_in(seconds: float, time: FloatArray) -> int:
+    """Return how many of the rows with these stamps (n,) come in so many seconds; at least one."""
+    return max(1, int(seconds / max(float(np.median(np.diff(time))), 1e-4)))
+
+
+def _of_the_field(log: SensorLog, way: Way, lag: float) -> tuple[AlignmentFit, FloatArray] | None:
+    """Return the fit of the field by each sample, and where it begins."""
     part = stretch_of_log(log, lag, EACH_SAMPLE)
     if part is None:
         return None
+    state = way.state[None].copy()
     state[:, LAG] = 0.0
-    state[:, FIELD.start : IRON.stop] *= explanations.part.size / part.size
-    axes, gyro = explanations.field[k : k + 1], explanations.gyro[k : k + 1]
-    return AlignmentFit(part, axes, gyro, OF_FIELD), state, part
+    state[:, FIELD.start : IRON.stop] *= way.part.size / part.size
+    return AlignmentFit(part, way.field[None], way.gyro[None], OF_FIELD), state
 
 
-def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency | None:
+def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> AlignmentFit | None:
+    """Return the fit of the force to a gyro of these axes (3, 3); None of too few samples."""
+    gravity = replace(log, field_time=log.imu_time, field=log.force)
+    part = stretch_of_log(gravity, lag, EACH_SAMPLE)
+    if part is None:
+        return None
+    return AlignmentFit(part, np.eye(3)[None], gyro[None], OF_FORCE, with_up=False)
+
+
+def force_latency(log: SensorLog, way: Way) -> Latency | None:
     """Return the accelerometer's latency, of which only what leans gravity shows anything.
 
     Takes the same as `field_latency`.
     """
-    gravity = replace(log, field_time=log.imu_time, field=log.force)
-    gyro, before = explanations.gyro[k : k + 1], 0.0
-    found: Latency | None = None
+    before, found = 0.0, None
     for _ in range(WEIGHED.looks):
-        part = stretch_of_log(gravity, before, EACH_SAMPLE)
-        if part is None:
+        fit = fit_of_the_force(log, way.gyro, before)
+        if fit is None:
             break
-        fit = AlignmentFit(part, np.eye(3)[None], gyro, OF_FORCE, with_up=False)
         state = fit.descend(fit.start(), START_NOISE, TUNING.steps)
-        turns = skews(fit.rate[0])
+        turns, part = skews(fit.rate[0]), fit.stretch
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
-        found = _latency(before, *_fitted(fit, state, part, log, TUNING.lever / part.size * lever))
+        found = _latency(before, *_fitted(fit, state, log, TUNING.lever / part.size * lever))
         if abs(found.lag - before) < WEIGHED.settled:
             break
         before = found.lag
@@ -162,22 +159,16 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
 
 
 def _fitted(
-    fit: AlignmentFit,
-    state: FloatArray,
-    part: Stretch,
-    log: SensorLog,
-    more: FloatArray | None = None,
+    fit: AlignmentFit, state: FloatArray, log: SensorLog, more: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit all parameters, the gyro's walk, and what `more` columns (n, 3, m) of unit prior act on.
-
-    Return them in this order, and their covariance.
-    """
+    """Fit all parameters, the gyro's walk, and `more` columns (n, 3, m); with the covariance."""
+    time = fit.stretch.time
     for _ in range(2):
         noise = fit.noise(state, 0)
         state = fit.descend(state, noise, TUNING.steps)
     residual, jacobian = (values[0, 0] for values in fit.linearised(state))
     attitude, _ = fit.propagate(state)
-    walked = turned(attitude @ state[0, FIELD], _walk(attitude, part.time, log))[0]
+    walked = turned(attitude @ state[0, FIELD], _walk(attitude, time, log))[0]
     parts = [jacobian, (np.eye(3) + state[0, SOFT].reshape(3, 3)) @ walked]
     if more is not None:
         parts.append(more)
@@ -188,7 +179,7 @@ def _fitted(
     slope = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
     left, nu = residual, fit.tuning.freedom
     for _ in range(WEIGHED.rounds):
-        variance = _noise_around(left, part.time)
+        variance = _noise_around(left, time)
         weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
         weight /= inefficiency(left / np.sqrt(variance)[:, None])
         rows = (design * weight[:, None, None]).reshape(-1, count)
@@ -208,9 +199,8 @@ def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:
     """Return the variance per axis around each moment, shape (n,): who moves is shaken."""
     power = np.sum(left**2, axis=1)
     usual = float(np.median(power))
-    width = max(1, int(TUNING.shaken / max(float(np.median(np.diff(time))), 1e-4)))
-    calm = np.minimum(power, 20.0 * usual)
-    return np.asarray(np.maximum(running_mean(calm, width), 0.3 * usual) / 3.0)
+    calm = running_mean(np.minimum(power, 20.0 * usual), rows_in(TUNING.shaken, time))
+    return np.asarray(np.maximum(calm, 0.3 * usual) / 3.0)
 
 
 def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:

@@ -7,17 +7,17 @@ drives through a bend feels more. It comes to another place there, where the fie
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.latency import EACH_SAMPLE, OF_FORCE
 from magcal_ros.core.doctor.latency import TUNING as LATENCY
+from magcal_ros.core.doctor.latency import fit_of_the_force, rows_in
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
-from magcal_ros.core.samples.alignment import BIAS, PARAMETERS, AlignmentFit
-from magcal_ros.core.samples.window import SensorLog, stretch_of_log
+from magcal_ros.core.samples.alignment import BIAS, PARAMETERS
+from magcal_ros.core.samples.window import SensorLog
 
 
 @dataclass(frozen=True)
@@ -46,25 +46,23 @@ def drove_while_turning(
     The log has a gyro, whose axes are the rows of `gyro` (3, 3) in the body's; `bias` (3,) is
     roughly that of its rates, rad/s.
     """
-    part = stretch_of_log(replace(log, field_time=log.imu_time, field=log.force), 0.0, EACH_SAMPLE)
-    if part is None:
+    fit = fit_of_the_force(log, gyro)
+    if fit is None:
         return False
-    fit = AlignmentFit(part, np.eye(3)[None], gyro[None], OF_FORCE, with_up=False)
-    state, rate = np.zeros((1, PARAMETERS)), fit.rate[0]
-    turned = rate - bias
-    gap = max(float(np.median(np.diff(part.time))), 1e-4)
-    up = unit(np.median(log.force, axis=0))
-    width = max(1, int(TUNING.mean / gap))
+    part, rate = fit.stretch, fit.rate[0]
+    turned, up = rate - bias, unit(np.median(log.force, axis=0))
+    width = rows_in(TUNING.mean, part.time)
     still = running_mean(np.linalg.norm(turned, axis=1), width) < LATENCY.turns
     about_up = running_mean(turned @ up, width)
-    rests = _ends_of_rests(still, max(1, int(TUNING.at_rest / gap)))
+    rests = _ends_of_rests(still, rows_in(TUNING.at_rest, part.time))
     if not rests:
         return False
     away = np.abs(part.time[:, None] - part.time[[edge for edge, _ in rests]])
     nearest, since = np.argmin(away, axis=1), away.min(axis=1)
     seen = (np.abs(about_up) > LATENCY.turns) & (since < TUNING.longest)
-    if seen.sum() * gap < TUNING.mean:
+    if seen.sum() * max(float(np.median(np.diff(part.time))), 1e-4) < TUNING.mean:
         return False
+    state = np.zeros((1, PARAMETERS))
     state[:, BIAS] = np.median(rate[still], axis=0)
     attitude = fit.propagate(state)[0][0]
     force = np.column_stack([running_mean(axis, width) for axis in part.size * part.field.T])
@@ -91,10 +89,8 @@ def _ends_of_rests(still: BoolArray, width: int) -> list[tuple[int, slice]]:
 def _without_offset(
     felt: FloatArray, turned: FloatArray, up: FloatArray, sigma: FloatArray
 ) -> FloatArray:
-    """Return what is felt on the level, (n, 3), less what an accelerometer's offset explains.
-
-    The offset was taken for a part of gravity at rest, and turned (n, 3, 3) with it since.
-    """
+    """Return what is felt on the level, (n, 3), less what an accelerometer's offset explains."""
+    # The offset was taken for a part of gravity at rest, and turned (n, 3, 3) with it since.
     level = np.eye(3) - np.outer(up, up)
     seen = felt @ level
     design = level @ (np.eye(3) - turned)

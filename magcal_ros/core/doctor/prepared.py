@@ -12,7 +12,6 @@ from magcal_ros.core.doctor.health import (
     TUNING,
     Finding,
     alive_finding,
-    dead_in_words,
     field_findings,
     gravity_size_finding,
     in_long_runs,
@@ -79,9 +78,7 @@ def prepare(log: SensorLog) -> CleanLog:
         findings += [gravity_size_finding(log.force), repeats_finding("IMU", both)]
         findings.append(alive_finding("accelerometer", log.force))
         if log.has_gyro and not is_noiseless(log.rate):
-            line = alive_finding("gyro", log.rate)
-            words = dead_in_words(log.rate, log.force)
-            findings.append(replace(line, remedy=words or line.remedy))
+            findings.append(alive_finding("gyro", log.rate, log.force))
     log = _fresh(log)
     if min(len(log.force), len(log.field)) > TUNING.fewest:
         log, clocks = on_one_clock(log)

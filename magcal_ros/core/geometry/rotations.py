@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -228,13 +229,14 @@ def is_mirrored(axes: FloatArray) -> bool:
     return bool(np.linalg.det(axes) < 0.0)
 
 
-def spoken(axes: FloatArray) -> str:
+def spoken(
+    axes: FloatArray, directions: Sequence[tuple[str, str]] = DIRECTIONS, verb: str = " "
+) -> str:
     """Return the directions of the axes (3, 3) in words, as "x forward, y left, z up"."""
-    words = []
-    for name, row in zip("xyz", axes, strict=True):
-        along = int(np.argmax(np.abs(row)))
-        words.append(f"{name} {DIRECTIONS[along][int(row[along] < 0.0)]}")
-    return ", ".join(words)
+    along = np.argmax(np.abs(axes), axis=1)
+    negative = (axes.sum(axis=1) < 0.0).astype(int)
+    names = (directions[k][sign] for k, sign in zip(along, negative, strict=True))
+    return ", ".join(f"{name}{verb}{to}" for name, to in zip("xyz", names, strict=True))
 
 
 def swapped(axes: FloatArray) -> str:
