@@ -27,10 +27,10 @@ FLU_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 LOGGER_AXES = ("x", "y", "z")
 METADATA = "Metadata.csv"
 NAMES = logs.Names(
-    "phone IMU",
-    "phone magnetometer",
-    "record accelerometer (with gravity) and gyroscope",
-    "not every phone has one; record the magnetometer, best uncalibrated",
+    logs.Name("phone IMU", "record accelerometer (with gravity) and gyroscope"),
+    logs.Name(
+        "phone magnetometer", "not every phone has one; record the magnetometer, best uncalibrated"
+    ),
 )
 FORCE, RATE, FIELD = "m/s^2", "rad/s", "T"
 MICRO = re.compile(r"[µμu]T")
@@ -78,7 +78,7 @@ def read_phone(path: Path) -> Recording:
     tables.fields[0] = np.column_stack([field[:, 0], 1e-6 * field[:, 1:] @ FLU_FROM_PHONE.T])
     _add_fixes(path, headers, tables)
     recording = logs.recording_of(path, tables, NAMES)
-    return replace(recording, imu_topic=NAMES.imu, field_topic=NAMES.field)
+    return replace(recording, imu_topic=NAMES.imu.name, field_topic=NAMES.field.name)
 
 
 def _headers(path: Path) -> dict[str, list[str]]:
