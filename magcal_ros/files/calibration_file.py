@@ -57,16 +57,11 @@ class Origin:
 
     @classmethod
     def now(
-        cls,
-        magnetometer_frame: str,
-        imu_frame: str,
-        node: str = "",
-        vehicle_yaw: VehicleYaw | None = None,
+        cls, field_frame: str, imu_frame: str, node: str = "", vehicle_yaw: VehicleYaw | None = None
     ) -> Origin:
         """Return the origin of a calibration made at this moment."""
         stamp = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        frames = known_as(magnetometer_frame), known_as(imu_frame)
-        return cls(*frames, stamp, node, vehicle_yaw)
+        return cls(known_as(field_frame), known_as(imu_frame), stamp, node, vehicle_yaw)
 
 
 class _PlainLoader(yaml.SafeLoader):
@@ -111,13 +106,8 @@ def write_calibration(
     """
     require_ours(path)
     document = {k: v for k, v in _document(calibration, origin).items() if v is not None}
-    body = yaml.dump(
-        document,
-        Dumper=_PlainDumper,
-        sort_keys=False,
-        allow_unicode=True,
-        default_flow_style=None,
-    )
+    style: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "default_flow_style": None}
+    body = yaml.dump(document, Dumper=_PlainDumper, **style)
     write_atomically(path, HEADER + body, when_written=when_written)
 
 
@@ -354,16 +344,16 @@ def keep_backup(path: Path, successor: Calibration) -> None:
     that alternate do not push out a third. Files of these names that do not say that they are ours
     stay where they are, and are not counted. After a FileTrouble the backups are as they were.
     """
-    try:
-        content = read_small(path, LARGEST_FILE)
-        held, _ = read_calibration(path)
-    except (OSError, ValueError, FileTrouble):
+    held = _held_by(path)
+    if held is None:
         return
+    content = read_small(path, LARGEST_FILE)
     files = [file for file in backup_files(path) if is_free_or_ours(file) and not file.is_symlink()]
     if not files:
         raise FileTrouble("all names for it belong to files that are not ours")
-    kept = next((k for k, file in enumerate(files) if _holds(file, held)), None)
-    if kept == 0 or held.correction.is_same(successor.correction):
+    each = [_held_by(file) for file in files]
+    kept = next((k for k, other in enumerate(each) if other and other.is_same(held)), None)
+    if kept == 0 or held.is_same(successor.correction):
         return
     missing = (k for k, file in enumerate(files) if not file.exists())
     free = next(missing, len(files) - 1) if kept is None else kept
@@ -371,12 +361,12 @@ def keep_backup(path: Path, successor: Calibration) -> None:
     write_atomically(files[0], text, when_written=lambda: _move_on(files, free))
 
 
-def _holds(file: Path, calibration: Calibration) -> bool:
-    """Whether a file can be loaded and has the same numbers."""
+def _held_by(file: Path) -> Correction | None:
+    """Return the numbers of a file; None if it cannot be loaded."""
     try:
-        return read_calibration(file)[0].correction.is_same(calibration.correction)
+        return read_calibration(file)[0].correction
     except (OSError, ValueError, FileTrouble):
-        return False
+        return None
 
 
 def _move_on(files: list[Path], free: int) -> None:

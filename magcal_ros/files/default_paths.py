@@ -57,10 +57,8 @@ def is_missing(path: Path) -> bool:
     """Whether there is surely nothing; a place that cannot be looked at may hold something."""
     try:
         path.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        return True
-    except (OSError, ValueError):
-        return False
+    except (OSError, ValueError) as error:
+        return isinstance(error, (FileNotFoundError, NotADirectoryError))
     return False
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from xml.parsers import expat
 
@@ -93,12 +94,9 @@ def _joint_of(read: dict[str, str]) -> FrameJoint:
 
 
 def _angles(joint: str, text: str) -> tuple[float, float, float]:
-    try:
+    with contextlib.suppress(ValueError):
         roll, pitch, yaw = (float(word) for word in text.split(None, 3))
-    except ValueError:
-        pass
-    else:
-        if all(math.isfinite(angle) for angle in (roll, pitch, yaw)):
+        if math.isfinite(roll + pitch + yaw):
             return roll, pitch, yaw
     raise DescriptionTrouble(
         f"the joint {joint!r} of the robot description has rpy={text[:60]!r}, which is not three "

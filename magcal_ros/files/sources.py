@@ -146,11 +146,15 @@ class RepairedReadings:
         stamps = _stamps(self._source.readings())
         even = [spread_bursts(each) for each in stamps]
         self._note(stamps, even)
-        imu, field = (
-            iter((old if new is None else new).tolist())
-            for old, new in zip(stamps, even, strict=True)
-        )
-        yield from _restamped(self._counted(self._source.readings()), imu, field)
+        pairs = zip(stamps, even, strict=True)
+        imu, field = (iter((old if new is None else new).tolist()) for old, new in pairs)
+        for reading in self._counted(self._source.readings()):
+            if reading is None:
+                yield None
+            elif isinstance(reading, ImuSample):
+                yield reading._replace(stamp=next(imu))
+            else:
+                yield reading._replace(stamp=next(field))
 
     def _counted(self, readings: Iterable[Reading]) -> Iterator[Reading]:
         for reading in readings:
@@ -195,12 +199,12 @@ class RepairedReadings:
 
 
 def _stamps(readings: Iterable[Reading]) -> tuple[FloatArray, FloatArray]:
-    imu: list[float] = []
-    field: list[float] = []
+    stamps: tuple[list[float], list[float]] = [], []
     for reading in readings:
         if reading is not None:
-            (imu if isinstance(reading, ImuSample) else field).append(reading.stamp)
-    return np.array(imu), np.array(field)
+            stamps[isinstance(reading, FieldSample)].append(reading.stamp)
+    imu, field = map(np.array, stamps)
+    return imu, field
 
 
 def _usual_gap(stamps: FloatArray) -> float:
@@ -218,15 +222,3 @@ def _between(last: ImuSample, sample: ImuSample, longest: float) -> Iterator[Imu
         share = part / parts
         force = between(last.force, sample.force, share)
         yield ImuSample(last.stamp + share * gap, force, between(last.rate, sample.rate, share))
-
-
-def _restamped(
-    readings: Iterable[Reading], imu: Iterator[float], field: Iterator[float]
-) -> Iterator[Reading]:
-    for reading in readings:
-        if reading is None:
-            yield None
-        elif isinstance(reading, ImuSample):
-            yield reading._replace(stamp=next(imu))
-        else:
-            yield reading._replace(stamp=next(field))
