@@ -1,10 +1,13 @@
-"""How late field and accelerometer are against the gyro, and the motors' field, by every sample.
+"""How late field and accelerometer are, the motors' field, and turns on the spot, by every sample.
 
 A vector that stands still in the world shows when a sensor measured it by how far it has turned.
 What moves it beside that is fitted with the latency: the sensor's own installation, scale and
 offset, the gyro's bias and scale, the gyro's random walk in steps, and for an accelerometer that
 it does not sit on the axis of the turn. What remains sets the sigma, so it is what the rates and
 the noise of this movement allow.
+
+An IMU that is a metre from the axis of a turn feels the rate squared, in m/s². A vehicle that
+drives through a bend feels more. It comes to another place there, where the field is another one.
 """
 
 from __future__ import annotations
@@ -17,14 +20,15 @@ import numpy as np
 
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Way
-from magcal_ros.core.geometry.arrays import FloatArray, running_mean
-from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean, runs
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.samples.alignment import (
     BIAS,
     FIELD,
     IRON,
     LAG,
+    PARAMETERS,
     SCALE,
     SOFT,
     START_NOISE,
@@ -212,3 +216,84 @@ def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:
     size = math.hypot(noise, TUNING.walk) * math.sqrt(seconds)
     each = size * attitude[..., None] * done[None, :, None, None, :]
     return np.asarray(each.reshape(*attitude.shape[:3], -1))
+
+
+@dataclass(frozen=True)
+class SpotTuning:
+    """How the felt acceleration of a turn is compared with that at rest."""
+
+    mean: float = 0.5  # seconds over which rates and forces are averaged
+    at_rest: float = 1.5  # seconds at the ends of a rest that show gravity
+    longest: float = 10.0  # seconds from a rest within which the gyro's attitude is believed
+    drift: float = math.radians(0.1)
+    lean: float = math.radians(0.2)
+    """rad/s of the bias that is read at rest, and radians of an attitude: standard deviations."""
+    offset: float = 0.3  # m/s², standard deviation of the accelerometer's
+    independent: float = 5.0  # samples that all of a turn count for, as what is felt lasts
+    beyond: float = 2.0  # times what a turn on the spot explains
+
+
+SPOT = SpotTuning()
+
+
+def drove_while_turning(
+    log: SensorLog, gyro: FloatArray = np.eye(3), bias: FloatArray = np.zeros(3)
+) -> bool:
+    """Return whether the robot felt more than a turn on the spot explains; False if not shown.
+
+    The log has a gyro, whose axes are the rows of `gyro` (3, 3) in the body's; `bias` (3,) is
+    roughly that of its rates, rad/s.
+    """
+    fit = fit_of_the_force(log, gyro)
+    if fit is None:
+        return False
+    part, rate = fit.stretch, fit.rate[0]
+    turned, up = rate - bias, unit(np.median(log.force, axis=0))
+    width = rows_in(SPOT.mean, part.time)
+    still = running_mean(np.linalg.norm(turned, axis=1), width) < TUNING.turns
+    about_up = running_mean(turned @ up, width)
+    rests = _ends_of_rests(still, rows_in(SPOT.at_rest, part.time))
+    if not rests:
+        return False
+    away = np.abs(part.time[:, None] - part.time[[edge for edge, _ in rests]])
+    nearest, since = np.argmin(away, axis=1), away.min(axis=1)
+    seen = (np.abs(about_up) > TUNING.turns) & (since < SPOT.longest)
+    if seen.sum() * max(float(np.median(np.diff(part.time))), 1e-4) < SPOT.mean:
+        return False
+    state = np.zeros((1, PARAMETERS))
+    state[:, BIAS] = np.median(rate[still], axis=0)
+    attitude = fit.propagate(state)[0][0]
+    force = np.column_stack([running_mean(axis, width) for axis in part.size * part.field.T])
+    world = np.einsum("nji,nj->ni", attitude, force)
+    gravity = np.array([world[rows].mean(axis=0) for _, rows in rests])
+    to_world = np.array([attitude[rows].mean(axis=0).T for _, rows in rests])
+    felt = force[seen] - np.einsum("nij,nj->ni", attitude[seen], gravity[nearest[seen]])
+    unsure = STANDARD_GRAVITY * np.hypot(SPOT.drift * since[seen], SPOT.lean)
+    allowed = np.hypot(WEIGHED.lever * about_up[seen] ** 2, unsure)
+    left = _without_offset(felt, attitude[seen] @ to_world[nearest[seen]], up, allowed)
+    return bool(np.median(np.linalg.norm(left, axis=1) / allowed) > SPOT.beyond)
+
+
+def _ends_of_rests(still: BoolArray, width: int) -> list[tuple[int, slice]]:
+    """Return the first and the last row of each rest, each with the rows that show gravity."""
+    found = []
+    for first, end in runs(still):
+        if end - first >= min(width, 3):
+            found.append((first, slice(first, min(first + width, end))))
+            found.append((end - 1, slice(max(end - width, first), end)))
+    return found
+
+
+def _without_offset(
+    felt: FloatArray, turned: FloatArray, up: FloatArray, sigma: FloatArray
+) -> FloatArray:
+    """Return what is felt on the level, (n, 3), less what an accelerometer's offset explains."""
+    # The offset was taken for a part of gravity at rest, and turned (n, 3, 3) with it since.
+    level = np.eye(3) - np.outer(up, up)
+    seen = felt @ level
+    design = level @ (np.eye(3) - turned)
+    share = SPOT.independent / len(felt)
+    rows = share * design / sigma[:, None, None] ** 2
+    normal = np.einsum("nji,njk->ik", rows, design) + np.eye(3) / SPOT.offset**2
+    offset = np.linalg.solve(normal, np.einsum("nji,nj->i", rows, seen))
+    return np.asarray(seen - design @ offset)

@@ -24,7 +24,7 @@ from magcal_ros.core.doctor.health import (
     noise_findings,
     not_shown,
 )
-from magcal_ros.core.doctor.latency import motors_field
+from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
 from magcal_ros.core.doctor.motion import (
     FULL_TURN,
     MOVE_THE_SENSOR,
@@ -32,7 +32,6 @@ from magcal_ros.core.doctor.motion import (
     MotionFound,
     compare,
 )
-from magcal_ros.core.doctor.on_the_spot import drove_while_turning
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal

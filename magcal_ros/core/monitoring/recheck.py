@@ -13,7 +13,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroS
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import known_sigma
-from magcal_ros.core.doctor.on_the_spot import drove_while_turning
+from magcal_ros.core.doctor.latency import drove_while_turning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
 from magcal_ros.core.knowledge import (
