@@ -231,11 +231,7 @@ def pooled(windows: Sequence[Window]) -> Window:
 
 
 def take_turn(
-    kept: Kept,
-    window: Window,
-    knowledge: Knowledge,
-    method: str,
-    accumulate: bool,
+    kept: Kept, window: Window, knowledge: Knowledge, method: str, accumulate: bool
 ) -> tuple[Outcome, Kept]:
     """Fit a turn, jointly with the turns kept before it if `accumulate` is set.
 

@@ -7,12 +7,7 @@ from typing import Any
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.streams import (
-    HeadingSample,
-    ImuSample,
-    SpeedSample,
-    VelocitySample,
-)
+from magcal_ros.core.samples.streams import HeadingSample, ImuSample, SpeedSample, VelocitySample
 
 NO_RATE: Triple = (math.nan, math.nan, math.nan)
 ABSENT = -1.0

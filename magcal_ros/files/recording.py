@@ -219,9 +219,7 @@ LEVEL_FIX_COLUMNS = FIX_COLUMNS[:3]
 PLANE_COLUMNS = ("t", "east", "north")
 
 
-def travel_of(
-    heard: Iterable[TravelSample | Fix],
-) -> tuple[tuple[TravelSample, ...], Place | None]:
+def travel_of(heard: Iterable[TravelSample | Fix]) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Return fixes and other samples by stamp, and the place of the first good fix."""
     plane = LocalPlane()
     samples = (plane.position(each) if isinstance(each, Fix) else each for each in heard)

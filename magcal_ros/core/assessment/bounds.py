@@ -57,12 +57,7 @@ SIGMA = Bound(
 )
 """The sigma by the calibration. One scale for turns, drives and known headings."""
 UPRIGHT = Bound(
-    Figure.AXIS_LEAN,
-    45.0,
-    90.0,
-    "up is tilted from the body's z by",
-    Z_NOT_UP,
-    excellent=20.0,
+    Figure.AXIS_LEAN, 45.0, 90.0, "up is tilted from the body's z by", Z_NOT_UP, excellent=20.0
 )
 STRENGTH = Bound(
     Figure.STRENGTH_DEVIATION,

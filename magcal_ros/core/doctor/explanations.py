@@ -229,10 +229,7 @@ def _against_the_field(stretch: Stretch, proper: FloatArray, bias: FloatArray) -
 def _remaining(
     stretch: Stretch, senses: Alignment, every: FloatArray, proper: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the ways worth a fit together, and that in which all axes are right.
-
-    Axes of gyro and field, (m, 3, 3) each, and chi-square (m,) of both comparisons.
-    """
+    """Return the ways worth a fit, and the plain one: axes (m, 3, 3) each, and chi-square (m,)."""
     # A vehicle's accelerations lean gravity for long: only its changes are compared.
     misfit, rms = gravity_misfit(stretch, every)
     gravity = _decisive(misfit, rms, senses.least_tilt > 0.0)
@@ -252,23 +249,17 @@ def _remaining(
 
 
 def _decisive(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
-    """Return misfits (k,) against field or gravity as far as they can decide.
-
-    In one turn about one axis a soft iron that is stronger than believed looks like other axes, and
-    so does linear acceleration where gravity does not show the lift that the gyro reads: then only
-    those are excluded that fit plainly worse.
-    """
+    """Return misfits (k,) against field or gravity as far as they can decide."""
+    # In one turn about one axis a soft iron that is stronger than believed looks like other axes,
+    # and so does linear acceleration where gravity does not show the lift that the gyro reads: then
+    # only those are excluded that fit plainly worse.
     plainly = rms > TUNING.times * rms[np.argmin(misfit)]
     capped = np.minimum(misfit, TUNING.doubtful)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 
 def _inclination_misfit(found: Alignment, k: int, sign: int, dip: Belief) -> float:
-    """Return the chi-square of a candidate's inclination against the reference.
-
-    `sign` is -1 where the opposite of all axes of candidate `k` is meant. A reference inclination
-    that is not known weighs nothing.
-    """
+    """Return chi-square of the inclination of candidate `k`, or of its opposite (`sign` -1)."""
     given_up = not np.isfinite(found.covariance[k]).all()
     if dip.is_unknown or given_up:
         return 0.0
@@ -345,10 +336,7 @@ def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatA
 
 def _accelerated(rate: FloatArray, seconds: FloatArray) -> FloatArray:
     """Return how a metre of lever arm is accelerated by rates (k, n, 3), in g, (k, n, 3, 3)."""
-    turns, gains = (
-        skews(values.reshape(-1, 3)).reshape(*values.shape, 3)
-        for values in (rate, np.gradient(rate, seconds, axis=1))
-    )
+    turns, gains = skews(rate), skews(np.gradient(rate, seconds, axis=1))
     return np.asarray((gains + turns @ turns) / STANDARD_GRAVITY)
 
 

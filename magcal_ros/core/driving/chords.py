@@ -134,10 +134,9 @@ class Chord(NamedTuple):
     @property
     def backwards(self) -> Chord:
         """The same for a vehicle that backed up."""
-        angles = {"course": self.course, "gap": self.gap, "gyro_gap": self.gyro_gap}
-        return self._replace(
-            **{name: math.remainder(each + math.pi, math.tau) for name, each in angles.items()}
-        )
+        angles = self.course, self.gap, self.gyro_gap
+        course, gap, gyro_gap = (math.remainder(each + math.pi, math.tau) for each in angles)
+        return self._replace(course=course, gap=gap, gyro_gap=gyro_gap)
 
 
 class Chords:
@@ -222,10 +221,7 @@ class Chords:
     def _chord(
         self, span: tuple[float, float], place: tuple[float, float], way: complex, sigma: float
     ) -> Chord | None:
-        """Return the chord of a way, metres, between two stamps of fixes.
-
-        None unless the vehicle went straight on, with a compass, all the time.
-        """
+        """Return the chord of a way, metres, if the vehicle went straight on and had a compass."""
         if sigma > COURSE.largest_sigma:
             return None
         begin, end = (stamp - self.delay for stamp in span)
@@ -234,9 +230,8 @@ class Chords:
             for tick, compass in self._looked
             if tick.stamp > begin and tick.stamp - tick.seconds < end
         ]
-        if not among or not all(
-            compass and abs(tick.turn_rate) <= COURSE.largest_rate for tick, compass in among
-        ):
+        straight = [c and abs(tick.turn_rate) <= COURSE.largest_rate for tick, c in among]
+        if not among or not all(straight):
             return None
         (first, _), (last, _) = among[0], among[-1]
         is_whole = first.stamp - first.seconds <= begin + 0.3 and last.stamp >= end - 0.3

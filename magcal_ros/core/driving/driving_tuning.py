@@ -146,9 +146,5 @@ class CourseTuning:
     fewest: int = 5  # cells before the first fit
 
 
-SPEED, OWN, MOUNTING, COURSE = (
-    SpeedTuning(),
-    OwnAccelerationTuning(),
-    MountingYawTuning(),
-    CourseTuning(),
-)
+SPEED, OWN = SpeedTuning(), OwnAccelerationTuning()
+MOUNTING, COURSE = MountingYawTuning(), CourseTuning()

@@ -132,10 +132,7 @@ class SpeedTrack:
         return 2.0 * SPEED.seldom if is_quick else SPEED.receiver_gap
 
     def at(self, stamp: float) -> float | None:
-        """Return the speed at a stamp of the IMU's clock; None unless two near samples enclose it.
-
-        m/s.
-        """
+        """Return the speed, m/s, at a stamp of the IMU's clock; None unless samples enclose it."""
         stamp += self.delay
         found = enclosing(self._recent, stamp)
         if found is None:
@@ -365,12 +362,9 @@ class OwnAcceleration:
         self.is_used = len(force) >= OWN.fewest and is_explained and is_tested
 
     def _decide(self, shown: complex, forwards: complex) -> None:
-        """Sum up, since the vehicle stood, what the force shows of the direction of travel.
-
-        `shown` is the force, and `forwards` the vehicle's own acceleration if it drives forwards.
-        What the force is beside it is that before the trip: later it is known only by the sign that
-        is sought.
-        """
+        """Sum up, since the vehicle stood, what a force shows of the direction of travel."""
+        # `forwards` is the own acceleration of a vehicle that drives forwards. What the force is
+        # beside it is that before the trip: later it is known only by the sign that is sought.
         self._explained += ((shown - self._slope) * forwards.conjugate()).real
         self._energy += abs(forwards) ** 2
         if not self.is_yaw_known or self._energy <= 0.0:

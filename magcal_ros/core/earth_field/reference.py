@@ -100,21 +100,15 @@ class Fixes:
             self._faults.add(place)
             return False
         self.stamp = fix.stamp
-        if self.place is None:
-            self._first = place
-        elif not self._has_moved_to(place):
-            return False
+        if self.place is not None:
+            is_here = self.place.distance(place) <= TUNING.moved
+            near = [c for c in self._candidates if c.distance(place) <= TUNING.moved]
+            self._candidates = [] if is_here else [*near, place]
+            if len(self._candidates) < TUNING.confirmed:
+                return False
+        self._first = self._first or place
         self.place, self._candidates = place, []
         return True
-
-    def _has_moved_to(self, place: Place) -> bool:
-        assert self.place is not None
-        if self.place.distance(place) <= TUNING.moved:
-            self._candidates = []
-            return False
-        near = [c for c in self._candidates if c.distance(place) <= TUNING.moved]
-        self._candidates = [*near, place]
-        return len(self._candidates) >= TUNING.confirmed
 
     def complaints(self, given: Place | None) -> list[str]:
         """Return the warnings on the fixes; empty if there are none."""
@@ -194,21 +188,15 @@ class Given:
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Given:
         """Build from the values of the parameters `reference.*`; NaN where one is not given."""
-        names = ("strength_sigma_ut", "inclination_sigma_deg", "declination_sigma_deg")
-        strength, inclination, declination = (values[name] for name in names)
-        known = knowledge_of(
-            values["strength_ut"],
-            strength,
-            values["inclination_deg"],
-            inclination,
-            values["declination_deg"],
-            declination_sigma_deg=declination,
-        )
-        angles = math.radians(inclination), math.radians(declination)
+        sigmas = ("strength_sigma_ut", "inclination_sigma_deg", "declination_sigma_deg")
+        names = ("strength_ut", "inclination_deg", "declination_deg", *sigmas)
+        known = knowledge_of(**{name: values[name] for name in names})
+        strength, *angles = (values[name] for name in sigmas)
+        local = Local(strength * 1e-6, *map(math.radians, angles))
         spot = values["latitude_deg"], values["longitude_deg"]
         unset = [math.isnan(angle) for angle in spot]
         place = None if any(unset) else Place(*spot, values["altitude_m"])
-        return cls(known.reference, Local(strength * 1e-6, *angles), place, unset[0] != unset[1])
+        return cls(known.reference, local, place, unset[0] != unset[1])
 
 
 @dataclass(frozen=True)
@@ -290,13 +278,12 @@ def _beliefs(field: ReferenceField) -> Iterator[tuple[str, Belief]]:
 
 def _filled(given: ReferenceField, here: Sequence[Belief], model: ModelField) -> ReferenceField:
     """Return what is given, and what the model says here of the rest."""
-    strength, inclination, north = here
-    field = replace(
-        given,
-        strength=strength if given.strength.is_unknown else given.strength,
-        inclination=inclination if given.inclination.is_unknown else given.inclination,
+    strength, inclination, north = (
+        modelled if own.is_unknown else own
+        for (_, own), modelled in zip(_beliefs(given), here, strict=True)
     )
-    if given.declination is not None or model.level < VALIDITY.blackout:
+    field = replace(given, strength=strength, inclination=inclination)
+    if model.level < VALIDITY.blackout:
         return field
     return replace(field, declination=north.value, declination_sigma=north.sigma)
 
@@ -319,11 +306,9 @@ def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
     found = []
     level = f"the level field is only {model.level * 1e6:.1f} µT this near to the magnetic pole"
     if model.level < VALIDITY.blackout:
-        words = "no true north is published unless the declination is given by hand"
-        found.append(
-            f"{level}: a compass is of no use here"
-            + (f", and {words}" if field.declination is None else "")
-        )
+        words = ", and no true north is published unless the declination is given by hand"
+        more = words if field.declination is None else ""
+        found.append(f"{level}: a compass is of no use here{more}")
     elif model.level < VALIDITY.caution:
         sigma = math.degrees(model.declination.sigma)
         found.append(f"{level}: the declination is uncertain by {sigma:.1f}° (1σ) or more")

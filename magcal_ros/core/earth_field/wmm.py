@@ -73,11 +73,8 @@ class Harmonics:
 
 
 def _legendre(highest: int, sine: float, cosine: float) -> list[list[tuple[float, float, float]]]:
-    """Return Schmidt's semi-normalised functions of the latitude by degree and order.
-
-    Each comes as P/cos (for orders above zero, finite at the poles), P, and dP by the latitude;
-    all three obey the same recursion, so that nothing is divided by the cosine.
-    """
+    """Return Schmidt's semi-normalised functions by degree and order: P/cos, P, dP by latitude."""
+    # All three obey the same recursion, so that nothing is divided by the cosine.
     table = [[(0.0, 0.0, 0.0)] * (highest + 2) for _ in range(highest + 1)]
     table[0][0] = (0.0, 1.0, 0.0)
     for m in range(highest + 1):

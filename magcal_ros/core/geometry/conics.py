@@ -20,10 +20,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
 THINNEST = 1e-6  # width over length of points below which they are a line, or in space a plane
 LARGEST_RADIUS = 1e4  # radii beyond this many times the points' own size are a line or a plane, too
 FLAT = {
-    2: (
-        Reason.FIELD_ON_A_LINE,
-        "The samples lie on a line or on one point. Turn further round.",
-    ),
+    2: (Reason.FIELD_ON_A_LINE, "The samples lie on a line or on one point. Turn further round."),
     3: (
         Reason.PLANAR,
         "The samples lie on a plane: no ellipsoid can be fitted to them. Tumble the sensor through "
@@ -140,15 +137,6 @@ def _fit_ellipse_halir_flusser(points: FloatArray) -> Ellipsoid:
     return cloud.ellipsoid(form, half, f)
 
 
-def _fit_circle_taubin(points: FloatArray) -> Ellipsoid:
-    cloud = _Cloud.of(points, least=3)
-    centre, radius = taubin_circle(cloud.points, np.full(len(points), 1.0 / len(points)))
-    if radius > LARGEST_RADIUS:
-        raise Refusal(*STRAIGHT[2])
-    radii = np.full(2, cloud.size * radius)
-    return Ellipsoid(cloud.centroid + cloud.size * centre, radii, np.eye(2))
-
-
 def taubin_circle(points: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
     """Fit a circle to centred points (n, 2); returns its centre (2,) and radius.
 
@@ -184,7 +172,12 @@ class ConicFit(str, Enum):
         or numbers that are not finite.
         """
         if self is ConicFit.TAUBIN:
-            return _fit_circle_taubin(points)
+            cloud = _Cloud.of(points, least=3)
+            centre, radius = taubin_circle(cloud.points, np.full(len(points), 1.0 / len(points)))
+            if radius > LARGEST_RADIUS:
+                raise Refusal(*STRAIGHT[2])
+            radii = np.full(2, cloud.size * radius)
+            return Ellipsoid(cloud.centroid + cloud.size * centre, radii, np.eye(2))
         if self is ConicFit.HALIR_FLUSSER:
             return _fit_ellipse_halir_flusser(points)
         linear = (ConicFit.ROTATED_ELLIPSE, ConicFit.ELLIPSE, ConicFit.CIRCLE)

@@ -155,13 +155,11 @@ def sensor_poses(frames: Frames, tree: FrameTree, given: FloatArray | None) -> S
     nothing: FloatArray = np.eye(3)
     if not frames.base:
         return SensorPoses(nothing if given is None else given, False, nothing)
-    imu, why_imu = _pose(frames.imu, frames.base, tree)
+    imu, why = _pose(frames.imu, frames.base, tree)
     if given is not None:
-        return SensorPoses(given, False, imu, why_imu)
-    sensor, why_sensor = _pose(frames.magnetometer, frames.imu, tree)
-    if sensor is None:
-        return SensorPoses(nothing, False, imu, why_imu + why_sensor)
-    return SensorPoses(sensor, True, imu, why_imu)
+        return SensorPoses(given, False, imu, why)
+    sensor, more = _pose(frames.magnetometer, frames.imu, tree)
+    return SensorPoses(nothing if sensor is None else sensor, sensor is not None, imu, why + more)
 
 
 def _pose(frame: str, parent: str, tree: FrameTree) -> tuple[FloatArray | None, tuple[str, ...]]:
@@ -170,11 +168,9 @@ def _pose(frame: str, parent: str, tree: FrameTree) -> tuple[FloatArray | None, 
         return None, ()
     if frame == parent:
         return np.eye(3), ()
-    if not tree.frames:
-        words = f"the pose of {frame!r} in {parent!r} is unknown: no robot_description came"
-        return None, (words,)
+    words = f"the pose of {frame!r} in {parent!r} is unknown: no robot_description came"
     try:
-        return tree.pose(frame, parent), ()
+        return (tree.pose(frame, parent), ()) if tree.frames else (None, (words,))
     except FrameTrouble as trouble:
         return None, (str(trouble),)
 

@@ -155,11 +155,8 @@ class PlaneFit(str, Enum):
 
 
 def _regressed(scatter: FloatArray) -> FloatArray:
-    """Return the normal by regression along the axis on which it is longest, unit, shape (3,).
-
-    Noise along the other two axes biases the normal of a thin cloud towards that axis (regression
-    dilution).
-    """
+    """Return the normal by regression along the axis on which it is longest, unit, shape (3,)."""
+    # Noise along the other two biases it towards that axis in a thin cloud (regression dilution).
     minors = [np.linalg.det(np.delete(np.delete(scatter, k, 0), k, 1)) for k in range(3)]
     main = int(np.argmax(minors))
     others = [k for k in range(3) if k != main]
@@ -170,14 +167,11 @@ def _regressed(scatter: FloatArray) -> FloatArray:
 
 def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:
     if spread[2] <= SMALLEST * float(np.linalg.norm(centre)) or spread[2] == 0.0:
-        raise Refusal(
-            Reason.NO_MOTION, "All samples are the same point. Turn while the samples are taken."
-        )
+        words = "All samples are the same point. Turn while the samples are taken."
+        raise Refusal(Reason.NO_MOTION, words)
     if spread[1] <= THINNEST * spread[2]:
-        raise Refusal(
-            Reason.FIELD_ON_A_LINE,
-            "The samples lie on a line, which has no plane. Turn further round.",
-        )
+        words = "The samples lie on a line, which has no plane. Turn further round."
+        raise Refusal(Reason.FIELD_ON_A_LINE, words)
 
 
 def plane_normal(points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -16,12 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import (
-    chained,
-    exp_rotations,
-    signed_permutations,
-    skews,
-)
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, signed_permutations, skews
 from magcal_ros.core.samples.window import Stretch
 
 
@@ -57,14 +52,8 @@ ROUNDS = ((80.0, 4), (400.0, 4), (400.0, 4))
 """Misfit, first with wide noise and then with that of the best one, beyond which a candidate is
 given up; and steps between estimates of the noise."""
 PARAMETERS = 23
-SOFT, FIELD, IRON, UP, BIAS = (
-    slice(0, 9),
-    slice(9, 12),
-    slice(12, 15),
-    slice(15, 18),
-    slice(18, 21),
-)
-SCALE, LAG = 21, 22
+SOFT, FIELD, IRON, UP = slice(0, 9), slice(9, 12), slice(12, 15), slice(15, 18)
+BIAS, SCALE, LAG = slice(18, 21), 21, 22
 OF_FIELD = np.r_[9:12, 18:23]
 """What acts on the field before the soft iron does."""
 OF_UP = np.r_[15:22]
@@ -136,11 +125,9 @@ def _tilt_spread(attitude: FloatArray) -> float:
 
 
 def _gravity_spread(attitude: FloatArray, up: FloatArray) -> float:
-    """Return how far gravity deviates in the world that attitudes (n, 3, 3) tell, radians RMS.
-
-    Whatever the axes of gyro and accelerometer: those with which it deviates least count.
-    """
+    """Return how far gravity deviates in the world that attitudes (n, 3, 3) tell, radians RMS."""
     up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
+    # Whatever the axes of gyro and accelerometer: those with which it deviates least count.
     world = np.einsum("nji,kjl,nl->kni", attitude, signed_permutations(), up)
     deviations = world - world.mean(axis=1, keepdims=True)
     return math.sqrt(float(np.sum(deviations**2, axis=2).mean(axis=1).min()))
@@ -204,9 +191,8 @@ class AlignmentFit:
         state[:, BIAS] = bias @ self.gyro
         rotation = self.propagate(state)[0]
         count, n = rotation.shape[:2]
-        design = np.concatenate(
-            [rotation, np.broadcast_to(np.eye(3), (count, n, 3, 3))], axis=3
-        ).reshape(count, 3 * n, 6)
+        axes = np.broadcast_to(np.eye(3), (count, n, 3, 3))
+        design = np.concatenate([rotation, axes], axis=3).reshape(count, 3 * n, 6)
         transposed = design.swapaxes(1, 2)
         normal = transposed @ design + 1e-3 * n * np.diag([0.1] * 3 + [1.0] * 3)
         seen = transposed @ self.measured.reshape(count, 3 * n, 1)
@@ -300,10 +286,8 @@ class AlignmentFit:
         damping = np.full(len(state), 1e-4)
         information, gradient, cost = self.normal_equations(state, noise)
         for _ in range(steps):
-            diagonal = np.einsum("kii->ki", information)
-            damped = information + damping[:, None, None] * (
-                diagonal[:, :, None] * np.eye(PARAMETERS)
-            )
+            diagonal = np.einsum("kii->ki", information)[..., None] * np.eye(PARAMETERS)
+            damped = information + damping[:, None, None] * diagonal
             tried = state + np.linalg.solve(damped, gradient[..., None])[..., 0]
             again = self.normal_equations(tried, noise)
             better = again[2] < cost
@@ -323,5 +307,4 @@ def turned(vectors: FloatArray, turns: FloatArray) -> FloatArray:
 
     Shape (k, n, 3, m).
     """
-    cross = skews(vectors.reshape(-1, 3)).reshape(*vectors.shape, 3)
-    return np.asarray(-cross @ turns)
+    return np.asarray(-skews(vectors) @ turns)

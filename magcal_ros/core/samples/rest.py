@@ -199,18 +199,15 @@ def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 class _Stretch(NamedTuple):
-    """Blocks in a row in which nothing moved from one to the next, and what the gyro read in them.
-
-    `stood` is whether the field moved far less than a turn at the gyro's rate would have moved it:
-    a slow turn passes from block to block, but shows over the whole. `shows` is whether such a turn
-    would have moved the field out of its limits. `rates` (b, 3) are in rad/s.
-    """
+    """Blocks in a row in which nothing moved from one to the next."""
 
     first: int
     end: int
-    rates: FloatArray
+    rates: FloatArray  # what the gyro read in them, rad/s, shape (b, 3)
     stood: bool = False
-    shows: bool = False
+    """Whether the field moved far less than by a turn at the gyro's rate: over the whole of a
+    stretch a slow turn shows, which passes from block to block."""
+    shows: bool = False  # whether such a turn would have moved the field out of its limits
 
     @property
     def is_proven(self) -> bool:
@@ -225,11 +222,8 @@ def _stands(
     rates = np.linalg.norm(block_means(rate, blocks[0]), axis=1)
     creeps = TUNING.next_to_nothing * float(np.sort(rates)[-TUNING.at_least])
     found = _steady(field, rate, blocks, 0.5 * float(np.ptp(field, axis=0).max()))
-    return [
-        each
-        for each in found
-        if each.is_proven or float(np.linalg.norm(each.rates.mean(axis=0))) <= creeps
-    ]
+    means = [float(np.linalg.norm(each.rates.mean(axis=0))) for each in found]
+    return [s for s, mean in zip(found, means, strict=True) if s.is_proven or mean <= creeps]
 
 
 def _stands_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_Stretch]:

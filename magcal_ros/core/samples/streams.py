@@ -197,7 +197,16 @@ class Streams:
     def imu_at(self, stamp: float) -> ImuSample | None:
         """Return the IMU interpolated at a stamp; None unless two near samples enclose it."""
         found = enclosing(self._imu, stamp)
-        return None if found is None else _interpolate(*found, stamp, self.max_gap)
+        if found is None:
+            return None
+        before, after = found
+        if before.stamp == stamp:
+            return before
+        if after is None or after.stamp - before.stamp > self.max_gap:
+            return None
+        share = (stamp - before.stamp) / (after.stamp - before.stamp)
+        force = between(before.force, after.force, share)
+        return ImuSample(stamp, force, between(before.rate, after.rate, share))
 
     @property
     def newest_imu(self) -> ImuSample | None:
@@ -236,18 +245,6 @@ def _fault(vector: Triple, largest: float) -> Drop | None:
     if square < STREAMS.smallest**2:
         return Drop.ZERO
     return Drop.TOO_LARGE if square > largest * largest else None
-
-
-def _interpolate(
-    before: ImuSample, after: ImuSample | None, stamp: float, max_gap: float
-) -> ImuSample | None:
-    if before.stamp == stamp:
-        return before
-    if after is None or after.stamp - before.stamp > max_gap:
-        return None
-    share = (stamp - before.stamp) / (after.stamp - before.stamp)
-    force = between(before.force, after.force, share)
-    return ImuSample(stamp, force, between(before.rate, after.rate, share))
 
 
 class Pairer:

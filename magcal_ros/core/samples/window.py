@@ -71,14 +71,9 @@ class Window:
 
     def take(self, rows: BoolArray | IntArray) -> Window:
         """Return the window of the chosen rows, a mask or increasing indices."""
-        return replace(
-            self,
-            time=self.time[rows],
-            field=self.field[rows],
-            specific_force=self.specific_force[rows],
-            angular_rate=None if self.angular_rate is None else self.angular_rate[rows],
-            turned=None if self.turned is None else self.turned[rows],
-        )
+        columns = ("time", "field", "specific_force", "angular_rate", "turned")
+        found = {name: getattr(self, name) for name in columns}
+        return replace(self, **{n: each[rows] for n, each in found.items() if each is not None})
 
 
 def white_noise(values: FloatArray) -> FloatArray:
@@ -118,13 +113,9 @@ class SensorLog:
     @classmethod
     def of(cls, samples: Iterable[ImuSample | FieldSample]) -> SensorLog:
         """Gather samples."""
-        imu: list[ImuSample] = []
-        field: list[FieldSample] = []
-        for sample in samples:
-            if isinstance(sample, ImuSample):
-                imu.append(sample)
-            else:
-                field.append(sample)
+        every = list(samples)
+        imu = [sample for sample in every if isinstance(sample, ImuSample)]
+        field = [sample for sample in every if isinstance(sample, FieldSample)]
         return cls(
             np.array([s.stamp for s in imu], dtype=np.float64),
             np.array([s.force for s in imu], dtype=np.float64).reshape(-1, 3),
@@ -178,12 +169,6 @@ class Stretch:
     time: FloatArray  # stamps of the IMU to which the samples belong, seconds. Shape (n,).
 
 
-def field_size(field: FloatArray) -> float:
-    """Return how large the changing part of a field (n, 3) is, in its unit; never zero."""
-    span = np.ptp(np.quantile(field, (0.02, 0.98), axis=0), axis=0)
-    return max(float(np.linalg.norm(span)) / 2.0, 1e-12)
-
-
 def stretch_of_log(
     log: SensorLog, lag: float = 0.0, tuning: StretchTuning = TUNING
 ) -> Stretch | None:
@@ -214,11 +199,12 @@ def stretch_of_log(
         for path in (turned, integral(time, np.cross(turned, rate)))
     )
     step = np.diff(angle, axis=0)
-    size = field_size(field)
-    gravity = usual_size(force)
+    # How large the changing part of the field is.
+    swing = np.ptp(np.quantile(field, (0.02, 0.98), axis=0), axis=0)
+    size = max(float(np.linalg.norm(swing)) / 2.0, 1e-12)
     return Stretch(
         field / size,
-        force / max(gravity, 1e-12),
+        force / max(usual_size(force), 1e-12),
         step,
         0.5 * (np.diff(bend, axis=0) - np.cross(angle[:-1], step)),
         np.diff(moment),
