@@ -119,13 +119,11 @@ def calibrate(
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Grade an estimate, and refuse it if the samples show wrong axes or stamps.
-
-    The search for wrong axes takes time. It is left out for a good result of the smoother, and for
-    a z axis that points down, which explains the rest.
-    """
+    """Grade an estimate, and refuse it if the samples show wrong axes or stamps."""
     from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
 
+    # The search for wrong axes takes time: it is left out for a good result of the smoother, and
+    # for a z axis that points down, which explains the rest.
     outcome = judged(estimate, knowledge, window)
     explains = outcome.verdict.accepted and estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
     if explains and outcome.verdict.is_good and estimate.method in (JOINS, DRIVES):
@@ -264,10 +262,7 @@ def _refused(outcome: Outcome, kept: Kept) -> Outcome:
 
 
 def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -> float:
-    """Return the sigma of the heading on the level by a fit of this window, radians.
-
-    It is infinite where no fit is found.
-    """
+    """Return the heading's sigma on the level by a fit, radians; infinite where none is found."""
     from magcal_ros.core.smoother.without_gyro import living_axes
 
     try:

@@ -113,10 +113,7 @@ class Recording:
 
 
 def read_csv_folder(folder: Path) -> Recording:
-    """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder.
-
-    Without the columns of the gyro there is none.
-    """
+    """Read `imu.csv` (t,ax,ay,az and maybe gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder."""
     path = folder / "imu.csv"
     some = set(GYRO) & set(read_header(path))
     _, imu = read_columns(path, IMU_COLUMNS, *([] if some else [IMU_COLUMNS[:4]]))
@@ -265,11 +262,7 @@ REMEDY = "Choose a writable folder, or correct its permissions."
 
 
 def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) -> None:
-    """Write a window, every number at full precision.
-
-    Without a gyro its columns hold `nan`. `inliers` (n,) are those of the fit; without a
-    fit there are none.
-    """
+    """Write a window and the inliers (n,) of its fit; without a gyro its columns hold `nan`."""
     n = len(window)
     rate = np.full((n, 3), np.nan) if window.angular_rate is None else window.angular_rate
     marks = [0] * n if inliers is None else [int(mark) for mark in inliers]
@@ -282,11 +275,7 @@ def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) 
 
 
 def read_samples(path: Path) -> Window:
-    """Read the window of a turn back, outliers included.
-
-    The header has at least t, mx, my, mz, ax, ay and az, in any order, with or without units in
-    brackets; SI units.
-    """
+    """Read a window back by its columns (SI units, in any order, also without brackets)."""
     _, table = read_columns(path, NEEDED + GYRO, NEEDED, may_be_empty=True)
     rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None
     try:

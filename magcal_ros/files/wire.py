@@ -89,10 +89,7 @@ class Format:
         return heading_from(stamp, (x, y, z, w), mark, variance)
 
     def field(self, data: bytes) -> tuple[bytes, FieldSample, bytes]:
-        """Return frame, numbers and covariance of a sensor_msgs/MagneticField.
-
-        The covariance stays nine little-endian doubles: hardly any reader needs its numbers.
-        """
+        """Return frame, numbers and covariance (nine little-endian doubles) of a MagneticField."""
         stamp, frame, at = self.header(data)
         x, y, z, covariance = FIELD_BODY.unpack_from(data, at)
         return frame, FieldSample(stamp, (x, y, z)), covariance

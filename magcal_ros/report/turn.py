@@ -165,12 +165,10 @@ def _swing_bound(verdict: Verdict) -> float | None:
 
 
 def _gyro_angle(window: Window, up: FloatArray) -> FloatArray | None:
-    """Return the yaw that the gyro saw since the first sample, radians, left positive.
-
-    The rate of a yaw is (w_y sin roll + w_z cos roll) / cos pitch, on any slope.
-    """
+    """Return the yaw that the gyro saw since the first sample, radians, left positive."""
     if window.angular_rate is None or len(window) < 2:
         return None
+    # The rate of a yaw is (w_y sin roll + w_z cos roll) / cos pitch, on any slope.
     level = np.hypot(up[:, 1], up[:, 2])
     across = np.einsum("ni,ni->n", window.angular_rate[:, 1:], up[:, 1:])
     rate = across / np.maximum(level, 0.05) ** 2

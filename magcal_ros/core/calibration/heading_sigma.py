@@ -40,11 +40,7 @@ def common_figures(estimate: Estimate) -> dict[Figure, float]:
 
 
 def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
-    """Return the yaw's sigma by the calibration and by the field along the drive, radians.
-
-    It is the root mean square over 24 headings, on the level or on slopes of `tilt` (rad) to four
-    sides.
-    """
+    """Return the yaw's sigma, local disturbances included: RMS over headings, slopes of `tilt`."""
     return math.hypot(calibration_sigma(estimate, tilt), local_sigma(estimate, tilt))
 
 
@@ -90,11 +86,7 @@ def arc_sigma(estimate: Estimate) -> float:
 
 
 def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float) -> FloatArray:
-    """Return the derivative of the yaw by the twelve numbers over all headings, radians each.
-
-    The field (3,) is the Earth's in ENU, tesla. With a `tilt` (rad) it is over slopes to four
-    sides.
-    """
+    """Return the derivative of the yaw in a field in ENU (3,), tesla, over headings and slopes."""
     leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
     poses = np.concatenate([_all_headings(roll, pitch) for roll, pitch in leanings])
     return yaw_jacobian(correction, poses[:, :, 2], poses @ field_enu)

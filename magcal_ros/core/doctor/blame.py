@@ -208,10 +208,7 @@ def blame(
     turned_left: bool | None,
     gyro_is_half_dead: bool = False,
 ) -> Blame:
-    """Name the sensors whose axes err, or may err.
-
-    The axes of the other sensors are not judged by a gyro with dead axes.
-    """
+    """Name the sensors whose axes err or may; a gyro with dead axes judges no others."""
     misfit, given = explanations.misfit, explanations.plain
     if explanations.rms[explanations.best] > WEIGHED.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)

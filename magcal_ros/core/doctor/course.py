@@ -57,10 +57,7 @@ class AxesInUse:
 
 
 def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
-    """Return the compass that a way makes; None where the movement shows none.
-
-    Its gyro is in rad/s, and the mounting that is known was taken off.
-    """
+    """Return the compass that a way makes (rad/s, body axes); None where it shows none."""
     state, size = way.state, way.part.size
     if not np.array_equal(way.gyro, np.eye(3)) or is_mirrored(way.field):
         return None
@@ -85,10 +82,7 @@ def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
 def course_findings(
     used: AxesInUse, seen: CourseSeen
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
-    """Return the lines, and the mounting that corrects the yaw where it is wrong.
-
-    The course was compared with the compass that `used` makes; `seen` is the result.
-    """
+    """Return the lines on a compass against course, and the mounting that corrects its yaw."""
     lines = []
     knows_imu = seen.imu_sigma < TUNING.vague
     if knows_imu:

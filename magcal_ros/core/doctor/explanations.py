@@ -178,10 +178,7 @@ def _are_right(axes: FloatArray) -> BoolArray:
 
 
 def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> Explanations | None:
-    """Weigh the ways in which axes may lie; None where too little moves.
-
-    `bias` (3,) is that of the gyro's rates by a rest, rad/s: each fit begins with it.
-    """
+    """Weigh the ways in which axes may lie; `bias` (3,) is the first, rad/s. None if none moves."""
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0

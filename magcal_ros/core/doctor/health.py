@@ -113,10 +113,7 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
 
 
 def repeats_finding(name: str, values: FloatArray) -> Finding:
-    """Look for values (n, d) of the sample before.
-
-    Coarse numbers repeat by chance, each axis for itself, and a frozen sensor for long.
-    """
+    """Look for values (n, d) of the sample before, beyond chance and a frozen sensor."""
     same = repeats(values)
     long = in_long_runs(same)
     axes = (np.diff(values, axis=0) == 0.0)[~long[1:]]
@@ -178,11 +175,7 @@ def gravity_size_finding(force: FloatArray) -> Finding:
 
 
 def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None) -> Finding:
-    """Look for axes of values (n, 3) that never change.
-
-    By `force` (m, 3), which shows the axis that points up, it is said of a gyro which of its axes
-    has the turn.
-    """
+    """Look for axes of (n, 3) that never change; by `force` (m, 3) for the one with the turn."""
     still = unchanging(values)
     evidence = f"{3 - len(still)} of 3 axes change"
     if not still:
@@ -262,10 +255,7 @@ def _step(values: FloatArray) -> float:
 
 
 def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
-    """Look at the scatter of both sensors; each stream has three samples or more.
-
-    The streams are clean, and `factor` makes rad/s of the gyro's numbers.
-    """
+    """Look at the scatter of clean streams of three samples or more; `factor` makes rad/s."""
     field = float(white_noise(log.field).max())
     is_noisy = field > TUNING.field_noise and not likely_field_unit(usual_size(log.field))
     words = (

@@ -74,10 +74,7 @@ EACH_SAMPLE = StretchTuning(fewest=TUNING.most, most=TUNING.most)
 
 
 def field_latency(log: SensorLog, way: Way) -> Latency | None:
-    """Return the field's latency by one way; None where there are too few samples.
-
-    `log` is as it was explained: rates in rad/s, the known mounting taken off.
-    """
+    """Return the field's latency by one way, or None. The log is in rad/s and body axes."""
     before = float(way.state[LAG])
     start = _of_the_field(log, way, before)
     if start is None:
@@ -143,10 +140,7 @@ def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> Alig
 
 
 def force_latency(log: SensorLog, way: Way) -> Latency | None:
-    """Return the accelerometer's latency, of which only what leans gravity shows anything.
-
-    Takes the same as `field_latency`.
-    """
+    """Return the accelerometer's latency, as of the field; only what leans gravity shows it."""
     before, found = 0.0, None
     for _ in range(WEIGHED.looks):
         fit = fit_of_the_force(log, way.gyro, before)

@@ -129,10 +129,7 @@ QUIRKS: tuple[Quirk, ...] = (
 
 
 def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding]:
-    """Return a line for each driver whose habit a log shows.
-
-    `axes` (3, 3) are the magnetometer's, rows in the IMU's, where they alone err.
-    """
+    """Return a line for each driver whose habit shows in a log, or in the field's axes (3, 3)."""
     return [
         looked_at("driver", "driver", f"as {each.driver}: {each.habit}", each.remedy)
         for each in QUIRKS

@@ -302,10 +302,7 @@ class MountingWatch:
         self._fitted_at = -math.inf
 
     def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
-        """Return the work of fitting what was driven, for any thread; give `take` its result.
-
-        The sources after the first good one wait for every eighth fit, which measures latencies.
-        """
+        """Return the work of a fit, for any thread and `take`; every eighth measures latencies."""
         self._fitted_at = stamp
         self._fits += 1
         ticks, is_thorough = list(self._ticks), self._fits % 8 == 0

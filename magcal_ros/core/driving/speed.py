@@ -248,10 +248,7 @@ class OwnAcceleration:
         self.is_used = False
 
     def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
-        """Return the sign of a trip under way at a stamp, or that ended after it.
-
-        And whether the force has decided on it, and whether it may still do so.
-        """
+        """Return a trip's sign, whether the force has decided on it, and whether it still may."""
         if stamp > self._before.end:
             return self.sign, self.is_clear, True
         return self._before.sign, self._before.is_clear, False
@@ -282,14 +279,11 @@ class OwnAcceleration:
         return met
 
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
-        """Return what to subtract from a specific force, m/s², body axes; None if it is not known.
-
-        It does not come and go: a force that is corrected for moments only would mislead.
-        """
+        """Return what to subtract from a force, m/s², body axes; None while it is not known."""
         since, gravity = self._gravity or (math.inf, force)
         is_known = self.is_used and 0.0 <= stamp - since <= OWN.oldest
         if not is_known or frame.axes is None or stamp < self._pauses_until:
-            if self._gives:
+            if self._gives:  # a force that is corrected for moments only would mislead
                 self._pauses_until = stamp + OWN.oldest
             self._gives = False
             return None

@@ -205,20 +205,13 @@ def decimal_year(stamp: float) -> float:
 
 
 def year_of(stamps: Iterable[float], clock: float) -> float:
-    """Return the earliest plausible date of stamps as a decimal year; without one, of a clock.
-
-    All are in seconds since 1970. Stamps that count from the start of a simulation or a machine are
-    left out.
-    """
+    """Return the earliest plausible year of stamps (s since 1970), decimal; else of a clock."""
     years = [decimal_year(stamp) for stamp in stamps if math.isfinite(stamp)]
     return min((year for year in years if year >= VALIDITY.first_year), default=decimal_year(clock))
 
 
 def model_field(place: Place, year: float) -> ModelField:
-    """Return the field of the World Magnetic Model for a place and a decimal year.
-
-    After the newest model's life its sigmas grow each year. Raises `NoModel` years after that.
-    """
+    """Return the field of the newest model for place and year; `NoModel` long after its life."""
     base = _newest_model(year)
     late = max(year - (base + VALIDITY.life), 0.0)
     angles = math.radians(place.latitude_deg), math.radians(place.longitude_deg)

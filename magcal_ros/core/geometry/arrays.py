@@ -33,10 +33,7 @@ def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Fl
 
 
 def freeze(owner: object, **shapes: tuple[int, ...]) -> None:
-    """Make fields of a frozen dataclass read-only arrays of given shapes, by `frozen_array`.
-
-    A field that is None stays None.
-    """
+    """Make fields of a frozen dataclass that are not None read-only, by `frozen_array`."""
     for name, shape in shapes.items():
         values = getattr(owner, name)
         if values is not None:
@@ -44,10 +41,7 @@ def freeze(owner: object, **shapes: tuple[int, ...]) -> None:
 
 
 def centred(points: FloatArray, least: int, shape: str) -> tuple[FloatArray, FloatArray]:
-    """Return the centroid (d,) of points (n, d), and the points about it.
-
-    Raises `Refusal` if a point is not finite, or if there are fewer than `shape` needs.
-    """
+    """Return the centroid (d,) of points (n, d), and them about it; a `Refusal` of NaN or few."""
     if not np.isfinite(points).all():
         raise Refusal(Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting.")
     if len(points) < least:

@@ -130,10 +130,7 @@ class SensorPoses:
     complaints: tuple[str, ...] = ()  # what is missing
 
     def contradiction(self, up: FloatArray, frames: Frames) -> str:
-        """Return the warning that gravity contradicts the description; empty if it does not.
-
-        `up` (3,) is that of a robot at rest, unit, IMU axes; `frames` are for the text.
-        """
+        """Return a warning if up at rest (3,), unit, IMU axes, contradicts the description."""
         if self.imu is None:
             return ""
         lean = angle_between(self.imu[2], up)

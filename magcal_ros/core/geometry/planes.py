@@ -43,10 +43,7 @@ class Circle:
 
 
 def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
-    """Return `fit_circle_robustly` with the normal on the side of `upwards` (3,).
-
-    Raises `Refusal` if the points (n, 3) are too few, on a line, or one point.
-    """
+    """Fit a circle, its normal towards `upwards` (3,); a `Refusal` of few points or of a line."""
     away = centred(points, 3, "circle")[1]
     spread = np.linalg.svd(away, compute_uv=False)
     _refuse_degenerate(np.asarray(spread[::-1]), points.mean(axis=0))
@@ -57,10 +54,7 @@ def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
 
 
 def fit_circle_robustly(points: FloatArray) -> Circle:
-    """Fit the plane of least spread and Taubin's circle in it, by Cauchy weights.
-
-    The points (n, 3) are in any unit; the normal has either sign. The radius is zero for one point.
-    """
+    """Fit plane and circle to points (n, 3) by Cauchy weights; the normal has either sign."""
     weight = np.ones(len(points))
     circle = _weighted_circle(points, weight)
     for _ in range(ROBUST_ROUNDS):
@@ -126,10 +120,7 @@ class Plane:
         return np.asarray((axes * information) @ axes.T)
 
     def normal_sigma(self, least_noise: float) -> float:
-        """Return the larger standard deviation of the normal's direction in radians.
-
-        It is infinite where the cloud is not flat at all.
-        """
+        """Return the normal's larger sigma, radians; infinite where the cloud is not flat."""
         middle = float(np.linalg.eigvalsh(self.normal_information(least_noise))[1])
         return float(1.0 / np.sqrt(middle)) if middle > 0.0 else np.inf
 

@@ -89,10 +89,7 @@ def align(
     with_up: bool = True,
     bias: FloatArray = NO_BIAS,
 ) -> Alignment:
-    """Fit every candidate and say how much worse than the best it explains the samples.
-
-    Takes the same as `AlignmentFit`; `bias` (3,) is that of the gyro's rates at first, rad/s.
-    """
+    """Fit every candidate of an `AlignmentFit`, from a bias (3,) of its rates on, rad/s."""
     problem = AlignmentFit(stretch, axes, gyro, WIDE, with_up)
     some, noise = problem.descend(problem.start(bias), START_NOISE, FIRST_STEPS), START_NOISE
     information, _, cost = problem.normal_equations(some, noise)
@@ -223,10 +220,7 @@ class AlignmentFit:
         return attitude, moved
 
     def linearised(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return measured less expected, and how what is expected changes with the parameters.
-
-        Shapes (k, s, n, 3) and (k, s, n, 3, 23); the first sensor is the field, the second up.
-        """
+        """Return residuals (k, s, n, 3) of field and up, and their Jacobian (k, s, n, 3, 23)."""
         attitude, moved = self.propagate(state)
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
         rate = (1.0 + state[:, SCALE, None, None]) * self.rate - state[:, None, BIAS]
@@ -265,10 +259,7 @@ class AlignmentFit:
     def normal_equations(
         self, state: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return information (k, 23, 23), gradient (k, 23) and cost (k,) with robust weights.
-
-        The cost is twice the negative logarithm of the posterior.
-        """
+        """Return information (k, 23, 23), gradient (k, 23), cost (k,): -2 log posterior."""
         residual, jacobian = self.linearised(state)
         nu, sigma = self.tuning.freedom, noise[: self.sensors, None]
         share = self.share[:, None] * (nu + 3.0)
@@ -303,8 +294,5 @@ class AlignmentFit:
 
 
 def turned(vectors: FloatArray, turns: FloatArray) -> FloatArray:
-    """Return how turns (k, n, 3, m) of the body move vectors (k, n, 3) of the world.
-
-    Shape (k, n, 3, m).
-    """
+    """Return how turns (k, n, 3, m) of the body move vectors (k, n, 3), shape (k, n, 3, m)."""
     return np.asarray(-skews(vectors) @ turns)

@@ -193,11 +193,7 @@ class DriveRecorder:
         self._begin_piece()
 
     def log(self) -> DriveLog:
-        """Return everything that is kept, by the drive's own clock.
-
-        The gyro's bias is taken off the rates where rests have shown it, between two of them as it
-        changes from one to the other.
-        """
+        """Return what is kept, by the drive's own clock, less the gyro's bias if rests show it."""
         rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
         time, rate, sigma = rows[:, 0], rows[:, RATE], math.inf
         if self._rested:
