@@ -58,18 +58,25 @@ class Bound:
     """The bounds of the grades for one figure; only its absolute value counts."""
 
     figure: Figure  # what is graded
-    good: float
-    warn: float
-    """Worst values of these grades, in the unit people see; beyond `warn` it is refused."""
+    limits: tuple[float | None, float, float]
+    """Worst values of excellent (None where nothing is), good and warn, in the unit people see."""
     words: str  # what the figure is
     remedy: str  # what to do if it is not good enough
-    excellent: float | None = None
-    """Worst value of this grade; None where nothing is better than good."""
     unit: str = "°"  # unit people see: "°", "%", "σ", ""
     aspect: Aspect = Aspect.QUALITY  # quality or confidence
     at_least: bool = False  # whether more is better; usually less is
     after_full: str = ""  # remedy after a full circle; empty if it is the same
     when_refused: str = ""  # what to do instead beyond `warn`; empty where that is the same
+
+    @property
+    def good(self) -> float:
+        """Worst value of this grade."""
+        return self.limits[1]
+
+    @property
+    def warn(self) -> float:
+        """Worst value of this grade, beyond which a calibration is refused."""
+        return self.limits[2]
 
     @property
     def scale(self) -> float:
@@ -102,10 +109,9 @@ class Bound:
         return Check(self.figure, self.aspect, grade, words, value, raw, self)
 
     def _grade(self, value: float) -> Grade:
-        bounds = (self.excellent, self.good, self.warn)
         if not math.isfinite(value):
             return Grade.REFUSED
-        for grade, bound in zip(Grade, bounds, strict=False):
+        for grade, bound in zip(Grade, self.limits, strict=False):
             if bound is not None and (value >= bound if self.at_least else value <= bound):
                 return grade
         return Grade.REFUSED

@@ -246,7 +246,8 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
         if not knowledge.reference.is_complete:
             bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
-        bound = replace(bound, good=TUNING.weighed_acceleration_deg)
+        excellent, _, warn = bound.limits
+        bound = replace(bound, limits=(excellent, TUNING.weighed_acceleration_deg, warn))
     if bound.figure in (Figure.RADIUS_MISFIT, Figure.LEVEL_SHARE):
         allowed = ALLOWED_SIGMAS * level_field_sigma(knowledge)
         note = f" ± {100.0 * allowed:.2g}% ({ALLOWED_SIGMAS:g}σ)" if allowed else ""

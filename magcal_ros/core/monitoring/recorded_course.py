@@ -162,15 +162,13 @@ def against_own_yaw(
 
 SWING_ONCE = Bound(
     Figure.COURSE_SWING_ONCE,
-    4.0,
-    8.0,
+    (None, 4.0, 8.0),
     "made where the field was disturbed: heading swings once around by",
     "calibrate in the open, away from steel",
 )
 SWING_TWICE = Bound(
     Figure.COURSE_SWING_TWICE,
-    4.0,
-    8.0,
+    (None, 4.0, 8.0),
     "soft iron is missing: heading swings twice around by",
     "calibrate with turns on slopes, or give soft_iron_gains",
 )
