@@ -17,8 +17,7 @@ import numpy as np
 
 from magcal_ros.core.driving.chords import Chord
 from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING
-from magcal_ros.core.driving.mounting_yaw import ComplexArray
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import ComplexArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 
 

@@ -20,14 +20,11 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from magcal_ros.core.driving.chords import Tick
 from magcal_ros.core.driving.driving_tuning import MOUNTING, OWN, SpeedSource
 from magcal_ros.core.driving.speed import Speedometer, SpeedRecord
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
-
-ComplexArray = npt.NDArray[np.complex128]
+from magcal_ros.core.geometry.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
 """How often each is in a m/s."""

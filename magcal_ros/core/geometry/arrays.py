@@ -12,6 +12,7 @@ from magcal_ros.core.errors import Reason, Refusal
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 IntArray: TypeAlias = npt.NDArray[np.int64]
+ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
 
 def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
