@@ -89,11 +89,7 @@ FRAMELESS = "magnetometer"  # stands in a path for the frame of a sensor that na
 
 @dataclass(frozen=True)
 class SensorFile:
-    """Where a node keeps the calibration of a sensor unless the user named a file.
-
-    Nodes for several magnetometers may share a namespace, and the magnetometers a frame, so both
-    names stand in the file's.
-    """
+    """Where a node keeps a sensor's calibration: by node and frame, since either may be shared."""
 
     frame: str  # `frame_id` of the field messages; empty if they have none
     namespace: str = "/"

@@ -123,10 +123,7 @@ def hard_iron_entries(calibration: Calibration, prefix: str) -> list[str]:
 def autopilot_entries(
     form: str, names: tuple[str, str, str], offsets: FloatArray, matrix: FloatArray
 ) -> str:
-    """Return a line for each number, `form` of name, axis and value.
-
-    The names are of offsets (3,), and of diagonal and off-diagonal of a symmetric matrix (3, 3).
-    """
+    """Return a line for each number of offsets (3,) and a symmetric matrix (3, 3), by `form`."""
     values = offsets, matrix.diagonal(), matrix[np.triu_indices(3, 1)]
     return "".join(
         form.format(name, axis, number(value)) + "\n"

@@ -130,11 +130,7 @@ LATEST_STAMP = 2.0**33  # seconds, whichever sign: the stamps of ROS end at a qu
 def read_columns(
     path: Path, *choices: tuple[str, ...], may_be_empty: bool = False
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the first choice of columns that a file has, and its rows, one column each.
-
-    The file has a header line; columns may come in any order, with others beside them. The first
-    name of a choice is that of the stamps, seconds.
-    """
+    """Return the first choice of columns that a file has, and its rows, stamps (s) first."""
     header = read_header(path)
     columns = next((each for each in choices if set(each) <= set(header)), None)
     if columns is None:

@@ -153,10 +153,7 @@ class Channel(NamedTuple):
 
 
 class RosReader:
-    """An open rosbag2: a folder with metadata.yaml, or a single .mcap or .db3.
-
-    `library` is the module `rosbag2_py`; it raises RuntimeError for what it cannot read.
-    """
+    """An open rosbag2 (a folder, .mcap or .db3), read by the module `rosbag2_py`."""
 
     is2 = True
 

@@ -73,11 +73,7 @@ def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
 
 
 def arc_sigma(estimate: Estimate) -> float:
-    """Return the sigma of the arc by the compass, on the level, radians.
-
-    It is the largest over all starts: a partial turn shows the circle's centre least along the
-    middle of the arc, and an error in that direction changes the arc.
-    """
+    """Return the sigma of the arc by the compass on the level, the largest of starts, radians."""
     reference = field_in_enu(estimate.strength, estimate.inclination)
     jacobian = heading_jacobian(estimate.correction, reference, 0.0)
     apart = np.roll(jacobian, -round(estimate.arc / math.tau * HEADINGS), axis=0) - jacobian
@@ -121,15 +117,12 @@ def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:
 
 
 def sideways_acceleration(window: Window) -> float:
-    """Return the angle between the gyro's mean axis and the mean specific force, radians.
-
-    Over a full turn about any axis the true up averages to that axis. What is left is a steady
-    lateral acceleration, as of a car in a circle. The mean is over the angle, so a pause has no
-    weight.
-    """
+    """Return the angle between the gyro's mean axis and the mean specific force, radians."""
     rate = window.angular_rate
     if rate is None:
         return 0.0
+    # Over a full turn the true up averages to the axis: what is left is a steady acceleration, as
+    # of a car in a circle. The mean is over the angle, so a pause has no weight.
     # A turn there and back has no mean rate, and an axis all the same.
     along = np.linalg.svd(rate, full_matrices=False)[2][0]
     axis = unit(np.sign(rate @ along) @ rate)

@@ -150,11 +150,8 @@ class Explanations:
 
     @property
     def shows_the_unit(self) -> bool:
-        """Whether the gyro's unit is right: the best way fits well, and not by chance.
-
-        In less than a quarter turn some axes of both sensors fit a field that changes from place to
-        place, whatever the gyro's unit.
-        """
+        """Whether the gyro's unit is right: the best way fits well, and not by chance."""
+        # In less than a quarter turn some axes of both fit a field that changes with the place.
         axes_fit = bool(self.rms[self.plain] < TUNING.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
 

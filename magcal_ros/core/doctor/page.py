@@ -222,11 +222,7 @@ def _points_up(way: Way, knowledge: Knowledge) -> Finding | None:
 
 
 def motors_finding(log: SensorLog, way: Way, lag_is_shown: bool) -> Finding:
-    """Look for a field that is there while the robot turns alone.
-
-    A field that is late looks like motors, and motors like one that is late: where the latency is
-    not shown, both are said. Takes the same as `motors_field`.
-    """
+    """Look for a field that is there while the robot turns alone; a late one looks like it."""
     state = way.state
     found = motors_field(log, way, float(state[LAG]) if lag_is_shown else 0.0)
     if found is None:

@@ -140,10 +140,7 @@ class Chord(NamedTuple):
 
 
 class Chords:
-    """Makes chords of fixes and yaws.
-
-    `delay` are the seconds by which the receiver's stamps are late.
-    """
+    """Makes chords of fixes and yaws; the receiver's stamps are late by `delay`, seconds."""
 
     def __init__(self) -> None:
         self.delay = SPEED.receiver_delay

@@ -35,10 +35,7 @@ class CellTable:
 
 
 class CourseCells:
-    """A grid of bounded size over places and courses; it is coarsened whenever it is full.
-
-    `side` are the metres of a cell, and `chords` counts what was taken so far.
-    """
+    """A grid over places and courses, its `side` in metres, coarsened whenever it is full."""
 
     def __init__(self) -> None:
         self.side = COURSE.cell
@@ -90,10 +87,7 @@ class CourseOffset:
     sectors: int  # courses seen, of eight
 
     def swing(self, order: int) -> tuple[float, float]:
-        """Return the amplitude of the first or second harmonic, radians, and its significance.
-
-        The latter is in sigmas: the square root of the harmonic's chi².
-        """
+        """Return the amplitude of the first or second harmonic, radians, and its sigmas."""
         rows = slice(2 * order - 2, 2 * order)
         pair = self.harmonics[rows]
         own = self.covariance[2 * order - 1 : 2 * order + 1, 2 * order - 1 : 2 * order + 1]

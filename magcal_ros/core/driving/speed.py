@@ -63,11 +63,7 @@ class SpeedRecord:
 
 
 class SpeedTrack:
-    """What one source has measured lately.
-
-    `delay` are the seconds by which its stamps are late, and `is_signed` is whether backwards is
-    negative.
-    """
+    """What one source has measured lately; its stamps are late by `delay`, seconds."""
 
     def __init__(self, source: SpeedSource) -> None:
         own = source is SpeedSource.ODOMETRY

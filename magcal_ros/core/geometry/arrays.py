@@ -16,11 +16,7 @@ ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
 
 def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
-    """Copy `values` into a read-only float array of a given shape.
-
-    In `shape`, -1 stands for any length; `name` is for the words of the error. Raises `ValueError`
-    if the shape is another, or if a number is not finite.
-    """
+    """Copy values into a read-only array of a shape (-1: any); `ValueError` of other and NaN."""
     array = np.array(values, dtype=np.float64, order="C")
     fits = array.ndim == len(shape) and all(
         wanted in (-1, actual) for wanted, actual in zip(shape, array.shape, strict=True)

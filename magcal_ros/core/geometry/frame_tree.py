@@ -52,11 +52,7 @@ class FrameTree:
         return FrameTree([*self._above.values(), *joints])
 
     def pose(self, frame: str, parent: str) -> FloatArray:
-        """Return the rotation (3, 3) from the axes of `frame` to those of `parent`.
-
-        `parent` need not be above `frame`. Raises `FrameTrouble` if one of them is missing, if
-        nothing joins them, or if a joint between them moves.
-        """
+        """Return the rotation (3, 3) from `frame` to `parent`; `FrameTrouble` if none is known."""
         for name in (frame, parent):
             if name not in self.frames:
                 raise FrameTrouble(
@@ -144,11 +140,7 @@ class SensorPoses:
 
 
 def sensor_poses(frames: Frames, tree: FrameTree, given: FloatArray | None) -> SensorPoses:
-    """Return the poses of the sensors.
-
-    With an empty base the robot's description is not used, and the base is the IMU. `given` (3, 3)
-    is the magnetometer's pose as given by hand; it replaces the described one.
-    """
+    """Return the poses of the sensors; `given` (3, 3) replaces the described magnetometer's."""
     nothing: FloatArray = np.eye(3)
     if not frames.base:
         return SensorPoses(nothing if given is None else given, False, nothing)

@@ -22,11 +22,7 @@ from magcal_ros.core.samples.window import Stretch
 
 @dataclass(frozen=True)
 class AlignmentTuning:
-    """What is assumed while the axes are weighed.
-
-    Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a second of
-    latency.
-    """
+    """What is assumed while the axes are weighed: wide enough for the faults looked for."""
 
     installation: float = math.radians(5.0)
     """Radians, standard deviation of the installation error about each axis."""
@@ -198,10 +194,7 @@ class AlignmentFit:
         return state
 
     def propagate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return attitudes (k, n, 3, 3) from the first sample's, and what bias and scale do.
-
-        The latter has shape (k, n, 3, 4): rotation vectors, on the left of the attitudes.
-        """
+        """Return attitudes (k, n, 3, 3), and what bias and scale turn them by, (k, n, 3, 4)."""
         bias, scale = state[:, BIAS], state[:, SCALE]
         seconds = self.stretch.seconds
         count, n = len(state), len(seconds) + 1

@@ -76,10 +76,7 @@ LEAST_UPRIGHT = 0.5
 
 
 def explained(refusal: Refusal, window: Window) -> Refusal:
-    """Add the field's likely unit, axes that point down, or stamps in bursts, to a refusal.
-
-    Either upsets every check before it shows by itself.
-    """
+    """Add the field's likely unit, axes that point down, or stamps in bursts, to a refusal."""
     if len(window) == 0:
         return refusal
     hint = likely_field_unit(usual_size(window.field))
