@@ -85,12 +85,10 @@ class _PlainDumper(yaml.SafeDumper):
     """Safe YAML that quotes texts with unprintable characters: some breaks would come back else."""
 
 
-def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    style = None if text.isprintable() else '"'
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style)
-
-
-_PlainDumper.add_representer(str, _represent_text)
+_TEXT = "tag:yaml.org,2002:str"
+_PlainDumper.add_representer(
+    str, lambda to, text: to.represent_scalar(_TEXT, text, None if text.isprintable() else '"')
+)
 
 
 def write_calibration(

@@ -52,8 +52,19 @@ def require_possible(calibration: Calibration) -> None:
     if abs(calibration.inclination) > math.pi / 2.0:
         raise ValueError("the reference inclination is more than a right angle")
     _require_covariance(calibration.covariance)
-    _require_doubt(calibration)
-    _require_motors(calibration)
+    sigma = math.sqrt(float(np.trace(calibration.covariance[9:, 9:])))
+    finest = calibration.noise_field / math.sqrt(BOUNDS.most_samples)
+    if sigma < finest:
+        raise ValueError(
+            f"covariance claims a hard iron known to {sigma:.1e} T; with a noise of "
+            f"{calibration.noise_field:.1e} T a sample, no turn shows it better than {finest:.1e} T"
+        )
+    motors = calibration.motors
+    if motors is not None:
+        sizes = [motors.size(k) for k in range(len(motors.inputs))]
+        if not max([*sizes, motors.ripple]) <= STREAMS.largest_field:
+            raise ValueError("motors adds a field that no magnetometer can measure")
+        _require_covariance(motors.joint(calibration.covariance))
 
 
 def _require_sizes(calibration: Calibration, least_gain: float) -> None:
@@ -83,24 +94,4 @@ def _require_covariance(covariance: FloatArray) -> None:
     if smallest < -BOUNDS.negative:
         raise ValueError(
             "covariance is not that of any numbers: some direction would have a negative variance"
-        )
-
-
-def _require_motors(calibration: Calibration) -> None:
-    motors = calibration.motors
-    if motors is None:
-        return
-    sizes = [motors.size(k) for k in range(len(motors.inputs))]
-    if not max([*sizes, motors.ripple], default=0.0) <= STREAMS.largest_field:
-        raise ValueError("motors adds a field that no magnetometer can measure")
-    _require_covariance(motors.joint(calibration.covariance))
-
-
-def _require_doubt(calibration: Calibration) -> None:
-    sigma = math.sqrt(float(np.trace(calibration.covariance[9:, 9:])))
-    least = calibration.noise_field / math.sqrt(BOUNDS.most_samples)
-    if sigma < least:
-        raise ValueError(
-            f"covariance claims a hard iron known to {sigma:.1e} T; with a noise of "
-            f"{calibration.noise_field:.1e} T a sample, no turn shows it better than {least:.1e} T"
         )

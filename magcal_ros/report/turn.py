@@ -8,7 +8,6 @@ from datetime import datetime
 
 import numpy as np
 
-from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.calibration.figure import Figure
@@ -129,6 +128,9 @@ class Turn:
         angle = gyro
         if angle is None and corrected is not None:
             angle = np.asarray(corrected.reference - corrected.reference[0])
+        compared = (Figure.GYRO_COMPASS_SWING, Figure.GYRO_COMPASS_DIFFERENCE)
+        checks = subject.outcome.verdict.checks
+        bounds = (check.bound for check in checks if check.figure in compared)
         return cls(
             time=np.asarray(window.time - window.time[0]) if len(window) else window.time,
             field=np.asarray(field),
@@ -140,7 +142,7 @@ class Turn:
             coverage=Coverage.nothing() if progress is None else Coverage.of(progress),
             corrected=corrected,
             sensors=examine_window(window, subject.knowledge),
-            swing_bound=_swing_bound(subject.outcome.verdict),
+            swing_bound=next((bound.good for bound in bounds if bound is not None), None),
         )
 
     @property
@@ -156,12 +158,6 @@ class Turn:
         if len(rows) > most:
             rows = rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
         return np.asarray(rows, dtype=np.int64)
-
-
-def _swing_bound(verdict: Verdict) -> float | None:
-    compared = (Figure.GYRO_COMPASS_SWING, Figure.GYRO_COMPASS_DIFFERENCE)
-    bounds = (check.bound for check in verdict.checks if check.figure in compared)
-    return next((bound.good for bound in bounds if bound is not None), None)
 
 
 def _gyro_angle(window: Window, up: FloatArray) -> FloatArray | None:

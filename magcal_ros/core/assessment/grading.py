@@ -97,7 +97,12 @@ class Bound:
         fault. `note` is added to the value; `before` is the figure of the raw field, SI units.
         """
         value = abs(figure * self.scale)
-        grade = self._grade(value if excess is None else abs(excess * self.scale))
+        counted = value if excess is None else abs(excess * self.scale)
+        limits = [math.nan if each is None else each for each in self.limits]
+        kept = [counted >= each if self.at_least else counted <= each for each in limits]
+        grade = Grade.REFUSED
+        if any(kept) and math.isfinite(counted):
+            grade = list(Grade)[kept.index(True)]
         words = f"{self.words} {shown(value)}{self.unit}{note}"
         if grade.rank >= Grade.WARN.rank:
             limit = self.good if grade is Grade.WARN else self.warn
@@ -107,14 +112,6 @@ class Bound:
             words += f" (want {limit:g}{self.unit} or {side}): {refused or self.remedy}"
         raw = None if before is None else before * self.scale
         return Check(self.figure, self.aspect, grade, words, value, raw, self)
-
-    def _grade(self, value: float) -> Grade:
-        if not math.isfinite(value):
-            return Grade.REFUSED
-        for grade, bound in zip(Grade, self.limits, strict=False):
-            if bound is not None and (value >= bound if self.at_least else value <= bound):
-                return grade
-        return Grade.REFUSED
 
 
 def shown(value: float) -> str:

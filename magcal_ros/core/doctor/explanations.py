@@ -297,7 +297,10 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     count, n = len(ways), len(first)
     moved = np.einsum("nij,knj->kni", middle, turned)
     drift = -middle * (seconds[last] - seconds[first])[:, None, None]
-    swung = _accelerated(stretch.rate @ ways, seconds)
+    rate = stretch.rate @ ways
+    turns = skews(rate)
+    # A metre of lever arm is accelerated by so many g.
+    swung = (skews(np.gradient(rate, seconds, axis=1)) + turns @ turns) / STANDARD_GRAVITY
     swung = -middle @ middle @ (swung[:, last] - swung[:, first])
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
@@ -326,12 +329,6 @@ def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatA
     last = np.searchsorted(seconds, seconds + span)
     first = np.flatnonzero(last < len(seconds))
     return first, last[first], angle[last[first]] - angle[first]
-
-
-def _accelerated(rate: FloatArray, seconds: FloatArray) -> FloatArray:
-    """Return how a metre of lever arm is accelerated by rates (k, n, 3), in g, (k, n, 3, 3)."""
-    turns, gains = skews(rate), skews(np.gradient(rate, seconds, axis=1))
-    return np.asarray((gains + turns @ turns) / STANDARD_GRAVITY)
 
 
 KNOWN: tuple[tuple[float, str], ...] = (
@@ -365,12 +362,3 @@ def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
         return None
     known = (1.0, *(factor for factor, _ in KNOWN))
     return tuple(f for f in known if rough / TUNING.below < f < rough * TUNING.above)
-
-
-def factor_in_words(factor: float) -> str:
-    """Say what a factor of `rate_factors` means, and what to do."""
-    times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
-    return (
-        f"the gyro's rates are {times:.3g} times too {size}, which looks like "
-        f"{dict(KNOWN)[factor]}; multiply them by {factor:.6g} in the driver"
-    )

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.doctor.blame import AxesFound, blame, upright
-from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import (
+    KNOWN,
     Explanations,
     Way,
     explain,
-    factor_in_words,
     most_turned,
     rate_factors,
 )
+from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.health import Finding, dead_axes, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
@@ -173,7 +173,12 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
     if factor == 1.0:
         return looked_at("rate_unit", "gyro: unit", "rad/s, by how fast the field turns")
     evidence = f"rad/s times {1.0 / factor:.4g}, by how fast the field turns"
-    return wrong("rate_unit", "gyro: unit", evidence, factor_in_words(factor))
+    times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
+    words = (
+        f"the gyro's rates are {times:.3g} times too {size}, which looks like "
+        f"{dict(KNOWN)[factor]}; multiply them by {factor:.6g} in the driver"
+    )
+    return wrong("rate_unit", "gyro: unit", evidence, words)
 
 
 def _gyro_errors(

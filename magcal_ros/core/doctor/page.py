@@ -87,7 +87,11 @@ def examine(
         return Page((*prepared.findings, *known_habits(log)))
     found = compare(prepared, knowledge, turned_left)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
-    lines = _hidden_by_motors([*lines, *_of_the_field(prepared, found, knowledge)])
+    lines += _of_the_field(prepared, found, knowledge)
+    if any(line.key == "motors" and line.is_wrong for line in lines):
+        # A field of the motors hides what another turn would show.
+        said = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
+        lines = [replace(f, evidence=each) for f, each in zip(lines, said, strict=True)]
     mount, wrong, axes = None, None, found.axes
     is_field = any(finding.key == "field_axes" for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
@@ -115,16 +119,6 @@ def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) 
         shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
         lines.append(motors_finding(found.body, found.way, shown))
     return lines
-
-
-def _hidden_by_motors(lines: list[Finding]) -> list[Finding]:
-    """Return the lines with the true reason where a field of the motors hides what a turn shows."""
-    if not any(line.key == "motors" and line.is_wrong for line in lines):
-        return lines
-    return [
-        replace(line, evidence=line.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND))
-        for line in lines
-    ]
 
 
 @dataclass(frozen=True)

@@ -253,7 +253,13 @@ def resolve(
     spot = f"{model.model} at {place.words}, {year:.1f}"
     pairs = zip((model.strength, model.inclination, model.declination), local, strict=True)
     here = [Belief(each.value, math.hypot(each.sigma, sigma)) for each, sigma in pairs]
-    field = _filled(given, here, model)
+    strength, inclination, north = (
+        modelled if own.is_unknown else own
+        for (_, own), modelled in zip(_beliefs(given), here, strict=True)
+    )
+    field = replace(given, strength=strength, inclination=inclination)
+    if model.level >= VALIDITY.blackout:
+        field = replace(field, declination=north.value, declination_sigma=north.sigma)
     doubts = [*_contradictions(given, here, spot), *_doubts(model, field)]
     if source == "unknown":
         source = spot
@@ -267,18 +273,6 @@ def _beliefs(field: ReferenceField) -> Iterator[tuple[str, Belief]]:
     """Yield name and belief of each of the three numbers."""
     beliefs = (field.strength, field.inclination, field.declination_belief)
     return zip(UNITS, beliefs, strict=True)
-
-
-def _filled(given: ReferenceField, here: Sequence[Belief], model: ModelField) -> ReferenceField:
-    """Return what is given, and what the model says here of the rest."""
-    strength, inclination, north = (
-        modelled if own.is_unknown else own
-        for (_, own), modelled in zip(_beliefs(given), here, strict=True)
-    )
-    field = replace(given, strength=strength, inclination=inclination)
-    if model.level < VALIDITY.blackout:
-        return field
-    return replace(field, declination=north.value, declination_sigma=north.sigma)
 
 
 def _contradictions(given: ReferenceField, here: Sequence[Belief], spot: str) -> Iterator[str]:

@@ -212,8 +212,13 @@ def year_of(stamps: Iterable[float], clock: float) -> float:
 
 def model_field(place: Place, year: float) -> ModelField:
     """Return the field of the newest model for place and year; `NoModel` long after its life."""
-    base = _newest_model(year)
+    base = max((begun for begun in ERRORS if begun <= year), default=0)
     late = max(year - (base + VALIDITY.life), 0.0)
+    if not base or not late <= VALIDITY.most_years_late:
+        raise NoModel(
+            f"no World Magnetic Model is at hand for the year {year:.1f}: set the clock, or bring "
+            "magcal_ros up to date"
+        )
     angles = math.radians(place.latitude_deg), math.radians(place.longitude_deg)
     north, east, down = _load(base).field(*angles, place.altitude / 1000.0, year)
     level = math.hypot(north, east)
@@ -232,17 +237,6 @@ def model_field(place: Place, year: float) -> ModelField:
         f"World Magnetic Model {base}",
         late,
     )
-
-
-def _newest_model(year: float) -> int:
-    """Return the first year of the newest model that started before a date."""
-    started = [base for base in ERRORS if base <= year]
-    if not started or not year <= max(started) + VALIDITY.life + VALIDITY.most_years_late:
-        raise NoModel(
-            f"no World Magnetic Model is at hand for the year {year:.1f}: set the clock, or bring "
-            "magcal_ros up to date"
-        )
-    return max(started)
 
 
 @lru_cache(maxsize=len(ERRORS))

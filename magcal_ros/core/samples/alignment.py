@@ -105,16 +105,13 @@ def align(
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
     covariance[kept] = np.linalg.inv(information)
     attitude = problem.propagate(some)[0][int(np.argmin(cost))]
-    tilt, wandering = _tilt_spread(attitude), _gravity_spread(attitude, stretch.up)
-    least_tilt = math.sqrt(max(tilt**2 - wandering**2, 0.0))
-    return Alignment(misfit, rms, state, covariance, tilt, least_tilt)
-
-
-def _tilt_spread(attitude: FloatArray) -> float:
-    """Return how far attitudes (n, 3, 3) leave the turn about one axis, radians RMS."""
     apart = attitude - attitude.mean(axis=0)
     power = np.einsum("nij,nik->jk", apart, apart) / len(attitude)
-    return math.sqrt(max(float(np.linalg.eigvalsh(power)[0]), 0.0))
+    # How far attitudes leave the turn about one axis.
+    tilt = math.sqrt(max(float(np.linalg.eigvalsh(power)[0]), 0.0))
+    wandering = _gravity_spread(attitude, stretch.up)
+    least_tilt = math.sqrt(max(tilt**2 - wandering**2, 0.0))
+    return Alignment(misfit, rms, state, covariance, tilt, least_tilt)
 
 
 def _gravity_spread(attitude: FloatArray, up: FloatArray) -> float:
