@@ -20,7 +20,7 @@ from magcal_ros.core.geometry.attitude import (
     wrap_angle,
     yaw_from_up_and_field,
 )
-from magcal_ros.core.geometry.planes import Circle
+from magcal_ros.core.geometry.shapes import Circle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress

@@ -25,7 +25,7 @@ from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.alignment import BIAS, NO_BIAS, SCALE, align
 from magcal_ros.core.samples.rest import LongestRest, longest_stand
-from magcal_ros.core.samples.streams import slow_words
+from magcal_ros.core.samples.units import slow_words
 from magcal_ros.core.samples.window import SensorLog, stretch_of_log
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"

@@ -23,7 +23,7 @@ from magcal_ros.core.doctor.health import (
     wrong,
 )
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
-from magcal_ros.core.samples.stamps import bursts_in_words, evenly
+from magcal_ros.core.samples.streams import bursts_in_words, evenly
 from magcal_ros.core.samples.window import SensorLog
 
 

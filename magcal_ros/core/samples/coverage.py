@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, integral
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
-from magcal_ros.core.geometry.planes import fit_circle_in_space
+from magcal_ros.core.geometry.shapes import fit_circle_in_space
 
 BINS, THINNED = 36, 180  # bins of the circle in which a turn is shown, and in which it is thinned
 
