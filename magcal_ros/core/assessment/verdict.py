@@ -201,7 +201,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
             figures.setdefault(Figure.SIDEWAYS_ACCELERATION, angle)
     bounds = DRIVE_BOUNDS if _is_drive(figures) else bounds_of(estimate)
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
-    checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
+    checks = [_check(b, estimate, figures, knowledge) for b in bounds if b.figure in figures]
     doubt = check_reference(estimate, figures, knowledge)
     if doubt is not None:
         checks.append(doubt)
@@ -228,7 +228,9 @@ def _is_full(arc: float) -> bool:
     return arc * DEGREES > FULL_ARC_DEG
 
 
-def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) -> Check:
+def _check(
+    bound: Bound, estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge
+) -> Check:
     """Grade one figure, allowing for the uncertainty of the reference."""
     figure = figures[bound.figure]
     if bound.after_full and figures[Figure.AXIS_LEAN] * DEGREES > UPRIGHT.good:
@@ -241,8 +243,7 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
             bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
         if Figure.LOCAL_SIGMA in figures:
             # No calibration takes away what the field along the way adds.
-            local = figures[Figure.LOCAL_SIGMA]
-            return bound.check(math.sqrt(max(figure**2 - local**2, 0.0)))
+            return bound.check(calibration_sigma(estimate))
         if not knowledge.reference.is_complete:
             bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):

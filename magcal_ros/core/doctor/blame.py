@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Explanations
+from magcal_ros.core.doctor.explanations import WEIGHED, Explanations
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (

@@ -77,7 +77,7 @@ class ExplanationTuning:
     """Times a known factor may be below and above the rough one, which noise makes too large."""
 
 
-TUNING = ExplanationTuning()
+WEIGHED = ExplanationTuning()
 
 
 class Way(NamedTuple):
@@ -146,13 +146,13 @@ class Explanations:
     @property
     def fits_well(self) -> bool:
         """Whether the best way leaves so little that small differences of the fit are believed."""
-        return bool(self.rms[self.best] < TUNING.good_fit)
+        return bool(self.rms[self.best] < WEIGHED.good_fit)
 
     @property
     def shows_the_unit(self) -> bool:
         """Whether the gyro's unit is right: the best way fits well, and not by chance."""
         # In less than a quarter turn some axes of both fit a field that changes with the place.
-        axes_fit = bool(self.rms[self.plain] < TUNING.good_fit)
+        axes_fit = bool(self.rms[self.plain] < WEIGHED.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
 
     def way(self, k: int) -> Way:
@@ -179,12 +179,12 @@ def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> 
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0
-    if part is None or most_turned(part) < TUNING.least_turn:
+    if part is None or most_turned(part) < WEIGHED.least_turn:
         return None
     senses = _against_the_field(part, proper, bias)
-    for _ in range(TUNING.looks):
+    for _ in range(WEIGHED.looks):
         more = float(senses.parameters[senses.best, LAG])
-        nearer = stretch_of_log(log, lag + more) if abs(more) > TUNING.settled else None
+        nearer = stretch_of_log(log, lag + more) if abs(more) > WEIGHED.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
@@ -227,8 +227,8 @@ def _remaining(
     # A vehicle's accelerations lean gravity for long: only its changes are compared.
     misfit, rms = gravity_misfit(stretch, every)
     gravity = _decisive(misfit, rms, senses.least_tilt > 0.0)
-    is_good = bool(senses.rms[senses.best] < TUNING.good_fit)
-    lifted = senses.tilt > TUNING.lift and senses.least_tilt > 0.0 and is_good
+    is_good = bool(senses.rms[senses.best] < WEIGHED.good_fit)
+    lifted = senses.tilt > WEIGHED.lift and senses.least_tilt > 0.0 and is_good
     against_field = _decisive(senses.misfit, senses.rms, lifted).reshape(2, -1)
     sense = np.rint(np.linalg.det(every))
     cost = (against_field[(sense < 0.0).astype(int)] + gravity[:, None]).ravel()
@@ -236,9 +236,9 @@ def _remaining(
     order = np.argsort(cost, kind="stable")
     gyro = order // len(proper)
     # A turn on the level leaves most axes of a gyro open: those as given are always among them.
-    likely = (np.arange(len(order)) < TUNING.most) | (gyro == 0)
+    likely = (np.arange(len(order)) < WEIGHED.most) | (gyro == 0)
     right = (gyro == 0) & _are_right(field[order])
-    kept = (likely & (cost[order] - cost.min() < 4.0 * TUNING.remains)) | right
+    kept = (likely & (cost[order] - cost.min() < 4.0 * WEIGHED.remains)) | right
     return every[gyro[kept]], field[order[kept]], cost[order[kept]]
 
 
@@ -247,8 +247,8 @@ def _decisive(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
     # In one turn about one axis a soft iron that is stronger than believed looks like other axes,
     # and so does linear acceleration where gravity does not show the lift that the gyro reads: then
     # only those are excluded that fit plainly worse.
-    plainly = rms > TUNING.times * rms[np.argmin(misfit)]
-    capped = np.minimum(misfit, TUNING.doubtful)
+    plainly = rms > WEIGHED.times * rms[np.argmin(misfit)]
+    capped = np.minimum(misfit, WEIGHED.doubtful)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 
@@ -266,9 +266,9 @@ def _inclination_misfit(found: Alignment, k: int, sign: int, dip: Belief) -> flo
     slope = (up - along * field / size) / size / level
     variance = float(slope @ found.covariance[k][FIELD, FIELD] @ slope)
     # Drift of the gyro looks like a small tilt, which shows nothing of the field.
-    variance += (TUNING.attitude_error / max(found.least_tilt, 1e-6)) ** 2
+    variance += (WEIGHED.attitude_error / max(found.least_tilt, 1e-6)) ** 2
     seen = -math.asin(max(-1.0, min(1.0, along)))
-    allowed = TUNING.dip_sigma**2 + dip.sigma**2
+    allowed = WEIGHED.dip_sigma**2 + dip.sigma**2
     return (seen - dip.value) ** 2 / (allowed + variance)
 
 
@@ -284,7 +284,7 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
     seconds = accumulated(stretch.seconds)
-    first, last, turn = _turns_in(stretch, TUNING.span)
+    first, last, turn = _turns_in(stretch, WEIGHED.span)
     if len(first) < 4:
         return np.zeros(len(ways)), np.zeros(len(ways))
     size = np.linalg.norm(stretch.up, axis=1, keepdims=True)
@@ -305,11 +305,11 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
     target = seen - moved
-    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [TUNING.lever] * 3)
+    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [WEIGHED.lever] * 3)
     prior = np.diag(sizes**-2.0)
     repeated = max(float(np.mean(last - first)), 1.0)
     sigma, left = math.radians(5.0), np.zeros((count, n))
-    for _ in range(TUNING.rounds):
+    for _ in range(WEIGHED.rounds):
         weight = 7.0 / (4.0 + left / sigma**2) / sigma**2 / repeated
         rows = design * weight[..., None, None]
         normal = np.einsum("knia,knib->kab", rows, design) + prior
@@ -317,10 +317,10 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
         left = np.sum((target - np.einsum("knia,ka->kni", design, found)) ** 2, axis=2)
         typical = np.sqrt(np.median(left, axis=1) / 2.37)
         cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
-        sigma = max(float(typical[np.argmin(cost)]), uneven, TUNING.attitude_error)
+        sigma = max(float(typical[np.argmin(cost)]), uneven, WEIGHED.attitude_error)
     cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
     cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
-    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, TUNING.attitude_error))
+    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, WEIGHED.attitude_error))
 
 
 def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatArray]:
@@ -348,17 +348,17 @@ def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
     that changes from place to place goes farther than the gyro turns, and is no slip. A field that
     does not move shows nothing of the unit, which is then 1.
     """
-    for span in TUNING.spans:
+    for span in WEIGHED.spans:
         first, last, turn = _turns_in(stretch, span)
         way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
-        moved = way > max(TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
+        moved = way > max(WEIGHED.moved, 0.5 * float(np.max(way, initial=0.0)))
         if moved.sum() >= 3:
             break
     else:
         return (1.0,)
     turned = np.linalg.norm(turn[moved], axis=1)
     rough = float(np.median(way[moved])) / max(float(np.median(turned)), 1e-12)
-    if 1.0 / TUNING.plain < rough < TUNING.plain:
+    if 1.0 / WEIGHED.plain < rough < WEIGHED.plain:
         return None
     known = (1.0, *(factor for factor, _ in KNOWN))
-    return tuple(f for f in known if rough / TUNING.below < f < rough * TUNING.above)
+    return tuple(f for f in known if rough / WEIGHED.below < f < rough * WEIGHED.above)

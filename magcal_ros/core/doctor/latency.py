@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Way
+from magcal_ros.core.doctor.explanations import WEIGHED, Way
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import skews
@@ -79,9 +78,9 @@ def field_latency(log: SensorLog, way: Way) -> Latency | None:
     start = _of_the_field(log, way, before)
     if start is None:
         return None
-    found = _latency(before, *_fitted(*start, log))
+    motors, fit, state = _by_motors(*start, log), start[0], _descended(*start)
+    found, beside = (_latency(before, *_fitted(fit, state, log, m)) for m in (None, motors))
     # Between rests motors make the same step as a late field: the difference is a doubt of both.
-    beside = _latency(before, *_fitted(*start, log, _by_motors(*start, log)))
     return found._replace(sigma=math.hypot(found.sigma, found.lag - beside.lag))
 
 
@@ -95,7 +94,7 @@ def motors_field(log: SensorLog, way: Way, lag: float) -> tuple[FloatArray, Floa
     if start is None:
         return None
     start[0].prior[LAG, LAG] = TUNING.in_time**-2
-    found, covariance = _fitted(*start, log, _by_motors(*start, log))
+    found, covariance = _fitted(start[0], _descended(*start), log, _by_motors(*start, log))
     return TUNING.motors * found[-3:], TUNING.motors**2 * covariance[-3:, -3:]
 
 
@@ -149,11 +148,19 @@ def force_latency(log: SensorLog, way: Way) -> Latency | None:
         state = fit.descend(fit.start(), START_NOISE, TUNING.steps)
         turns, part = skews(fit.rate[0]), fit.stretch
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
-        found = _latency(before, *_fitted(fit, state, log, TUNING.lever / part.size * lever))
+        lever *= TUNING.lever / part.size
+        found = _latency(before, *_fitted(fit, _descended(fit, state), log, lever))
         if abs(found.lag - before) < WEIGHED.settled:
             break
         before = found.lag
     return found
+
+
+def _descended(fit: AlignmentFit, state: FloatArray) -> FloatArray:
+    """Return the state (1, 23) from which all else is linear."""
+    for _ in range(2):
+        state = fit.descend(state, fit.noise(state, 0), TUNING.steps)
+    return state
 
 
 def _fitted(
@@ -161,9 +168,6 @@ def _fitted(
 ) -> tuple[FloatArray, FloatArray]:
     """Fit all parameters, the gyro's walk, and `more` columns (n, 3, m); with the covariance."""
     time = fit.stretch.time
-    for _ in range(2):
-        noise = fit.noise(state, 0)
-        state = fit.descend(state, noise, TUNING.steps)
     residual, jacobian = (values[0, 0] for values in fit.linearised(state))
     attitude, _ = fit.propagate(state)
     walked = turned(attitude @ state[0, FIELD], _walk(attitude, time, log))[0]

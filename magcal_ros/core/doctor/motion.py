@@ -10,13 +10,13 @@ import numpy as np
 from magcal_ros.core.doctor.blame import AxesFound, blame, upright
 from magcal_ros.core.doctor.explanations import (
     KNOWN,
+    WEIGHED,
     Explanations,
     Way,
     explain,
     most_turned,
     rate_factors,
 )
-from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.health import Finding, dead_axes, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
