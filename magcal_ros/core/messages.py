@@ -97,7 +97,7 @@ NO_HEADING = math.radians(30.0)  # sigma from which a heading counts as unknown
 def heading_from(
     stamp: float, orientation: tuple[float, float, float, float], mark: float, variance: float
 ) -> HeadingSample | str:
-    """Return the yaw of an Imu's x, y, z, w by mark and variance (rad²), or why it has none."""
+    """Return the yaw of an orientation x, y, z, w (`variance` in rad²), or why it has none."""
     x, y, z, w = orientation
     if mark == ABSENT:
         return "its orientation is marked absent (covariance -1)"

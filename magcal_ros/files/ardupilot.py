@@ -203,7 +203,7 @@ class _Telemetry:
             self._out.take_fix(fix, 0.01 * m.vel, math.radians(0.01 * m.cog))
 
     def _by_own_clock(self, m: Any) -> float:
-        """Return a message's stamp by the autopilot's clock, which starts anew with it, shifted."""
+        """Return a message's stamp by the autopilot's clock, shifted to the receiver's."""
         micros = getattr(m, "time_usec", None)
         own = 1e-3 * m.time_boot_ms if micros is None else 1e-6 * micros
         booted = m._timestamp - own

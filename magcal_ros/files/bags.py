@@ -150,7 +150,7 @@ class Bag:
         return sorted(self._read(heard, take))
 
     def headings(self, topic: str) -> list[HeadingSample]:
-        """Return a topic's yaws by stamp; a Misuse without topic, a FileTrouble without yaws."""
+        """Return a topic's yaws by stamp; a FileTrouble if there is no such topic or no yaw."""
         heard = _named(self._path, self._reader, IMU_TYPE, topic)
         read = list(self._read(heard, lambda _, __, data: self._format.heading(data)))
         found = [each for each in read if not isinstance(each, str)]

@@ -271,7 +271,7 @@ def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) 
 
 
 def read_samples(path: Path) -> Window:
-    """Read a window back by its columns (SI units, in any order, also without brackets)."""
+    """Read a window that `write_samples` wrote; columns may come in any order."""
     _, table = read_columns(path, NEEDED + GYRO, NEEDED, may_be_empty=True)
     rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None
     try:

@@ -21,7 +21,7 @@ class DescriptionTrouble(MagcalError):
 
 
 def joints_of(text: str) -> tuple[FrameJoint, ...]:
-    """Return the joints of a URDF in order; a DescriptionTrouble of others, and of entities."""
+    """Return the joints of a URDF in order; a DescriptionTrouble if it is damaged or none."""
     if len(text) > LARGEST:
         raise DescriptionTrouble(
             f"the robot description has {len(text)} characters; at most {LARGEST} are read"

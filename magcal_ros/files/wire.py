@@ -30,7 +30,7 @@ from magcal_ros.files.disk import FileTrouble
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4
-"""Bytes of encapsulation, from which CDR counts its alignment; of ROS 1 a sequence number."""
+"""Bytes of encapsulation, from which CDR counts its alignment; in ROS 1 a sequence number."""
 
 # Orientation, rate and force, each with the first of its covariance.
 IMU_BODY = Struct("<5d64x4d64x4d64x")

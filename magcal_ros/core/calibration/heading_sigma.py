@@ -82,7 +82,7 @@ def arc_sigma(estimate: Estimate) -> float:
 
 
 def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float) -> FloatArray:
-    """Return the derivative of the yaw in a field in ENU (3,), tesla, over headings and slopes."""
+    """Return the yaw's derivative by the twelve numbers at all headings, on slopes of `tilt`."""
     leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
     poses = np.concatenate([_all_headings(roll, pitch) for roll, pitch in leanings])
     return yaw_jacobian(correction, poses[:, :, 2], poses @ field_enu)

@@ -57,7 +57,7 @@ class AxesInUse:
 
 
 def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
-    """Return the compass that a way makes (rad/s, body axes); None where it shows none."""
+    """Return the compass that a way (in rad/s and body axes) makes; None where it shows none."""
     state, size = way.state, way.part.size
     if not np.array_equal(way.gyro, np.eye(3)) or is_mirrored(way.field):
         return None

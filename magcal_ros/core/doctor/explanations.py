@@ -56,7 +56,7 @@ class ExplanationTuning:
     most_named: int = 3  # explanations that are written out for one sensor
     most: int = 32  # ways that are fitted
     doubtful: float = 12.0
-    """Most chi-square of field or gravity where soft iron or linear acceleration may explain it."""
+    """Largest chi-square of field or gravity where soft iron or acceleration may explain it."""
     good_fit: float = 0.06
     """Residual over the changing field up to which small differences of the fit are believed."""
     settled: float = 0.02  # seconds of latency that need no further look
@@ -175,7 +175,7 @@ def _are_right(axes: FloatArray) -> BoolArray:
 
 
 def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> Explanations | None:
-    """Weigh the ways in which axes may lie; `bias` (3,) is the first, rad/s. None if none moves."""
+    """Weigh the ways in which axes may lie, from a bias (3,), rad/s, on; None if none moves."""
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0

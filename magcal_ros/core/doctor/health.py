@@ -112,7 +112,7 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
 
 
 def repeats_finding(name: str, values: FloatArray) -> Finding:
-    """Look for values (n, d) of the sample before, beyond chance and a frozen sensor."""
+    """Look for samples (n, d) that repeat the one before, more often than by chance."""
     same = repeats(values)
     long = in_long_runs(same)
     axes = (np.diff(values, axis=0) == 0.0)[~long[1:]]
@@ -174,7 +174,7 @@ def gravity_size_finding(force: FloatArray) -> Finding:
 
 
 def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None) -> Finding:
-    """Look for axes of (n, 3) that never change; by `force` (m, 3) for the one with the turn."""
+    """Look for axes of (n, 3) that never change; `force` (m, 3) shows which one points up."""
     still = unchanging(values)
     evidence = f"{3 - len(still)} of 3 axes change"
     if not still:
@@ -254,7 +254,7 @@ def _step(values: FloatArray) -> float:
 
 
 def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
-    """Look at the scatter of clean streams of three samples or more; `factor` makes rad/s."""
+    """Look at the scatter of clean streams, three samples or more; rate times `factor` is rad/s."""
     field = float(white_noise(log.field).max())
     is_noisy = field > TUNING.field_noise and not likely_field_unit(usual_size(log.field))
     words = (

@@ -130,7 +130,7 @@ def _of_the_field(log: SensorLog, way: Way, lag: float) -> tuple[AlignmentFit, F
 
 
 def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> AlignmentFit | None:
-    """Return the fit of the force to a gyro of these axes (3, 3); None of too few samples."""
+    """Return the fit of the force to a gyro of these axes (3, 3); None for too few samples."""
     gravity = replace(log, field_time=log.imu_time, field=log.force)
     part = stretch_of_log(gravity, lag, EACH_SAMPLE)
     if part is None:
@@ -139,7 +139,7 @@ def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> Alig
 
 
 def force_latency(log: SensorLog, way: Way) -> Latency | None:
-    """Return the accelerometer's latency, as of the field; only what leans gravity shows it."""
+    """Return the accelerometer's latency, as `field_latency`; only leaning movements show it."""
     before, found = 0.0, None
     for _ in range(WEIGHED.looks):
         fit = fit_of_the_force(log, way.gyro, before)

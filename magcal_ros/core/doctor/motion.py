@@ -63,7 +63,7 @@ class MotionTuning:
     confirmed: float = 0.4  # share of the bias by which the rate at rest may be another
     lag: float = 0.015  # seconds between the sensors' stamps
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
-    """Most 1σ of bias (rad/s), scale, lag of field and of accelerometer (s) that are shown."""
+    """Largest sigma of bias (rad/s), scale, and lag of field and of force (s) that is reported."""
     largest_noise: float = 0.25
     """Usual change between neighbours, over the whole changing part, that is no noise at rest."""
 

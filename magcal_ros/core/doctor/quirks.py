@@ -129,7 +129,7 @@ QUIRKS: tuple[Quirk, ...] = (
 
 
 def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding]:
-    """Return a line for each driver whose habit shows in a log, or in the field's axes (3, 3)."""
+    """Return a line for each driver whose habit the log or wrong field axes (3, 3) show."""
     return [
         looked_at("driver", "driver", f"as {each.driver}: {each.habit}", each.remedy)
         for each in QUIRKS

@@ -87,7 +87,7 @@ class CourseOffset:
     sectors: int  # courses seen, of eight
 
     def swing(self, order: int) -> tuple[float, float]:
-        """Return the amplitude of the first or second harmonic, radians, and its sigmas."""
+        """Return a harmonic's amplitude, radians, and its significance in sigmas (root of chi²)."""
         rows = slice(2 * order - 2, 2 * order)
         pair = self.harmonics[rows]
         own = self.covariance[2 * order - 1 : 2 * order + 1, 2 * order - 1 : 2 * order + 1]

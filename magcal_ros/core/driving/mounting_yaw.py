@@ -299,9 +299,10 @@ class MountingWatch:
         self._fitted_at = -math.inf
 
     def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
-        """Return the work of a fit, for any thread and `take`; every eighth measures latencies."""
+        """Return the work of a fit, for any thread; its result is for `take`."""
         self._fitted_at = stamp
         self._fits += 1
+        # Every eighth fit looks at all sources, and measures their latencies.
         ticks, is_thorough = list(self._ticks), self._fits % 8 == 0
         recent = [
             (source, track.record())

@@ -248,7 +248,7 @@ class Travelling:
 
 
 class TravelReplay:
-    """Merges travel samples into readings; `own` is the own acceleration, m/s², or zero."""
+    """Merges travel samples into readings; `own` is the vehicle's acceleration, m/s², or zero."""
 
     def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:
         self._travel, self._streams = list(travel), streams

@@ -80,7 +80,7 @@ def place_of(fix: Fix) -> Place | str:
 
 
 class Fixes:
-    """Follows the place by fixes, None before one; `stamp` (s) is of the newest good one, or 0."""
+    """Follows the robot's place by fixes; `stamp` (s) is that of the newest good one, else 0."""
 
     def __init__(self) -> None:
         self.place: Place | None = None

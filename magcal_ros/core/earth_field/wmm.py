@@ -205,7 +205,7 @@ def decimal_year(stamp: float) -> float:
 
 
 def year_of(stamps: Iterable[float], clock: float) -> float:
-    """Return the earliest plausible year of stamps (s since 1970), decimal; else of a clock."""
+    """Return the earliest plausible date of stamps (s since 1970) as a year; else the clock's."""
     years = [decimal_year(stamp) for stamp in stamps if math.isfinite(stamp)]
     return min((year for year in years if year >= VALIDITY.first_year), default=decimal_year(clock))
 

@@ -16,7 +16,7 @@ ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
 
 def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
-    """Copy values into a read-only array of a shape (-1: any); `ValueError` of other and NaN."""
+    """Copy values into a read-only array; `ValueError` on NaN or another shape (-1: any)."""
     array = np.array(values, dtype=np.float64, order="C")
     fits = array.ndim == len(shape) and all(
         wanted in (-1, actual) for wanted, actual in zip(shape, array.shape, strict=True)
@@ -38,7 +38,7 @@ def freeze(owner: object, **shapes: tuple[int, ...]) -> None:
 
 
 def centred(points: FloatArray, least: int, shape: str) -> tuple[FloatArray, FloatArray]:
-    """Return the centroid (d,) of points (n, d), and them about it; a `Refusal` of NaN or few."""
+    """Return the centroid of points (n, d) and them about it; `Refusal` on NaN or too few."""
     if not np.isfinite(points).all():
         raise Refusal(Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting.")
     if len(points) < least:

@@ -171,7 +171,7 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArr
 
 
 def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the smallest turn (3, 3) between unit vectors; any axis across opposite ones."""
+    """Return the smallest turn (3, 3) from one unit vector to another."""
     middle = start + end
     if np.linalg.norm(middle) < 1e-8:
         middle = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])

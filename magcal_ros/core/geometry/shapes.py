@@ -248,7 +248,7 @@ class Circle:
 
 
 def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
-    """Fit a circle, its normal towards `upwards` (3,); a `Refusal` of few points or of a line."""
+    """Fit a circle to points (n, 3), its normal towards `upwards`; `Refusal` for a line."""
     away = centred(points, 3, "circle")[1]
     spread = np.linalg.svd(away, compute_uv=False)
     _refuse_degenerate(np.asarray(spread[::-1]), points.mean(axis=0))

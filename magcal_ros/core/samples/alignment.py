@@ -85,7 +85,7 @@ def align(
     with_up: bool = True,
     bias: FloatArray = NO_BIAS,
 ) -> Alignment:
-    """Fit every candidate of an `AlignmentFit`, from a bias (3,) of its rates on, rad/s."""
+    """Fit every candidate of an `AlignmentFit`; `bias` (3,) of the gyro is the start, rad/s."""
     problem = AlignmentFit(stretch, axes, gyro, WIDE, with_up)
     some, noise = problem.descend(problem.start(bias), START_NOISE, FIRST_STEPS), START_NOISE
     information, _, cost = problem.normal_equations(some, noise)
@@ -249,7 +249,7 @@ class AlignmentFit:
     def normal_equations(
         self, state: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return information (k, 23, 23), gradient (k, 23), cost (k,): -2 log posterior."""
+        """Return information (k, 23, 23), gradient (k, 23) and cost (k,), -2 log(posterior)."""
         residual, jacobian = self.linearised(state)
         nu, sigma = self.tuning.freedom, noise[: self.sensors, None]
         share = self.share[:, None] * (nu + 3.0)

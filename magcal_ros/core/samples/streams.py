@@ -300,7 +300,7 @@ class Streams:
 
 
 def enclosing(samples: Sequence[Stamped], stamp: float) -> tuple[Stamped, Stamped | None] | None:
-    """Return the newest of increasing samples at or before a stamp, and the next; None if none."""
+    """Return the newest sample at or before a stamp and the next; None if all come later."""
     after = None
     for sample in reversed(samples):
         if sample[0] <= stamp:  # type: ignore[operator]

@@ -74,7 +74,7 @@ class Window:
 
 
 def white_noise(values: FloatArray) -> FloatArray:
-    """Return the noise of (n, 3) per axis by fourth differences, without sway; zero of too few."""
+    """Return the noise of samples (n, 3) per axis, by fourth differences; zero for too few."""
     bends = np.diff(values, 4, axis=0)
     if not len(bends):
         return np.zeros(values.shape[1])
