@@ -24,7 +24,6 @@ from magcal_ros.files.recording import Recording, read_header, read_numbers
 
 NANOSECOND = 1e9
 FLU_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-LOGGER_AXES = ("x", "y", "z")
 METADATA = "Metadata.csv"
 NAMES = logs.Names(
     logs.Name("phone IMU", "record accelerometer (with gravity) and gyroscope"),
@@ -89,7 +88,7 @@ def _headers(path: Path) -> dict[str, list[str]]:
 
 
 def _is_logger(header: list[str]) -> bool:
-    return {"time", "seconds_elapsed", *LOGGER_AXES} <= set(header)
+    return {"time", "seconds_elapsed", "x", "y", "z"} <= set(header)
 
 
 def _is_phyphox(header: list[str]) -> bool:
@@ -105,7 +104,7 @@ def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str])
         header = headers.get(f"{name}.csv", [])
         if not _is_logger(header):
             return None
-        columns = [header.index(each) for each in ("time", *LOGGER_AXES)]
+        columns = [header.index(each) for each in ("time", "x", "y", "z")]
         return _in_order(read_numbers(path / f"{name}.csv", columns, NANOSECOND))
 
     force = read("TotalAcceleration")

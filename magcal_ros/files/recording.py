@@ -206,12 +206,6 @@ def _lines(handle: TextIO) -> Iterator[str]:
         yield line
 
 
-SPEED_COLUMNS = ("t", "speed")
-FIX_COLUMNS = ("t", "latitude", "longitude", "altitude")
-LEVEL_FIX_COLUMNS = FIX_COLUMNS[:3]
-PLANE_COLUMNS = ("t", "east", "north")
-
-
 def travel_of(heard: Iterable[TravelSample | Fix]) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Return fixes and other samples by stamp, and the place of the first good fix."""
     plane = LocalPlane()
@@ -228,12 +222,12 @@ def read_travel(folder: Path) -> tuple[tuple[TravelSample, ...], Place | None]:
     """
     found = list[TravelSample | Fix]()
     if (folder / "odom.csv").exists():
-        _, rows = read_columns(folder / "odom.csv", SPEED_COLUMNS)
+        _, rows = read_columns(folder / "odom.csv", ("t", "speed"))
         found += [SpeedSample(*row) for row in rows.tolist()]
     if (folder / "gps.csv").exists():
-        choices = FIX_COLUMNS, LEVEL_FIX_COLUMNS, PLANE_COLUMNS
-        columns, rows = read_columns(folder / "gps.csv", *choices)
-        if columns == PLANE_COLUMNS:
+        fix, plane = ("t", "latitude", "longitude", "altitude"), ("t", "east", "north")
+        columns, rows = read_columns(folder / "gps.csv", fix, fix[:3], plane)
+        if columns == plane:
             found += [PositionSample(*row) for row in rows.tolist()]
         else:
             found += [

@@ -10,8 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.core.driving.chords import Chord, Chords, GyroFrame, Tick
-from magcal_ros.core.driving.course_offset import CourseCells, CourseOffset, fit_course_offset
+from magcal_ros.core.driving.chords import (
+    Chord,
+    Chords,
+    CourseCells,
+    CourseOffset,
+    GyroFrame,
+    Tick,
+    fit_course_offset,
+)
 from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING, OWN, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import Judged, MountingWatch, MountingYaw
 from magcal_ros.core.driving.speed import OwnAcceleration, Speedometer

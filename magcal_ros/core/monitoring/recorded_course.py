@@ -12,7 +12,7 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Bound, Check, Grade
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.driving.course_offset import CourseOffset
+from magcal_ros.core.driving.chords import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
