@@ -192,11 +192,13 @@ def open_bag(path: Path, imu: str, field: str, start: float, stop: float) -> Ite
 
 def _ros_reader(path: Path) -> Any:
     """Return a reader of ROS's own; None where there is no ROS, and for bags of ROS 1."""
-    with contextlib.suppress(ImportError):
+    if path.suffix == ".bag":
+        return None
+    try:
         import rosbag2_py
-
-        return None if path.suffix == ".bag" else RosReader(path, rosbag2_py)
-    return None
+    except ImportError:
+        return None
+    return RosReader(path, rosbag2_py)
 
 
 def _library_reader(path: Path) -> AnyReader:

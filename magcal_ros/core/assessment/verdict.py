@@ -316,9 +316,8 @@ def _not_shown(
             f"{'' if known else 'give the reference field, or '}"
             f"{'drive on slopes' if _is_drive(figures) else 'turn on ramps'}"
         )
-    if not {Figure.GYRO_COMPASS_SWING, Figure.HEADINGS_DRIVEN, Figure.KNOWN_HEADINGS} & set(
-        figures
-    ):
+    compared = {Figure.GYRO_COMPASS_SWING, Figure.HEADINGS_DRIVEN, Figure.KNOWN_HEADINGS}
+    if not compared & set(figures):
         found.append(GYRO_UNUSED if has_gyro else NO_GYRO)
     if not knowledge.reference.is_complete:
         found.append(NO_REFERENCE)

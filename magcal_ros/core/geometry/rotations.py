@@ -44,7 +44,7 @@ def exp_rotation(vector: FloatArray) -> FloatArray:
 def skews(vectors: FloatArray) -> FloatArray:
     """Return the cross-product matrices of vectors (..., 3), shape (..., 3, 3)."""
     out = np.zeros((*vectors.shape, 3))
-    x, y, z = np.moveaxis(vectors, -1, 0)
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
     out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = z, -y, x
     return out
