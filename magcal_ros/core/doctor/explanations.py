@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, accumulated
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.samples.alignment import (
@@ -115,13 +115,7 @@ class Explanations:
     @cached_property
     def cost(self) -> FloatArray:
         """Chi-square with the inclination, shape (k,)."""
-        count = len(self.base) // 2
-        by_inclination = [
-            _inclination_misfit(self.found, k, sign, self.inclination)
-            for sign in (1, -1)
-            for k in range(count)
-        ]
-        return np.asarray(self.base + by_inclination)
+        return np.asarray(self.base + _inclination_misfit(self.found, self.inclination))
 
     @property
     def misfit(self) -> FloatArray:
@@ -252,24 +246,26 @@ def _decisive(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
     return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 
-def _inclination_misfit(found: Alignment, k: int, sign: int, dip: Belief) -> float:
-    """Return chi-square of the inclination of candidate `k`, or of its opposite (`sign` -1)."""
-    given_up = not np.isfinite(found.covariance[k]).all()
-    if dip.is_unknown or given_up:
-        return 0.0
-    state = found.parameters[k]
-    up = state[UP] / np.linalg.norm(state[UP])
-    field = sign * state[FIELD]
-    size = float(np.linalg.norm(field))
-    along = float(up @ field) / size
-    level = math.sqrt(max(1.0 - along**2, 1e-6))
-    slope = (up - along * field / size) / size / level
-    variance = float(slope @ found.covariance[k][FIELD, FIELD] @ slope)
+def _inclination_misfit(found: Alignment, dip: Belief) -> FloatArray:
+    """Return chi-square (2 k,) of the inclination by each candidate, then by their opposites."""
+    is_known = np.asarray(np.isfinite(found.covariance).all(axis=(1, 2)))
+    if dip.is_unknown:
+        return np.zeros(2 * len(is_known))
+    up, field = unit(found.parameters[:, UP]), found.parameters[:, FIELD]
+    size = np.linalg.norm(field, axis=1)
+    along = np.sum(up * field, axis=1) / size
+    level = np.sqrt(np.maximum(1.0 - along**2, 1e-6))
+    slope = (up - (along / size)[:, None] * field) / (size * level)[:, None]
+    covariance = np.where(is_known[:, None, None], found.covariance[:, FIELD, FIELD], 0.0)
+    variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
     # Drift of the gyro looks like a small tilt, which shows nothing of the field.
     variance += (WEIGHED.attitude_error / max(found.least_tilt, 1e-6)) ** 2
-    seen = -math.asin(max(-1.0, min(1.0, along)))
-    allowed = WEIGHED.dip_sigma**2 + dip.sigma**2
-    return (seen - dip.value) ** 2 / (allowed + variance)
+    variance += WEIGHED.dip_sigma**2 + dip.sigma**2
+    seen = -np.arcsin(np.clip(along, -1.0, 1.0))
+    misfits = [
+        np.where(is_known, (sign * seen - dip.value) ** 2 / variance, 0.0) for sign in (1, -1)
+    ]
+    return np.concatenate(misfits)
 
 
 def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, FloatArray]:
