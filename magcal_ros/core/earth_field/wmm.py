@@ -47,7 +47,16 @@ class Harmonics:
         upward = (polar * normal + altitude_km) * sin_lat
         radius = math.hypot(outward, upward)
         sine, cosine = upward / radius, outward / radius
-        north, east, down = self._on_sphere(sine, cosine, longitude, radius, year - self.epoch)
+        n, m = self.terms[:, :2].T
+        g, h = (self.terms[:, 2:4] + (year - self.epoch) * self.terms[:, 4:]).T
+        table = np.array(_legendre(int(n.max()), sine, cosine))
+        over_cosine, value, slope = table[n.astype(int), m.astype(int)].T
+        cos_m, sin_m = np.cos(m * longitude), np.sin(m * longitude)
+        size = (0.001 * EARTH_RADIUS / radius) ** (n + 2)
+        along = size * (g * cos_m + h * sin_m)
+        # Along the sphere's north, east and down, nT.
+        north, down = -float(along @ slope), -float(((n + 1) * along) @ value)
+        east = float((size * m * (g * sin_m - h * cos_m) * over_cosine).sum())
         # The vertical of the sphere leans towards the pole from that of the ellipsoid.
         sin_lean = sine * cos_lat - cosine * sin_lat
         cos_lean = cosine * cos_lat + sine * sin_lat
@@ -56,20 +65,6 @@ class Harmonics:
             east * 1e-9,
             (north * sin_lean + down * cos_lean) * 1e-9,
         )
-
-    def _on_sphere(
-        self, sine: float, cosine: float, longitude: float, radius: float, years: float
-    ) -> tuple[float, float, float]:
-        """Return the field along the sphere's north, east and down, nT."""
-        n, m = self.terms[:, :2].T
-        g, h = (self.terms[:, 2:4] + years * self.terms[:, 4:]).T
-        table = np.array(_legendre(int(n.max()), sine, cosine))
-        over_cosine, value, slope = table[n.astype(int), m.astype(int)].T
-        cos_m, sin_m = np.cos(m * longitude), np.sin(m * longitude)
-        size = (0.001 * EARTH_RADIUS / radius) ** (n + 2)
-        along = size * (g * cos_m + h * sin_m)
-        east = size * m * (g * sin_m - h * cos_m) * over_cosine
-        return -float(along @ slope), float(east.sum()), -float(((n + 1) * along) @ value)
 
 
 def _legendre(highest: int, sine: float, cosine: float) -> list[list[tuple[float, float, float]]]:
