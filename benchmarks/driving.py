@@ -29,7 +29,7 @@ from simulated.reckoning import Receiver, Wheels
 from simulated.travel import travel
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.driving.course_offset import CourseOffset
+from magcal_ros.core.driving.chords import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.geometry.arrays import FloatArray

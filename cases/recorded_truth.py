@@ -20,13 +20,12 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.arrays import FloatArray, runs
 from magcal_ros.core.geometry.attitude import wrap_angle, yaw_from_up_and_field
-from magcal_ros.core.geometry.conics import ConicFit, QuadricFit, fit_quadric
 from magcal_ros.core.geometry.rotations import minimal_rotation
+from magcal_ros.core.geometry.shapes import ConicFit, QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.stamps import spread_bursts
-from magcal_ros.core.samples.streams import STREAMS, ImuSample, Pair, Pairer, Streams
+from magcal_ros.core.samples.streams import STREAMS, ImuSample, Pair, Pairer, Streams, spread_bursts
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session, Stage
 from magcal_ros.core.up.follower import UpFollower, propagated_up

@@ -11,43 +11,29 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from magcal_ros.core.assessment.grading import Grade
-    from magcal_ros.core.assessment.verdict import Verdict
-    from magcal_ros.core.calibrate import METHODS, Outcome, calibrate, calibrate_turns
-    from magcal_ros.core.calibration.calibration import Calibration, Estimate, Installation
-    from magcal_ros.core.calibration.correction import Correction
-    from magcal_ros.core.calibration.figure import Figure
-    from magcal_ros.core.errors import MagcalError, Reason, Refusal
-    from magcal_ros.core.heading.compass import Compass
-    from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField, SoftIron
-    from magcal_ros.core.monitoring.recheck import Recheck, check
-    from magcal_ros.core.samples.window import Window
-
-__all__ = [
-    "METHODS",
-    "Belief",
-    "Calibration",
-    "Compass",
-    "Correction",
-    "Estimate",
-    "Figure",
-    "Grade",
-    "Installation",
-    "Knowledge",
-    "MagcalError",
-    "Mounting",
-    "Outcome",
-    "Reason",
-    "Recheck",
-    "ReferenceField",
-    "Refusal",
-    "SoftIron",
-    "Verdict",
-    "Window",
-    "calibrate",
-    "calibrate_turns",
-    "check",
-]
+    from magcal_ros.core.assessment.grading import Grade as Grade
+    from magcal_ros.core.assessment.verdict import Verdict as Verdict
+    from magcal_ros.core.calibrate import METHODS as METHODS
+    from magcal_ros.core.calibrate import Outcome as Outcome
+    from magcal_ros.core.calibrate import calibrate as calibrate
+    from magcal_ros.core.calibrate import calibrate_turns as calibrate_turns
+    from magcal_ros.core.calibration.calibration import Calibration as Calibration
+    from magcal_ros.core.calibration.calibration import Estimate as Estimate
+    from magcal_ros.core.calibration.calibration import Installation as Installation
+    from magcal_ros.core.calibration.correction import Correction as Correction
+    from magcal_ros.core.calibration.figure import Figure as Figure
+    from magcal_ros.core.errors import MagcalError as MagcalError
+    from magcal_ros.core.errors import Reason as Reason
+    from magcal_ros.core.errors import Refusal as Refusal
+    from magcal_ros.core.heading.compass import Compass as Compass
+    from magcal_ros.core.knowledge import Belief as Belief
+    from magcal_ros.core.knowledge import Knowledge as Knowledge
+    from magcal_ros.core.knowledge import Mounting as Mounting
+    from magcal_ros.core.knowledge import ReferenceField as ReferenceField
+    from magcal_ros.core.knowledge import SoftIron as SoftIron
+    from magcal_ros.core.monitoring.recheck import Recheck as Recheck
+    from magcal_ros.core.monitoring.recheck import check as check
+    from magcal_ros.core.samples.window import Window as Window
 
 _ROOMS = {
     "assessment.grading": ("Grade",),
@@ -63,6 +49,7 @@ _ROOMS = {
     "samples.window": ("Window",),
 }
 _HOMES = {name: room for room, names in _ROOMS.items() for name in names}
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:
@@ -72,7 +59,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_HOMES})
 
 
 class _Face(ModuleType):

@@ -41,8 +41,7 @@ METHODS = tuple(_FITS)
 """Names of the methods, the recommended one first."""
 JOINS, DRIVES, *_ = METHODS
 """The method that joins turns, and the one that takes a drive without a turn."""
-ONE_SMOOTHER = JOINS, METHODS[2]
-"""Two names of one method (doc/smoother.md)."""
+ONE_SMOOTHER = JOINS, METHODS[2]  # two names of one method (doc/smoother.md)
 METHOD_WORDS = (
     f"How a turn is turned into a calibration. {JOINS}, also named {METHODS[2]}, is right for turns"
     f" and drives; {DRIVES} takes a turn for a drive; the others are for comparison"
@@ -63,8 +62,7 @@ class Outcome:
     """Why nothing was found."""
     several: Several | None = None
     """What each turn adds and which turn comes next, if several were joined."""
-    window: Window | None = None
-    """The samples; the estimate's residuals are of its rows."""
+    window: Window | None = None  # the samples; the estimate's residuals are of its rows
 
     @classmethod
     def refused(cls, refusal: Refusal, window: Window | None = None) -> Outcome:
@@ -121,13 +119,11 @@ def calibrate(
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Grade an estimate, and refuse it if the samples show wrong axes or stamps.
-
-    The search for wrong axes takes time. It is left out for a good result of the smoother, and for
-    a z axis that points down, which explains the rest.
-    """
+    """Grade an estimate, and refuse it if the samples show wrong axes or stamps."""
     from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
 
+    # The search for wrong axes takes time: it is left out for a good result of the smoother, and
+    # for a z axis that points down, which explains the rest.
     outcome = judged(estimate, knowledge, window)
     explains = outcome.verdict.accepted and estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
     if explains and outcome.verdict.is_good and estimate.method in (JOINS, DRIVES):
@@ -233,11 +229,7 @@ def pooled(windows: Sequence[Window]) -> Window:
 
 
 def take_turn(
-    kept: Kept,
-    window: Window,
-    knowledge: Knowledge,
-    method: str,
-    accumulate: bool,
+    kept: Kept, window: Window, knowledge: Knowledge, method: str, accumulate: bool
 ) -> tuple[Outcome, Kept]:
     """Fit a turn, jointly with the turns kept before it if `accumulate` is set.
 
@@ -270,10 +262,7 @@ def _refused(outcome: Outcome, kept: Kept) -> Outcome:
 
 
 def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -> float:
-    """Return the sigma of the heading on the level by a fit of this window, radians.
-
-    It is infinite where no fit is found.
-    """
+    """Return the heading's sigma on the level by a fit, radians; infinite where none is found."""
     from magcal_ros.core.smoother.without_gyro import living_axes
 
     try:

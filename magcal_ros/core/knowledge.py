@@ -16,18 +16,15 @@ INCLINATION_SIGMA_DEG = 1.0
 DECLINATION_SIGMA_DEG = 0.5
 """Local deviation of the field outdoors (1 σ); indoors it is about 7 µT, 5° and 5°."""
 
-CLEAR = 3.0
-"""Sigmas beyond which a deviation is no chance, and two sources contradict each other."""
+CLEAR = 3.0  # sigmas beyond which a deviation is no chance, and two sources contradict each other
 
 
 @dataclass(frozen=True)
 class Belief:
     """One number that is known, uncertain or unknown."""
 
-    value: float
-    """The expectation; ignored if the number is unknown."""
-    sigma: float = 0.0
-    """Standard deviation in the same unit: zero for known, infinite for unknown."""
+    value: float  # the expectation; ignored if the number is unknown
+    sigma: float = 0.0  # standard deviation in the same unit: zero for known, infinite for unknown
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.value) or math.isnan(self.sigma) or self.sigma < 0.0:
@@ -53,8 +50,7 @@ class Belief:
 class ReferenceField:
     """The Earth's field where the robot turns."""
 
-    strength: Belief = field(default_factory=Belief.unknown)
-    """Tesla."""
+    strength: Belief = field(default_factory=Belief.unknown)  # tesla
     inclination: Belief = field(default_factory=Belief.unknown)
     """Radians, positive where the field points down."""
     declination: float | None = None
@@ -91,8 +87,7 @@ class SoftIron:
     sigma_cross: float = 0.02
     """Standard deviations of the elements on and off the diagonal, dimensionless. Both zero: there
     is none; else the smoother takes the prior of its own table."""
-    always: bool = False
-    """Has no effect on the smoother, which always estimates it."""
+    always: bool = False  # has no effect on the smoother, which always estimates it
 
     @classmethod
     def none(cls) -> SoftIron:
@@ -157,11 +152,7 @@ def knowledge_of(
     mount_rpy_deg: Sequence[float] = (0.0, 0.0, 0.0),
     declination_sigma_deg: float = DECLINATION_SIGMA_DEG,
 ) -> Knowledge:
-    """Return the knowledge in numbers with the suffixes' units; NaN where one is not known.
-
-    `soft_iron_gains` are the known gains of the magnetometer's axes, `mount_rpy_deg` is its nominal
-    roll, pitch and yaw in the IMU's frame.
-    """
+    """Return the knowledge in numbers with the suffixes' units; NaN where one is not known."""
     strength, inclination = Belief.unknown(), Belief.unknown()
     if not math.isnan(strength_ut):
         strength = Belief(strength_ut * 1e-6, strength_sigma_ut * 1e-6)

@@ -7,12 +7,7 @@ from typing import Any
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.streams import (
-    HeadingSample,
-    ImuSample,
-    SpeedSample,
-    VelocitySample,
-)
+from magcal_ros.core.samples.streams import HeadingSample, ImuSample, SpeedSample, VelocitySample
 
 NO_RATE: Triple = (math.nan, math.nan, math.nan)
 ABSENT = -1.0
@@ -83,11 +78,7 @@ def speed_from(
 def velocity_from(
     stamp: float, east: float, north: float, of_east: float = 0.0, of_north: float = 0.0
 ) -> VelocitySample | str:
-    """Return the velocity of a twist, or why it has none.
-
-    The stamp is in seconds, the velocity in m/s, and `of_east`, `of_north` are the variances of
-    both, (m/s)²; zero where they are unknown.
-    """
+    """Return the velocity of a twist, m/s with variances (0 if unknown), or why it has none."""
     if of_east == ABSENT:
         return "its velocity is marked absent (covariance -1)"
     sigma = RECEIVER_SPEED_SIGMA
@@ -100,17 +91,13 @@ def velocity_from(
 
 HEADING_SIGMA = math.radians(1.0)
 """Sigma of a heading whose orientation covariance is zero, which means unknown."""
-NO_HEADING = math.radians(30.0)
-"""Sigma from which a heading counts as unknown."""
+NO_HEADING = math.radians(30.0)  # sigma from which a heading counts as unknown
 
 
 def heading_from(
     stamp: float, orientation: tuple[float, float, float, float], mark: float, variance: float
 ) -> HeadingSample | str:
-    """Return the yaw of an Imu's orientation (x, y, z, w), or why it has none.
-
-    `mark` is the first element of its covariance, and `variance` that of the yaw, rad².
-    """
+    """Return the yaw of an orientation x, y, z, w (`variance` in rad²), or why it has none."""
     x, y, z, w = orientation
     if mark == ABSENT:
         return "its orientation is marked absent (covariance -1)"

@@ -31,20 +31,22 @@ from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
 
-TESLA = 1e-7
-"""In a milligauss."""
+TESLA = 1e-7  # in a milligauss
 
 NAMES = logs.Names(
-    "IMU",
-    "MAG",
-    "let LOG_BITMASK log IMU, and record again",
-    "look at COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
+    logs.Name("IMU", "let LOG_BITMASK log IMU, and record again"),
+    logs.Name(
+        "MAG",
+        "look at COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
+    ),
 )
 TELEMETRY_NAMES = logs.Names(
-    "IMU",
-    "MAG",
-    "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's card",
-    "look at COMPASS_ENABLE and the wiring, and record again",
+    logs.Name(
+        "IMU",
+        "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's "
+        "card",
+    ),
+    logs.Name("MAG", "look at COMPASS_ENABLE and the wiring, and record again"),
 )
 REPEATED = -1
 RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
@@ -52,14 +54,9 @@ RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU
 
 TELEMETRY_KINDS = {*RAW_KINDS, "ATTITUDE", "GPS_RAW_INT", "PARAM_VALUE"}
 
-AUTOPILOT = 1
-"""Component of MAVLink: cameras and gimbals have others."""
-
-SLOTS = ("", "2", "3")
-"""How the parameters of the compasses, and of the IMUs, are numbered."""
-
-PARAMETERS = ("COMPASS_", "EK3_", "INS_USE")
-"""How those begin that are read."""
+AUTOPILOT = 1  # component of MAVLink: cameras and gimbals have others
+SLOTS = ("", "2", "3")  # how the parameters of the compasses, and of the IMUs, are numbered
+PARAMETERS = ("COMPASS_", "EK3_", "INS_USE")  # how those begin that are read
 
 SMALLEST_SCALE, LARGEST_SCALE = 1.0 / 1.5, 1.5
 """Of COMPASS_SCALE; the autopilot ignores others (Compass::have_scale_factor)."""
@@ -68,6 +65,7 @@ BACKWARDS, LATE = 1.0, 10.0
 """Seconds by which an autopilot's clock goes back, or a message is late, where it started anew."""
 
 SENSORS = 3
+Parameters = dict[str, float]
 
 
 def read_ardupilot(
@@ -94,13 +92,10 @@ def read_ardupilot(
 class _Logged:
     """The numbers of a log by sensor, as logged, forward-right-down."""
 
-    imus: dict[int, FloatArray] = field(default_factory=dict)
-    """Stamp, specific force, rate."""
+    imus: dict[int, FloatArray] = field(default_factory=dict)  # stamp, specific force, rate
     mags: dict[int, FloatArray] = field(default_factory=dict)
     """Stamp, field, offsets and motors' part, milligauss; NaN where they are not logged."""
-    parameters: list[tuple[float, dict[str, float]]] = field(
-        default_factory=lambda: [(-math.inf, dict[str, float]())]
-    )
+    parameters: list[tuple[float, Parameters]] = field(default_factory=lambda: [(-math.inf, {})])
     """From when on they hold; a log may span a calibration by the autopilot."""
     lane: tuple[int, int] | None = None
     """Lane of the EKF that was in use most of the time, and its compass."""
@@ -117,18 +112,11 @@ class _Logged:
         elif newest[name] != value:
             self.parameters.append((stamp, {**newest, name: value}))
 
-    def take_fix(
-        self,
-        stamp: float,
-        has_fix: bool,
-        place: tuple[float, float, float],
-        speed: float,
-        course: float,
-    ) -> None:
-        """Take what a receiver says."""
-        self.tables.fixes.append(Fix(has_fix, *place, stamp))
-        if has_fix and math.isfinite(speed + course):
-            self.tables.velocities.append(logs.velocity(stamp, speed, course))
+    def take_fix(self, fix: Fix, speed: float, course: float) -> None:
+        """Take what a receiver says, m/s and radians."""
+        self.tables.fixes.append(fix)
+        if fix.has_fix and math.isfinite(speed + course):
+            self.tables.velocities.append(logs.velocity(fix.stamp, speed, course))
 
 
 def _logged(found: DataFlash) -> _Logged:
@@ -143,16 +131,15 @@ def _logged(found: DataFlash) -> _Logged:
     if "ATT" in found.tables:
         stamps, bearing = found.tables["ATT"].T
         out.tables.yaw = np.column_stack([stamps, np.radians(90.0 - bearing)])
-    for stamp, number, status, *place, speed, course in found.tables.get(
-        "GPS", np.empty(0)
-    ).tolist():
+    receivers = found.tables.get("GPS", np.empty(0)).tolist()
+    for stamp, number, status, latitude, longitude, altitude, speed, course in receivers:
         if not number > 0.0:  # the first one, which old releases do not number
-            has_fix = status >= logs.FIX_3D
-            out.take_fix(stamp, has_fix, tuple(place), speed, math.radians(course))
+            fix = Fix(status >= logs.FIX_3D, latitude, longitude, altitude, stamp)
+            out.take_fix(fix, speed, math.radians(course))
     if "XKFS" in found.tables and "XKF4" in found.tables:
-        lane = _most_common(found.tables["XKF4"][:, 1])
+        lane = logs.most_common(found.tables["XKF4"][:, 1])
         selected = found.tables["XKFS"]
-        out.lane = lane, _most_common(selected[selected[:, 1] == lane, 2])
+        out.lane = lane, logs.most_common(selected[selected[:, 1] == lane, 2])
     return out
 
 
@@ -164,11 +151,6 @@ def _instances(found: DataFlash, kind: str) -> Iterable[tuple[int, FloatArray]]:
             numbers = np.where(np.isnan(table[:, 1]), usual, table[:, 1])
             for number in np.unique(numbers):
                 yield int(number), table[numbers == number]
-
-
-def _most_common(numbers: FloatArray) -> int:
-    values, counts = np.unique(numbers, return_counts=True)
-    return int(values[counts.argmax()]) if len(values) else 0
 
 
 def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
@@ -217,15 +199,11 @@ class _Telemetry:
             self._out.take_parameter(m._timestamp, m.param_id, float(m.param_value))
         else:
             place = (1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
-            course = math.radians(0.01 * m.cog)
-            has_fix = m.fix_type >= logs.FIX_3D
-            self._out.take_fix(m._timestamp, has_fix, place, 0.01 * m.vel, course)
+            fix = Fix(m.fix_type >= logs.FIX_3D, *place, m._timestamp)
+            self._out.take_fix(fix, 0.01 * m.vel, math.radians(0.01 * m.cog))
 
     def _by_own_clock(self, m: Any) -> float:
-        """Return a message's stamp by the autopilot's clock, shifted to the receiver's.
-
-        That clock starts anew with the autopilot.
-        """
+        """Return a message's stamp by the autopilot's clock, shifted to the receiver's."""
         micros = getattr(m, "time_usec", None)
         own = 1e-3 * m.time_boot_ms if micros is None else 1e-6 * micros
         booted = m._timestamp - own
@@ -257,18 +235,18 @@ def _raw_tables(logged: _Logged, telemetry: bool) -> logs.LogTables:
     """Return everything in SI units, forward-left-up axes, calibrations taken off."""
     tables, newest = logged.tables, logged.parameters[-1][1]
     for number, table in logged.imus.items():
-        if not len(table):
-            continue
-        table[:, 1:4] *= logs.FLU_FROM_FRD
-        table[:, 4:7] *= logs.FLU_FROM_FRD
-        tables.imus[number] = table
+        if len(table):
+            table[:, 1:] *= np.tile(logs.FLU_FROM_FRD, 2)
+            tables.imus[number] = table
     for number, table in logged.mags.items():
         if len(table):
             _take_field(tables, number, table, logged.parameters)
     # Logs without the EKF's choice may have it as parameters, the latter up to release 4.0.
     primary = newest.get("EK3_PRIMARY"), newest.get("COMPASS_PRIMARY")
     lane, compass = logged.lane or (None if each is None else int(each) for each in primary)
-    used = None if lane is None else _imu_of(lane, newest)
+    # Lanes of the EKF are counted over the IMUs of its mask.
+    of_lanes = [k for k in range(SENSORS) if int(newest.get("EK3_IMU_MASK", 3.0)) >> k & 1]
+    used = of_lanes[lane] if lane is not None and 0 <= lane < len(of_lanes) else None
     tables.imu_order = _order(tables.imus, newest, "INS_USE", used)
     tables.field_order = _order(tables.fields, newest, "COMPASS_USE", compass)
     if telemetry and "COMPASS_OFS_X" not in newest:
@@ -283,7 +261,7 @@ def _take_field(
     tables: logs.LogTables,
     number: int,
     table: FloatArray,
-    parameters: list[tuple[float, dict[str, float]]],
+    parameters: list[tuple[float, Parameters]],
 ) -> None:
     """Add a compass, raw; what an earlier orientation turned is left out."""
     newest = parameters[-1][1]
@@ -309,24 +287,10 @@ def _take_field(
         )
 
 
-def _imu_of(lane: int, parameters: Mapping[str, float]) -> int | None:
-    """Return the IMU of a lane of the EKF: lanes are counted over the IMUs of EK3_IMU_MASK."""
-    mask = int(parameters.get("EK3_IMU_MASK", 3.0))
-    of_lanes = [k for k in range(SENSORS) if mask >> k & 1]
-    return of_lanes[lane] if 0 <= lane < len(of_lanes) else None
-
-
 def _order(
-    sensors: Mapping[int, FloatArray],
-    parameters: Mapping[str, float],
-    switch: str,
-    used: int | None,
+    sensors: Mapping[int, FloatArray], parameters: Parameters, switch: str, used: int | None
 ) -> logs.Order:
-    """Return the order in which sensors are taken.
-
-    First is the one that the autopilot used, then those that may be used and were healthy most of
-    the time, in the autopilot's order.
-    """
+    """Return the order of sensors: the used one, then those switched on, healthy, by number."""
     longest = max((len(each) for each in sensors.values()), default=0)
 
     def rank(number: int) -> tuple[bool, bool, bool, int]:
@@ -340,41 +304,33 @@ def _order(
     return logs.Order(numbers, f"the first by {switch} and health" if is_said else "")
 
 
-def _slot(number: int, offsets: FloatArray, parameters: Mapping[str, float]) -> int:
-    """Return which of the parameters' compasses a sensor is: the one with its offsets.
-
-    Priorities may put the sensors of a log into another order than the parameters.
-    """
-    gaps = [
-        float(np.abs(_three(parameters, f"COMPASS_OFS{slot}_", "XYZ") - offsets).max())
-        for slot in SLOTS
-    ]
-    known = [gap if math.isfinite(gap) else math.inf for gap in gaps]
+def _slot(number: int, offsets: FloatArray, parameters: Parameters) -> int:
+    """Return which of the parameters' compasses a sensor is: the one with its offsets."""
+    # Priorities may put the sensors of a log into another order than the parameters.
+    gaps = [np.abs(_three(parameters, f"COMPASS_OFS{slot}_") - offsets).max() for slot in SLOTS]
+    known = np.nan_to_num(gaps, nan=math.inf)
     usual = min(number, len(SLOTS) - 1)
     best = min(range(len(SLOTS)), key=lambda slot: (known[slot], slot != usual))
     return best if known[best] <= 1.0 else usual  # logged offsets are whole milligauss
 
 
-def _without_calibration(
-    table: FloatArray, slot: int, parameters: Mapping[str, float]
-) -> FloatArray:
+def _without_calibration(table: FloatArray, slot: int, parameters: Parameters) -> FloatArray:
     """Return the field before the autopilot's own calibration, milligauss."""
     name = SLOTS[slot]
-    x, y, z = _three(parameters, f"COMPASS_DIA{name}_", "XYZ")
-    xy, xz, yz = np.nan_to_num(_three(parameters, f"COMPASS_ODI{name}_", "XYZ"))
-    matrix = np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
+    off_diagonal = np.nan_to_num(_three(parameters, f"COMPASS_ODI{name}_"))
+    matrix = logs.symmetric(_three(parameters, f"COMPASS_DIA{name}_"), off_diagonal)
     if not np.isfinite(matrix).all() or not matrix.diagonal().any():
         matrix = np.eye(3)
     scale = parameters.get(f"COMPASS_SCALE{name}", 1.0)
     if not SMALLEST_SCALE <= scale <= LARGEST_SCALE:
         scale = 1.0
     # The logged offsets are cut to whole numbers, the parameters are not.
-    exact, offsets = _three(parameters, f"COMPASS_OFS{name}_", "XYZ"), table[:, 4:7]
+    exact, offsets = _three(parameters, f"COMPASS_OFS{name}_"), table[:, 4:7]
     is_same = np.isnan(offsets) | (np.abs(exact - offsets) < 1.0)
     offsets = np.nan_to_num(np.where(is_same, exact, offsets))
     uncut = table[:, 1:4] + 0.5 * np.sign(table[:, 1:4])
     return np.linalg.solve(matrix * scale, uncut.T).T - offsets
 
 
-def _three(parameters: Mapping[str, float], prefix: str, axes: Iterable[str]) -> FloatArray:
-    return np.array([parameters.get(prefix + axis, math.nan) for axis in axes])
+def _three(parameters: Parameters, prefix: str) -> FloatArray:
+    return np.array([parameters.get(prefix + axis, math.nan) for axis in "XYZ"])

@@ -43,8 +43,7 @@ RECEIVER_TOPICS = ("vel", "fix_velocity")
 """How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
 body's. A bag without fixes has no receiver."""
 
-LATEST = 2**63 - 1
-"""Nanoseconds: after every message."""
+LATEST = 2**63 - 1  # nanoseconds: after every message
 
 REMEDIES = {
     ".mcap": "`mcap recover IN -o OUT` saves what is whole",
@@ -123,7 +122,12 @@ class Bag:
         if self._of(FIX_TYPE):
             twists = self._of(TWIST_TYPE, SURE_TWIST_TYPE)
             heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVER_TOPICS]
-        found = self._read(heard, self._travelled)
+
+        def take(connection: Connection, _: int, data: bytes) -> Any:
+            return TRAVEL[connection.msgtype](self._format, data)
+
+        # What has no fix, speed or velocity says why instead.
+        found = self._read(heard, take)
         return travel_of(each for each in found if not isinstance(each, str))
 
     @cached_property
@@ -146,25 +150,14 @@ class Bag:
         return sorted(self._read(heard, take))
 
     def headings(self, topic: str) -> list[HeadingSample]:
-        """Return the yaws of a topic's orientations, by stamp.
-
-        Misuse if there is no such topic, FileTrouble if it gives no heading.
-        """
-        read = list(
-            self._read(
-                _named(self._path, self._reader, IMU_TYPE, topic),
-                lambda _, __, data: self._format.heading(data),
-            )
-        )
+        """Return a topic's yaws by stamp; a FileTrouble if there is no such topic or no yaw."""
+        heard = _named(self._path, self._reader, IMU_TYPE, topic)
+        read = list(self._read(heard, lambda _, __, data: self._format.heading(data)))
         found = [each for each in read if not isinstance(each, str)]
         if not found:
             why = read[-1] if read else "it is empty"
             raise FileTrouble(f"{plain(topic)} gives no heading: {why}")
         return sorted(found, key=lambda sample: sample.stamp)
-
-    def _travelled(self, connection: Connection, _: int, data: bytes) -> Any:
-        """Return the fix, speed or velocity of a message, or words on why it has none."""
-        return TRAVEL[connection.msgtype](self._format, data)
 
     def _of(self, *kinds: str) -> list[Connection]:
         """Return the connections of some types that hold messages."""
@@ -174,18 +167,17 @@ class Bag:
         self, heard: list[Connection], take: Callable[[Connection, int, bytes], T]
     ) -> Iterator[T]:
         """Yield what `take` makes of connection, time of recording (ns) and bytes of the span."""
-        # The library rosbags takes no connections for all of them.
-        if heard:
-            with _damage_in_words(self._path):
-                for connection, received, data in self._reader.messages(
-                    heard, self._first, self._end
-                ):
-                    if self._reader.is2 and not is_plain_cdr(data):
-                        # The library turns the other byte order.
-                        kind, store = connection.msgtype, self._reader.typestore
-                        message = self._reader.deserialize(data, kind)
-                        data = bytes(store.serialize_cdr(message, kind, little_endian=True))
-                    yield take(connection, received, data)
+        reader = self._reader
+        if not heard:
+            return  # the library rosbags takes no connections for all of them
+        with _damage_in_words(self._path):
+            for connection, received, data in reader.messages(heard, self._first, self._end):
+                if reader.is2 and not is_plain_cdr(data):
+                    # The library turns the other byte order.
+                    kind, store = connection.msgtype, reader.typestore
+                    message = reader.deserialize(data, kind)
+                    data = bytes(store.serialize_cdr(message, kind, little_endian=True))
+                yield take(connection, received, data)
 
 
 @contextlib.contextmanager
@@ -244,14 +236,12 @@ def _refuse_other_files(path: Path) -> None:
 
 
 def _damage_in_words(path: Path) -> contextlib.AbstractContextManager[None]:
-    return damage_in_words(path, "cut short", lambda: _remedy(path))
+    def remedy() -> str:
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        found = [REMEDIES[file.suffix] for file in files if file.suffix in REMEDIES]
+        return f"Record again; {found[0]}." if found else "Record again."
 
-
-def _remedy(path: Path) -> str:
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
-    kinds = [file.suffix for file in files if file.suffix in REMEDIES]
-    remedy = REMEDIES.get(kinds[0], "") if kinds else ""
-    return f"Record again; {remedy}." if remedy else "Record again."
+    return damage_in_words(path, "cut short", remedy)
 
 
 def _find(path: Path, reader: Any, msgtype: str, wanted: str, option: str) -> list[Connection]:
@@ -267,25 +257,19 @@ def _find(path: Path, reader: Any, msgtype: str, wanted: str, option: str) -> li
             "Record the IMU's and the magnetometer's topics"
         )
     if len(topics) > 1:
-        names = ", ".join(plain(topic) for topic in topics)
-        raise Misuse(
-            f"{plain(str(path))} has {len(topics)} topics of {kind}: {names}; "
-            f"choose one with {option}"
-        )
+        names = f"{len(topics)} topics of {kind}: {', '.join(map(plain, topics))}"
+        raise Misuse(f"{plain(str(path))} has {names}; choose one with {option}")
     return fitting
 
 
 def _named(path: Path, reader: Any, msgtype: str, wanted: str) -> list[Connection]:
     found = [c for c in reader.connections if c.topic == wanted]
+    wrong = [f"{plain(c.msgtype)}, not {msgtype}" for c in found if c.msgtype != msgtype]
+    if wrong:
+        raise FileTrouble(f"{plain(wanted)} is {wrong[0]}; the bag has: {_listed(reader)}")
     if not found:
-        raise FileTrouble(
-            f"{plain(str(path))} has no topic {plain(wanted)}; it has: {_listed(reader)}"
-        )
-    wrong = next((c.msgtype for c in found if c.msgtype != msgtype), None)
-    if wrong is not None:
-        raise FileTrouble(
-            f"{plain(wanted)} is {plain(wrong)}, not {msgtype}; the bag has: {_listed(reader)}"
-        )
+        words = f"{plain(str(path))} has no topic {plain(wanted)}"
+        raise FileTrouble(f"{words}; it has: {_listed(reader)}")
     return found
 
 

@@ -26,8 +26,7 @@ FORMAT_VERSION = 1
 LARGEST_FILE = 100_000
 """Bytes. A calibration has about ten thousand; anything larger is something else."""
 
-DEEPEST = 10
-"""Levels of nesting; a calibration has three."""
+DEEPEST = 10  # levels of nesting; a calibration has three
 
 _SAYS_IT_IS_OURS = re.compile(
     rb"""^(format: *["']?magcal_ros/calibration\b|# Magnetometer calibration by magcal_ros\.)""",
@@ -51,25 +50,18 @@ class Origin:
     magnetometer_frame: str
     imu_frame: str
     """`frame_id` of the two sensors' messages."""
-    created: str
-    """ISO 8601, UTC."""
-    node: str = ""
-    """Fully qualified name of the node that made it; empty where there was none."""
+    created: str  # ISO 8601, UTC
+    node: str = ""  # fully qualified name of the node that made it; empty where there was none
     vehicle_yaw: VehicleYaw | None = None
     """How the IMU sits in the vehicle, as drives have shown it; no part of the calibration."""
 
     @classmethod
     def now(
-        cls,
-        magnetometer_frame: str,
-        imu_frame: str,
-        node: str = "",
-        vehicle_yaw: VehicleYaw | None = None,
+        cls, field_frame: str, imu_frame: str, node: str = "", vehicle_yaw: VehicleYaw | None = None
     ) -> Origin:
         """Return the origin of a calibration made at this moment."""
         stamp = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        frames = known_as(magnetometer_frame), known_as(imu_frame)
-        return cls(*frames, stamp, node, vehicle_yaw)
+        return cls(known_as(field_frame), known_as(imu_frame), stamp, node, vehicle_yaw)
 
 
 class _PlainLoader(yaml.SafeLoader):
@@ -93,12 +85,10 @@ class _PlainDumper(yaml.SafeDumper):
     """Safe YAML that quotes texts with unprintable characters: some breaks would come back else."""
 
 
-def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    style = None if text.isprintable() else '"'
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style)
-
-
-_PlainDumper.add_representer(str, _represent_text)
+_TEXT = "tag:yaml.org,2002:str"
+_PlainDumper.add_representer(
+    str, lambda to, text: to.represent_scalar(_TEXT, text, None if text.isprintable() else '"')
+)
 
 
 def write_calibration(
@@ -107,20 +97,11 @@ def write_calibration(
     origin: Origin,
     when_written: Callable[[], object] | None = None,
 ) -> None:
-    """Write a calibration in one step, at full precision.
-
-    After a FileTrouble the file is as it was: it cannot be written, or it is no calibration of this
-    package. `when_written` is as of `write_atomically`.
-    """
+    """Write a calibration as of `write_atomically`; a FileTrouble too if the file is not ours."""
     require_ours(path)
     document = {k: v for k, v in _document(calibration, origin).items() if v is not None}
-    body = yaml.dump(
-        document,
-        Dumper=_PlainDumper,
-        sort_keys=False,
-        allow_unicode=True,
-        default_flow_style=None,
-    )
+    style: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "default_flow_style": None}
+    body = yaml.dump(document, Dumper=_PlainDumper, **style)
     write_atomically(path, HEADER + body, when_written=when_written)
 
 
@@ -144,11 +125,7 @@ def require_ours(path: Path) -> None:
 
 
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
-    """Return the numbers that were written, to the last bit.
-
-    A FileTrouble if the file is missing, damaged, no calibration of this version, or claims what is
-    impossible.
-    """
+    """Return what was written, to the last bit; a FileTrouble of what is no usable calibration."""
     document = _parse(path)
     try:
         calibration, origin = _calibration(document), _origin(document)
@@ -341,8 +318,7 @@ def _positive(value: Any, name: str) -> float:
     return number
 
 
-KEPT = 3
-"""Former files that are kept."""
+KEPT = 3  # former files that are kept
 
 
 def backup_files(path: Path) -> list[Path]:
@@ -358,16 +334,16 @@ def keep_backup(path: Path, successor: Calibration) -> None:
     that alternate do not push out a third. Files of these names that do not say that they are ours
     stay where they are, and are not counted. After a FileTrouble the backups are as they were.
     """
-    try:
-        content = read_small(path, LARGEST_FILE)
-        held, _ = read_calibration(path)
-    except (OSError, ValueError, FileTrouble):
+    held = _held_by(path)
+    if held is None:
         return
+    content = read_small(path, LARGEST_FILE)
     files = [file for file in backup_files(path) if is_free_or_ours(file) and not file.is_symlink()]
     if not files:
         raise FileTrouble("all names for it belong to files that are not ours")
-    kept = next((k for k, file in enumerate(files) if _holds(file, held)), None)
-    if kept == 0 or held.correction.is_same(successor.correction):
+    each = [_held_by(file) for file in files]
+    kept = next((k for k, other in enumerate(each) if other and other.is_same(held)), None)
+    if kept == 0 or held.is_same(successor.correction):
         return
     missing = (k for k, file in enumerate(files) if not file.exists())
     free = next(missing, len(files) - 1) if kept is None else kept
@@ -375,12 +351,12 @@ def keep_backup(path: Path, successor: Calibration) -> None:
     write_atomically(files[0], text, when_written=lambda: _move_on(files, free))
 
 
-def _holds(file: Path, calibration: Calibration) -> bool:
-    """Whether a file can be loaded and has the same numbers."""
+def _held_by(file: Path) -> Correction | None:
+    """Return the numbers of a file; None if it cannot be loaded."""
     try:
-        return read_calibration(file)[0].correction.is_same(calibration.correction)
+        return read_calibration(file)[0].correction
     except (OSError, ValueError, FileTrouble):
-        return False
+        return None
 
 
 def _move_on(files: list[Path], free: int) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from array import array
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,8 +44,7 @@ class DataFlash:
 
     tables: dict[str, FloatArray] = field(default_factory=dict)
     """By message: the stamp and `COLUMNS`, NaN where a release has none."""
-    parameters: list[tuple[float, str, float]] = field(default_factory=list)
-    """Stamp, name, value."""
+    parameters: list[tuple[float, str, float]] = field(default_factory=list)  # stamp, name, value
 
 
 def read_dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> DataFlash:
@@ -61,7 +59,8 @@ def read_dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> DataFla
         return kind.recv_msg(reader)
 
     def init_clock(reader: Any) -> None:
-        if is_binary and not _count(reader, *GPS_MESSAGES) and _has_own_clock(reader):
+        no_receiver = is_binary and not _count(reader, *GPS_MESSAGES)
+        if no_receiver and _count(reader, "IMU") and "TimeUS" in _format(reader, "IMU").columns:
             reader.init_clock_usec()
         else:
             kind.init_clock(reader)
@@ -78,10 +77,8 @@ def _count(reader: Any, *kinds: str) -> int:
     return sum(reader.counts[reader.name_to_id[k]] for k in kinds if k in reader.name_to_id)
 
 
-def _has_own_clock(reader: Any) -> bool:
-    return (
-        _count(reader, "IMU") > 0 and "TimeUS" in reader.formats[reader.name_to_id["IMU"]].columns
-    )
+def _format(reader: Any, kind: str) -> Any:
+    return reader.formats[reader.name_to_id[kind]]
 
 
 def _by_type(reader: Any, codes: Any, deadline: logs.Deadline) -> DataFlash:
@@ -91,7 +88,7 @@ def _by_type(reader: Any, codes: Any, deadline: logs.Deadline) -> DataFlash:
         if not _count(reader, kind):
             continue
         rows, stamps = _rows(reader, kind, codes)
-        form = reader.formats[reader.name_to_id[kind]]
+        form = _format(reader, kind)
         scales = dict(zip(form.columns, form.msg_mults, strict=False))
         absent = np.full(len(rows), np.nan)
         columns = [
@@ -126,9 +123,11 @@ def _by_message(reader: Any, deadline: logs.Deadline) -> DataFlash:
     # Flat arrays take a tenth of the memory of rows.
     flat: dict[str, array[float]] = defaultdict(lambda: array("d"))
     found = DataFlash()
-    for count, message in enumerate(_messages(reader)):
+    wanted, count = [*COLUMNS, "PARM"], 0
+    while (message := reader.recv_match(type=wanted, strict=True)) is not None:
         if count % logs.EVERY == 0:
             deadline.report(0.01 * reader.percent)
+        count += 1
         kind, stamp = message.get_type(), message._timestamp
         if kind == "PARM":
             found.parameters.append((stamp, message.Name, float(message.Value)))
@@ -138,9 +137,3 @@ def _by_message(reader: Any, deadline: logs.Deadline) -> DataFlash:
     for kind, numbers in flat.items():
         found.tables[kind] = np.array(numbers).reshape(-1, 1 + len(COLUMNS[kind]))
     return found
-
-
-def _messages(reader: Any) -> Iterator[Any]:
-    wanted = [*COLUMNS, "PARM"]
-    while (message := reader.recv_match(type=wanted, strict=True)) is not None:
-        yield message

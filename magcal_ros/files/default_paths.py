@@ -12,8 +12,7 @@ from magcal_ros.files.disk import FileTrouble
 
 LONGEST_NAME = 80
 
-LONGEST_FRAME = 200
-"""Characters of a frame that are kept; the network may send a million."""
+LONGEST_FRAME = 200  # characters of a frame that are kept; the network may send a million
 
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\Z", re.IGNORECASE)
 """Names that are devices on some file systems."""
@@ -40,10 +39,7 @@ def chosen_path(text: str) -> Path:
 
 
 def lies_within(path: Path, places: Iterable[Path]) -> bool:
-    """Whether a path is one of some places or lies below one, by its names alone.
-
-    Links are not looked at: only who may write there already can have made one.
-    """
+    """Whether a path is one of some places or below one, by names: links are not looked at."""
     if ".." in path.parts or "\0" in str(path):
         return False
     return any(path.absolute().is_relative_to(place.absolute()) for place in places)
@@ -58,10 +54,8 @@ def is_missing(path: Path) -> bool:
     """Whether there is surely nothing; a place that cannot be looked at may hold something."""
     try:
         path.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        return True
-    except (OSError, ValueError):
-        return False
+    except (OSError, ValueError) as error:
+        return isinstance(error, (FileNotFoundError, NotADirectoryError))
     return False
 
 
@@ -90,20 +84,14 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
 
 
-FRAMELESS = "magnetometer"
-"""Stands in a path for the frame of a sensor that names none."""
+FRAMELESS = "magnetometer"  # stands in a path for the frame of a sensor that names none
 
 
 @dataclass(frozen=True)
 class SensorFile:
-    """Where a node keeps the calibration of a sensor unless the user named a file.
+    """Where a node keeps a sensor's calibration: by node and frame, since either may be shared."""
 
-    Nodes for several magnetometers may share a namespace, and the magnetometers a frame, so both
-    names stand in the file's.
-    """
-
-    frame: str
-    """`frame_id` of the field messages; empty if they have none."""
+    frame: str  # `frame_id` of the field messages; empty if they have none
     namespace: str = "/"
     node: str = "calibrator"
     """The node's: two robots may carry the same sensor."""

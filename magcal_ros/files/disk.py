@@ -23,8 +23,7 @@ class FileTrouble(MagcalError):
 UNFINISHED = ".magcal-unfinished"
 """How the names of files end that are being written; a kill may leave one behind."""
 
-LEFT_BEHIND = 3600.0
-"""Seconds after which it counts as abandoned."""
+LEFT_BEHIND = 3600.0  # seconds after which it counts as abandoned
 
 REMEDY = "Choose a writable place with the parameter calibration_file, or correct its permissions."
 
@@ -136,8 +135,7 @@ def plain_lines(text: str) -> str:
     return "\n".join(plain(line, len(line)) for line in text.split("\n"))
 
 
-PATIENCE = 5.0
-"""Seconds within which a disk answers that is there at all."""
+PATIENCE = 5.0  # seconds within which a disk answers that is there at all
 
 Result = TypeVar("Result")
 

@@ -23,14 +23,9 @@ from magcal_ros.core.geometry.rotations import rotation_angle, rpy_from_rotation
 from magcal_ros.files.disk import plain
 from magcal_ros.files.px4 import mounting_of
 
-GAUSS = 1e4
-"""Gauss in a tesla."""
-
-MILLIGAUSS = 1e7
-"""Milligauss in a tesla."""
-
-DECIMALS = 9
-"""Of a matrix or of gauss. What is cut off changes no field by more than 0.001 nT."""
+GAUSS = 1e4  # gauss in a tesla
+MILLIGAUSS = 1e7  # milligauss in a tesla
+DECIMALS = 9  # of a matrix or of gauss. What is cut off changes no field by more than 0.001 nT.
 
 OF_TESLA = 13
 
@@ -38,8 +33,6 @@ LARGEST_LOST_ROTATION = math.radians(5.0)
 """A rotation beyond this belongs into the consumer's mounting, not into a comment."""
 
 MENTIONED_ROTATION = math.radians(0.5)
-
-ABOVE_DIAGONAL = np.triu_indices(3, 1)
 
 
 class NotExportable(MagcalError):
@@ -73,14 +66,13 @@ def without_rotation(correction: Correction, consumer: str) -> tuple[Correction,
             f"{consumer}, or set this rotation there as the sensor's orientation (as a custom one, "
             "if the list has none like it); then record and fit again."
         )
-    comments = list[str]()
-    if angle > MENTIONED_ROTATION:
-        comments += [
-            f"LOST: a rotation of {math.degrees(angle):.2f} degrees, {turned}.",
-            f"{consumer} holds a symmetric matrix only; the heading errs by up to that rotation,",
-            "times the tangent of the field's inclination where it is about a level axis.",
-        ]
-    return in_forward_right_down(Correction(symmetric, correction.hard_iron)), comments
+    comments = [
+        f"LOST: a rotation of {math.degrees(angle):.2f} degrees, {turned}.",
+        f"{consumer} holds a symmetric matrix only; the heading errs by up to that rotation,",
+        "times the tangent of the field's inclination where it is about a level axis.",
+    ]
+    held = in_forward_right_down(Correction(symmetric, correction.hard_iron))
+    return held, comments if angle > MENTIONED_ROTATION else []
 
 
 def _above(value: float, limit: float) -> str:
@@ -105,14 +97,10 @@ def numbers(values: FloatArray, decimals: int = DECIMALS) -> str:
 def provenance(calibration: Calibration) -> str:
     """Return where the numbers come from, in one line."""
     evidence = calibration.evidence
-    method, quality, confidence = (
-        # A file edited by hand must not end the comment that this becomes.
-        plain(text.replace("*/", "* /"))
-        for text in (evidence.method, evidence.quality, evidence.confidence)
-    )
-    return (
-        f"Magnetometer calibration by magcal_ros, method {method}, "
-        f"quality {quality}, confidence {confidence}"
+    said = evidence.method, evidence.quality, evidence.confidence
+    # A file edited by hand must not end the comment that this becomes.
+    return "Magnetometer calibration by magcal_ros, method {}, quality {}, confidence {}".format(
+        *(plain(text.replace("*/", "* /")) for text in said)
     )
 
 
@@ -126,6 +114,24 @@ def parameter_file(*entries: str) -> str:
     return "\n".join(["/**:", "  ros__parameters:", *(f"    {each}" for each in entries), ""])
 
 
+def hard_iron_entries(calibration: Calibration, prefix: str) -> list[str]:
+    """Return the hard iron, tesla, as three parameters that begin with `prefix`."""
+    iron = zip("xyz", calibration.correction.hard_iron, strict=True)
+    return [f"{prefix}_{axis}: {number(value, OF_TESLA)}" for axis, value in iron]
+
+
+def autopilot_entries(
+    form: str, names: tuple[str, str, str], offsets: FloatArray, matrix: FloatArray
+) -> str:
+    """Return a line for each number of offsets (3,) and a symmetric matrix (3, 3), by `form`."""
+    values = offsets, matrix.diagonal(), matrix[np.triu_indices(3, 1)]
+    return "".join(
+        form.format(name, axis, number(value)) + "\n"
+        for name, three in zip(names, values, strict=True)
+        for axis, value in zip("XYZ", three, strict=True)
+    )
+
+
 def ctu_vras(calibration: Calibration) -> str:
     """Return a parameter file for the compass stack of ctu-vras, for nodes of every name.
 
@@ -136,16 +142,14 @@ def ctu_vras(calibration: Calibration) -> str:
     under `load_from_params`; it publishes them without a matrix, and a matrix that the receiver got
     as a parameter stays in force.
     """
-    correction = calibration.correction
-    matrix = f"[{numbers(correction.matrix)}]"
-    entries = [
-        f"{prefix}_{axis}: {number(value, OF_TESLA)}"
-        for prefix in ("initial_mag_bias", "magnetometer_bias")
-        for axis, value in zip("xyz", correction.hard_iron, strict=True)
-    ]
-    entries += [f"initial_mag_scaling_matrix: {matrix}", f"initial_scaling_matrix: {matrix}"]
+    matrix = f"[{numbers(calibration.correction.matrix)}]"
     formula = "unbiased = scaling_matrix * (mag - bias): tesla; the result is in the IMU's axes."
-    return commented(calibration, formula) + parameter_file(*entries)
+    return commented(calibration, formula) + parameter_file(
+        *hard_iron_entries(calibration, "initial_mag_bias"),
+        *hard_iron_entries(calibration, "magnetometer_bias"),
+        f"initial_mag_scaling_matrix: {matrix}",
+        f"initial_scaling_matrix: {matrix}",
+    )
 
 
 def fusioncore(calibration: Calibration) -> str:
@@ -179,10 +183,7 @@ UNCHANGED = 1e-9
 
 
 def imu_filter_madgwick(calibration: Calibration) -> str:
-    """Return a parameter file for imu_filter_madgwick, which knows the hard iron alone.
-
-    `compensated = mag - mag_bias`, tesla (wiki.ros.org/imu_filter_madgwick).
-    """
+    """Return a parameter file for imu_filter_madgwick: `compensated = mag - mag_bias`, tesla."""
     comments = ["compensated = mag - mag_bias, tesla."]
     matrix = calibration.correction.matrix
     if np.abs(matrix - np.eye(3)).max() > UNCHANGED:
@@ -194,19 +195,11 @@ def imu_filter_madgwick(calibration: Calibration) -> str:
             "To lose nothing, let it subscribe to imu/mag_unbiased of the calibrator, with zeros "
             "here.",
         ]
-    entries = [
-        f"mag_bias_{axis}: {number(value, OF_TESLA)}"
-        for axis, value in zip("xyz", calibration.correction.hard_iron, strict=True)
-    ]
+    entries = hard_iron_entries(calibration, "mag_bias")
     return commented(calibration, *comments) + parameter_file(*entries)
 
 
 LARGEST_NUMBER = 1e3
-
-VECTORNAV_NOTES = (
-    "register 23 had to be the identity while the turn was made, and the field in the sensor's own "
-    "axes: ROS drivers publish the compensated field, some in axes of their own"
-)
 
 
 def vectornav(calibration: Calibration) -> str:
@@ -214,8 +207,8 @@ def vectornav(calibration: Calibration) -> str:
 
     `X = C (M - B)`, C row by row, B in gauss, forward-right-down axes (VN-100 user manual UM001,
     6.2.1). The checksum is the exclusive or of the bytes between `$` and `*`. The serial line knows
-    no comments: `VECTORNAV_NOTES` says what the command assumes. NotExportable if a number does not
-    fit the fixed notation.
+    no comments: `NOTES` says what the command assumes. NotExportable if a number does not fit the
+    fixed notation.
     """
     held = in_forward_right_down(calibration.correction)
     twelve = np.concatenate([held.matrix.ravel(), GAUSS * held.hard_iron])
@@ -289,17 +282,9 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
         *(origin if of_log else driver),
         *comments,
     )
-    offsets, matrix = -MILLIGAUSS * held.hard_iron, held.matrix
-    lines = [
-        f"COMPASS_{name}{slot}_{axis},{number(value)}\n"
-        for name, values in (
-            ("OFS", offsets),
-            ("DIA", matrix.diagonal()),
-            ("ODI", matrix[ABOVE_DIAGONAL]),
-        )
-        for axis, value in zip("XYZ", values, strict=True)
-    ]
-    return "".join([header, *lines, f"COMPASS_SCALE{slot},1.0\n"])
+    form, offsets = f"COMPASS_{{}}{slot}_{{}},{{}}", -MILLIGAUSS * held.hard_iron
+    lines = autopilot_entries(form, ("OFS", "DIA", "ODI"), offsets, held.matrix)
+    return f"{header}{lines}COMPASS_SCALE{slot},1.0\n"
 
 
 SMALLEST_SCALE, LARGEST_SCALE = 0.1, 3.0
@@ -323,7 +308,7 @@ def px4(calibration: Calibration, frame: str = "") -> str:
     of_log = mounting_of(frame)
     slot, turn, name = of_log or (0, np.eye(3), "")  # the parameters are in the sensor's own axes
     matrix, offset = turn.T @ held.matrix @ turn, turn.T @ held.hard_iron
-    scales = np.diag(matrix)
+    scales = matrix.diagonal()
     if scales.min() < SMALLEST_SCALE or scales.max() > LARGEST_SCALE:
         raise NotExportable(
             f"PX4 takes scales from {SMALLEST_SCALE} to {LARGEST_SCALE} only, and this calibration "
@@ -345,16 +330,8 @@ def px4(calibration: Calibration, frame: str = "") -> str:
         *(origin if of_log else driver),
         *comments,
     )
-    lines = [
-        f"param set CAL_MAG{slot}_{axis}{name} {number(value)}\n"
-        for name, values in (
-            ("OFF", GAUSS * offset),
-            ("SCALE", scales),
-            ("ODIAG", matrix[ABOVE_DIAGONAL]),
-        )
-        for axis, value in zip("XYZ", values, strict=True)
-    ]
-    return "".join([header, *lines])
+    form = f"param set CAL_MAG{slot}_{{1}}{{0}} {{2}}"
+    return header + autopilot_entries(form, ("OFF", "SCALE", "ODIAG"), GAUSS * offset, matrix)
 
 
 EXPORTERS: dict[str, Callable[..., str]] = {
@@ -371,5 +348,8 @@ EXPORTERS: dict[str, Callable[..., str]] = {
 OF_LOGS = {"ardupilot", "px4"}
 """Those that also take the magnetometer's frame, which names the sensor of a log."""
 
-NOTES = {"vectornav": VECTORNAV_NOTES}
+NOTES = {
+    "vectornav": "register 23 had to be the identity while the turn was made, and the field in the "
+    "sensor's own axes: ROS drivers publish the compensated field, some in axes of their own"
+}
 """What a format without comments cannot say itself, by the same names."""

@@ -7,10 +7,10 @@ import importlib
 import io
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,10 +21,8 @@ from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files.disk import FileTrouble, damage_in_words, open_regular, plain
 from magcal_ros.files.recording import Recording, travel_of
 
-GIGABYTE = 1 << 30
-LARGEST_LOG = GIGABYTE
-"""Bytes: half a day of an autopilot's usual log. Its samples, and the libraries' index of all its
-messages, are held in memory."""
+GIGABYTE = LARGEST_LOG = 1 << 30
+"""Bytes: half a day of an autopilot's usual log, of which samples and index are held in memory."""
 
 LONGEST_READING = 600.0
 """Seconds. The libraries step through damaged bytes one by one, which may take days."""
@@ -36,12 +34,10 @@ GRAVITY = 9.80665
 FIX_3D = 3
 """Kind of a receiver's fix from which it has a place."""
 
-Progress = Callable[[float], None]
-"""Is given the share of a log that has been read, 0 to 1."""
+Progress = Callable[[float], None]  # is given the share of a log that has been read, 0 to 1
 
 
-EVERY = 1000
-"""Messages, or pieces of a file, between two looks at the clock."""
+EVERY = 1000  # messages, or pieces of a file, between two looks at the clock
 
 
 class Deadline:
@@ -95,14 +91,18 @@ class LogTables:
     notes: list[str] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class Names:
-    """What a kind of log calls its sensors, and what to do where one is missing."""
+class Name(NamedTuple):
+    """What a kind of log calls a sensor, and what to do where it is missing."""
 
-    imu: str
-    field: str
-    no_imu: str
-    no_field: str
+    name: str
+    remedy: str
+
+
+class Names(NamedTuple):
+    """The names of both sensors."""
+
+    imu: Name
+    field: Name
 
 
 def recording_of(
@@ -110,11 +110,8 @@ def recording_of(
 ) -> Recording:
     """Choose the sensors and return what they recorded; a FileTrouble if none gives data."""
     notes = list(tables.notes)
-    order, of_fields = tables.imu_order, tables.field_order
-    one = _chosen(path, tables.imus, order, names.imu, imu, "--imu", names.no_imu, notes)
-    other = _chosen(
-        path, tables.fields, of_fields, names.field, mag, "--mag", names.no_field, notes
-    )
+    one = _chosen(path, tables.imus, tables.imu_order, names.imu, imu, notes)
+    other = _chosen(path, tables.fields, tables.field_order, names.field, mag, notes, "--mag")
     notes += tables.field_notes.get(other, ())
     travel, place = travel_of([*tables.velocities, *tables.fixes])
     return Recording(
@@ -122,8 +119,8 @@ def recording_of(
         _in_order(tables.fields[other]),
         travel=travel,
         place=place,
-        imu_topic=f"{names.imu}[{one}]",
-        field_topic=f"{names.field}[{other}]",
+        imu_topic=f"{names.imu.name}[{one}]",
+        field_topic=f"{names.field.name}[{other}]",
         field_frame=tables.frames.get(other, ""),
         yaw=_in_order(tables.yaw[np.isfinite(tables.yaw).all(axis=1)]),
         notes=tuple(notes),
@@ -134,13 +131,13 @@ def _chosen(
     path: Path,
     sensors: Mapping[int, FloatArray],
     order: Order,
-    name: str,
+    called: Name,
     wanted: str,
-    option: str,
-    remedy: str,
     notes: list[str],
+    option: str = "--imu",
 ) -> int:
     """Return the number of the sensor to take."""
+    name, remedy = called
     rank = {number: place for place, number in enumerate(order.numbers)}
     numbers = sorted(sensors, key=lambda number: (rank.get(number, len(rank)), number))
     every = ", ".join(f"{name}[{k}]" for k in sorted(numbers))
@@ -177,6 +174,18 @@ def varies(vectors: FloatArray) -> bool:
     """Whether the vectors change: a sensor that hangs, or is missing, repeats one value."""
     finite = vectors[np.isfinite(vectors).all(axis=1)]
     return len(finite) > 1 and bool(np.ptp(finite, axis=0).any())
+
+
+def most_common(numbers: FloatArray) -> int:
+    """Return the number that stands most often in an array; zero of none."""
+    values, counts = np.unique(numbers, return_counts=True)
+    return int(values[counts.argmax()]) if len(values) else 0
+
+
+def symmetric(diagonal: Iterable[float], off_diagonal: Iterable[float]) -> FloatArray:
+    """Return the symmetric matrix (3, 3) of its diagonal and of what is above it: xy, xz, yz."""
+    (x, y, z), (xy, xz, yz) = diagonal, off_diagonal
+    return np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
 
 
 def _in_order(table: FloatArray) -> FloatArray:

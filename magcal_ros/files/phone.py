@@ -24,13 +24,12 @@ from magcal_ros.files.recording import Recording, read_header, read_numbers
 
 NANOSECOND = 1e9
 FLU_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-LOGGER_AXES = ("x", "y", "z")
 METADATA = "Metadata.csv"
 NAMES = logs.Names(
-    "phone IMU",
-    "phone magnetometer",
-    "record accelerometer (with gravity) and gyroscope",
-    "not every phone has one; record the magnetometer, best uncalibrated",
+    logs.Name("phone IMU", "record accelerometer (with gravity) and gyroscope"),
+    logs.Name(
+        "phone magnetometer", "not every phone has one; record the magnetometer, best uncalibrated"
+    ),
 )
 FORCE, RATE, FIELD = "m/s^2", "rad/s", "T"
 MICRO = re.compile(r"[µμu]T")
@@ -47,10 +46,7 @@ def is_phone_folder(path: Path) -> bool:
 
 
 def read_phone(path: Path) -> Recording:
-    """Read a folder of Sensor Logger or phyphox.
-
-    A FileTrouble if a sensor is missing, or gravity was taken off, says what to record.
-    """
+    """Read a folder of Sensor Logger or phyphox; a FileTrouble says what is missing."""
     headers = _headers(path)
     logger = any(map(_is_logger, headers.values()))
     notes: list[str] = []
@@ -78,7 +74,7 @@ def read_phone(path: Path) -> Recording:
     tables.fields[0] = np.column_stack([field[:, 0], 1e-6 * field[:, 1:] @ FLU_FROM_PHONE.T])
     _add_fixes(path, headers, tables)
     recording = logs.recording_of(path, tables, NAMES)
-    return replace(recording, imu_topic=NAMES.imu, field_topic=NAMES.field)
+    return replace(recording, imu_topic=NAMES.imu.name, field_topic=NAMES.field.name)
 
 
 def _headers(path: Path) -> dict[str, list[str]]:
@@ -92,7 +88,7 @@ def _headers(path: Path) -> dict[str, list[str]]:
 
 
 def _is_logger(header: list[str]) -> bool:
-    return {"time", "seconds_elapsed", *LOGGER_AXES} <= set(header)
+    return {"time", "seconds_elapsed", "x", "y", "z"} <= set(header)
 
 
 def _is_phyphox(header: list[str]) -> bool:
@@ -108,7 +104,7 @@ def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str])
         header = headers.get(f"{name}.csv", [])
         if not _is_logger(header):
             return None
-        columns = [header.index(each) for each in ("time", *LOGGER_AXES)]
+        columns = [header.index(each) for each in ("time", "x", "y", "z")]
         return _in_order(read_numbers(path / f"{name}.csv", columns, NANOSECOND))
 
     force = read("TotalAcceleration")

@@ -18,17 +18,13 @@ class Bounds:
 
     smallest_gain: float = 0.05
     largest_gain: float = 20.0
-    """By which the matrix may multiply a field: known gains from 0.1 to 10, and soft iron that
-    halves or doubles it."""
+    """By which the matrix may multiply a field: gains of 0.1 to 10, twice that by soft iron."""
     largest_variance: float = 1e8
     """Of the matrix and in tesla squared: far beyond every doubt, far within the floats."""
     weakest_field: float = 5e-6
-    """Tesla. The Earth's field has 22 to 67 µT, and steel around divides or multiplies it a few
-    times."""
-    strongest_field: float = 300e-6
-    """Tesla."""
-    asymmetry: float = 1e-6
-    """Relative to the two sigmas, as from a copy with few digits."""
+    """Tesla. The Earth's field has 22 to 67 µT, which steel divides or multiplies a few times."""
+    strongest_field: float = 300e-6  # tesla
+    asymmetry: float = 1e-6  # relative to the two sigmas, as from a copy with few digits
     negative: float = 1e-6
     """Smallest eigenvalue of the correlations that rounding alone can make negative."""
     most_samples: float = 1e8
@@ -56,8 +52,19 @@ def require_possible(calibration: Calibration) -> None:
     if abs(calibration.inclination) > math.pi / 2.0:
         raise ValueError("the reference inclination is more than a right angle")
     _require_covariance(calibration.covariance)
-    _require_doubt(calibration)
-    _require_motors(calibration)
+    sigma = math.sqrt(float(np.trace(calibration.covariance[9:, 9:])))
+    finest = calibration.noise_field / math.sqrt(BOUNDS.most_samples)
+    if sigma < finest:
+        raise ValueError(
+            f"covariance claims a hard iron known to {sigma:.1e} T; with a noise of "
+            f"{calibration.noise_field:.1e} T a sample, no turn shows it better than {finest:.1e} T"
+        )
+    motors = calibration.motors
+    if motors is not None:
+        sizes = [motors.size(k) for k in range(len(motors.inputs))]
+        if not max([*sizes, motors.ripple]) <= STREAMS.largest_field:
+            raise ValueError("motors adds a field that no magnetometer can measure")
+        _require_covariance(motors.joint(calibration.covariance))
 
 
 def _require_sizes(calibration: Calibration, least_gain: float) -> None:
@@ -87,24 +94,4 @@ def _require_covariance(covariance: FloatArray) -> None:
     if smallest < -BOUNDS.negative:
         raise ValueError(
             "covariance is not that of any numbers: some direction would have a negative variance"
-        )
-
-
-def _require_motors(calibration: Calibration) -> None:
-    motors = calibration.motors
-    if motors is None:
-        return
-    sizes = [motors.size(k) for k in range(len(motors.inputs))]
-    if not max([*sizes, motors.ripple], default=0.0) <= STREAMS.largest_field:
-        raise ValueError("motors adds a field that no magnetometer can measure")
-    _require_covariance(motors.joint(calibration.covariance))
-
-
-def _require_doubt(calibration: Calibration) -> None:
-    sigma = math.sqrt(float(np.trace(calibration.covariance[9:, 9:])))
-    least = calibration.noise_field / math.sqrt(BOUNDS.most_samples)
-    if sigma < least:
-        raise ValueError(
-            f"covariance claims a hard iron known to {sigma:.1e} T; with a noise of "
-            f"{calibration.noise_field:.1e} T a sample, no turn shows it better than {least:.1e} T"
         )

@@ -46,11 +46,11 @@ TOPICS = (
 SELECTIONS = ("sensor_selection", "estimator_selector_status", "estimator_status")
 """Topics of which the first that names a magnetometer tells which one is used."""
 
+Topic = Mapping[str, FloatArray]
+Topics = Mapping[tuple[str, int], Topic]
 NAMES = logs.Names(
-    "sensor_combined",
-    "sensor_mag",
-    "set SDLOG_PROFILE to its default and record again",
-    "look at SYS_HAS_MAG and the wiring, and record again",
+    logs.Name("sensor_combined", "set SDLOG_PROFILE to its default and record again"),
+    logs.Name("sensor_mag", "look at SYS_HAS_MAG and the wiring, and record again"),
 )
 RIGHT_ANGLES = (
     *((0, 0, 45 * k) for k in range(8)),
@@ -63,8 +63,7 @@ RIGHT_ANGLES = (
 )  # fmt: skip
 """Roll, pitch and yaw of MAV_SENSOR_ORIENTATION, degrees, by its number."""
 
-CUSTOM = 100
-"""The number of the rotation whose angles are the parameters CAL_MAGn_ROLL, PITCH, YAW."""
+CUSTOM = 100  # the number of the rotation whose angles are the parameters CAL_MAGn_ROLL, PITCH, YAW
 
 DEFAULT_PRIORITY = 50.0
 
@@ -145,7 +144,7 @@ def _tables(log: Any) -> logs.LogTables:
     parameters = {**log.initial_parameters, **changes}
     is_settled = not any(name.startswith("CAL_MAG") for name in changes)
     data = {(each.name, each.multi_id): each.data for each in log.data_list}
-    shift = _epoch(data.get(("vehicle_gps_position", 0)))
+    shift = _epoch(data.get(("vehicle_gps_position", 0), {}))
     tables = logs.LogTables()
     for (name, number), topic in data.items():
         stamps = 1e-6 * topic["timestamp"] + shift
@@ -176,16 +175,13 @@ def _tables(log: Any) -> logs.LogTables:
 
 def _take_field(
     tables: logs.LogTables,
-    data: Mapping[tuple[str, int], Mapping[str, FloatArray]],
+    data: Topics,
     number: int,
     parameters: Mapping[str, float],
     shift: float,
     is_settled: bool,
 ) -> str:
-    """Add a magnetometer, raw, in the body's forward-left-up axes, or return why it is left out.
-
-    `is_settled` is whether its parameters stayed the same.
-    """
+    """Add a magnetometer, raw, in the body's forward-left-up axes, or return why it is left out."""
     raw = _of_one(data.get(("sensor_mag", number)))
     device = _device(raw) if raw is not None else 0
     corrected = _corrected(data, number, device)
@@ -197,13 +193,14 @@ def _take_field(
     has_power = bool(parameters.get("CAL_MAG_COMP_TYP", 0)) and any(
         parameters.get(f"CAL_MAG{slot}_{axis}COMP", 0.0) for axis in "XYZ"
     )
+    # The parameters must have stayed the same.
     if raw is not None and corrected is not None and is_settled:
         more = len(corrected["timestamp"]) > len(raw["timestamp"])
         topic = corrected if more or has_power else raw
     try:
         pose, name = _pose(slot, parameters)
     except FileTrouble as trouble:
-        return f"{NAMES.field}[{number}]: {trouble}"
+        return f"{NAMES.field.name}[{number}]: {trouble}"
     if topic is raw:
         field = np.column_stack([topic[axis] for axis in "xyz"]) @ pose.T
     else:
@@ -225,11 +222,10 @@ def _take_field(
     return ""
 
 
-def _order(
-    data: Mapping[tuple[str, int], Mapping[str, FloatArray]], parameters: Mapping[str, float]
-) -> logs.Order:
+def _order(data: Topics, parameters: Mapping[str, float]) -> logs.Order:
     """Return the magnetometers, the one that PX4 selected first, then by CAL_MAGn_PRIO."""
-    named = [_selected(data[name, 0]) for name in SELECTIONS if (name, 0) in data]
+    choices = [data[name, 0] for name in SELECTIONS if (name, 0) in data]
+    named = [logs.most_common(each.get("mag_device_id", np.zeros(1))) for each in choices]
     selected = next((device for device in named if device), 0)
     devices = {
         k: _device(data[name, k])
@@ -250,46 +246,34 @@ def _order(
     return logs.Order(numbers, "the first by CAL_MAG_PRIO" if is_said else "")
 
 
-def _selected(topic: Mapping[str, FloatArray]) -> int:
-    devices = topic.get("mag_device_id", np.zeros(1))
-    values, counts = np.unique(devices, return_counts=True)
-    return int(values[counts.argmax()])
-
-
 def _slot(device: int, parameters: Mapping[str, float]) -> int | None:
     # The topics write a device unsigned, the parameters signed.
     devices = [int(parameters.get(f"CAL_MAG{k}_ID", 0)) % (1 << 32) for k in range(MOST_SENSORS)]
     return devices.index(device) if device and device in devices else None
 
 
-def _device(topic: Mapping[str, FloatArray]) -> int:
+def _device(topic: Topic) -> int:
     return int(topic["device_id"][-1]) if "device_id" in topic else 0
 
 
-def _corrected(
-    data: Mapping[tuple[str, int], Mapping[str, FloatArray]], number: int, device: int
-) -> Mapping[str, FloatArray] | None:
+def _corrected(data: Topics, number: int, device: int) -> Topic | None:
     """Return the corrected field of a device, of which 0 is not known, or else of this number."""
     topics = [_of_one(data.get(("vehicle_magnetometer", k))) for k in range(MOST_SENSORS)]
     same = [each for each in topics if each is not None and _device(each) == device]
     return same[0] if same else topics[number] if not device else None
 
 
-def _of_one(topic: Mapping[str, FloatArray] | None) -> Mapping[str, FloatArray] | None:
-    """Return what is of the last device and the last calibration.
-
-    With SENS_MAG_MODE at 1 the first topic is of the device that is selected at the moment.
-    """
+def _of_one(topic: Topic | None) -> Topic | None:
+    """Return what is of the last device and the last calibration."""
     if topic is None:
         return None
+    # With SENS_MAG_MODE at 1 the first topic is of the device that is selected at the moment.
     marks = [topic[name] for name in ("device_id", "calibration_count") if name in topic]
     same = np.all([mark == mark[-1] for mark in marks], axis=0) if marks else ...
     return {name: values[same] for name, values in topic.items()}
 
 
-def _bias(
-    data: Mapping[tuple[str, int], Mapping[str, FloatArray]], number: int, stamps: FloatArray
-) -> FloatArray:
+def _bias(data: Topics, number: int, stamps: FloatArray) -> FloatArray:
     """Return what the estimate of the bias took off, body axes, gauss. Shape (n, 3)."""
     topic = data.get(("magnetometer_bias_estimate", 0))
     if topic is None:
@@ -308,13 +292,10 @@ def _calibration(
     def of(name: str, default: float) -> list[float]:
         return [parameters.get(f"CAL_MAG{slot}_{axis}{name}", default) for axis in "XYZ"]
 
-    (x, y, z), (xy, xz, yz) = of("SCALE", 1.0), of("ODIAG", 0.0)
-    return np.array(of("OFF", 0.0)), np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
+    return np.array(of("OFF", 0.0)), logs.symmetric(of("SCALE", 1.0), of("ODIAG", 0.0))
 
 
-def _take_fixes(
-    tables: logs.LogTables, topic: Mapping[str, FloatArray], stamps: FloatArray
-) -> None:
+def _take_fixes(tables: logs.LogTables, topic: Topic, stamps: FloatArray) -> None:
     degrees = "latitude_deg" in topic  # since 1.14
     latitude = topic["latitude_deg"] if degrees else 1e-7 * topic["lat"]
     longitude = topic["longitude_deg"] if degrees else 1e-7 * topic["lon"]
@@ -329,15 +310,13 @@ def _take_fixes(
     ]
 
 
-def _epoch(topic: Mapping[str, FloatArray] | None) -> float:
+def _epoch(topic: Topic) -> float:
     """Return what takes the log's clock to seconds since 1970, by the receiver; else zero."""
-    if topic is None or "time_utc_usec" not in topic:
-        return 0.0
-    known = np.flatnonzero(topic["time_utc_usec"])
-    if not len(known):
-        return 0.0
-    return 1e-6 * (float(topic["time_utc_usec"][known[0]]) - float(topic["timestamp"][known[0]]))
+    for utc, own in zip(topic.get("time_utc_usec", ()), topic.get("timestamp", ()), strict=False):
+        if utc:
+            return 1e-6 * (float(utc) - float(own))
+    return 0.0
 
 
-def _vectors(topic: Mapping[str, FloatArray], name: str) -> FloatArray:
+def _vectors(topic: Topic, name: str) -> FloatArray:
     return np.column_stack([topic[f"{name}[{axis}]"] for axis in range(3)]).astype(np.float64)

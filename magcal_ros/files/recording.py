@@ -44,12 +44,9 @@ class Recording:
 
     imu: FloatArray
     """Stamp (s), specific force (m/s²), angular rate (rad/s; NaN without a gyro). Shape (n, 7)."""
-    field: FloatArray
-    """Stamp (s), raw field (tesla). Shape (m, 4)."""
-    travel: tuple[TravelSample, ...] = ()
-    """The samples of receiver and wheels, by stamp."""
-    place: Place | None = None
-    """Where the first good fix was."""
+    field: FloatArray  # stamp (s), raw field (tesla). Shape (m, 4).
+    travel: tuple[TravelSample, ...] = ()  # the samples of receiver and wheels, by stamp
+    place: Place | None = None  # where the first good fix was
     imu_topic: str = "imu.csv"
     field_topic: str = "mag.csv"
     field_frame: str = ""
@@ -116,10 +113,7 @@ class Recording:
 
 
 def read_csv_folder(folder: Path) -> Recording:
-    """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder.
-
-    Without the columns of the gyro there is none.
-    """
+    """Read `imu.csv` (t,ax,ay,az and maybe gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder."""
     path = folder / "imu.csv"
     some = set(GYRO) & set(read_header(path))
     _, imu = read_columns(path, IMU_COLUMNS, *([] if some else [IMU_COLUMNS[:4]]))
@@ -129,21 +123,14 @@ def read_csv_folder(folder: Path) -> Recording:
     return Recording(imu, field)
 
 
-LONGEST_LINE = 10_000
-"""Characters."""
-
-LATEST_STAMP = 2.0**33
-"""Seconds, whichever sign: the stamps of ROS end at a quarter of that."""
+LONGEST_LINE = 10_000  # characters
+LATEST_STAMP = 2.0**33  # seconds, whichever sign: the stamps of ROS end at a quarter of that
 
 
 def read_columns(
     path: Path, *choices: tuple[str, ...], may_be_empty: bool = False
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the first choice of columns that a file has, and its rows, one column each.
-
-    The file has a header line; columns may come in any order, with others beside them. The first
-    name of a choice is that of the stamps, seconds.
-    """
+    """Return the first choice of columns that a file has, and its rows, stamps (s) first."""
     header = read_header(path)
     columns = next((each for each in choices if set(each) <= set(header)), None)
     if columns is None:
@@ -219,15 +206,7 @@ def _lines(handle: TextIO) -> Iterator[str]:
         yield line
 
 
-SPEED_COLUMNS = ("t", "speed")
-FIX_COLUMNS = ("t", "latitude", "longitude", "altitude")
-LEVEL_FIX_COLUMNS = FIX_COLUMNS[:3]
-PLANE_COLUMNS = ("t", "east", "north")
-
-
-def travel_of(
-    heard: Iterable[TravelSample | Fix],
-) -> tuple[tuple[TravelSample, ...], Place | None]:
+def travel_of(heard: Iterable[TravelSample | Fix]) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Return fixes and other samples by stamp, and the place of the first good fix."""
     plane = LocalPlane()
     samples = (plane.position(each) if isinstance(each, Fix) else each for each in heard)
@@ -243,12 +222,12 @@ def read_travel(folder: Path) -> tuple[tuple[TravelSample, ...], Place | None]:
     """
     found = list[TravelSample | Fix]()
     if (folder / "odom.csv").exists():
-        _, rows = read_columns(folder / "odom.csv", SPEED_COLUMNS)
+        _, rows = read_columns(folder / "odom.csv", ("t", "speed"))
         found += [SpeedSample(*row) for row in rows.tolist()]
     if (folder / "gps.csv").exists():
-        choices = FIX_COLUMNS, LEVEL_FIX_COLUMNS, PLANE_COLUMNS
-        columns, rows = read_columns(folder / "gps.csv", *choices)
-        if columns == PLANE_COLUMNS:
+        fix, plane = ("t", "latitude", "longitude", "altitude"), ("t", "east", "north")
+        columns, rows = read_columns(folder / "gps.csv", fix, fix[:3], plane)
+        if columns == plane:
             found += [PositionSample(*row) for row in rows.tolist()]
         else:
             found += [
@@ -273,11 +252,7 @@ REMEDY = "Choose a writable folder, or correct its permissions."
 
 
 def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) -> None:
-    """Write a window, every number at full precision.
-
-    Without a gyro its columns hold `nan`. `inliers` (n,) are those of the fit; without a
-    fit there are none.
-    """
+    """Write a window and the inliers (n,) of its fit; without a gyro its columns hold `nan`."""
     n = len(window)
     rate = np.full((n, 3), np.nan) if window.angular_rate is None else window.angular_rate
     marks = [0] * n if inliers is None else [int(mark) for mark in inliers]
@@ -290,11 +265,7 @@ def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) 
 
 
 def read_samples(path: Path) -> Window:
-    """Read the window of a turn back, outliers included.
-
-    The header has at least t, mx, my, mz, ax, ay and az, in any order, with or without units in
-    brackets; SI units.
-    """
+    """Read a window that `write_samples` wrote; columns may come in any order."""
     _, table = read_columns(path, NEEDED + GYRO, NEEDED, may_be_empty=True)
     rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None
     try:

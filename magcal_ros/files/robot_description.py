@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from xml.parsers import expat
 
@@ -10,8 +11,7 @@ from magcal_ros.core.geometry.frame_tree import FrameJoint
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.files.default_paths import known_as
 
-LARGEST = 4_000_000
-"""Bytes. The largest humanoid's description has a quarter of that."""
+LARGEST = 4_000_000  # bytes. The largest humanoid's description has a quarter of that.
 
 KINDS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 
@@ -21,10 +21,7 @@ class DescriptionTrouble(MagcalError):
 
 
 def joints_of(text: str) -> tuple[FrameJoint, ...]:
-    """Return the joints of a URDF in their order; whatever else it holds is skipped.
-
-    A DescriptionTrouble if it is no URDF, is damaged, or declares entities, which no URDF needs.
-    """
+    """Return the joints of a URDF in order; a DescriptionTrouble if it is damaged or none."""
     if len(text) > LARGEST:
         raise DescriptionTrouble(
             f"the robot description has {len(text)} characters; at most {LARGEST} are read"
@@ -94,12 +91,9 @@ def _joint_of(read: dict[str, str]) -> FrameJoint:
 
 
 def _angles(joint: str, text: str) -> tuple[float, float, float]:
-    try:
+    with contextlib.suppress(ValueError):
         roll, pitch, yaw = (float(word) for word in text.split(None, 3))
-    except ValueError:
-        pass
-    else:
-        if all(math.isfinite(angle) for angle in (roll, pitch, yaw)):
+        if math.isfinite(roll + pitch + yaw):
             return roll, pitch, yaw
     raise DescriptionTrouble(
         f"the joint {joint!r} of the robot description has rpy={text[:60]!r}, which is not three "

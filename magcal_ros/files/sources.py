@@ -19,14 +19,14 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import between, length
-from magcal_ros.core.samples.stamps import bursts_in_words, spread_bursts
 from magcal_ros.core.samples.streams import (
     STREAMS,
     FieldSample,
     ImuSample,
-    slow_field_words,
-    slow_words,
+    bursts_in_words,
+    spread_bursts,
 )
+from magcal_ros.core.samples.units import slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import Bag, open_bag
@@ -34,8 +34,7 @@ from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
-Source: TypeAlias = Bag | Recording
-"""A recording of any kind, opened."""
+Source: TypeAlias = Bag | Recording  # A recording of any kind, opened
 
 
 def open_recording(
@@ -95,11 +94,8 @@ def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Record
     return replace(read_csv_folder(path), travel=travel, place=place)
 
 
-LOOKED_AT = 20_000
-"""Messages from which bursts of stamps and the rate of the IMU are recognised."""
-
-SLOWEST = 1.5
-"""Seconds between IMU samples beyond which nothing is known of what lies between."""
+LOOKED_AT = 20_000  # messages from which bursts of stamps and the rate of the IMU are recognised
+SLOWEST = 1.5  # seconds between IMU samples beyond which nothing is known of what lies between
 
 TURN_WITHIN = math.radians(20.0)
 """Radians within one sample of a slow IMU: its mean of the level field is 0.5% too small then."""
@@ -150,11 +146,15 @@ class RepairedReadings:
         stamps = _stamps(self._source.readings())
         even = [spread_bursts(each) for each in stamps]
         self._note(stamps, even)
-        imu, field = (
-            iter((old if new is None else new).tolist())
-            for old, new in zip(stamps, even, strict=True)
-        )
-        yield from _restamped(self._counted(self._source.readings()), imu, field)
+        pairs = zip(stamps, even, strict=True)
+        imu, field = (iter((old if new is None else new).tolist()) for old, new in pairs)
+        for reading in self._counted(self._source.readings()):
+            if reading is None:
+                yield None
+            elif isinstance(reading, ImuSample):
+                yield reading._replace(stamp=next(imu))
+            else:
+                yield reading._replace(stamp=next(field))
 
     def _counted(self, readings: Iterable[Reading]) -> Iterator[Reading]:
         for reading in readings:
@@ -199,12 +199,12 @@ class RepairedReadings:
 
 
 def _stamps(readings: Iterable[Reading]) -> tuple[FloatArray, FloatArray]:
-    imu: list[float] = []
-    field: list[float] = []
+    stamps: tuple[list[float], list[float]] = [], []
     for reading in readings:
         if reading is not None:
-            (imu if isinstance(reading, ImuSample) else field).append(reading.stamp)
-    return np.array(imu), np.array(field)
+            stamps[isinstance(reading, FieldSample)].append(reading.stamp)
+    imu, field = map(np.array, stamps)
+    return imu, field
 
 
 def _usual_gap(stamps: FloatArray) -> float:
@@ -222,15 +222,3 @@ def _between(last: ImuSample, sample: ImuSample, longest: float) -> Iterator[Imu
         share = part / parts
         force = between(last.force, sample.force, share)
         yield ImuSample(last.stamp + share * gap, force, between(last.rate, sample.rate, share))
-
-
-def _restamped(
-    readings: Iterable[Reading], imu: Iterator[float], field: Iterator[float]
-) -> Iterator[Reading]:
-    for reading in readings:
-        if reading is None:
-            yield None
-        elif isinstance(reading, ImuSample):
-            yield reading._replace(stamp=next(imu))
-        else:
-            yield reading._replace(stamp=next(field))

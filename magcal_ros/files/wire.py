@@ -30,8 +30,7 @@ from magcal_ros.files.disk import FileTrouble
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4
-"""Bytes of encapsulation, from which CDR counts its alignment; ROS 1 has a sequence number there,
-before the stamp."""
+"""Bytes of encapsulation, from which CDR counts its alignment; in ROS 1 a sequence number."""
 
 # Orientation, rate and force, each with the first of its covariance.
 IMU_BODY = Struct("<5d64x4d64x4d64x")
@@ -90,10 +89,7 @@ class Format:
         return heading_from(stamp, (x, y, z, w), mark, variance)
 
     def field(self, data: bytes) -> tuple[bytes, FieldSample, bytes]:
-        """Return frame, numbers and covariance of a sensor_msgs/MagneticField.
-
-        The covariance stays nine little-endian doubles: hardly any reader needs its numbers.
-        """
+        """Return frame, numbers and covariance (nine little-endian doubles) of a MagneticField."""
         stamp, frame, at = self.header(data)
         x, y, z, covariance = FIELD_BODY.unpack_from(data, at)
         return frame, FieldSample(stamp, (x, y, z)), covariance
@@ -157,10 +153,7 @@ class Channel(NamedTuple):
 
 
 class RosReader:
-    """An open rosbag2: a folder with metadata.yaml, or a single .mcap or .db3.
-
-    `library` is the module `rosbag2_py`; it raises RuntimeError for what it cannot read.
-    """
+    """An open rosbag2 (a folder, .mcap or .db3), read by the module `rosbag2_py`."""
 
     is2 = True
 

@@ -29,8 +29,7 @@ LABEL = (60.0, 24.0)
 """Width and height of a name on the map."""
 HALO = 'paint-order="stroke" stroke="#fff" stroke-width="5"'
 """Of a name: it is read on top of the way."""
-TALLEST = "75vh"
-"""Of the map: with its legend it fits on a screen, whichever way was driven."""
+TALLEST = "75vh"  # of the map: with its legend it fits on a screen, whichever way was driven
 RULES = (
     "A calibration that is found while driving is on probation first: only road that is driven "
     "after it was found can prove it better than the one in force. Where nothing is in force, a "

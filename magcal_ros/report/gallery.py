@@ -34,9 +34,9 @@ def caption(turn: Turn) -> str:
     """Explain the picture to someone who is no expert."""
     if turn.corrected is None:
         return ""
-    by = (
-        "the gyro" if turn.has_gyro else "the corrected heading itself, smoothed (there is no gyro)"
-    )
+    by = "the gyro"
+    if not turn.has_gyro:
+        by = "the corrected heading itself, smoothed (there is no gyro)"
     corrected, kept = turn.corrected, turn.inliers & np.isfinite(turn.corrected.sigma)
     inside = np.abs(corrected.deviation[kept]) <= 2.0 * corrected.sigma[kept]
     scatter = 100.0 * float(inside.mean()) if len(inside) else 0.0
@@ -54,14 +54,8 @@ def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> N
     ideal = np.degrees(wrap_angle(corrected.reference[order]))
     # A line that leaves at the top and comes back at the bottom must not be joined.
     ideal[1:][np.abs(np.diff(ideal)) > 180.0] = np.nan
-    axes.plot(
-        angle[order],
-        ideal,
-        color=turn_views.IDEAL,
-        linewidth=0.9,
-        label=f"the {turn.kind} itself",
-        zorder=3,
-    )
+    line = {"color": turn_views.IDEAL, "linewidth": 0.9, "zorder": 3}
+    axes.plot(angle[order], ideal, label=f"the {turn.kind} itself", **line)
     rows = turn.rows()
     raw = {"color": turn_views.RAW, "marker": "^", "markersize": 3.0, "label": "before"}
     turn_views.dots(axes, angle[rows], np.degrees(wrap_angle(turn.yaw[rows])), **raw)
@@ -76,24 +70,17 @@ def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> 
     rows = rows[np.argsort(angle[rows])]
     deviation, sigma = np.degrees(corrected.deviation), np.degrees(corrected.sigma)
     band = 2.0 * sigma[rows]
-    axes.fill_between(
-        angle[rows], -band, band, color=turn_views.CORRECTED, alpha=0.2, linewidth=0.0
-    )
+    blue = turn_views.CORRECTED
+    axes.fill_between(angle[rows], -band, band, color=blue, alpha=0.2, linewidth=0.0)
     axes.axhline(0.0, color=turn_views.IDEAL, linewidth=0.9)
     left_out = turn.rows(~turn.inliers, most=100)
     # A few wild samples must not flatten all others; they are drawn at the rim.
     usual = np.percentile(np.append(np.abs(deviation[rows]), band), 98.0) if len(rows) else 0.0
     reach = 1.4 * max(float(usual), 0.1)
-    turn_views.dots(
-        axes, angle[rows], np.clip(deviation[rows], -reach, reach), color=turn_views.CORRECTED
-    )
+    clipped = np.clip(deviation, -reach, reach)
+    turn_views.dots(axes, angle[rows], clipped[rows], color=blue)
     if len(left_out):
-        turn_views.dots(
-            axes,
-            angle[left_out],
-            np.clip(deviation[left_out], -reach, reach),
-            **turn_views.LEFT_OUT,
-        )
+        turn_views.dots(axes, angle[left_out], clipped[left_out], **turn_views.LEFT_OUT)
     axes.set(ylim=(-reach, reach), ylabel="after, off the line [°]")
     axes.set_xlabel("turned since the start [°], left positive")
 
@@ -144,10 +131,7 @@ def caption_of_gyro(turn: Turn) -> str:
 
 
 def deviations(turn: Turn, corrected: Corrected) -> tuple[FloatArray, FloatArray]:
-    """Return the mean deviation before and after at 24 headings, radians; NaN where none was.
-
-    Afterwards it is what the verdict is on, where it is on any.
-    """
+    """Return the mean deviation before and after at 24 headings, radians; NaN where none was."""
     reference, inliers = corrected.reference, turn.inliers
     before = _means(wrap_angle(turn.yaw - reference)[inliers], reference[inliers])
     swing = corrected.estimate.swing

@@ -1,4 +1,4 @@
-"""The page of a report, HTML without external files."""
+"""The page of a report, HTML without external files, and the numbers on it."""
 
 from __future__ import annotations
 
@@ -8,19 +8,27 @@ from collections.abc import Iterable, Sequence
 from datetime import datetime
 from html import escape
 from importlib.resources import files
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from magcal_ros import __version__
-from magcal_ros.core.assessment.grading import Check, Grade, worst
+from magcal_ros.core.assessment.bounds import DRIVE_BOUNDS, HEADING_BOUNDS, TURN_BOUNDS
+from magcal_ros.core.assessment.grading import DEGREES, SCALES, Grade, worst
 from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.calibration.calibration import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import (
+    CHECKED_TILT,
+    calibration_sigma,
+    common_figures,
+)
 from magcal_ros.core.doctor.health import Finding
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.report.gallery import Picture
-from magcal_ros.report.numbers import Row, all_numbers, key_numbers, known_before, matrix_rows
 from magcal_ros.report.turn import Subject, Turn
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; form-action 'none'"
@@ -43,7 +51,10 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
         parts.append(_several(outcome.several))
     parts += [_pictures(pictures), '<div class="tables">']
     parts.append(_not_shown(outcome.verdict, turn.kind, estimate is not None))
-    parts += [_checks(outcome.verdict.checks), _sensors(turn.sensors)]
+    checks = sorted(outcome.verdict.checks, key=lambda each: (-each.grade.rank, each.aspect.value))
+    rows = [(_chip(each.grade), each.aspect.value, escape(each.words)) for each in checks]
+    parts.append("<h2>What was checked</h2>" + table("checks", rows, ("grade", "aspect", "what")))
+    parts.append(_sensors(turn.sensors))
     if estimate is not None:
         heads = ("", "A (±1σ), dimensionless", "", "", "h (±1σ), µT")
         twelve = table("twelve", matrix_rows(estimate), heads)
@@ -136,12 +147,6 @@ def _not_shown(verdict: Verdict, kind: str, found: bool) -> str:
         return f"{title}<p>No calibration came of these samples; the reason stands above.</p>"
     lines = "".join(f"<li>{escape(item)}</li>" for item in verdict.not_shown)
     return f"{title}<ul>{lines}</ul>"
-
-
-def _checks(checks: Sequence[Check]) -> str:
-    ordered = sorted(checks, key=lambda check: (-check.grade.rank, check.aspect.value))
-    rows = [(_chip(check.grade), check.aspect.value, escape(check.words)) for check in ordered]
-    return f"<h2>What was checked</h2>{table('checks', rows, ('grade', 'aspect', 'what'))}"
 
 
 def _sensors(page: Page) -> str:
@@ -242,3 +247,153 @@ def _as_code(belief: Belief) -> str:
     if math.isinf(belief.sigma):
         return "Belief.unknown()"
     return f"Belief({float(belief.value)!r}, {float(belief.sigma)!r})"
+
+
+MICRO = 1e6
+
+
+class Row(NamedTuple):
+    """One line of a table: what it is, and its value with its unit."""
+
+    words: str
+    value: str
+
+
+FIGURES: dict[Figure, tuple[str, str]] = {
+    b.figure: (b.words.removesuffix(":").removesuffix(" by"), b.unit)
+    for b in (*HEADING_BOUNDS, *DRIVE_BOUNDS, *TURN_BOUNDS)
+} | {
+    Figure.HEADING_SIGMA_TILTED: ("predicted heading error at 10° of tilt (1σ)", "°"),
+    Figure.LOCAL_SIGMA: ("heading error by local magnetic disturbances (1σ)", "°"),
+    Figure.DRIVING_TIME: ("length of the drive", " s"),
+    Figure.METRES: ("way that was driven", " m"),
+    Figure.STREET: ("disturbance that changes with the place (1σ per axis)", " µT"),
+    Figure.LOCAL_FIELD: ("all disturbance along the drive (1σ per axis)", " µT"),
+    Figure.AXIAL_IRON: ("hard iron along the turn's axis, by the reference field", " µT"),
+    Figure.STEADY_ACCELERATION: ("tilt by a steady acceleration, taken off", "°"),
+    Figure.POSSIBLE_ACCELERATION: ("heading error by an acceleration that nothing shows (1σ)", "°"),
+    Figure.CIRCLE_RADIUS: ("radius of the field's circle", " µT"),
+    Figure.RADIUS_RATIO: ("circle radius over the reference's", ""),
+    Figure.ELLIPSE_RATIO: ("ellipse in the turn's plane, longer axis over shorter", ""),
+    Figure.AXIS_TILT: ("turn's axis off the vertical", "°"),
+    Figure.AXIAL_FIELD: ("field along the turn's axis, positive downwards", " µT"),
+    Figure.AXIAL_HARD_IRON: ("hard iron along the turn's axis, positive downwards", " µT"),
+    Figure.ACCELEROMETER_SPREAD: ("accelerometer's spread over six times its noise", ""),
+    Figure.FIELD_SPREAD: ("field's spread over six times its noise", ""),
+    Figure.RIVAL_ROLL: ("second solution, installation roll", "°"),
+    Figure.RIVAL_PITCH: ("second solution, installation pitch", "°"),
+    Figure.RIVAL_ANGLE: ("second solution, installation angle", "°"),
+    Figure.WOBBLE: ("wobble of the turn's axis (1σ per axis)", "°"),
+    Figure.SOFT_IRON: ("soft iron was fitted (1 yes, 0 no)", ""),
+    Figure.GYRO_CARRIED: ("the turn that the gyro measured explains the samples (1 yes, 0 no)", ""),
+    Figure.NOT_CONVERGED: ("the optimisation ended before it had converged (1 yes, 0 no)", ""),
+    Figure.ITERATIONS: ("steps of the optimisation", ""),
+    Figure.ON_THE_SPOT: ("probability that the robot turned on the spot", ""),
+    Figure.TURNS: ("turns that were joined", ""),
+    Figure.TURN_MISFIT: ("worst turn off the others, as many times as noise explains", ""),
+    **{
+        Figure(f"{sensor}_range_{axis}"): (f"{sensor}'s range along {axis}, de-rotated", unit)
+        for sensor, unit in (("accelerometer", " g"), ("field", " µT"))
+        for axis in "xyz"
+    },
+}
+"""How a figure is shown: its words, and its unit."""
+
+
+def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
+    """Return what a user wants to know first."""
+    figures = common_figures(estimate) | dict(estimate.figures)
+    sigma = np.sqrt(np.maximum(np.diag(estimate.covariance)[9:], 0.0))
+    iron, sigma = estimate.correction.hard_iron * MICRO, sigma * MICRO
+    level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
+    where = (" on the level (1σ)", " at 10° of tilt (1σ)")
+    said = [("heading error", level, tilted)]
+    if Figure.LOCAL_SIGMA in figures:
+        own, own_tilted = (calibration_sigma(estimate, tilt) for tilt in (0.0, CHECKED_TILT))
+        said = [
+            ("heading error by the calibration,", own, own_tilted),
+            ("heading error along the way,", level, tilted),
+        ]
+    rows = [
+        Row(words + place, f"±{sigma * DEGREES:.2f}°")
+        for words, *sigmas in said
+        for place, sigma in zip(where, sigmas, strict=True)
+    ]
+    rows += [
+        Row(f"hard iron {name} (±1σ)", f"{value:.2f} ± {spread:.2f} µT")
+        for name, value, spread in zip("xyz", iron, sigma, strict=True)
+    ]
+    if estimate.installation is not None:
+        rows.append(Row("installation roll", f"{estimate.installation.roll * DEGREES:.2f}°"))
+        rows.append(Row("installation pitch", f"{estimate.installation.pitch * DEGREES:.2f}°"))
+    if Figure.INSTALLATION_YAW_SIGMA in figures and estimate.installation is not None:
+        yaw, off = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
+        words = f"{yaw * DEGREES:.2f} ± {off * DEGREES:.2f}°"
+        rows.append(Row("installation yaw (±1σ)", words))
+    inliers = int(np.count_nonzero(estimate.inliers))
+    driven = figures.get(Figure.HEADINGS_DRIVEN)
+    seen = Row("turn seen", f"{estimate.arc * DEGREES:.0f}°")
+    return [
+        *rows,
+        seen if driven is None else Row("headings driven", f"{driven:.0f} of 12"),
+        Row("samples used (repeats and rests not counted)", f"{inliers} of {samples}"),
+        Row("strength of the corrected field", f"{estimate.strength * MICRO:.2f} µT"),
+        Row("its inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
+    ]
+
+
+def all_numbers(estimate: Estimate) -> list[Row]:
+    """Return everything else that was measured."""
+    axis = ", ".join(f"{value:.4f}" for value in estimate.axis)
+    rows = [
+        Row("turn's axis in body axes", f"({axis})"),
+        Row("noise of one field sample (1σ)", f"{estimate.noise_field * MICRO:.3g} µT"),
+        Row("noise of one tilt (1σ)", f"{estimate.noise_up * DEGREES:.3g}°"),
+    ]
+    figures = (common_figures(estimate) | dict(estimate.figures)).items()
+    return rows + [figure_row(name, value) for name, value in figures]
+
+
+def figure_row(name: Figure, value: float) -> Row:
+    """Name one figure; a name that is not known is shown as it is, in SI."""
+    if name not in FIGURES:
+        return Row(str(name).replace("_", " "), f"{value:.6g} (SI)")
+    words, unit = FIGURES[name]
+    return Row(words, f"{value * SCALES.get(unit, 1.0):.4g}{unit}")
+
+
+def matrix_rows(estimate: Estimate) -> list[list[str]]:
+    """Return the twelve numbers with their sigmas: three of A and one of h per line."""
+    sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
+    a, h = estimate.correction.matrix, estimate.correction.hard_iron * MICRO
+    spread, iron = sigma[:9].reshape(3, 3), sigma[9:] * MICRO
+    return [
+        [
+            "xyz"[i],
+            *(f"{a[i, j]:.6f} ± {spread[i, j]:.6f}" for j in range(3)),
+            f"{h[i]:.4f} ± {iron[i]:.4f}",
+        ]
+        for i in range(3)
+    ]
+
+
+def known_before(knowledge: Knowledge) -> list[Row]:
+    """Return what was known beforehand."""
+    reference, mounting, iron = knowledge.reference, knowledge.mounting, knowledge.soft_iron
+    pose = "; ".join(" ".join(f"{value:.4g}" for value in row) for row in mounting.pose)
+    spread = f"±{iron.sigma_diagonal * 100:g}% on, ±{iron.sigma_cross * 100:g}% off the diagonal"
+    return [
+        Row("reference strength", _belief(reference.strength, MICRO, " µT")),
+        Row("reference inclination", _belief(reference.inclination, DEGREES, "°")),
+        Row("declination, positive east", _belief(reference.declination_belief, DEGREES, "°")),
+        Row("known soft-iron gains x, y, z", ", ".join(f"{gain:g}" for gain in mounting.gains)),
+        Row("nominal mounting, rows of the pose", pose),
+        Row("soft iron beyond the gains (1σ)", spread),
+    ]
+
+
+def _belief(belief: Belief, scale: float, unit: str) -> str:
+    if belief.is_unknown:
+        return "not known"
+    value = f"{belief.value * scale:.2f}"
+    return f"{value}{unit}" if belief.is_exact else f"{value} ± {belief.sigma * scale:.2f}{unit}"

@@ -8,7 +8,6 @@ from datetime import datetime
 
 import numpy as np
 
-from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.calibration.figure import Figure
@@ -21,7 +20,7 @@ from magcal_ros.core.geometry.attitude import (
     wrap_angle,
     yaw_from_up_and_field,
 )
-from magcal_ros.core.geometry.planes import Circle
+from magcal_ros.core.geometry.shapes import Circle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
@@ -37,18 +36,15 @@ class Subject:
     knowledge: Knowledge
     outcome: Outcome
     """What came of it; a refusal is reported too."""
-    source: str
-    """Where the samples came from: topics, or a recording. Any text: it is escaped."""
-    method: str
-    """Name of the method that was asked for."""
+    source: str  # where the samples came from: topics, or a recording. Any text: it is escaped.
+    method: str  # name of the method that was asked for
     created: datetime = field(default_factory=lambda: datetime.now().astimezone())
     """When the calibration was made; this moment unless given."""
     title: str = "Compass calibration"
     magnetometer_frame: str = ""
     imu_frame: str = ""
     """`frame_id` of field and IMU where they are known. Any text: it is escaped."""
-    vehicle: str = ""
-    """How the IMU sits in the vehicle, where driving has shown it."""
+    vehicle: str = ""  # how the IMU sits in the vehicle, where driving has shown it
 
     @property
     def answered_by(self) -> str:
@@ -78,12 +74,9 @@ class Corrected:
     """Corrected field in body axes, tesla. Shape (n, 3)."""
     circle: FloatArray
     """The field that was found, turned once about the axis, body axes, tesla. Shape (m, 3)."""
-    yaw: FloatArray
-    """Magnetic ENU yaw, radians. Shape (n,)."""
-    sigma: FloatArray
-    """Its standard deviation as the node would publish it, radians. Shape (n,)."""
-    reference: FloatArray
-    """The yaw that the turn asks for, radians. Shape (n,)."""
+    yaw: FloatArray  # magnetic ENU yaw, radians. Shape (n,).
+    sigma: FloatArray  # its standard deviation as the node would publish it, radians. Shape (n,).
+    reference: FloatArray  # the yaw that the turn asks for, radians. Shape (n,).
     radial: FloatArray
     axial: FloatArray
     """Residual away from the turn's axis and along it, tesla. Shape (n,)."""
@@ -98,28 +91,21 @@ class Corrected:
 class Turn:
     """The samples of a subject, one row per sample."""
 
-    time: FloatArray
-    """Seconds since the first sample. Shape (n,)."""
+    time: FloatArray  # seconds since the first sample. Shape (n,).
     field: FloatArray
     """Raw field after the known gains and the nominal mounting, tesla. Shape (n, 3)."""
-    up: FloatArray
-    """Specific force over its length. Shape (n, 3)."""
-    yaw: FloatArray
-    """Yaw of the raw field, radians. Shape (n,)."""
+    up: FloatArray  # specific force over its length. Shape (n, 3).
+    yaw: FloatArray  # yaw of the raw field, radians. Shape (n,).
     angle: FloatArray | None
-    """Radians turned since the first sample, left positive; None if nothing shows it. Shape
-    (n,)."""
-    has_gyro: bool
-    """Whether a gyro measured the angle."""
-    inliers: BoolArray
-    """Inliers of the fit; all where there was none. Shape (n,)."""
+    """Radians since the first sample, left positive; None if nothing shows it. Shape (n,)."""
+    has_gyro: bool  # whether a gyro measured the angle
+    inliers: BoolArray  # inliers of the fit; all where there was none. Shape (n,).
     coverage: Coverage
     corrected: Corrected | None
     sensors: Page
     """What the samples show of the sensors themselves."""
     swing_bound: float | None = None
-    """Degrees rms up to which the compass's swing against the gyro is called good; None where it
-    was not judged."""
+    """Degrees rms up to which the swing against the gyro is called good; None if not judged."""
 
     @classmethod
     def of(cls, subject: Subject) -> Turn:
@@ -142,6 +128,9 @@ class Turn:
         angle = gyro
         if angle is None and corrected is not None:
             angle = np.asarray(corrected.reference - corrected.reference[0])
+        compared = (Figure.GYRO_COMPASS_SWING, Figure.GYRO_COMPASS_DIFFERENCE)
+        checks = subject.outcome.verdict.checks
+        bounds = (check.bound for check in checks if check.figure in compared)
         return cls(
             time=np.asarray(window.time - window.time[0]) if len(window) else window.time,
             field=np.asarray(field),
@@ -153,7 +142,7 @@ class Turn:
             coverage=Coverage.nothing() if progress is None else Coverage.of(progress),
             corrected=corrected,
             sensors=examine_window(window, subject.knowledge),
-            swing_bound=_swing_bound(subject.outcome.verdict),
+            swing_bound=next((bound.good for bound in bounds if bound is not None), None),
         )
 
     @property
@@ -171,19 +160,11 @@ class Turn:
         return np.asarray(rows, dtype=np.int64)
 
 
-def _swing_bound(verdict: Verdict) -> float | None:
-    compared = (Figure.GYRO_COMPASS_SWING, Figure.GYRO_COMPASS_DIFFERENCE)
-    bounds = (check.bound for check in verdict.checks if check.figure in compared)
-    return next((bound.good for bound in bounds if bound is not None), None)
-
-
 def _gyro_angle(window: Window, up: FloatArray) -> FloatArray | None:
-    """Return the yaw that the gyro saw since the first sample, radians, left positive.
-
-    The rate of a yaw is (w_y sin roll + w_z cos roll) / cos pitch, on any slope.
-    """
+    """Return the yaw that the gyro saw since the first sample, radians, left positive."""
     if window.angular_rate is None or len(window) < 2:
         return None
+    # The rate of a yaw is (w_y sin roll + w_z cos roll) / cos pitch, on any slope.
     level = np.hypot(up[:, 1], up[:, 2])
     across = np.einsum("ni,ni->n", window.angular_rate[:, 1:], up[:, 1:])
     rate = across / np.maximum(level, 0.05) ** 2

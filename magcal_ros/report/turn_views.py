@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Draw = Callable[["Figure", Turn], None]
+Clouds = list[tuple[FloatArray, dict[str, Any]]]
 
 RAW = "#D55E00"
 CORRECTED = "#0072B2"
@@ -33,8 +34,7 @@ LEFT_OUT = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0
 
 MICRO = 1e6
 
-SIZE = (4.9, 5.5)
-"""Width and height of every picture, inches."""
+SIZE = (4.9, 5.5)  # width and height of every picture, inches
 
 STYLE: dict[str, Any] = {
     "axes.edgecolor": "#666666",
@@ -103,8 +103,7 @@ def legend_below(figure: Figure, source: Any, columns: int = 2) -> None:
     figure.legend(handles, labels, loc="lower center", ncol=columns, markerscale=2.2)
 
 
-POINTS = 200
-"""Of each cloud in each of the four views."""
+POINTS = 200  # of each cloud in each of the four views
 
 VIEWS = ((0, 2, "from the right"), (1, 2, "from the front"), (0, 1, "from above"))
 NAMES = ("x forward", "y left", "z up")
@@ -114,12 +113,10 @@ def draw(figure: Figure, turn: Turn) -> None:
     """Draw accelerometer, raw and corrected field, ideal circle and reference sphere."""
     strength = _strength(turn)
     clouds = _clouds(turn, strength)
-    limit = 1.08 * max(
-        strength, *(float(np.abs(points).max()) for points, _ in clouds if len(points))
-    )
-    grid = figure.add_gridspec(
-        2, 2, left=0.125, right=0.98, top=0.95, bottom=0.2, wspace=0.36, hspace=0.4
-    )
+    sizes = [float(np.abs(points).max()) for points, _ in clouds if len(points)]
+    limit = 1.08 * max(strength, *sizes)
+    margins = {"left": 0.125, "right": 0.98, "top": 0.95, "bottom": 0.2}
+    grid = figure.add_gridspec(2, 2, wspace=0.36, hspace=0.4, **margins)
     # The solid view needs no room for tick labels, only some for its slanting axes.
     solid: Any = figure.add_axes((0.015, 0.595, 0.43, 0.345), projection="3d")
     _draw_solid(solid, turn, clouds, strength, limit)
@@ -155,16 +152,12 @@ def _strength(turn: Turn) -> float:
     return max(float(np.linalg.norm(turn.field, axis=1).mean()) * MICRO, 1e-3)
 
 
-def _clouds(turn: Turn, strength: float) -> list[tuple[FloatArray, dict[str, Any]]]:
+def _clouds(turn: Turn, strength: float) -> Clouds:
     """Return points (n, 3) in µT and their looks, the undermost first."""
     rows = turn.rows(most=POINTS)
-    clouds: list[tuple[FloatArray, dict[str, Any]]] = [
-        (strength * turn.up[rows], {"color": UP, "marker": "s", "label": "up (accelerometer)"}),
-        (
-            MICRO * turn.field[rows],
-            {"color": RAW, "marker": "^", "markersize": 3.2, "label": "raw field"},
-        ),
-    ]
+    up = {"color": UP, "marker": "s", "label": "up (accelerometer)"}
+    raw = {"color": RAW, "marker": "^", "markersize": 3.2, "label": "raw field"}
+    clouds: Clouds = [(strength * turn.up[rows], up), (MICRO * turn.field[rows], raw)]
     if turn.corrected is not None:
         field = MICRO * turn.corrected.field
         kept = turn.rows(turn.inliers, most=POINTS)
@@ -176,12 +169,7 @@ def _clouds(turn: Turn, strength: float) -> list[tuple[FloatArray, dict[str, Any
 
 
 def _draw_projection(
-    axes: Any,
-    turn: Turn,
-    clouds: list[tuple[FloatArray, dict[str, Any]]],
-    strength: float,
-    i: int,
-    j: int,
+    axes: Any, turn: Turn, clouds: Clouds, strength: float, i: int, j: int
 ) -> None:
     phase = np.linspace(0.0, 2.0 * np.pi, 91)
     of_what = "raw field's mean size" if turn.corrected is None else "field's strength"
@@ -196,13 +184,7 @@ def _draw_projection(
         axes.plot(circle[:, i], circle[:, j], color=IDEAL, linewidth=0.9, label="ideal circle")
 
 
-def _draw_solid(
-    axes: Any,
-    turn: Turn,
-    clouds: list[tuple[FloatArray, dict[str, Any]]],
-    strength: float,
-    limit: float,
-) -> None:
+def _draw_solid(axes: Any, turn: Turn, clouds: Clouds, strength: float, limit: float) -> None:
     around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 13))
     axes.plot_wireframe(
         strength * np.sin(down) * np.cos(around),
@@ -275,9 +257,8 @@ def _draw_ring(axes: Any, turn: Turn) -> None:
     axes.set(ylim=(0.0, 1.6), yticks=[])
     axes.set_xticks(np.radians([0, 90, 180, 270]))
     axes.set_xticklabels(["start", "90° left", "180°", "90° right"])
-    for label, side in zip(
-        axes.get_xticklabels(), ("center", "right", "center", "left"), strict=True
-    ):
+    sides = ("center", "right", "center", "left")
+    for label, side in zip(axes.get_xticklabels(), sides, strict=True):
         label.set_horizontalalignment(side)
     axes.tick_params(axis="x", pad=0)
     axes.grid(False)

@@ -44,8 +44,7 @@ def write_to_the_end(folder: Path, subject: Subject) -> Path:
     return write_report(folder, subject)
 
 
-IN_FORCE = "in_force.txt"
-"""Marks the report of a turn whose calibration was put in force."""
+IN_FORCE = "in_force.txt"  # marks the report of a turn whose calibration was put in force
 
 OURS = ".magcal_ros"
 """Marks a folder that `new_folder` made: others may have a date for a name as well."""

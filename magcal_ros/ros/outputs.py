@@ -23,7 +23,7 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw, unit
-from magcal_ros.core.geometry.planes import Circle, fit_circle_in_space
+from magcal_ros.core.geometry.shapes import Circle, fit_circle_in_space
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass, Heading, Moment
 from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt, Trust

@@ -19,7 +19,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 from magcal_ros.report import write_report
-from magcal_ros.report.numbers import figure_row
+from magcal_ros.report.page import figure_row
 
 LARGEST_PAGE = 1_000_000
 DRIVE_FIGURES = (

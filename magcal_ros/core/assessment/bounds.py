@@ -11,36 +11,29 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
 from magcal_ros.core.samples.units import Z_NOT_UP
 
-FULL_ARC_DEG = 300.0
-"""Degrees of a turn from which it counts as a full circle."""
+FULL_ARC_DEG = 300.0  # degrees of a turn from which it counts as a full circle
 INSTALLATION = Bound(
     Figure.INSTALLATION_ANGLE,
-    15.0,
-    45.0,
+    (5.0, 15.0, 45.0),
     "installation error",
     "give the sensor's nominal pose with mount_rpy_deg",
-    excellent=5.0,
     when_refused=SITS_OTHERWISE,
 )
 """Rotation of the magnetometer from its nominal pose."""
 AGAINST_REFERENCE: tuple[Bound, ...] = (
     Bound(
         Figure.RADIUS_MISFIT,
-        10.0,
-        25.0,
+        (3.0, 10.0, 25.0),
         "radius of the field against the reference",
         "check reference.strength_ut and inclination_deg, or look for soft iron and steel near by",
-        excellent=3.0,
         unit="%",
     ),
     Bound(
         Figure.LEVEL_SHARE,
-        90.0,
-        15.0,
+        (97.0, 90.0, 15.0),
         "share of the level field that reaches the sensor",
         "mount the sensor away from steel, or check the reference field and the sensor's scale: a "
         "magnetometer whose scale is wrong looks the same",
-        excellent=97.0,
         unit="%",
         at_least=True,
     ),
@@ -48,89 +41,66 @@ AGAINST_REFERENCE: tuple[Bound, ...] = (
 """The level field against that of the reference."""
 SIGMA = Bound(
     Figure.HEADING_SIGMA,
-    2.0,
-    12.0,
+    (0.7, 2.0, 12.0),
     "predicted heading error on the level (1σ)",
     "turn the full circle, or through all orientations, more slowly",
-    excellent=0.7,
     aspect=Aspect.CONFIDENCE,
     after_full="turn once more, more slowly or on other ground",
 )
 """The sigma by the calibration. One scale for turns, drives and known headings."""
-UPRIGHT = Bound(
-    Figure.AXIS_LEAN,
-    45.0,
-    90.0,
-    "up is tilted from the body's z by",
-    Z_NOT_UP,
-    excellent=20.0,
-)
+UPRIGHT = Bound(Figure.AXIS_LEAN, (20.0, 45.0, 90.0), "up is tilted from the body's z by", Z_NOT_UP)
 STRENGTH = Bound(
     Figure.STRENGTH_DEVIATION,
-    3.0,
-    5.0,
+    (1.5, 3.0, 5.0),
     "field strength deviates from the reference by",
     "check reference.strength_ut, or turn where the field is undisturbed",
-    excellent=1.5,
     unit="σ",
 )
 OUTLIERS = Bound(
     Figure.OUTLIER_SHARE,
-    25.0,
-    50.0,
+    (5.0, 25.0, 50.0),
     "samples left out as outliers",
     "something magnetic passed by or switched; turn again elsewhere",
-    excellent=5.0,
     unit="%",
 )
 TURN_BOUNDS: tuple[Bound, ...] = (
     SIGMA,
     Bound(
         Figure.RESIDUAL_RATIO,
-        6.0,
-        12.0,
+        (3.0, 6.0, 12.0),
         "residual against the level field",
         "move away from steel and motors, and keep loads still while turning",
-        excellent=3.0,
         unit="%",
     ),
     OUTLIERS,
     *AGAINST_REFERENCE,
     Bound(
         Figure.ELLIPSE_EXCESS,
-        12.0,
-        30.0,
+        (2.0, 12.0, 30.0),
         "ellipse in the turn's plane, ratio of its axes minus one",
         "give soft_iron_gains, or move the magnetometer away from iron parts",
-        excellent=2.0,
         unit="%",
     ),
     Bound(
         Figure.MOTOR_FIELD,
-        1.0,
-        20.0,
+        (0.3, 1.0, 20.0),
         "between rest and turn the field changes by",
         "if the robot stood where it turned, its motors are the cause: route the power wires "
         "away, or calibrate with them on; if it stood elsewhere, leave that rest out",
-        excellent=0.3,
         unit=" µT",
     ),
     Bound(
         Figure.LATENCY,
-        100.0,
-        1000.0,
+        (20.0, 100.0, 1000.0),
         "field and gyro are stamped apart by",
         "stamp both when they are measured",
-        excellent=20.0,
         unit=" ms",
     ),
     Bound(
         Figure.GYRO_COMPASS_SWING,
-        2.0,
-        10.0,
+        (1.0, 2.0, 10.0),
         "gyro against compass around the turn",
         "the field is distorted here; turn elsewhere",
-        excellent=1.0,
         when_refused="the field is distorted here, or the sensors' axes do not belong together;"
         " turn elsewhere",
     ),
@@ -144,52 +114,44 @@ TURN_BOUNDS: tuple[Bound, ...] = (
     INSTALLATION,
     Bound(
         Figure.INSTALLATION_YAW_SIGMA,
-        3.0,
-        10.0,
+        (0.5, 3.0, 10.0),
         "yaw of the installation (1σ)",
         "turn on a slope",
-        excellent=0.5,
         aspect=Aspect.CONFIDENCE,
     ),
     Bound(
         Figure.MISALIGNMENT,
-        1.5,
-        5.0,
+        (0.5, 1.5, 5.0),
         "the corrected field is turned against the IMU, as gravity shows, by",
         "this method does not correct it; give mount_rpy_deg, or use a method that does",
-        excellent=0.5,
     ),
     Bound(
         Figure.ARC,
-        160.0,
-        90.0,
+        (FULL_ARC_DEG, 160.0, 90.0),
         "the turn covers",
         "turn the full circle",
-        excellent=FULL_ARC_DEG,
         aspect=Aspect.CONFIDENCE,
         at_least=True,
     ),
     Bound(
         Figure.SAMPLES,
-        50.0,
-        19.0,
+        (100.0, 50.0, 19.0),
         "samples used:",
         "turn more slowly, or raise the rate of the topics",
-        excellent=100.0,
         unit="",
         aspect=Aspect.CONFIDENCE,
         at_least=True,
     ),
     Bound(
         Figure.SIDEWAYS_ACCELERATION,
-        1.5,
-        45.0,
+        (1.0, 1.5, 45.0),
         "acceleration is tilted from the gyro's axis over the turn by",
         "turn more slowly, on the spot if the robot can; or the gyro has a large bias, or "
         "other axes than the accelerometer",
-        excellent=1.0,
     ),
-    replace(UPRIGHT, warn=75.0, words="the turn's axis is tilted from the body's z by"),
+    replace(
+        UPRIGHT, limits=(20.0, 45.0, 75.0), words="the turn's axis is tilted from the body's z by"
+    ),
 )
 """From simulation and about ten recordings. The most important come first."""
 
@@ -213,14 +175,14 @@ def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
 def _adapted(bound: Bound, estimate: Estimate) -> Bound:
     if bound.figure is Figure.MOTOR_FIELD and estimate.motors is not None:
         by_gyro = Figure.GYRO_CARRIED in estimate.figures
-        return replace(
-            bound, warn=50.0, remedy=MOTORS_TAKEN_OFF if by_gyro else MOTORS_PARTLY_SHOWN
-        )
+        remedy = MOTORS_TAKEN_OFF if by_gyro else MOTORS_PARTLY_SHOWN
+        return replace(bound, limits=(*bound.limits[:2], 50.0), remedy=remedy)
     if bound.figure is Figure.ARC and math.degrees(estimate.arc) > bound.warn:
         doubt = ALLOWED_SIGMAS * math.degrees(arc_sigma(estimate))
         least = round(min(bound.warn + doubt, bound.good), 1)
         unsure = f"the arc is known to ±{shown(doubt)}°, and may be less than {bound.warn:g}°; "
-        return replace(bound, warn=least, when_refused=unsure + bound.remedy)
+        limits = (*bound.limits[:2], least)
+        return replace(bound, limits=limits, when_refused=unsure + bound.remedy)
     return bound
 
 
@@ -236,16 +198,18 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
     ),
     Bound(
         Figure.HEADINGS_DRIVEN,
-        8.0,
-        6.0,
+        (11.0, 8.0, 6.0),
         "headings driven, of 12:",
         ALL_HEADINGS,
-        excellent=11.0,
         unit="",
         aspect=Aspect.CONFIDENCE,
         at_least=True,
     ),
-    replace(OUTLIERS, good=15.0, remedy="something magnetic was near or switched; drive elsewhere"),
+    replace(
+        OUTLIERS,
+        limits=(5.0, 15.0, 50.0),
+        remedy="something magnetic was near or switched; drive elsewhere",
+    ),
     *AGAINST_REFERENCE,
     INSTALLATION,
 )
@@ -262,22 +226,18 @@ HEADING_BOUNDS: tuple[Bound, ...] = (
     ),
     Bound(
         Figure.KNOWN_HEADINGS,
-        2.0,
-        1.0,
+        (3.0, 2.0, 1.0),
         "known headings:",
         f"{ONE_MORE}: one alone shows what is right near it",
-        excellent=3.0,
         unit="",
         aspect=Aspect.CONFIDENCE,
         at_least=True,
     ),
     Bound(
         Figure.HEADING_MISFIT,
-        1.5,
-        4.0,
+        (1.2, 1.5, 4.0),
         "known headings and field are apart by",
         "check the headings and their sigma, and stand away from iron",
-        excellent=1.2,
         unit=" times their sigma",
     ),
     INSTALLATION,

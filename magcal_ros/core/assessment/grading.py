@@ -58,19 +58,25 @@ class Bound:
     """The bounds of the grades for one figure; only its absolute value counts."""
 
     figure: Figure  # what is graded
-    good: float
-    warn: float
-    """Worst values of these grades, in the unit people see; beyond `warn` it is refused."""
+    limits: tuple[float | None, float, float]
+    """Worst values of excellent (None where nothing is), good and warn, in the unit people see."""
     words: str  # what the figure is
     remedy: str  # what to do if it is not good enough
-    excellent: float | None = None
-    """Worst value of this grade; None where nothing is better than good."""
     unit: str = "°"  # unit people see: "°", "%", "σ", ""
     aspect: Aspect = Aspect.QUALITY  # quality or confidence
     at_least: bool = False  # whether more is better; usually less is
-    after_full: str = ""
-    """Remedy after a full circle; empty if it is the same."""
+    after_full: str = ""  # remedy after a full circle; empty if it is the same
     when_refused: str = ""  # what to do instead beyond `warn`; empty where that is the same
+
+    @property
+    def good(self) -> float:
+        """Worst value of this grade."""
+        return self.limits[1]
+
+    @property
+    def warn(self) -> float:
+        """Worst value of this grade, beyond which a calibration is refused."""
+        return self.limits[2]
 
     @property
     def scale(self) -> float:
@@ -91,7 +97,12 @@ class Bound:
         fault. `note` is added to the value; `before` is the figure of the raw field, SI units.
         """
         value = abs(figure * self.scale)
-        grade = self._grade(value if excess is None else abs(excess * self.scale))
+        counted = value if excess is None else abs(excess * self.scale)
+        limits = [math.nan if each is None else each for each in self.limits]
+        kept = [counted >= each if self.at_least else counted <= each for each in limits]
+        grade = Grade.REFUSED
+        if any(kept) and math.isfinite(counted):
+            grade = list(Grade)[kept.index(True)]
         words = f"{self.words} {shown(value)}{self.unit}{note}"
         if grade.rank >= Grade.WARN.rank:
             limit = self.good if grade is Grade.WARN else self.warn
@@ -101,15 +112,6 @@ class Bound:
             words += f" (want {limit:g}{self.unit} or {side}): {refused or self.remedy}"
         raw = None if before is None else before * self.scale
         return Check(self.figure, self.aspect, grade, words, value, raw, self)
-
-    def _grade(self, value: float) -> Grade:
-        bounds = (self.excellent, self.good, self.warn)
-        if not math.isfinite(value):
-            return Grade.REFUSED
-        for grade, bound in zip(Grade, bounds, strict=False):
-            if bound is not None and (value >= bound if self.at_least else value <= bound):
-                return grade
-        return Grade.REFUSED
 
 
 def shown(value: float) -> str:
@@ -138,8 +140,7 @@ class Check:
     before: float | None = None
     """The figure in the unit people see, and that of the raw field."""
     bound: Bound | None = None  # what it was graded by
-    is_judged: bool = True
-    """False where the samples are too uncertain to judge it."""
+    is_judged: bool = True  # false where the samples are too uncertain to judge it
 
     @property
     def name(self) -> str:
@@ -166,8 +167,7 @@ def worst(grades: list[Grade]) -> Grade:
 class DoubtTuning:
     """When a hard iron along the axis makes the reference doubtful."""
 
-    likelier: float = 7.0
-    """Likelihood ratio of the inclination's other sign from which it is named."""
+    likelier: float = 7.0  # likelihood ratio of the inclination's other sign from which it is named
     unusual: float = 0.025
     """Probability of so much hard iron along the axis, below which it is named."""
     shown: float = 10.0

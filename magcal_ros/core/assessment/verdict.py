@@ -61,16 +61,14 @@ class VerdictTuning:
     """Share of the gyro's squared rates about one axis from which a turn has one axis. Of a sensor
     that is turned over by hand the median orientation counts."""
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
-    """Radians of heading on a slope, and its ratio to the level's, from which an unobserved axial
-    hard iron is mentioned."""
+    """Radians on a slope, and ratio to the level's, from which unseen axial iron is mentioned."""
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
     """Range of the Earth's field; outside of it there is a warning that names the likely unit."""
     guessed: float = 1.5  # factor by which that range is wider without a reference field
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
     """Range of the field with iron on the robot; outside of it the calibration is refused."""
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
-    """Relative deviation of the accelerometer's length from gravity: excellent, good; beyond it
-    there is a warning."""
+    """Relative deviation of acceleration from gravity: excellent, good; beyond it a warning."""
     reasons: int = 2  # how many reasons a summary names
 
 
@@ -203,7 +201,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
             figures.setdefault(Figure.SIDEWAYS_ACCELERATION, angle)
     bounds = DRIVE_BOUNDS if _is_drive(figures) else bounds_of(estimate)
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
-    checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
+    checks = [_check(b, estimate, figures, knowledge) for b in bounds if b.figure in figures]
     doubt = check_reference(estimate, figures, knowledge)
     if doubt is not None:
         checks.append(doubt)
@@ -230,7 +228,9 @@ def _is_full(arc: float) -> bool:
     return arc * DEGREES > FULL_ARC_DEG
 
 
-def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) -> Check:
+def _check(
+    bound: Bound, estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge
+) -> Check:
     """Grade one figure, allowing for the uncertainty of the reference."""
     figure = figures[bound.figure]
     if bound.after_full and figures[Figure.AXIS_LEAN] * DEGREES > UPRIGHT.good:
@@ -243,12 +243,12 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
             bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
         if Figure.LOCAL_SIGMA in figures:
             # No calibration takes away what the field along the way adds.
-            local = figures[Figure.LOCAL_SIGMA]
-            return bound.check(math.sqrt(max(figure**2 - local**2, 0.0)))
+            return bound.check(calibration_sigma(estimate))
         if not knowledge.reference.is_complete:
             bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
-        bound = replace(bound, good=TUNING.weighed_acceleration_deg)
+        excellent, _, warn = bound.limits
+        bound = replace(bound, limits=(excellent, TUNING.weighed_acceleration_deg, warn))
     if bound.figure in (Figure.RADIUS_MISFIT, Figure.LEVEL_SHARE):
         allowed = ALLOWED_SIGMAS * level_field_sigma(knowledge)
         note = f" ± {100.0 * allowed:.2g}% ({ALLOWED_SIGMAS:g}σ)" if allowed else ""
@@ -316,9 +316,8 @@ def _not_shown(
             f"{'' if known else 'give the reference field, or '}"
             f"{'drive on slopes' if _is_drive(figures) else 'turn on ramps'}"
         )
-    if not {Figure.GYRO_COMPASS_SWING, Figure.HEADINGS_DRIVEN, Figure.KNOWN_HEADINGS} & set(
-        figures
-    ):
+    compared = {Figure.GYRO_COMPASS_SWING, Figure.HEADINGS_DRIVEN, Figure.KNOWN_HEADINGS}
+    if not compared & set(figures):
         found.append(GYRO_UNUSED if has_gyro else NO_GYRO)
     if not knowledge.reference.is_complete:
         found.append(NO_REFERENCE)

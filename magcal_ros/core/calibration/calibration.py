@@ -43,12 +43,10 @@ class GyroSwing:
     """The persistent deviation of the compass from the gyro over a turn."""
 
     heading: FloatArray
-    """ENU yaw to magnetic north of the sectors of a turn, or of single samples, radians. Shape
-    (s,)."""
+    """ENU yaw to magnetic north of the turn's sectors or of samples, radians. Shape (s,)."""
     deviation: FloatArray
     """Compass less gyro there, without the gyro's own errors, radians. Shape (s,)."""
-    rms: float
-    """RMS of the deviation without the noise of the means, radians."""
+    rms: float  # RMS of the deviation without the noise of the means, radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,29 +58,23 @@ class Estimate:
     covariance: FloatArray
     """Of the twelve numbers (A row by row, then h in tesla), including what the turn could not
     show. It is singular where a direction is fixed by convention. Shape (12, 12)."""
-    installation: Installation | None
-    """Installation error, if the method estimates it."""
-    axis: FloatArray
-    """The turn's axis in body axes, unit, upwards. Shape (3,)."""
-    arc: float
-    """Radians of the turn that were seen."""
+    installation: Installation | None  # installation error, if the method estimates it
+    axis: FloatArray  # the turn's axis in body axes, unit, upwards. Shape (3,).
+    arc: float  # radians of the turn that were seen
     strength: float
     inclination: float
     """Of the reference field after the fit: tesla, radians."""
     noise_field: float
     noise_up: float
     """Standard deviations found in the samples: tesla per axis, radians of tilt per axis."""
-    inliers: BoolArray
-    """Samples that are no outliers of the fit. Shape (n,)."""
-    residual: FloatArray
-    """Raw field minus the model's, tesla. Shape (n, 3)."""
+    inliers: BoolArray  # samples that are no outliers of the fit. Shape (n,).
+    residual: FloatArray  # raw field minus the model's, tesla. Shape (n, 3).
     figures: Mapping[Figure, float] = field(default_factory=dict)
     """Other figures of the method; SI units."""
     message: str = ""
     swing: GyroSwing | None = None
     """The data of `Figure.GYRO_COMPASS_SWING`, if gyro and compass were compared."""
-    motors: MotorField | None = None
-    """The field of the running motors, if the method finds it."""
+    motors: MotorField | None = None  # the field of the running motors, if the method finds it
 
     def __post_init__(self) -> None:
         freeze(self, covariance=(PARAMETERS, PARAMETERS), axis=(3,))
@@ -105,10 +97,7 @@ def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray)
 
 
 def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Return the derivative by the twelve numbers of a quantity with this gradient by the field.
-
-    The corrected field and the gradient are (..., 3) in body axes.
-    """
+    """Return a quantity's derivative by the twelve numbers, from its gradient by the field."""
     uncorrected = correction.undo(field_body) - correction.hard_iron
     by_matrix = gradient[..., :, None] * uncorrected[..., None, :]
     by_iron = -gradient @ correction.matrix
@@ -128,11 +117,9 @@ class Evidence:
     reasons: tuple[str, ...] = ()
     not_shown: tuple[str, ...] = ()
     """The verdict's reasons, and what the turn could not show."""
-    accepted_by_user: bool = False
-    """Whether a person put it in force against the verdict."""
+    accepted_by_user: bool = False  # whether a person put it in force against the verdict
     figures: Mapping[str, float] = field(default_factory=dict)
-    """Figures of the method, SI units, by the names of `Figure`; a file of another version of the
-    package may have others."""
+    """Figures of the method, SI, by the names of `Figure`; other versions may have others."""
 
     def figure(self, name: Figure, default: float) -> float:
         """Return a figure, or `default` where it was not measured."""
@@ -146,10 +133,8 @@ class Calibration:
     correction: Correction
     covariance: FloatArray
     """Of A row by row, then h in tesla. Shape (12, 12)."""
-    noise_field: float
-    """Tesla per axis, standard deviation of one raw field sample."""
-    noise_up: float
-    """Radians per axis, standard deviation of one accelerometer tilt."""
+    noise_field: float  # tesla per axis, standard deviation of one raw field sample
+    noise_up: float  # radians per axis, standard deviation of one accelerometer tilt
     strength: float
     inclination: float
     """The reference field as found, tesla and radians."""

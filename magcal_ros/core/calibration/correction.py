@@ -22,15 +22,10 @@ PARAMETERS = 12
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Maps the raw field to the field in body axes, `A (m_raw - h)`.
+    """The map `A (m_raw - h)` to body axes; a ValueError if A is singular or mirrors them."""
 
-    A ValueError if a number is not finite, or if `matrix` is singular or mirrors the axes.
-    """
-
-    matrix: FloatArray
-    """A, dimensionless; must be invertible and keep handedness. Shape (3, 3)."""
-    hard_iron: FloatArray
-    """h in tesla, in the magnetometer's own axes. Shape (3,)."""
+    matrix: FloatArray  # A, dimensionless; must be invertible and keep handedness. Shape (3, 3).
+    hard_iron: FloatArray  # h in tesla, in the magnetometer's own axes. Shape (3,).
 
     def __post_init__(self) -> None:
         freeze(self, matrix=(3, 3), hard_iron=(3,))
@@ -100,16 +95,11 @@ INPUTS = tuple(MotorInput)
 class Running(NamedTuple):
     """Values of the motors' inputs at a moment."""
 
-    moving: float = 0.0
-    """Probability that it moves."""
-    turn_rate: float = 0.0
-    """rad/s about the body's z; NaN where it is unknown, as of the others."""
-    speed: float = 0.0
-    """m/s, negative backwards."""
-    current: float = 0.0
-    """Amperes, of a constant sign convention."""
-    side: float = 0.0
-    """One while it turns left, minus one to the right, between them at low rates."""
+    moving: float = 0.0  # probability that it moves
+    turn_rate: float = 0.0  # rad/s about the body's z; NaN where it is unknown, as of the others
+    speed: float = 0.0  # m/s, negative backwards
+    current: float = 0.0  # amperes, of a constant sign convention
+    side: float = 0.0  # one while it turns left, minus one to the right, between them at low rates
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -127,10 +117,8 @@ class MotorField:
     inputs: tuple[MotorInput, ...]
     gain: FloatArray
     """K by inputs: tesla per unit of each, in the magnetometer's own axes. Shape (n, 3)."""
-    covariance: FloatArray
-    """Of the gains, input by input, tesla² per units. Shape (3 n, 3 n)."""
-    beside: FloatArray
-    """Covariance with the twelve numbers of the calibration. Shape (12, 3 n)."""
+    covariance: FloatArray  # of the gains, input by input, tesla² per units. Shape (3 n, 3 n).
+    beside: FloatArray  # covariance with the twelve numbers of the calibration. Shape (12, 3 n).
     ripple: float
     """Standard deviation of the field while the robot moves, beside K u, tesla per axis."""
     usual: tuple[float, ...]

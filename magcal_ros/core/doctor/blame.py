@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Explanations
+from magcal_ros.core.doctor.explanations import WEIGHED, Explanations
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
@@ -42,11 +42,7 @@ WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is 
 def upright(
     log: SensorLog, given: Explanations | None, other: Explanations | None, turned_left: bool | None
 ) -> tuple[Finding, bool | None]:
-    """Look at which way gravity points.
-
-    Return a line, and whether gravity's sign is what errs; None where that or the IMU's axes do.
-    `turned_left` is what the user says of the turn; None where that was not asked.
-    """
+    """Return a line on where gravity points, and whether its sign errs; None if undecided."""
     usual = np.median(log.force, axis=0)
     usual = usual / max(float(np.linalg.norm(usual)), 1e-9)
     name = "accelerometer: up"
@@ -130,7 +126,7 @@ class AxesFound:
     @property
     def meant(self) -> FloatArray:
         """The likeliest axes, those as given where they are not excluded."""
-        return np.eye(3) if self.right else np.asarray(self.candidates[0])
+        return STANDARD if self.right else np.asarray(self.candidates[0])
 
     @property
     def mount_rpy_deg(self) -> tuple[int, int, int] | None:
@@ -181,9 +177,8 @@ def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
 
 def mount_of(axes: FloatArray, pose: FloatArray) -> tuple[int, int, int]:
     """Return the mounting's roll, pitch and yaw in degrees of axes found on top of a known pose."""
-    roll, pitch, yaw = (
-        (round(math.degrees(angle)) + 179) % 360 - 179 for angle in rpy_from_rotation(axes.T @ pose)
-    )
+    degrees = (round(math.degrees(angle)) for angle in rpy_from_rotation(axes.T @ pose))
+    roll, pitch, yaw = ((angle + 179) % 360 - 179 for angle in degrees)
     return roll, pitch, yaw
 
 
@@ -192,16 +187,14 @@ def parameter_line(rpy_deg: tuple[int, int, int]) -> str:
     return f"mount_rpy_deg: [{', '.join(f'{angle}.0' for angle in rpy_deg)}]"
 
 
-@dataclass(frozen=True, eq=False)
-class Blame:
+class Blame(NamedTuple):
     """Which sensors err."""
 
     findings: tuple[Finding, ...]
     """One for each sensor whose axes err or may err, or one that all agree."""
-    chosen: int  # the explanation that is taken
-    axes: AxesFound | None
+    chosen: int | None = None  # the way that is taken; None where none explains the movement
+    axes: AxesFound | None = None
     """Of the magnetometer, if it is the one that errs; None where it is not known."""
-    explained: bool  # whether the explanation explains the movement
 
 
 def blame(
@@ -210,21 +203,19 @@ def blame(
     turned_left: bool | None,
     gyro_is_half_dead: bool = False,
 ) -> Blame:
-    """Name the sensors whose axes err, or may err.
-
-    The axes of the other sensors are not judged by a gyro with dead axes.
-    """
-    best = explanations.best
-    if explanations.rms[best] > WEIGHED.worst_fit:
+    """Name the sensors whose axes err or may; a gyro with dead axes judges no others."""
+    misfit, given = explanations.misfit, explanations.plain
+    if explanations.rms[explanations.best] > WEIGHED.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
-        return Blame((finding,), best, None, False)
-    misfit = explanations.misfit
+        return Blame((finding,))
     remains = misfit < WEIGHED.remains
-    given = explanations.plain
-    # What was asked for and what all sensors saw may differ because a person erred.
-    contrary = _contrary(explanations, turned_left)
+    contrary = np.zeros(len(misfit), dtype=np.bool_)
+    if turned_left is not None:
+        # What was asked for and what all sensors saw may differ because a person erred.
+        turned = np.array([explanations.turned(k) for k in range(len(misfit))])
+        contrary = (np.abs(turned) > WEIGHED.least_turn) & ((turned > 0.0) != turned_left)
     if misfit[given] < 2.0 * WEIGHED.remains:
-        return _all_agree(explanations, given, remains, knowledge, contrary)
+        return _all_agree(explanations, remains, knowledge, contrary)
     kept = remains & ~contrary
     remains = kept if kept.any() else remains
     remains[given] = False
@@ -236,43 +227,24 @@ def blame(
     gyro, field = explanations.gyro, explanations.field
     fewest.sort(key=lambda k: (misfit[k] > WEIGHED.likely, rank_of(gyro[k]), rank_of(field[k])))
     if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
-        return Blame((not_shown("axes", "axes", DEAD_GYRO),), given, None, False)
+        return Blame((not_shown("axes", "axes", DEAD_GYRO),))
     return _accused(explanations, fewest, rank, knowledge)
-
-
-def _contrary(explanations: Explanations, turned_left: bool | None) -> BoolArray:
-    """Return which explanations say that the robot turned the other way than was asked for."""
-    count = len(explanations.misfit)
-    if turned_left is None:
-        return np.zeros(count, dtype=np.bool_)
-    turned = np.array([explanations.turned(k) for k in range(count)])
-    return np.asarray((np.abs(turned) > WEIGHED.least_turn) & ((turned > 0.0) != turned_left))
 
 
 def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:
     """Return the sensors that are wrong by an explanation."""
     gyro, field = explanations.gyro[k], explanations.field[k]
-    gyro_right, field_right = (np.array_equal(axes, STANDARD) for axes in (gyro, field))
-    if gyro_right and field_right:
-        return ()
-    if field_right:
-        return ("gyro",)
-    if gyro_right:
-        return ("magnetometer",)
+    axes = {"gyro": gyro, "magnetometer": field}
+    wrong = tuple(sensor for sensor, each in axes.items() if not np.array_equal(each, STANDARD))
     # Both differ from the accelerometer alike: then it is the one that errs.
     alike = np.array_equal(gyro, field) or np.array_equal(gyro, -field)
-    if alike and not is_mirrored(gyro):
-        return ("accelerometer",)
-    return ("gyro", "magnetometer")
+    return ("accelerometer",) if len(wrong) > 1 and alike and not is_mirrored(gyro) else wrong
 
 
 def _all_agree(
-    explanations: Explanations,
-    given: int,
-    remains: BoolArray,
-    knowledge: Knowledge,
-    contrary: BoolArray,
+    explanations: Explanations, remains: BoolArray, knowledge: Knowledge, contrary: BoolArray
 ) -> Blame:
+    given = explanations.plain
     # The magnetometer's axes that remain while the gyro is right.
     alike = (explanations.gyro == explanations.gyro[given]).all(axis=(1, 2))
     axes = AxesFound(explanations.field[remains & alike], True, knowledge)
@@ -289,7 +261,7 @@ def _all_agree(
         alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
         said = TURNED_RIGHT + "".join(f", or the {sensor} alone errs" for sensor in alone)
         found.append(looked_at("imu_axes", "axes: up", "a turn to the right", said))
-    return Blame(tuple(found), given, axes, True)
+    return Blame(tuple(found), given, axes)
 
 
 def _accused(
@@ -298,38 +270,32 @@ def _accused(
     rank: dict[int, tuple[str, ...]],
     knowledge: Knowledge,
 ) -> Blame:
-    """Name the sensor that errs; where another may err instead, or two must, ask.
-
-    One sensor is ordered to be changed only where the two others agree against it.
-    """
+    """Name the sensor that errs; where another may err instead, or two must, ask."""
     culprits = list(dict.fromkeys(rank[k] for k in fewest))
     if len(culprits[0]) > 1:
         names = " and ".join(culprits[0])
         evidence = f"the movement fits better with other axes of {names}"
-        question = looked_at("axes", "axes", evidence, BOTH)
-        return Blame((question,), explanations.plain, None, False)
+        return Blame((looked_at("axes", "axes", evidence, BOTH),))
     said, axes = {}, None
     for (sensor,) in culprits:
         ways = [k for k in fewest if rank[k] == (sensor,)]
         if sensor == "magnetometer":
-            candidates = _distinct(explanations.field[ways])
-            axes = AxesFound(candidates, False, knowledge)
+            axes = AxesFound(_distinct(explanations.field[ways]), False, knowledge)
             said[sensor] = axes.words
-        else:
-            words, slip = SAID[sensor]
-            candidates = _distinct(explanations.gyro[ways])
-            said[sensor] = words.format(named(candidates, slip))
-            if len(candidates) > WEIGHED.most_named:
-                said[sensor] += f". To tell which, {LIFT}"
+            continue
+        words, slip = SAID[sensor]
+        candidates = _distinct(explanations.gyro[ways])
+        which = f". To tell which, {LIFT}" if len(candidates) > WEIGHED.most_named else ""
+        said[sensor] = words.format(named(candidates, slip)) + which
     names = " or ".join(said)
     if len(said) > 1:
         evidence = f"{names} contradicts the other sensors"
         asked = f"which of them errs this movement does not show: {LIFT}. "
         asked += f"Either {'; or '.join(said.values())}"
-        return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], axes, True)
+        return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], axes)
     evidence = "the other sensors contradict them"
     line = wrong(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])
-    return Blame((line,), fewest[0], axes, True)
+    return Blame((line,), fewest[0], axes)
 
 
 KEYS = {"magnetometer": "field", "gyro": "gyro", "accelerometer": "force"}
@@ -348,11 +314,7 @@ def gyro_slip(axes: FloatArray) -> str:
         return f"{' and '.join(flipped)} {verb} the wrong sign"
     if exchanged := swapped(axes):
         return exchanged
-    parts = []
-    for name, row in zip("xyz", axes, strict=True):
-        along = int(np.argmax(np.abs(row)))
-        parts.append(f"{name} holds {'-' if row[along] < 0.0 else ''}{'xyz'[along]}")
-    return ", ".join(parts)
+    return spoken(axes, (("x", "-x"), ("y", "-y"), ("z", "-z")), " holds ")
 
 
 SAID: dict[str, tuple[str, Callable[[FloatArray], str]]] = {

@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.doctor.blame import mount_of, parameter_line
-from magcal_ros.core.doctor.explanations import Explanations
+from magcal_ros.core.doctor.explanations import Way
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import is_mirrored, rotation_from_rpy, spoken
@@ -41,8 +41,7 @@ class CourseSeen:
 
     gap: float = math.nan
     sigma: float = math.nan
-    """Yaw of the compass less course, less declination, less the yaw of the IMU where it is
-    known."""
+    """Yaw of the compass less course, less declination, less the IMU's yaw where it is known."""
     imu_yaw: float = math.nan
     imu_sigma: float = math.nan
     """Of the IMU in the vehicle, to the left, by the vehicle's own acceleration."""
@@ -52,32 +51,24 @@ class CourseSeen:
 class AxesInUse:
     """The magnetometer's axes by which the page goes, and the compass that they make."""
 
-    axes: FloatArray
-    """Rows in the body's, after the mounting that is known. Shape (3, 3)."""
-    pose: FloatArray
-    """The mounting that is known. Shape (3, 3)."""
+    axes: FloatArray  # rows in the body's, after the mounting that is known. Shape (3, 3).
+    pose: FloatArray  # the mounting that is known. Shape (3, 3).
     compass: Calibration  # good enough to be compared with a course
 
 
-def axes_in_use(explanations: Explanations, k: int, knowledge: Knowledge) -> AxesInUse | None:
-    """Return the compass that an explanation makes; None where the movement shows none.
-
-    The gyro of the explanations is in rad/s, and the mounting that is known was taken off.
-    """
-    axes, state, sigma = (
-        values[k] for values in (explanations.field, explanations.parameters, explanations.sigma)
-    )
-    if not np.array_equal(explanations.gyro[k], np.eye(3)) or is_mirrored(axes):
+def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
+    """Return the compass that a way (in rad/s and body axes) makes; None where it shows none."""
+    state, size = way.state, way.part.size
+    if not np.array_equal(way.gyro, np.eye(3)) or is_mirrored(way.field):
         return None
-    up = explanations.part.up[0]
-    level = float(np.linalg.norm(np.cross(state[FIELD], up)))
-    if not float(sigma[IRON].max()) < TUNING.iron * level:
+    level = float(np.linalg.norm(np.cross(state[FIELD], way.part.up[0])))
+    if not float(way.sigma[IRON].max()) < TUNING.iron * level:
         return None
-    size = explanations.part.size
-    to_axes = axes.T @ knowledge.mounting.to_body
+    to_axes = way.field.T @ knowledge.mounting.to_body
     soft = np.eye(3) + state[SOFT].reshape(3, 3)
+    hard_iron = np.asarray(np.linalg.solve(to_axes, size * state[IRON]), dtype=np.float64)
     compass = Calibration(
-        Correction(np.linalg.inv(soft) @ to_axes, np.linalg.solve(to_axes, size * state[IRON])),
+        Correction(np.linalg.inv(soft) @ to_axes, hard_iron),
         1e-4 * np.eye(PARAMETERS),
         1e-6,
         math.radians(1.0),
@@ -85,16 +76,13 @@ def axes_in_use(explanations: Explanations, k: int, knowledge: Knowledge) -> Axe
         0.0,
         Evidence("doctor", "", "", ""),
     )
-    return AxesInUse(axes, knowledge.mounting.pose, compass)
+    return AxesInUse(way.field, knowledge.mounting.pose, compass)
 
 
 def course_findings(
     used: AxesInUse, seen: CourseSeen
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
-    """Return the lines, and the mounting that corrects the yaw where it is wrong.
-
-    The course was compared with the compass that `used` makes; `seen` is the result.
-    """
+    """Return the lines on a compass against course, and the mounting that corrects its yaw."""
     lines = []
     knows_imu = seen.imu_sigma < TUNING.vague
     if knows_imu:

@@ -14,11 +14,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, accumulated
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.samples.alignment import (
@@ -55,8 +56,7 @@ class ExplanationTuning:
     most_named: int = 3  # explanations that are written out for one sensor
     most: int = 32  # ways that are fitted
     doubtful: float = 12.0
-    """Chi-square at most that field or gravity count for where soft iron or linear acceleration
-    could explain it."""
+    """Largest chi-square of field or gravity where soft iron or acceleration may explain it."""
     good_fit: float = 0.06
     """Residual over the changing field up to which small differences of the fit are believed."""
     settled: float = 0.02  # seconds of latency that need no further look
@@ -74,11 +74,25 @@ class ExplanationTuning:
     moved: float = 0.15  # share of its size by which the field must move in that time to take part
     below: float = 8.0
     above: float = 2.2
-    """Times by which a known factor may be below and above the rough one: short arcs and noise make
-    that too large."""
+    """Times a known factor may be below and above the rough one, which noise makes too large."""
 
 
-TUNING = ExplanationTuning()
+WEIGHED = ExplanationTuning()
+
+
+class Way(NamedTuple):
+    """One way in which axes may lie, as in `Explanations`."""
+
+    gyro: FloatArray
+    field: FloatArray  # axes of both sensors in the accelerometer's, shape (3, 3)
+    state: FloatArray
+    sigma: FloatArray  # what was fitted, and its standard deviations, shape (23,)
+    part: Stretch  # what was fitted
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether all axes are right."""
+        return bool((self.gyro == np.eye(3)).all() and (self.field == np.eye(3)).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +104,10 @@ class Explanations:
     """Axes of the two sensors in the accelerometer's. Shape (k, 3, 3)."""
     base: FloatArray
     """Chi-square in independent samples, above the best's, without the inclination. Shape (k,)."""
-    rms: FloatArray
-    """Typical residual of the field over the size of its changing part. Shape (k,)."""
+    rms: FloatArray  # typical residual of the field over the size of its changing part. Shape (k,).
     parameters: FloatArray
     sigma: FloatArray
-    """What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
-    Shape (k, 23)."""
+    """What was fitted, as in `AlignmentFit`, with the whole latency, and its sigmas, (k, 23)."""
     part: Stretch  # what was fitted
     found: Alignment  # the fit, which does not separate the field from its opposite
     inclination: Belief  # which alone does
@@ -103,13 +115,7 @@ class Explanations:
     @cached_property
     def cost(self) -> FloatArray:
         """Chi-square with the inclination, shape (k,)."""
-        count = len(self.base) // 2
-        by_inclination = [
-            _inclination_misfit(self.found, k, sign, self.inclination)
-            for sign in (1, -1)
-            for k in range(count)
-        ]
-        return np.asarray(self.base + by_inclination)
+        return np.asarray(self.base + _inclination_misfit(self.found, self.inclination))
 
     @property
     def misfit(self) -> FloatArray:
@@ -134,17 +140,19 @@ class Explanations:
     @property
     def fits_well(self) -> bool:
         """Whether the best way leaves so little that small differences of the fit are believed."""
-        return bool(self.rms[self.best] < TUNING.good_fit)
+        return bool(self.rms[self.best] < WEIGHED.good_fit)
 
     @property
     def shows_the_unit(self) -> bool:
-        """Whether the gyro's unit is right: the best way fits well, and not by chance.
-
-        In less than a quarter turn some axes of both sensors fit a field that changes from place to
-        place, whatever the gyro's unit.
-        """
-        axes_fit = bool(self.rms[self.plain] < TUNING.good_fit)
+        """Whether the gyro's unit is right: the best way fits well, and not by chance."""
+        # In less than a quarter turn some axes of both fit a field that changes with the place.
+        axes_fit = bool(self.rms[self.plain] < WEIGHED.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
+
+    def way(self, k: int) -> Way:
+        """Return one way."""
+        values = self.gyro[k], self.field[k], self.parameters[k], self.sigma[k]
+        return Way(*values, self.part)
 
     def turned(self, k: int) -> float:
         """Return the angle turned about the accelerometer's up, by one way, radians."""
@@ -161,19 +169,16 @@ def _are_right(axes: FloatArray) -> BoolArray:
 
 
 def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> Explanations | None:
-    """Weigh the ways in which axes may lie; None where too little moves.
-
-    `bias` (3,) is that of the gyro's rates by a rest, rad/s: each fit begins with it.
-    """
+    """Weigh the ways in which axes may lie, from a bias (3,), rad/s, on; None if none moves."""
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0
-    if part is None or most_turned(part) < TUNING.least_turn:
+    if part is None or most_turned(part) < WEIGHED.least_turn:
         return None
     senses = _against_the_field(part, proper, bias)
-    for _ in range(TUNING.looks):
+    for _ in range(WEIGHED.looks):
         more = float(senses.parameters[senses.best, LAG])
-        nearer = stretch_of_log(log, lag + more) if abs(more) > TUNING.settled else None
+        nearer = stretch_of_log(log, lag + more) if abs(more) > WEIGHED.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
@@ -212,15 +217,12 @@ def _against_the_field(stretch: Stretch, proper: FloatArray, bias: FloatArray) -
 def _remaining(
     stretch: Stretch, senses: Alignment, every: FloatArray, proper: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the ways worth a fit together, and that in which all axes are right.
-
-    Axes of gyro and field, (m, 3, 3) each, and chi-square (m,) of both comparisons.
-    """
+    """Return the ways worth a fit, and the plain one: axes (m, 3, 3) each, and chi-square (m,)."""
     # A vehicle's accelerations lean gravity for long: only its changes are compared.
     misfit, rms = gravity_misfit(stretch, every)
     gravity = _decisive(misfit, rms, senses.least_tilt > 0.0)
-    is_good = bool(senses.rms[senses.best] < TUNING.good_fit)
-    lifted = senses.tilt > TUNING.lift and senses.least_tilt > 0.0 and is_good
+    is_good = bool(senses.rms[senses.best] < WEIGHED.good_fit)
+    lifted = senses.tilt > WEIGHED.lift and senses.least_tilt > 0.0 and is_good
     against_field = _decisive(senses.misfit, senses.rms, lifted).reshape(2, -1)
     sense = np.rint(np.linalg.det(every))
     cost = (against_field[(sense < 0.0).astype(int)] + gravity[:, None]).ravel()
@@ -228,46 +230,42 @@ def _remaining(
     order = np.argsort(cost, kind="stable")
     gyro = order // len(proper)
     # A turn on the level leaves most axes of a gyro open: those as given are always among them.
-    likely = (np.arange(len(order)) < TUNING.most) | (gyro == 0)
+    likely = (np.arange(len(order)) < WEIGHED.most) | (gyro == 0)
     right = (gyro == 0) & _are_right(field[order])
-    kept = (likely & (cost[order] - cost.min() < 4.0 * TUNING.remains)) | right
+    kept = (likely & (cost[order] - cost.min() < 4.0 * WEIGHED.remains)) | right
     return every[gyro[kept]], field[order[kept]], cost[order[kept]]
 
 
 def _decisive(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
-    """Return misfits (k,) against field or gravity as far as they can decide.
-
-    In one turn about one axis a soft iron that is stronger than believed looks like other axes, and
-    so does linear acceleration where gravity does not show the lift that the gyro reads: then only
-    those are excluded that fit plainly worse.
-    """
-    plainly = rms > TUNING.times * rms[np.argmin(misfit)]
-    capped = np.minimum(misfit, TUNING.doubtful)
+    """Return misfits (k,) against field or gravity as far as they can decide."""
+    # In one turn about one axis a soft iron that is stronger than believed looks like other axes,
+    # and so does linear acceleration where gravity does not show the lift that the gyro reads: then
+    # only those are excluded that fit plainly worse.
+    plainly = rms > WEIGHED.times * rms[np.argmin(misfit)]
+    capped = np.minimum(misfit, WEIGHED.doubtful)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 
-def _inclination_misfit(found: Alignment, k: int, sign: int, dip: Belief) -> float:
-    """Return the chi-square of a candidate's inclination against the reference.
-
-    `sign` is -1 where the opposite of all axes of candidate `k` is meant. A reference inclination
-    that is not known weighs nothing.
-    """
-    given_up = not np.isfinite(found.covariance[k]).all()
-    if dip.is_unknown or given_up:
-        return 0.0
-    state = found.parameters[k]
-    up = state[UP] / np.linalg.norm(state[UP])
-    field = sign * state[FIELD]
-    size = float(np.linalg.norm(field))
-    along = float(up @ field) / size
-    level = math.sqrt(max(1.0 - along**2, 1e-6))
-    slope = (up - along * field / size) / size / level
-    variance = float(slope @ found.covariance[k][FIELD, FIELD] @ slope)
+def _inclination_misfit(found: Alignment, dip: Belief) -> FloatArray:
+    """Return chi-square (2 k,) of the inclination by each candidate, then by their opposites."""
+    is_known = np.asarray(np.isfinite(found.covariance).all(axis=(1, 2)))
+    if dip.is_unknown:
+        return np.zeros(2 * len(is_known))
+    up, field = unit(found.parameters[:, UP]), found.parameters[:, FIELD]
+    size = np.linalg.norm(field, axis=1)
+    along = np.sum(up * field, axis=1) / size
+    level = np.sqrt(np.maximum(1.0 - along**2, 1e-6))
+    slope = (up - (along / size)[:, None] * field) / (size * level)[:, None]
+    covariance = np.where(is_known[:, None, None], found.covariance[:, FIELD, FIELD], 0.0)
+    variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
     # Drift of the gyro looks like a small tilt, which shows nothing of the field.
-    variance += (TUNING.attitude_error / max(found.least_tilt, 1e-6)) ** 2
-    seen = -math.asin(max(-1.0, min(1.0, along)))
-    allowed = TUNING.dip_sigma**2 + dip.sigma**2
-    return (seen - dip.value) ** 2 / (allowed + variance)
+    variance += (WEIGHED.attitude_error / max(found.least_tilt, 1e-6)) ** 2
+    variance += WEIGHED.dip_sigma**2 + dip.sigma**2
+    seen = -np.arcsin(np.clip(along, -1.0, 1.0))
+    misfits = [
+        np.where(is_known, (sign * seen - dip.value) ** 2 / variance, 0.0) for sign in (1, -1)
+    ]
+    return np.concatenate(misfits)
 
 
 def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -282,7 +280,7 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
     seconds = accumulated(stretch.seconds)
-    first, last, turn = _turns_in(stretch, TUNING.span)
+    first, last, turn = _turns_in(stretch, WEIGHED.span)
     if len(first) < 4:
         return np.zeros(len(ways)), np.zeros(len(ways))
     size = np.linalg.norm(stretch.up, axis=1, keepdims=True)
@@ -295,16 +293,19 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     count, n = len(ways), len(first)
     moved = np.einsum("nij,knj->kni", middle, turned)
     drift = -middle * (seconds[last] - seconds[first])[:, None, None]
-    swung = _accelerated(stretch.rate @ ways, seconds)
+    rate = stretch.rate @ ways
+    turns = skews(rate)
+    # A metre of lever arm is accelerated by so many g.
+    swung = (skews(np.gradient(rate, seconds, axis=1)) + turns @ turns) / STANDARD_GRAVITY
     swung = -middle @ middle @ (swung[:, last] - swung[:, first])
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
     target = seen - moved
-    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [TUNING.lever] * 3)
+    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [WEIGHED.lever] * 3)
     prior = np.diag(sizes**-2.0)
     repeated = max(float(np.mean(last - first)), 1.0)
     sigma, left = math.radians(5.0), np.zeros((count, n))
-    for _ in range(TUNING.rounds):
+    for _ in range(WEIGHED.rounds):
         weight = 7.0 / (4.0 + left / sigma**2) / sigma**2 / repeated
         rows = design * weight[..., None, None]
         normal = np.einsum("knia,knib->kab", rows, design) + prior
@@ -312,10 +313,10 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
         left = np.sum((target - np.einsum("knia,ka->kni", design, found)) ** 2, axis=2)
         typical = np.sqrt(np.median(left, axis=1) / 2.37)
         cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
-        sigma = max(float(typical[np.argmin(cost)]), uneven, TUNING.attitude_error)
+        sigma = max(float(typical[np.argmin(cost)]), uneven, WEIGHED.attitude_error)
     cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
     cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
-    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, TUNING.attitude_error))
+    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, WEIGHED.attitude_error))
 
 
 def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatArray]:
@@ -324,15 +325,6 @@ def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatA
     last = np.searchsorted(seconds, seconds + span)
     first = np.flatnonzero(last < len(seconds))
     return first, last[first], angle[last[first]] - angle[first]
-
-
-def _accelerated(rate: FloatArray, seconds: FloatArray) -> FloatArray:
-    """Return how a metre of lever arm is accelerated by rates (k, n, 3), in g, (k, n, 3, 3)."""
-    turns, gains = (
-        skews(values.reshape(-1, 3)).reshape(*values.shape, 3)
-        for values in (rate, np.gradient(rate, seconds, axis=1))
-    )
-    return np.asarray((gains + turns @ turns) / STANDARD_GRAVITY)
 
 
 KNOWN: tuple[tuple[float, str], ...] = (
@@ -352,26 +344,17 @@ def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
     that changes from place to place goes farther than the gyro turns, and is no slip. A field that
     does not move shows nothing of the unit, which is then 1.
     """
-    for span in TUNING.spans:
+    for span in WEIGHED.spans:
         first, last, turn = _turns_in(stretch, span)
         way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
-        moved = way > max(TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
+        moved = way > max(WEIGHED.moved, 0.5 * float(np.max(way, initial=0.0)))
         if moved.sum() >= 3:
             break
     else:
         return (1.0,)
     turned = np.linalg.norm(turn[moved], axis=1)
     rough = float(np.median(way[moved])) / max(float(np.median(turned)), 1e-12)
-    if 1.0 / TUNING.plain < rough < TUNING.plain:
+    if 1.0 / WEIGHED.plain < rough < WEIGHED.plain:
         return None
     known = (1.0, *(factor for factor, _ in KNOWN))
-    return tuple(f for f in known if rough / TUNING.below < f < rough * TUNING.above)
-
-
-def factor_in_words(factor: float) -> str:
-    """Say what a factor of `rate_factors` means, and what to do."""
-    times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
-    return (
-        f"the gyro's rates are {times:.3g} times too {size}, which looks like "
-        f"{dict(KNOWN)[factor]}; multiply them by {factor:.6g} in the driver"
-    )
+    return tuple(f for f in known if rough / WEIGHED.below < f < rough * WEIGHED.above)

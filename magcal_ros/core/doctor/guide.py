@@ -143,10 +143,8 @@ class Guide:
         return stage is not GuideStep.TURN or self._has_stopped()
 
     def _has_stopped(self) -> bool:
-        """Return whether the turn has ended by the sensor that showed it, whatever its unit.
-
-        In the second of a rest a slow turn moves the field less than `still` allows.
-        """
+        """Return whether the turn has ended by the sensor that showed it, whatever its unit."""
+        # In the second of a rest a slow turn moves the field less than `still` allows.
         assert self._resting is not None
         _, rate, field = np.swapaxes(self._blocks[self._stage_start :], 0, 1)
         by_gyro = abs(self._angle) > TUNING.angle

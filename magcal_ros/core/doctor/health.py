@@ -10,9 +10,8 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
-from magcal_ros.core.samples.stamps import bursts_in_words
-from magcal_ros.core.samples.streams import SWAY, slow_words
-from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
+from magcal_ros.core.samples.streams import SWAY, bursts_in_words
+from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit, slow_words
 from magcal_ros.core.samples.window import SensorLog, white_noise
 
 
@@ -65,23 +64,19 @@ class HealthTuning:
     fewest: int = 50  # samples below which nothing is said of a stream
     field_noise: float = 3e-6
     rate_noise: float = 0.3
-    """Tesla and rad/s, standard deviation per axis and sample that is worth a look; an engine
-    shakes a good gyro by a tenth."""
+    """Tesla and rad/s per axis (1σ) that are worth a look; an engine shakes a gyro by a tenth."""
     frozen: float = 1.0  # seconds for which a frozen sensor repeats one value
     moving_rate: float = 0.09
     moving_field: float = 0.2
-    """rad/s of the gyro beyond its median, and share of the field's whole swing, that show that the
-    robot moves meanwhile."""
+    """rad/s of the gyro beyond its median, and share of the field's swing, that show movement."""
     overlap: float = 0.5  # share of the shorter stream that the other one on its clock must cover
     pace_step: float = 0.1
     longest: float = 7200.0
-    """Seconds at which the paces of gyro and field are compared, and of a log beyond which they are
-    not."""
+    """Seconds between the paces of gyro and field that are compared, and of the longest log."""
     latency: float = 0.6  # seconds of shift below which it is a latency, not another clock
     alike: float = 0.55
     better: float = 0.2
-    """Correlation of the paces at a larger shift that is believed, and by how much it must exceed
-    the best within a latency."""
+    """Correlation at a larger shift that is believed, and its lead over any within a latency."""
 
 
 TUNING = HealthTuning()
@@ -117,10 +112,7 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
 
 
 def repeats_finding(name: str, values: FloatArray) -> Finding:
-    """Look for values (n, d) of the sample before.
-
-    Coarse numbers repeat by chance, each axis for itself, and a frozen sensor for long.
-    """
+    """Look for samples (n, d) that repeat the one before, more often than by chance."""
     same = repeats(values)
     long = in_long_runs(same)
     axes = (np.diff(values, axis=0) == 0.0)[~long[1:]]
@@ -181,14 +173,17 @@ def gravity_size_finding(force: FloatArray) -> Finding:
     return looked_at("force_unit", "accelerometer: unit", evidence, hint)
 
 
-def alive_finding(name: str, values: FloatArray) -> Finding:
-    """Look for axes of values (n, 3) that never change."""
+def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None) -> Finding:
+    """Look for axes of (n, 3) that never change; `force` (m, 3) shows which one points up."""
     still = unchanging(values)
     evidence = f"{3 - len(still)} of 3 axes change"
     if not still:
         return looked_at("frozen", f"{name}: axes alive", evidence)
     verb, them = ("never changes", "it") if len(still) == 1 else ("never change", "them")
     words = f"the {name}'s {_axes(still)} {verb}: the driver does not read {them}"
+    up = -1 if force is None else int(np.argmax(np.abs(force.mean(axis=0))))
+    if up in still and len(still) == 2:
+        words += f", and gives the turn about {'xyz'[up]} as {'xyz'[3 - sum(still)]}"
     return wrong("frozen", f"{name}: axes alive", evidence, words)
 
 
@@ -201,21 +196,6 @@ def dead_axes(rate: FloatArray) -> list[int]:
     """Return the axes of a gyro (n, 3) that its driver does not read; none of an absent one."""
     dead = unchanging(rate)
     return dead if 0 < len(dead) < 3 and not is_noiseless(rate) else []
-
-
-def dead_in_words(rate: FloatArray, force: FloatArray) -> str:
-    """Say which axes of a gyro (n, 3) are dead, and what became of the turn; empty if none is.
-
-    `force` (m, 3) shows which axis points up.
-    """
-    dead = dead_axes(rate)
-    if not dead:
-        return ""
-    words = alive_finding("gyro", rate).remedy
-    up = int(np.argmax(np.abs(force.mean(axis=0))))
-    if up in dead and len(dead) == 2:
-        words += f", and gives the turn about {'xyz'[up]} as {'xyz'[3 - sum(dead)]}"
-    return words
 
 
 def is_noiseless(rate: FloatArray) -> bool:
@@ -274,10 +254,7 @@ def _step(values: FloatArray) -> float:
 
 
 def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
-    """Look at the scatter of both sensors; each stream has three samples or more.
-
-    The streams are clean, and `factor` makes rad/s of the gyro's numbers.
-    """
+    """Look at the scatter of clean streams, three samples or more; rate times `factor` is rad/s."""
     field = float(white_noise(log.field).max())
     is_noisy = field > TUNING.field_noise and not likely_field_unit(usual_size(log.field))
     words = (

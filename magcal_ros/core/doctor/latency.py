@@ -1,10 +1,13 @@
-"""How late field and accelerometer are against the gyro, and the motors' field, by every sample.
+"""How late field and accelerometer are, the motors' field, and turns on the spot, by every sample.
 
 A vector that stands still in the world shows when a sensor measured it by how far it has turned.
 What moves it beside that is fitted with the latency: the sensor's own installation, scale and
 offset, the gyro's bias and scale, the gyro's random walk in steps, and for an accelerometer that
 it does not sit on the axis of the turn. What remains sets the sigma, so it is what the rates and
 the noise of this movement allow.
+
+An IMU that is a metre from the axis of a turn feels the rate squared, in m/s². A vehicle that
+drives through a bend feels more. It comes to another place there, where the field is another one.
 """
 
 from __future__ import annotations
@@ -15,16 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Explanations
-from magcal_ros.core.geometry.arrays import FloatArray, running_mean
-from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.doctor.explanations import WEIGHED, Way
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean, runs
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.samples.alignment import (
     BIAS,
     FIELD,
     IRON,
     LAG,
+    PARAMETERS,
     SCALE,
     SOFT,
     START_NOISE,
@@ -33,18 +36,11 @@ from magcal_ros.core.samples.alignment import (
     inefficiency,
     turned,
 )
-from magcal_ros.core.samples.window import (
-    SensorLog,
-    Stretch,
-    StretchTuning,
-    stretch_of_log,
-    white_noise,
-)
+from magcal_ros.core.samples.window import SensorLog, StretchTuning, stretch_of_log, white_noise
 
 OF_FIELD = replace(WIDE, field_floor=1e-3, freedom=10.0)
 OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
-"""What is believed of the magnetometer and of the accelerometer, whose offset counts in the
-changing part of gravity."""
+"""What is believed of both; the accelerometer's offset counts in the changing part of gravity."""
 
 
 @dataclass(frozen=True)
@@ -76,109 +72,105 @@ TUNING = LatencyTuning()
 EACH_SAMPLE = StretchTuning(fewest=TUNING.most, most=TUNING.most)
 
 
-def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency | None:
-    """Return the field's latency by one explanation; None where there are too few samples.
-
-    `log` is as it was explained: rates in rad/s, the known mounting taken off. Explanation `k`
-    gives the axes, the bias and the hard iron.
-    """
-    before = float(explanations.parameters[k, LAG])
-    start = _of_the_field(log, explanations, k, before)
+def field_latency(log: SensorLog, way: Way) -> Latency | None:
+    """Return the field's latency by one way, or None. The log is in rad/s and body axes."""
+    before = float(way.state[LAG])
+    start = _of_the_field(log, way, before)
     if start is None:
         return None
-    found = _latency(before, *_fitted(*start, log))
+    motors, fit, state = _by_motors(*start, log), start[0], _descended(*start)
+    found, beside = (_latency(before, *_fitted(fit, state, log, m)) for m in (None, motors))
     # Between rests motors make the same step as a late field: the difference is a doubt of both.
-    beside = _latency(before, *_fitted(*start, log, _by_motors(*start, log)))
     return found._replace(sigma=math.hypot(found.sigma, found.lag - beside.lag))
 
 
-def motors_field(
-    log: SensorLog, explanations: Explanations, k: int, lag: float
-) -> tuple[FloatArray, FloatArray] | None:
+def motors_field(log: SensorLog, way: Way, lag: float) -> tuple[FloatArray, FloatArray] | None:
     """Return what the motors add to the field while the robot turns about up, tesla in body axes.
 
     Shape (3,), and the covariance (3, 3), which is that of the prior where it did not both rest and
     turn. The field is late by `lag`, seconds; the rest is as in `field_latency`.
     """
-    start = _of_the_field(log, explanations, k, lag)
+    start = _of_the_field(log, way, lag)
     if start is None:
         return None
-    fit, _, _ = start
-    fit.prior[LAG, LAG] = TUNING.in_time**-2
-    found, covariance = _fitted(*start, log, _by_motors(*start, log))
+    start[0].prior[LAG, LAG] = TUNING.in_time**-2
+    found, covariance = _fitted(start[0], _descended(*start), log, _by_motors(*start, log))
     return TUNING.motors * found[-3:], TUNING.motors**2 * covariance[-3:, -3:]
 
 
-def _by_motors(fit: AlignmentFit, state: FloatArray, part: Stretch, log: SensorLog) -> FloatArray:
-    """Return what motors add while the robot moves otherwise, and while it turns about up.
-
-    Columns of unit prior, shape (n, 3, 6). A nose may be lifted by hand or by motors.
-    """
+def _by_motors(fit: AlignmentFit, state: FloatArray, log: SensorLog) -> FloatArray:
+    """Return what motors add beside turns, and in turns about up, of unit prior, (n, 3, 6)."""
+    # A nose may be lifted by hand or by motors.
     rate = (1.0 + state[0, SCALE]) * fit.rate[0] - state[0, BIAS]
-    width = max(1, int(TUNING.starts / max(float(np.median(np.diff(part.time))), 1e-4)))
+    width = rows_in(TUNING.starts, fit.stretch.time)
     about_up = np.abs(rate @ unit(np.median(log.force, axis=0)))
     turning, moving = (
         running_mean(each, width) > TUNING.turns
         for each in (about_up, np.linalg.norm(rate, axis=1))
     )
     when = np.repeat(np.column_stack([moving & ~turning, turning]), 3, axis=1)
-    return np.asarray(TUNING.motors / part.size * when[:, None] * np.tile(np.eye(3), 2))
+    size = TUNING.motors / fit.stretch.size
+    return np.asarray(size * when[:, None] * np.tile(np.eye(3), 2))
 
 
-def _of_the_field(
-    log: SensorLog, explanations: Explanations, k: int, lag: float
-) -> tuple[AlignmentFit, FloatArray, Stretch] | None:
-    """Return the fit of the field by each sample, where it begins, and the samples."""
-    state = explanations.parameters[k : k + 1].copy()
+def rows_in(seconds: float, time: FloatArray) -> int:
+    """Return how many of the rows with these stamps (n,) come in so many seconds; at least one."""
+    return max(1, int(seconds / max(float(np.median(np.diff(time))), 1e-4)))
+
+
+def _of_the_field(log: SensorLog, way: Way, lag: float) -> tuple[AlignmentFit, FloatArray] | None:
+    """Return the fit of the field by each sample, and where it begins."""
     part = stretch_of_log(log, lag, EACH_SAMPLE)
     if part is None:
         return None
+    state = way.state[None].copy()
     state[:, LAG] = 0.0
-    state[:, FIELD.start : IRON.stop] *= explanations.part.size / part.size
-    axes, gyro = explanations.field[k : k + 1], explanations.gyro[k : k + 1]
-    return AlignmentFit(part, axes, gyro, OF_FIELD), state, part
+    state[:, FIELD.start : IRON.stop] *= way.part.size / part.size
+    return AlignmentFit(part, way.field[None], way.gyro[None], OF_FIELD), state
 
 
-def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency | None:
-    """Return the accelerometer's latency, of which only what leans gravity shows anything.
-
-    Takes the same as `field_latency`.
-    """
+def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> AlignmentFit | None:
+    """Return the fit of the force to a gyro of these axes (3, 3); None for too few samples."""
     gravity = replace(log, field_time=log.imu_time, field=log.force)
-    gyro, before = explanations.gyro[k : k + 1], 0.0
-    found: Latency | None = None
+    part = stretch_of_log(gravity, lag, EACH_SAMPLE)
+    if part is None:
+        return None
+    return AlignmentFit(part, np.eye(3)[None], gyro[None], OF_FORCE, with_up=False)
+
+
+def force_latency(log: SensorLog, way: Way) -> Latency | None:
+    """Return the accelerometer's latency, as `field_latency`; only leaning movements show it."""
+    before, found = 0.0, None
     for _ in range(WEIGHED.looks):
-        part = stretch_of_log(gravity, before, EACH_SAMPLE)
-        if part is None:
+        fit = fit_of_the_force(log, way.gyro, before)
+        if fit is None:
             break
-        fit = AlignmentFit(part, np.eye(3)[None], gyro, OF_FORCE, with_up=False)
         state = fit.descend(fit.start(), START_NOISE, TUNING.steps)
-        turns = skews(fit.rate[0])
+        turns, part = skews(fit.rate[0]), fit.stretch
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
-        found = _latency(before, *_fitted(fit, state, part, log, TUNING.lever / part.size * lever))
+        lever *= TUNING.lever / part.size
+        found = _latency(before, *_fitted(fit, _descended(fit, state), log, lever))
         if abs(found.lag - before) < WEIGHED.settled:
             break
         before = found.lag
     return found
 
 
-def _fitted(
-    fit: AlignmentFit,
-    state: FloatArray,
-    part: Stretch,
-    log: SensorLog,
-    more: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Fit all parameters, the gyro's walk, and what `more` columns (n, 3, m) of unit prior act on.
-
-    Return them in this order, and their covariance.
-    """
+def _descended(fit: AlignmentFit, state: FloatArray) -> FloatArray:
+    """Return the state (1, 23) from which all else is linear."""
     for _ in range(2):
-        noise = fit.noise(state, 0)
-        state = fit.descend(state, noise, TUNING.steps)
+        state = fit.descend(state, fit.noise(state, 0), TUNING.steps)
+    return state
+
+
+def _fitted(
+    fit: AlignmentFit, state: FloatArray, log: SensorLog, more: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Fit all parameters, the gyro's walk, and `more` columns (n, 3, m); with the covariance."""
+    time = fit.stretch.time
     residual, jacobian = (values[0, 0] for values in fit.linearised(state))
     attitude, _ = fit.propagate(state)
-    walked = turned(attitude @ state[0, FIELD], _walk(attitude, part.time, log))[0]
+    walked = turned(attitude @ state[0, FIELD], _walk(attitude, time, log))[0]
     parts = [jacobian, (np.eye(3) + state[0, SOFT].reshape(3, 3)) @ walked]
     if more is not None:
         parts.append(more)
@@ -189,7 +181,7 @@ def _fitted(
     slope = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
     left, nu = residual, fit.tuning.freedom
     for _ in range(WEIGHED.rounds):
-        variance = _noise_around(left, part.time)
+        variance = _noise_around(left, time)
         weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
         weight /= inefficiency(left / np.sqrt(variance)[:, None])
         rows = (design * weight[:, None, None]).reshape(-1, count)
@@ -209,9 +201,8 @@ def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:
     """Return the variance per axis around each moment, shape (n,): who moves is shaken."""
     power = np.sum(left**2, axis=1)
     usual = float(np.median(power))
-    width = max(1, int(TUNING.shaken / max(float(np.median(np.diff(time))), 1e-4)))
-    calm = np.minimum(power, 20.0 * usual)
-    return np.asarray(np.maximum(running_mean(calm, width), 0.3 * usual) / 3.0)
+    calm = running_mean(np.minimum(power, 20.0 * usual), rows_in(TUNING.shaken, time))
+    return np.asarray(np.maximum(calm, 0.3 * usual) / 3.0)
 
 
 def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:
@@ -223,3 +214,84 @@ def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:
     size = math.hypot(noise, TUNING.walk) * math.sqrt(seconds)
     each = size * attitude[..., None] * done[None, :, None, None, :]
     return np.asarray(each.reshape(*attitude.shape[:3], -1))
+
+
+@dataclass(frozen=True)
+class SpotTuning:
+    """How the felt acceleration of a turn is compared with that at rest."""
+
+    mean: float = 0.5  # seconds over which rates and forces are averaged
+    at_rest: float = 1.5  # seconds at the ends of a rest that show gravity
+    longest: float = 10.0  # seconds from a rest within which the gyro's attitude is believed
+    drift: float = math.radians(0.1)
+    lean: float = math.radians(0.2)
+    """rad/s of the bias that is read at rest, and radians of an attitude: standard deviations."""
+    offset: float = 0.3  # m/s², standard deviation of the accelerometer's
+    independent: float = 5.0  # samples that all of a turn count for, as what is felt lasts
+    beyond: float = 2.0  # times what a turn on the spot explains
+
+
+SPOT = SpotTuning()
+
+
+def drove_while_turning(
+    log: SensorLog, gyro: FloatArray = np.eye(3), bias: FloatArray = np.zeros(3)
+) -> bool:
+    """Return whether the robot felt more than a turn on the spot explains; False if not shown.
+
+    The log has a gyro, whose axes are the rows of `gyro` (3, 3) in the body's; `bias` (3,) is
+    roughly that of its rates, rad/s.
+    """
+    fit = fit_of_the_force(log, gyro)
+    if fit is None:
+        return False
+    part, rate = fit.stretch, fit.rate[0]
+    turned, up = rate - bias, unit(np.median(log.force, axis=0))
+    width = rows_in(SPOT.mean, part.time)
+    still = running_mean(np.linalg.norm(turned, axis=1), width) < TUNING.turns
+    about_up = running_mean(turned @ up, width)
+    rests = _ends_of_rests(still, rows_in(SPOT.at_rest, part.time))
+    if not rests:
+        return False
+    away = np.abs(part.time[:, None] - part.time[[edge for edge, _ in rests]])
+    nearest, since = np.argmin(away, axis=1), away.min(axis=1)
+    seen = (np.abs(about_up) > TUNING.turns) & (since < SPOT.longest)
+    if seen.sum() * max(float(np.median(np.diff(part.time))), 1e-4) < SPOT.mean:
+        return False
+    state = np.zeros((1, PARAMETERS))
+    state[:, BIAS] = np.median(rate[still], axis=0)
+    attitude = fit.propagate(state)[0][0]
+    force = np.column_stack([running_mean(axis, width) for axis in part.size * part.field.T])
+    world = np.einsum("nji,nj->ni", attitude, force)
+    gravity = np.array([world[rows].mean(axis=0) for _, rows in rests])
+    to_world = np.array([attitude[rows].mean(axis=0).T for _, rows in rests])
+    felt = force[seen] - np.einsum("nij,nj->ni", attitude[seen], gravity[nearest[seen]])
+    unsure = STANDARD_GRAVITY * np.hypot(SPOT.drift * since[seen], SPOT.lean)
+    allowed = np.hypot(WEIGHED.lever * about_up[seen] ** 2, unsure)
+    left = _without_offset(felt, attitude[seen] @ to_world[nearest[seen]], up, allowed)
+    return bool(np.median(np.linalg.norm(left, axis=1) / allowed) > SPOT.beyond)
+
+
+def _ends_of_rests(still: BoolArray, width: int) -> list[tuple[int, slice]]:
+    """Return the first and the last row of each rest, each with the rows that show gravity."""
+    found = []
+    for first, end in runs(still):
+        if end - first >= min(width, 3):
+            found.append((first, slice(first, min(first + width, end))))
+            found.append((end - 1, slice(max(end - width, first), end)))
+    return found
+
+
+def _without_offset(
+    felt: FloatArray, turned: FloatArray, up: FloatArray, sigma: FloatArray
+) -> FloatArray:
+    """Return what is felt on the level, (n, 3), less what an accelerometer's offset explains."""
+    # The offset was taken for a part of gravity at rest, and turned (n, 3, 3) with it since.
+    level = np.eye(3) - np.outer(up, up)
+    seen = felt @ level
+    design = level @ (np.eye(3) - turned)
+    share = SPOT.independent / len(felt)
+    rows = share * design / sigma[:, None, None] ** 2
+    normal = np.einsum("nji,njk->ik", rows, design) + np.eye(3) / SPOT.offset**2
+    offset = np.linalg.solve(normal, np.einsum("nji,nj->i", rows, seen))
+    return np.asarray(seen - design @ offset)

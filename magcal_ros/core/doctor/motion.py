@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.doctor.blame import AxesFound, blame, upright
-from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import (
+    KNOWN,
+    WEIGHED,
     Explanations,
+    Way,
     explain,
-    factor_in_words,
     most_turned,
     rate_factors,
 )
@@ -24,8 +25,8 @@ from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.alignment import BIAS, NO_BIAS, SCALE, align
 from magcal_ros.core.samples.rest import LongestRest, longest_stand
-from magcal_ros.core.samples.streams import slow_words
-from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
+from magcal_ros.core.samples.units import slow_words
+from magcal_ros.core.samples.window import SensorLog, stretch_of_log
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
 """The movement that shows everything."""
@@ -62,8 +63,7 @@ class MotionTuning:
     confirmed: float = 0.4  # share of the bias by which the rate at rest may be another
     lag: float = 0.015  # seconds between the sensors' stamps
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
-    """Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
-    beyond which it is not shown."""
+    """Largest sigma of bias (rad/s), scale, and lag of field and of force (s) that is reported."""
     largest_noise: float = 0.25
     """Usual change between neighbours, over the whole changing part, that is no noise at rest."""
 
@@ -78,14 +78,12 @@ class MotionFound:
     findings: tuple[Finding, ...]  # the lines
     axes: AxesFound | None = None
     """Of the magnetometer, where it is the one that errs; None where nothing was shown."""
-    explanations: Explanations | None = None  # None where none explains the movement
-    chosen: int = 0  # the explanation that is taken
+    way: Way | None = None  # that is taken; None where none explains the movement
     factor: float = 1.0  # what makes rad/s of the gyro's numbers
     up_is_down: bool | None = False
     """Whether gravity's sign is what errs; None where that is not decided."""
     body: SensorLog | None = None
-    """The log with rates in rad/s and the known mounting taken off; None where nothing was
-    compared."""
+    """The log in rad/s and in body axes; None where nothing was compared."""
 
 
 def compare(
@@ -98,18 +96,18 @@ def compare(
         return MotionFound((found, upright(log, None, None, turned_left)[0]))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = stretch_of_log(body)
-    if part is None:
-        return _nothing_shown(log, None, turned_left)
     # The field must change by more than its noise.
-    if usual_size(np.diff(part.field, axis=0)) >= TUNING.largest_noise:
+    if part is None or usual_size(np.diff(part.field, axis=0)) >= TUNING.largest_noise:
         return _nothing_shown(log, None, turned_left)
     inside = (body.field_time >= body.imu_time[0]) & (body.field_time <= body.imu_time[-1])
     time = body.field_time[inside]
     rates = interpolated(time, body.imu_time, body.rate)
     rest = longest_stand(time, body.field[inside], rates)
     factors = rate_factors(part)
-    stands_still = rest is not None and rest.is_certain and not _turns_beside(part, rest)
     bias = NO_BIAS if rest is None else rest.rate
+    beside = replace(part, turn=part.turn - part.seconds[:, None] * bias)
+    turns = most_turned(beside) >= WEIGHED.least_turn
+    stands_still = rest is not None and rest.is_certain and not turns
     given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge, bias)
     if given is None:
         return _nothing_shown(log, rest if stands_still else None, turned_left)
@@ -124,25 +122,21 @@ def compare(
         turned_left = not turned_left
     blamed = blame(explanations, knowledge, turned_left, dead)
     findings = [_unit(factor, factors is None), stands, *blamed.findings]
-    if blamed.explained:
+    way = None if blamed.chosen is None else explanations.way(blamed.chosen)
+    if way is not None:
         rest = None if rest is None else rest._replace(rate=factor * rest.rate)
-        findings += _gyro_errors(explanations, blamed.chosen, factor, rest, prepared.restamped)
+        findings += _gyro_errors(way, factor, rest, prepared.restamped)
         if prepared.restamped:
             findings.append(not_shown("latency", "field: latency", NO_BURSTS))
         else:
-            findings += _latencies(body, explanations, blamed.chosen)
-    weighed = explanations if blamed.explained else None
-    shown = tuple(findings)
-    return MotionFound(shown, blamed.axes, weighed, blamed.chosen, factor, up_is_down, body)
+            findings += _latencies(body, way)
+    return MotionFound(tuple(findings), blamed.axes, way, factor, up_is_down, body)
 
 
 def _explained(
     log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge, bias: FloatArray
 ) -> tuple[Explanations | None, float]:
-    """Explain the movement with the gyro's unit: a known slip where only that fits well.
-
-    `bias` (3,) is that of the gyro's rates by a rest.
-    """
+    """Explain the movement with the gyro's unit: a known slip where only that fits well."""
     inclination = knowledge.reference.inclination
     slips = [f for f in factors or () if f != 1.0]
     ways = [(explain(replace(log, rate=f * log.rate), inclination, f * bias), f) for f in slips]
@@ -157,27 +151,20 @@ def _explained(
     return way, factor
 
 
-def _turns_beside(stretch: Stretch, rest: LongestRest) -> bool:
-    """Return whether the gyro reads a turn beside what it reads at rest."""
-    alone = replace(stretch, turn=stretch.turn - stretch.seconds[:, None] * rest.rate)
-    return most_turned(alone) >= WEIGHED.least_turn
-
-
 def _nothing_shown(
     log: SensorLog, rest: LongestRest | None, turned_left: bool | None
 ) -> MotionFound:
     """Return that the sensors were not compared; a rest still shows the gyro's bias."""
     why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
     bias = not_shown("gyro_bias", "gyro: bias", why)
-    if rest is not None:
-        bias = _bias(rest.rate, TUNING.at_rest, 1.0)
     findings = (
         not_shown("axes", "axes", why),
-        bias,
+        bias if rest is None else _bias(rest.rate, TUNING.at_rest, 1.0),
         not_shown("rate_scale", "gyro: scale", why),
         not_shown("latency", "field: latency", why),
+        upright(log, None, None, turned_left)[0],
     )
-    return MotionFound((*findings, upright(log, None, None, turned_left)[0]))
+    return MotionFound(findings)
 
 
 def _unit(factor: float, turns_alike: bool) -> Finding:
@@ -186,38 +173,45 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
     if factor == 1.0:
         return looked_at("rate_unit", "gyro: unit", "rad/s, by how fast the field turns")
     evidence = f"rad/s times {1.0 / factor:.4g}, by how fast the field turns"
-    return wrong("rate_unit", "gyro: unit", evidence, factor_in_words(factor))
+    times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
+    words = (
+        f"the gyro's rates are {times:.3g} times too {size}, which looks like "
+        f"{dict(KNOWN)[factor]}; multiply them by {factor:.6g} in the driver"
+    )
+    return wrong("rate_unit", "gyro: unit", evidence, words)
 
 
 def _gyro_errors(
-    explanations: Explanations,
-    chosen: int,
-    factor: float,
-    rest: LongestRest | None,
-    restamped: bool,
-) -> list[Finding]:
-    state, sigma = explanations.parameters[chosen], explanations.sigma[chosen]
+    way: Way, factor: float, rest: LongestRest | None, restamped: bool
+) -> tuple[Finding, Finding]:
+    """Return the lines on bias and scale."""
+    state, sigma = way.state, way.sigma
+    hidden = not_shown("gyro_bias", "gyro: bias", FULL_TURN)
     if not np.isfinite(sigma).all():
-        return [
-            not_shown("gyro_bias", "gyro: bias", FULL_TURN),
-            not_shown("rate_scale", "gyro: scale", FULL_TURN),
-        ]
+        return hidden, not_shown("rate_scale", "gyro: scale", FULL_TURN)
     # In the gyro's own axes and numbers, so that it can be taken off in the driver.
-    bias = explanations.gyro[chosen] @ state[BIAS] / (1.0 + state[SCALE])
-    spread = explanations.gyro[chosen] ** 2 @ sigma[BIAS] ** 2
-    off = math.sqrt(float(spread.max()))
+    bias = way.gyro @ state[BIAS] / (1.0 + state[SCALE])
+    off = math.sqrt(float((way.gyro**2 @ sigma[BIAS] ** 2).max()))
     if rest is not None and rest.is_certain and off > TUNING.vague[0]:
         bias, off = rest.rate, TUNING.at_rest
     line = _bias(bias, off, factor)
     # A vehicle's accelerations look like a bias while it turns: a rest must confirm it.
-    if off > TUNING.vague[0] or (line.is_wrong and not _confirms(rest, bias)):
-        line = not_shown("gyro_bias", "gyro: bias", FULL_TURN)
-    found = [line]
-    scale, off = float(state[SCALE]), float(sigma[SCALE])
-    if restamped:
-        return [*found, not_shown("rate_scale", "gyro: scale", NO_BURSTS)]
-    if off > TUNING.vague[1]:
-        return [*found, not_shown("rate_scale", "gyro: scale", f"within {off:.1%}; {FULL_TURN}")]
+    most = max(TUNING.bias, TUNING.confirmed * float(np.linalg.norm(bias)))
+    is_confirmed = rest is not None and float(np.linalg.norm(rest.rate - bias)) < most
+    if off > TUNING.vague[0] or (line.is_wrong and not is_confirmed):
+        line = hidden
+    return line, _scale(way, factor, restamped)
+
+
+def _scale(way: Way, factor: float, restamped: bool) -> Finding:
+    scale, off = float(way.state[SCALE]), float(way.sigma[SCALE])
+    if restamped or off > TUNING.vague[1]:
+        why = NO_BURSTS if restamped else f"within {off:.1%}; {FULL_TURN}"
+        return not_shown("rate_scale", "gyro: scale", why)
+    too_large = abs(scale) > max(TUNING.scale, CLEAR * off)
+    if too_large and not _gravity_agrees(way):
+        why = f"gravity and field show different scales; {FULL_TURN}"
+        return not_shown("rate_scale", "gyro: scale", why)
     evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
     # Motors and iron that move the field during one turn look like it.
     remedy = (
@@ -226,11 +220,7 @@ def _gyro_errors(
         f"{'more' if scale > 0.0 else 'less'} than the gyro says, multiply the gyro's rates by "
         f"{factor * (1.0 + scale):.4g} in the driver"
     )
-    too_large = abs(scale) > max(TUNING.scale, CLEAR * off)
-    if too_large and not _gravity_agrees(explanations, chosen):
-        why = f"gravity and field show different scales; {FULL_TURN}"
-        return [*found, not_shown("rate_scale", "gyro: scale", why)]
-    return [*found, looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)]
+    return looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)
 
 
 def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
@@ -245,33 +235,19 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
     return looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large)
 
 
-def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
-    """Return whether the field alone gives the same scale of the gyro as with gravity.
-
-    Linear acceleration and a disturbed field change one of them.
-    """
-    field, gyro = (axes[chosen : chosen + 1] for axes in (explanations.field, explanations.gyro))
-    alone = align(explanations.part, field, gyro, with_up=False)
-    gap = abs(float(alone.parameters[0, SCALE] - explanations.parameters[chosen, SCALE]))
+def _gravity_agrees(way: Way) -> bool:
+    """Return whether the field alone gives the same scale of the gyro as with gravity."""
+    # Linear acceleration and a disturbed field change one of them.
+    alone = align(way.part, way.field[None], way.gyro[None], with_up=False)
+    gap = abs(float(alone.parameters[0, SCALE] - way.state[SCALE]))
     sigma = math.sqrt(float(alone.covariance[0, SCALE, SCALE]))
-    return gap < CLEAR * max(sigma, float(explanations.sigma[chosen, SCALE]))
+    return gap < CLEAR * max(sigma, float(way.sigma[SCALE]))
 
 
-def _confirms(rest: LongestRest | None, bias: FloatArray) -> bool:
-    most = max(TUNING.bias, TUNING.confirmed * float(np.linalg.norm(bias)))
-    return rest is not None and float(np.linalg.norm(rest.rate - bias)) < most
-
-
-def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[Finding]:
+def _latencies(log: SensorLog, way: Way) -> list[Finding]:
     """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
-    field, force = (
-        measured if measured is not None and measured.sigma < vague else None
-        for measured, vague in (
-            (field_latency(log, explanations, chosen), TUNING.vague[2]),
-            (force_latency(log, explanations, chosen), TUNING.vague[3]),
-        )
-    )
-    field_lag, force_lag = _significant(field), _significant(force)
+    field, field_lag = _shown(field_latency(log, way), TUNING.vague[2])
+    force, force_lag = _shown(force_latency(log, way), TUNING.vague[3])
     if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < TUNING.lag:
         of_field = of_force = (
             f"field and accelerometer agree that the gyro is {field_lag * 1e3:.0f} ms ahead: stamp "
@@ -296,11 +272,12 @@ def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[
     ]
 
 
-def _significant(latency: Latency | None) -> float:
-    """Return a latency that is worth a word, seconds; zero for others."""
-    if latency is None or abs(latency.lag) < max(TUNING.lag, CLEAR * latency.sigma):
-        return 0.0
-    return latency.lag
+def _shown(found: Latency | None, vague: float) -> tuple[Latency | None, float]:
+    """Return a latency that the movement shows, and its seconds where they are worth a word."""
+    if found is None or not found.sigma < vague:
+        return None, 0.0
+    is_small = abs(found.lag) < max(TUNING.lag, CLEAR * found.sigma)
+    return found, 0.0 if is_small else found.lag
 
 
 def _latency(key: str, name: str, latency: Latency | None, tells: str, remedy: str) -> Finding:

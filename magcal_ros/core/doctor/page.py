@@ -14,16 +14,17 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
 from magcal_ros.core.doctor.blame import LIFT, AxesFound, parameter_line
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
-from magcal_ros.core.doctor.explanations import Explanations, rate_factors
+from magcal_ros.core.doctor.explanations import Way, rate_factors
 from magcal_ros.core.doctor.health import (
     Finding,
-    dead_in_words,
+    alive_finding,
+    dead_axes,
     field_findings,
     looked_at,
     noise_findings,
     not_shown,
 )
-from magcal_ros.core.doctor.latency import motors_field
+from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
 from magcal_ros.core.doctor.motion import (
     FULL_TURN,
     MOVE_THE_SENSOR,
@@ -31,19 +32,17 @@ from magcal_ros.core.doctor.motion import (
     MotionFound,
     compare,
 )
-from magcal_ros.core.doctor.on_the_spot import drove_while_turning
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, UP
-from magcal_ros.core.samples.stamps import bursts_in_words
+from magcal_ros.core.samples.streams import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
 
-PAIRED = ("bursts", "stamps", "repeats")
-"""Lines of which paired samples show nothing."""
+PAIRED = ("bursts", "stamps", "repeats")  # lines of which paired samples show nothing
 
 
 @dataclass(frozen=True)
@@ -52,8 +51,7 @@ class Page:
 
     findings: tuple[Finding, ...]  # all lines
     mount_rpy_deg: tuple[int, int, int] | None = None
-    """The mounting that alone corrects the magnetometer's axes; None where none does, or where none
-    has to."""
+    """The mounting that corrects the magnetometer's axes; None where none does, or none has to."""
     used: AxesInUse | None = None  # what a drive's course can be compared with
     axes: AxesFound | None = None  # what the movement shows of the magnetometer's axes
 
@@ -82,17 +80,18 @@ class Page:
 def examine(
     log: SensorLog, knowledge: Knowledge = Knowledge(), turned_left: bool | None = None
 ) -> Page:
-    """Look at everything that a log shows of its sensors.
-
-    `turned_left` is what the user says of the turn; None where that was not asked.
-    """
+    """Look at all that a log shows; `turned_left` is what the user says, None if not asked."""
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:
         return Page((*prepared.findings, *known_habits(log)))
     found = compare(prepared, knowledge, turned_left)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
-    lines = _hidden_by_motors([*lines, *_of_the_field(prepared, found, knowledge)])
+    lines += _of_the_field(prepared, found, knowledge)
+    if any(line.key == "motors" and line.is_wrong for line in lines):
+        # A field of the motors hides what another turn would show.
+        said = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
+        lines = [replace(f, evidence=each) for f, each in zip(lines, said, strict=True)]
     mount, wrong, axes = None, None, found.axes
     is_field = any(finding.key == "field_axes" for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
@@ -100,8 +99,8 @@ def examine(
     lines += known_habits(log, wrong)
     lines += orientation_findings(log, knowledge) if wrong is None else []
     used = None
-    if found.explanations is not None and found.factor == 1.0 and not found.up_is_down:
-        used = axes_in_use(found.explanations, found.chosen, knowledge)
+    if found.way is not None and found.factor == 1.0 and not found.up_is_down:
+        used = axes_in_use(found.way, knowledge)
     return Page(tuple(lines), mount, used, axes)
 
 
@@ -113,23 +112,13 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
 
 
 def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) -> list[Finding]:
-    if found.explanations is None or found.body is None:
+    if found.way is None or found.body is None:
         return []
-    lines = reference_findings(found.explanations, found.chosen, knowledge, found.up_is_down)
+    lines = [reference_finding(found.way, knowledge, found.up_is_down)]
     if not prepared.restamped and np.isfinite(found.body.rate).all():
         shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
-        lines.append(motors_finding(found.body, found.explanations, found.chosen, shown))
+        lines.append(motors_finding(found.body, found.way, shown))
     return lines
-
-
-def _hidden_by_motors(lines: list[Finding]) -> list[Finding]:
-    """Return the lines with the true reason where a field of the motors hides what a turn shows."""
-    if not any(line.key == "motors" and line.is_wrong for line in lines):
-        return lines
-    return [
-        replace(line, evidence=line.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND))
-        for line in lines
-    ]
 
 
 @dataclass(frozen=True)
@@ -147,7 +136,7 @@ class PlaceTuning:
 
 
 TUNING = PlaceTuning()
-MOTORS = "field: motors"
+MOTORS, AGAINST_REFERENCE = "field: motors", "field: strength, inclination"
 BETWEEN_RESTS = "stand still, turn, and stand still again"
 ON_THE_SPOT = (
     "it drove while it turned, and each place has a field of its own; stand still, turn on the "
@@ -162,22 +151,18 @@ OR_LATE = (
 )
 
 
-def reference_findings(
-    explanations: Explanations, k: int, knowledge: Knowledge, up_is_down: bool | None = False
-) -> list[Finding]:
-    """Compare strength and inclination with the reference, by one explanation."""
-    size = explanations.part.size
-    state, sigma = explanations.parameters[k], explanations.sigma[k]
-    vector, up = state[FIELD], state[UP] * (-1.0 if up_is_down else 1.0)
+def reference_finding(way: Way, knowledge: Knowledge, up_is_down: bool | None) -> Finding:
+    """Compare strength and inclination with the reference, by one way."""
+    size, vector = way.part.size, way.state[FIELD]
+    up = way.state[UP] * (-1.0 if up_is_down else 1.0)
     strength = float(np.linalg.norm(vector)) * size
-    off = float(np.linalg.norm(sigma[FIELD])) * size
-    name, why = "field: strength, inclination", LIFT
+    off = float(np.linalg.norm(way.sigma[FIELD])) * size
     if off > TUNING.vague * strength:
-        upwards = None if up_is_down is not False else _points_up(explanations, k, knowledge)
-        return [upwards or not_shown("reference", name, why)]
+        upwards = None if up_is_down is not False else _points_up(way, knowledge)
+        return upwards or not_shown("reference", AGAINST_REFERENCE, LIFT)
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
     dip = -math.asin(max(-1.0, min(1.0, along)))
-    iron = float(np.linalg.norm(state[IRON])) * size
+    iron = float(np.linalg.norm(way.state[IRON])) * size
     evidence = (
         f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT without the hard iron of {iron * 1e6:.0f} µT, "
         f"inclination {math.degrees(dip):.0f}°"
@@ -194,31 +179,26 @@ def reference_findings(
         limit = max(TUNING.inclination, CLEAR * spread)
         if abs(dip - believed.inclination.value) > limit:
             if abs(dip + believed.inclination.value) <= limit:
-                return [looked_at("inclination_sign", name, evidence, FIELD_POINTS_UP)]
+                return looked_at("inclination_sign", AGAINST_REFERENCE, evidence, FIELD_POINTS_UP)
             wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
     remedy = (
         f"the reference says {' and '.join(wrong)}: turn farther away from iron and walls; if it "
         "is so everywhere, the magnetometer's scale or its unit is off"
-        if wrong
-        else ""
     )
-    return [looked_at("reference", name, evidence, remedy)]
+    return looked_at("reference", AGAINST_REFERENCE, evidence, remedy * bool(wrong))
 
 
-def _points_up(explanations: Explanations, k: int, knowledge: Knowledge) -> Finding | None:
-    """Return that the field points up after a level turn, where that takes much less hard iron.
-
-    None where the reference is not complete, and where the movement contradicts the other sign.
-    """
+def _points_up(way: Way, knowledge: Knowledge) -> Finding | None:
+    """Return that the field points up after a level turn, where that takes much less hard iron."""
     believed = knowledge.reference
-    if k != explanations.plain or not believed.is_complete:
+    if not (way.is_plain and believed.is_complete):
         return None
-    size, state = explanations.part.size, explanations.parameters[k]
-    up, field, iron = unit(state[UP]), size * state[FIELD], size * state[IRON]
-    field_off, iron_off = (size * explanations.sigma[k, part] for part in (FIELD, IRON))
+    up = unit(way.state[UP])
+    field, iron = (way.part.size * way.state[part] for part in (FIELD, IRON))
+    field_off, iron_off = (way.part.size * way.sigma[part] for part in (FIELD, IRON))
     along = -believed.strength.value * math.sin(believed.inclination.value)
-    is_excluded = abs(float(up @ field) + along) > CLEAR * float(np.linalg.norm(field_off * up))
-    if is_excluded:
+    # The movement may contradict the other sign.
+    if abs(float(up @ field) + along) > CLEAR * float(np.linalg.norm(field_off * up)):
         return None
     axial = float(up @ iron)
     both = float(up @ field) + axial
@@ -232,22 +212,16 @@ def _points_up(explanations: Explanations, k: int, knowledge: Knowledge) -> Find
         "the other way"
     )
     remedy = f"either the robot has that much iron, or {FIELD_POINTS_UP}"
-    return looked_at("inclination_sign", "field: strength, inclination", evidence, remedy)
+    return looked_at("inclination_sign", AGAINST_REFERENCE, evidence, remedy)
 
 
-def motors_finding(
-    log: SensorLog, explanations: Explanations, k: int, lag_is_shown: bool = True
-) -> Finding:
-    """Look for a field that is there while the robot turns alone.
-
-    A field that is late looks like motors, and motors like one that is late: where the latency is
-    not shown, both are said. Takes the same as `motors_field`.
-    """
-    state, size = explanations.parameters[k], explanations.part.size
-    found = motors_field(log, explanations, k, float(state[LAG]) if lag_is_shown else 0.0)
+def motors_finding(log: SensorLog, way: Way, lag_is_shown: bool) -> Finding:
+    """Look for a field that is there while the robot turns alone; a late one looks like it."""
+    state = way.state
+    found = motors_field(log, way, float(state[LAG]) if lag_is_shown else 0.0)
     if found is None:
         return not_shown("motors", MOTORS, BETWEEN_RESTS)
-    if drove_while_turning(log, explanations.gyro[k], state[BIAS]):
+    if drove_while_turning(log, way.gyro, state[BIAS]):
         return not_shown("motors", MOTORS, ON_THE_SPOT)
     field, covariance = found
     off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
@@ -256,7 +230,7 @@ def motors_finding(
     is_seen &= strength > TUNING.motors
     if off > TUNING.motors and not is_seen:
         return not_shown("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
-    level = size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
+    level = way.part.size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
     turned = math.atan2(strength, level)
     words = ", ".join(f"{value * 1e6:+.1f}" for value in field)
     evidence = (
@@ -282,10 +256,7 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
 
 
 def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of readings that no fit can use, seen before the work; None of others.
-
-    What is cut off at the end of a range looks like a smaller hard iron.
-    """
+    """Return the refusal of readings that no fit can use, seen before the work; None of others."""
     for found in field_findings(window.field) if len(window) >= 3 else ():
         if found.is_wrong and found.key == "saturation":
             words = f"the magnetometer saturates ({found.evidence}): {found.remedy}"
@@ -294,19 +265,17 @@ def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
 
 
 def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose gyro has dead axes or another unit; None of others.
-
-    A dead axis hides what the robot leans by, and the gyro's turn cannot be followed in space.
-    """
+    """Return the refusal of a turn whose gyro has dead axes or another unit; None of others."""
     rate = window.angular_rate
     if rate is None or len(window) < 3:
         return None
-    if words := dead_in_words(rate, window.specific_force):
+    if dead_axes(rate):
+        # What the robot leans by is hidden, and the gyro's turn cannot be followed in space.
         return Refusal(
             Reason.AXES_DISAGREE,
-            f"{words}; correct the driver, or let it mark the rates as absent "
-            "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
-            "calibrated without a gyro",
+            f"{alive_finding('gyro', rate, window.specific_force).remedy}; correct the driver, or "
+            "let it mark the rates as absent (angular_velocity_covariance[0] = -1; in a table, "
+            "leave the columns out) to be calibrated without a gyro",
         )
     stretch = stretch_of_log(SensorLog.of_window(window))
     if stretch is not None and set(rate_factors(stretch) or ()) - {1.0}:

@@ -8,23 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.health import (
-    TUNING,
-    Finding,
-    alive_finding,
-    dead_in_words,
-    field_findings,
-    gravity_size_finding,
-    in_long_runs,
-    is_noiseless,
-    repeats,
-    repeats_finding,
-    saturated,
-    stamps_finding,
-    wrong,
-)
+from magcal_ros.core.doctor import health
+from magcal_ros.core.doctor.health import TUNING, Finding
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
-from magcal_ros.core.samples.stamps import bursts_in_words, evenly
+from magcal_ros.core.samples.streams import bursts_in_words, evenly
 from magcal_ros.core.samples.window import SensorLog
 
 
@@ -65,23 +52,21 @@ def prepare(log: SensorLog) -> CleanLog:
     burst = False
     for name in ("imu", "field"):
         time = getattr(log, f"{name}_time")
-        if len(np.unique(time)) <= TUNING.fewest:
-            continue
         increasing = np.unique(time)
-        findings.append(stamps_finding("IMU" if name == "imu" else "field", increasing))
+        if len(increasing) <= TUNING.fewest:
+            continue
+        findings.append(health.stamps_finding("IMU" if name == "imu" else "field", increasing))
         if bursts_in_words(increasing):
             burst = True
             log = replace(log, **{f"{name}_time": evenly(time)})
     if len(log.field) > TUNING.fewest:
-        findings += [*field_findings(log.field), repeats_finding("field", log.field)]
+        findings += [*health.field_findings(log.field), health.repeats_finding("field", log.field)]
     if len(log.force) > TUNING.fewest:
         both = np.column_stack([log.force, np.nan_to_num(log.rate)])
-        findings += [gravity_size_finding(log.force), repeats_finding("IMU", both)]
-        findings.append(alive_finding("accelerometer", log.force))
-        if log.has_gyro and not is_noiseless(log.rate):
-            line = alive_finding("gyro", log.rate)
-            words = dead_in_words(log.rate, log.force)
-            findings.append(replace(line, remedy=words or line.remedy))
+        findings += [health.gravity_size_finding(log.force), health.repeats_finding("IMU", both)]
+        findings.append(health.alive_finding("accelerometer", log.force))
+        if log.has_gyro and not health.is_noiseless(log.rate):
+            findings.append(health.alive_finding("gyro", log.rate, log.force))
     log = _fresh(log)
     if min(len(log.force), len(log.field)) > TUNING.fewest:
         log, clocks = on_one_clock(log)
@@ -103,12 +88,12 @@ def _fresh(log: SensorLog) -> SensorLog:
     held = np.zeros(len(log.field), dtype=np.bool_)
     if len(log.field) > TUNING.fewest:
         for axis in range(3):
-            held |= saturated(log.field, axis)
+            held |= health.saturated(log.field, axis)
     imu = _increasing(log.imu_time)
     field = _increasing(log.field_time) & ~held
     # A short repetition is one of the driver, a long one of a frozen sensor, which is another
     # fault.
-    field &= ~repeats(log.field) | in_long_runs(repeats(log.field))
+    field &= ~health.repeats(log.field) | health.in_long_runs(health.repeats(log.field))
     return _taken(log, imu, field)
 
 
@@ -122,28 +107,24 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
     """Find sensors that say the same while another one moves; keep what is longest without."""
     found = []
     streams = [("accelerometer", log.imu_time, log.force), ("field", log.field_time, log.field)]
-    if log.has_gyro and not is_noiseless(log.rate):
+    if log.has_gyro and not health.is_noiseless(log.rate):
         streams.append(("gyro", log.imu_time, log.rate))
     stuck: list[tuple[float, float]] = []
     for name, time, values in streams:
-        for first, end in runs(repeats(values)):
+        for first, end in runs(health.repeats(values)):
             span = float(time[first - 1]), float(time[end - 1])
             if span[1] - span[0] > TUNING.frozen and _moves(log, name, span):
                 words = f"one value for {span[1] - span[0]:.1f} s while the robot moved"
                 remedy = f"the {name} is frozen: look at its wiring, and at its driver's errors"
-                found.append(wrong("frozen", f"{name}: alive", words, remedy))
+                found.append(health.wrong("frozen", f"{name}: alive", words, remedy))
                 stuck.append(span)
                 break
     if not stuck or not len(log.imu_time):
         return log, found
-    edges = [float(log.imu_time[0]), *sorted(t for span in stuck for t in span)]
-    edges.append(float(log.imu_time[-1]))
-    pieces = [
-        (a, b)
-        for a, b in itertools.pairwise(edges)
-        if not any(low <= 0.5 * (a + b) <= high for low, high in stuck)
-    ]
-    low, high = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0.0, 0.0))
+    ends = log.imu_time[[0, -1]].tolist()
+    pieces = itertools.pairwise([ends[0], *sorted(t for span in stuck for t in span), ends[1]])
+    free = [(a, b) for a, b in pieces if not any(s <= 0.5 * (a + b) <= e for s, e in stuck)]
+    low, high = max(free, key=lambda piece: piece[1] - piece[0], default=(0.0, 0.0))
     imu = (log.imu_time >= low) & (log.imu_time <= high)
     field = (log.field_time >= low) & (log.field_time <= high)
     return _taken(log, imu, field), found
@@ -159,10 +140,8 @@ def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
     if name == "field" or not len(log.field):
         return False
     inside = (log.field_time > span[0]) & (log.field_time < span[1])
-    whole = float(np.ptp(log.field, axis=0).max())
-    return bool(inside.any()) and float(np.ptp(log.field[inside], axis=0).max()) > (
-        TUNING.moving_field * whole
-    )
+    least = TUNING.moving_field * float(np.ptp(log.field, axis=0).max())
+    return bool(inside.any() and np.ptp(log.field[inside], axis=0).max() > least)
 
 
 ONE_CLOCK = (
@@ -184,7 +163,7 @@ def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
         return log, ()
     size = f"{abs(off):.1f} s" if abs(off) < 1e5 else f"{abs(off):.4g} s"
     evidence = f"the field's are {size} {'later' if off > 0.0 else 'earlier'} than the IMU's"
-    line = wrong("clocks", "stamps: clocks", evidence, ONE_CLOCK)
+    line = health.wrong("clocks", "stamps: clocks", evidence, ONE_CLOCK)
     return replace(log, field_time=log.field_time - off), (line,)
 
 

@@ -15,8 +15,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.units import FIELD_UNITS
 from magcal_ros.core.samples.window import SensorLog
 
-WRAP = 2.0**32 * 1e-6
-"""Seconds after which a clock of 32 bits that counts microseconds begins anew."""
+WRAP = 2.0**32 * 1e-6  # seconds after which a clock of 32 bits that counts microseconds begins anew
 
 AK8963_IN_MPU9250 = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 AK09916_IN_ICM20948 = np.diag([1.0, -1.0, -1.0])
@@ -27,8 +26,7 @@ NO_NORTH = (
     "publish its rotation vector, which uses the magnetometer"
 )
 
-INVERTED = -np.eye(3)
-"""As a field that points up looks where the inclination is known."""
+INVERTED = -np.eye(3)  # as a field that points up looks where the inclination is known
 
 FIELD_POINTS_UP = (
     "the field points up where the reference says down, or down where it says up. A simulator may "
@@ -131,10 +129,7 @@ QUIRKS: tuple[Quirk, ...] = (
 
 
 def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding]:
-    """Return a line for each driver whose habit a log shows.
-
-    `axes` (3, 3) are the magnetometer's, rows in the IMU's, where they alone err.
-    """
+    """Return a line for each driver whose habit the log or wrong field axes (3, 3) show."""
     return [
         looked_at("driver", "driver", f"as {each.driver}: {each.habit}", each.remedy)
         for each in QUIRKS

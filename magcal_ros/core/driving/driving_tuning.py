@@ -30,8 +30,7 @@ class SpeedTuning:
     """Seconds between two samples that are interpolated between, and after which another source
     takes the place of one that is silent."""
     seldom: float = 0.3
-    """Seconds between samples from which wheels count as a receiver in this; twice as many are
-    interpolated between."""
+    """Seconds between samples from which wheels count as a receiver; half of those bridged."""
     receiver_delay: float = 0.5
     """Seconds by which a receiver's stamps are late, until it is measured; .4 to .8 were seen."""
     remembered: int = 6000  # samples kept of a source: ten minutes of ten a second
@@ -47,14 +46,12 @@ class OwnAccelerationTuning:
 
     seconds: float = 0.25  # of messages that make a tick: short against a start or a bend
     levelling: float = 60.0
-    """Seconds over which the frame that the gyro keeps is levelled by the accelerometer; long
-    against starts and stops."""
+    """Seconds over which the accelerometer levels the gyro's frame: long against starts."""
     steepest: float = 0.05  # sine of x to the upright, below which a body has no heading
     spans: Mapping[SpeedSource, int] = field(
         default_factory=lambda: dict(zip(SpeedSource, (2, 4, 8), strict=True))
     )
-    """Ticks over which a change of speed is taken: long against the noise of wheels, and as long as
-    a receiver averages."""
+    """Ticks over which a change of speed is taken: long against noise, as a receiver averages."""
     slow: Mapping[SpeedSource, float] = field(
         default_factory=lambda: dict(zip(SpeedSource, (0.05, 0.3, 0.6), strict=True))
     )
@@ -67,14 +64,12 @@ class OwnAccelerationTuning:
     fewest: int = 12  # of them before anything is subtracted
     gain: float = 0.4  # what remains of the force's variance where the speed explains it, at most
     along: float = 0.25
-    """Share of the changes of velocity that must be starts and stops, where the speed is that of
-    mere fixes."""
+    """Share of the changes of velocity that must be starts and stops, where speed is from fixes."""
     quiet: float = 0.3  # m/s², scatter of the force below which nothing is to be explained
     correlated: float = 4.0  # by how much errors of the force last longer than the smoothing
     standing: float = 0.5  # m/s of a speed that has no sign; a receiver's wanders
     crawling: float = 1.5
-    """m/s below which it may have stood meanwhile, unseen by a receiver that measures once a
-    second."""
+    """m/s below which it may have stood, unseen by a receiver that measures once a second."""
     longest: float = 40.0  # seconds since standing that are examined
 
 
@@ -95,8 +90,7 @@ class MountingYawTuning:
     be for a receiver, whose noise makes it less: else the speed's unit or stamps are wrong."""
     energy: float = 25.0  # m²/s³ of changes of velocity that must have been seen: two starts
     first_energy: float = 4.0
-    """The same before the yaw is used to subtract the own acceleration, and of the force while a
-    speed is stuck: half a start."""
+    """The same before the yaw is used, and of the force while a speed is stuck: half a start."""
     believed: float = math.radians(6.0)  # radians of sigma below which it is used so
     explained: float = 0.4  # share of the force's changes that the speed must explain
     floor: float = math.radians(0.3)  # radians that no drive removes: springs, tyres
@@ -148,14 +142,9 @@ class CourseTuning:
     """Radians by which a street turns the compass, and pseudo-observations of it."""
     freedom: float = 5.0  # degrees of freedom of Student's weights
     swing_share: float = 0.5
-    """Share of a swing of compass against course that is in the offset's sigma: its cause may have
-    come or gone on the way."""
+    """Share of a swing that is in the offset's sigma: its cause may have come or gone."""
     fewest: int = 5  # cells before the first fit
 
 
-SPEED, OWN, MOUNTING, COURSE = (
-    SpeedTuning(),
-    OwnAccelerationTuning(),
-    MountingYawTuning(),
-    CourseTuning(),
-)
+SPEED, OWN = SpeedTuning(), OwnAccelerationTuning()
+MOUNTING, COURSE = MountingYawTuning(), CourseTuning()

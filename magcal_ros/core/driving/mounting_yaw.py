@@ -20,14 +20,11 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from magcal_ros.core.driving.chords import Tick
 from magcal_ros.core.driving.driving_tuning import MOUNTING, OWN, SpeedSource
 from magcal_ros.core.driving.speed import Speedometer, SpeedRecord
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
-
-ComplexArray = npt.NDArray[np.complex128]
+from magcal_ros.core.geometry.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
 """How often each is in a m/s."""
@@ -95,10 +92,7 @@ class TickTable(NamedTuple):
 
     def last(self, count: int) -> TickTable:
         """Return the newest ticks."""
-        stamp, seconds, force, yaw, rate, speed, is_signed = self
-        newest = slice(-count, None)
-        motion = yaw[newest], rate[newest], speed[newest]
-        return TickTable(stamp[newest], seconds[newest], force[newest], *motion, is_signed)
+        return self._replace(**{n: getattr(self, n)[-count:] for n in self._fields[:-1]})
 
 
 class Judged(NamedTuple):
@@ -172,7 +166,7 @@ def _delay(table: TickTable, record: SpeedRecord) -> float:
 def _correlation(ticks: TickTable) -> float:
     """Return how well force and change of velocity go together, zero to one."""
     force, change, _, _ = _filtered(ticks)
-    size = math.sqrt(float(np.sum(np.abs(force) ** 2) * np.sum(np.abs(change) ** 2)))
+    size = float(np.linalg.norm(force) * np.linalg.norm(change))
     return 0.0 if size <= 0.0 else float(abs(np.vdot(change, force))) / size
 
 
@@ -205,10 +199,7 @@ def _running(sums: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
 
 
 def _signs(ticks: TickTable, force: ComplexArray, change: ComplexArray) -> FloatArray:
-    """Return plus or minus one per row: forwards where most of the way was driven.
-
-    The squares of the trips' sums do not know the trips' signs.
-    """
+    """Return plus or minus one per row: forwards where most of the way was driven."""
     speed = np.abs(np.nan_to_num(ticks.speed))
     moving = speed > OWN.standing
     label = np.where(moving, np.cumsum(moving & ~np.append(False, moving[:-1])), 0)
@@ -216,6 +207,7 @@ def _signs(ticks: TickTable, force: ComplexArray, change: ComplexArray) -> Float
     product = force * np.conj(change)
     sums = np.bincount(label, product.real, count) + 1j * np.bincount(label, product.imag, count)
     sums[0] = 0.0
+    # The squares of the trips' sums do not know the trips' signs.
     axis = cmath.exp(0.5j * cmath.phase(complex(np.sum(sums**2))))
     sign = np.where((sums * np.conj(axis)).real < 0.0, -1.0, 1.0)
     if float(sign @ np.bincount(label, speed * ticks.seconds, count)) < 0.0:
@@ -307,12 +299,10 @@ class MountingWatch:
         self._fitted_at = -math.inf
 
     def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
-        """Return the work of fitting what was driven, for any thread; give `take` its result.
-
-        The sources after the first good one wait for every eighth fit, which measures latencies.
-        """
+        """Return the work of a fit, for any thread; its result is for `take`."""
         self._fitted_at = stamp
         self._fits += 1
+        # Every eighth fit looks at all sources, and measures their latencies.
         ticks, is_thorough = list(self._ticks), self._fits % 8 == 0
         recent = [
             (source, track.record())

@@ -41,8 +41,7 @@ def is_jump(before: tuple[float, float], after: tuple[float, float]) -> bool:
 class SpeedRecord:
     """What one source has measured, frozen."""
 
-    kept: FloatArray
-    """Stamps and speeds of some minutes, thinned. Shape (n, 2)."""
+    kept: FloatArray  # stamps and speeds of some minutes, thinned. Shape (n, 2).
     wild_share: float  # share of the newest samples to which the speed jumps as no vehicle can
     delay: float
     gap: float
@@ -64,11 +63,7 @@ class SpeedRecord:
 
 
 class SpeedTrack:
-    """What one source has measured lately.
-
-    `delay` are the seconds by which its stamps are late, and `is_signed` is whether backwards is
-    negative.
-    """
+    """What one source has measured lately; its stamps are late by `delay`, seconds."""
 
     def __init__(self, source: SpeedSource) -> None:
         own = source is SpeedSource.ODOMETRY
@@ -133,10 +128,7 @@ class SpeedTrack:
         return 2.0 * SPEED.seldom if is_quick else SPEED.receiver_gap
 
     def at(self, stamp: float) -> float | None:
-        """Return the speed at a stamp of the IMU's clock; None unless two near samples enclose it.
-
-        m/s.
-        """
+        """Return the speed, m/s, at a stamp of the IMU's clock; None unless samples enclose it."""
         stamp += self.delay
         found = enclosing(self._recent, stamp)
         if found is None:
@@ -252,10 +244,7 @@ class OwnAcceleration:
         self.is_used = False
 
     def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
-        """Return the sign of a trip under way at a stamp, or that ended after it.
-
-        And whether the force has decided on it, and whether it may still do so.
-        """
+        """Return a trip's sign, whether the force has decided on it, and whether it still may."""
         if stamp > self._before.end:
             return self.sign, self.is_clear, True
         return self._before.sign, self._before.is_clear, False
@@ -286,14 +275,11 @@ class OwnAcceleration:
         return met
 
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
-        """Return what to subtract from a specific force, m/s², body axes; None if it is not known.
-
-        It does not come and go: a force that is corrected for moments only would mislead.
-        """
+        """Return what to subtract from a force, m/s², body axes; None while it is not known."""
         since, gravity = self._gravity or (math.inf, force)
         is_known = self.is_used and 0.0 <= stamp - since <= OWN.oldest
         if not is_known or frame.axes is None or stamp < self._pauses_until:
-            if self._gives:
+            if self._gives:  # a force that is corrected for moments only would mislead
                 self._pauses_until = stamp + OWN.oldest
             self._gives = False
             return None
@@ -366,12 +352,9 @@ class OwnAcceleration:
         self.is_used = len(force) >= OWN.fewest and is_explained and is_tested
 
     def _decide(self, shown: complex, forwards: complex) -> None:
-        """Sum up, since the vehicle stood, what the force shows of the direction of travel.
-
-        `shown` is the force, and `forwards` the vehicle's own acceleration if it drives forwards.
-        What the force is beside it is that before the trip: later it is known only by the sign that
-        is sought.
-        """
+        """Sum up, since the vehicle stood, what a force shows of the direction of travel."""
+        # `forwards` is the own acceleration of a vehicle that drives forwards. What the force is
+        # beside it is that before the trip: later it is known only by the sign that is sought.
         self._explained += ((shown - self._slope) * forwards.conjugate()).real
         self._energy += abs(forwards) ** 2
         if not self.is_yaw_known or self._energy <= 0.0:

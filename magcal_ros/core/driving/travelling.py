@@ -10,8 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.core.driving.chords import Chord, Chords, GyroFrame, Tick
-from magcal_ros.core.driving.course_offset import CourseCells, CourseOffset, fit_course_offset
+from magcal_ros.core.driving.chords import (
+    Chord,
+    Chords,
+    CourseCells,
+    CourseOffset,
+    GyroFrame,
+    Tick,
+    fit_course_offset,
+)
 from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING, OWN, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import Judged, MountingWatch, MountingYaw
 from magcal_ros.core.driving.speed import OwnAcceleration, Speedometer
@@ -135,10 +142,7 @@ class Travelling:
         self._believe_fit()
 
     def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> Triple | None:
-        """Take an IMU sample; returns the vehicle's own acceleration, m/s², body axes.
-
-        None where it is not known; then nothing is to be taken off.
-        """
+        """Take an IMU sample; returns the own acceleration, m/s², body axes; None if unknown."""
         if not self.is_heard:
             return None
         tick = self._frame.add(sample, gyro_bias)
@@ -251,11 +255,7 @@ class Travelling:
 
 
 class TravelReplay:
-    """Merges travel samples into a recording's readings, and follows up and speed along it.
-
-    `own` is the vehicle's own acceleration at the newest IMU sample, m/s², body axes; zero where it
-    is not known.
-    """
+    """Merges travel samples into readings; `own` is the vehicle's acceleration, m/s², or zero."""
 
     def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:
         self._travel, self._streams = list(travel), streams

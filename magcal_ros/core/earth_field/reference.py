@@ -35,10 +35,8 @@ class PositionTuning:
     """When the robot counts as moved to another place."""
 
     moved: float = 10_000.0
-    """Metres after which the field is computed again; over them it changes by less than 0.1° and
-    0.1 µT at most places."""
-    confirmed: int = 3
-    """Fixes in a row that must agree on a new place: one alone may be an outlier."""
+    """Metres after which the field is computed again: it changes by 0.1° or 0.1 µT at most."""
+    confirmed: int = 3  # fixes in a row that must agree on a new place: one alone may be an outlier
     far: float = 50_000.0
     """Metres from the given place, or from the first fix, beyond which a warning is given."""
 
@@ -56,14 +54,12 @@ NOWHERE = "lie at 0° N 0° E, where receivers without a fix are"
 class Fix:
     """One message of a receiver."""
 
-    has_fix: bool
-    """Its own status."""
+    has_fix: bool  # its own status
     latitude_deg: float
     longitude_deg: float
     altitude: float
     """Degrees and metres; the altitude may be NaN."""
-    stamp: float
-    """Seconds."""
+    stamp: float  # seconds
 
 
 def place_of(fix: Fix) -> Place | str:
@@ -84,11 +80,7 @@ def place_of(fix: Fix) -> Place | str:
 
 
 class Fixes:
-    """Follows the position by a receiver's fixes.
-
-    `place` is None before the first good fix; `stamp` (s) is that of the newest good one, zero
-    before it.
-    """
+    """Follows the robot's place by fixes; `stamp` (s) is that of the newest good one, else 0."""
 
     def __init__(self) -> None:
         self.place: Place | None = None
@@ -104,21 +96,15 @@ class Fixes:
             self._faults.add(place)
             return False
         self.stamp = fix.stamp
-        if self.place is None:
-            self._first = place
-        elif not self._has_moved_to(place):
-            return False
+        if self.place is not None:
+            is_here = self.place.distance(place) <= TUNING.moved
+            near = [c for c in self._candidates if c.distance(place) <= TUNING.moved]
+            self._candidates = [] if is_here else [*near, place]
+            if len(self._candidates) < TUNING.confirmed:
+                return False
+        self._first = self._first or place
         self.place, self._candidates = place, []
         return True
-
-    def _has_moved_to(self, place: Place) -> bool:
-        assert self.place is not None
-        if self.place.distance(place) <= TUNING.moved:
-            self._candidates = []
-            return False
-        near = [c for c in self._candidates if c.distance(place) <= TUNING.moved]
-        self._candidates = [*near, place]
-        return len(self._candidates) >= TUNING.confirmed
 
     def complaints(self, given: Place | None) -> list[str]:
         """Return the warnings on the fixes; empty if there are none."""
@@ -141,10 +127,7 @@ class Fixes:
 
 
 class LocalPlane:
-    """The plane that touches the Earth at the first good fix, its `origin` (equirectangular).
-
-    Its scale is right to 0.4%.
-    """
+    """The plane at the first good fix, its `origin` (equirectangular), right to 0.4%."""
 
     def __init__(self) -> None:
         self.origin: Place | None = None
@@ -179,8 +162,7 @@ UNITS = {
 class Local(NamedTuple):
     """Local deviation from the Earth's main field by crust, buildings and iron (1 σ)."""
 
-    strength: float = STRENGTH_SIGMA_UT * 1e-6
-    """Tesla."""
+    strength: float = STRENGTH_SIGMA_UT * 1e-6  # tesla
     inclination: float = math.radians(INCLINATION_SIGMA_DEG)
     declination: float = math.radians(DECLINATION_SIGMA_DEG)
     """Radians."""
@@ -194,27 +176,20 @@ class Given:
     local: Local
     place: Place | None
     """None unless latitude and longitude are given."""
-    half_place: bool
-    """Whether only one of the two is."""
+    half_place: bool  # whether only one of the two is
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Given:
         """Build from the values of the parameters `reference.*`; NaN where one is not given."""
-        names = ("strength_sigma_ut", "inclination_sigma_deg", "declination_sigma_deg")
-        strength, inclination, declination = (values[name] for name in names)
-        known = knowledge_of(
-            values["strength_ut"],
-            strength,
-            values["inclination_deg"],
-            inclination,
-            values["declination_deg"],
-            declination_sigma_deg=declination,
-        )
-        angles = math.radians(inclination), math.radians(declination)
+        sigmas = ("strength_sigma_ut", "inclination_sigma_deg", "declination_sigma_deg")
+        names = ("strength_ut", "inclination_deg", "declination_deg", *sigmas)
+        known = knowledge_of(**{name: values[name] for name in names})
+        strength, *angles = (values[name] for name in sigmas)
+        local = Local(strength * 1e-6, *map(math.radians, angles))
         spot = values["latitude_deg"], values["longitude_deg"]
         unset = [math.isnan(angle) for angle in spot]
         place = None if any(unset) else Place(*spot, values["altitude_m"])
-        return cls(known.reference, Local(strength * 1e-6, *angles), place, unset[0] != unset[1])
+        return cls(known.reference, local, place, unset[0] != unset[1])
 
 
 @dataclass(frozen=True)
@@ -278,7 +253,13 @@ def resolve(
     spot = f"{model.model} at {place.words}, {year:.1f}"
     pairs = zip((model.strength, model.inclination, model.declination), local, strict=True)
     here = [Belief(each.value, math.hypot(each.sigma, sigma)) for each, sigma in pairs]
-    field = _filled(given, here, model)
+    strength, inclination, north = (
+        modelled if own.is_unknown else own
+        for (_, own), modelled in zip(_beliefs(given), here, strict=True)
+    )
+    field = replace(given, strength=strength, inclination=inclination)
+    if model.level >= VALIDITY.blackout:
+        field = replace(field, declination=north.value, declination_sigma=north.sigma)
     doubts = [*_contradictions(given, here, spot), *_doubts(model, field)]
     if source == "unknown":
         source = spot
@@ -292,19 +273,6 @@ def _beliefs(field: ReferenceField) -> Iterator[tuple[str, Belief]]:
     """Yield name and belief of each of the three numbers."""
     beliefs = (field.strength, field.inclination, field.declination_belief)
     return zip(UNITS, beliefs, strict=True)
-
-
-def _filled(given: ReferenceField, here: Sequence[Belief], model: ModelField) -> ReferenceField:
-    """Return what is given, and what the model says here of the rest."""
-    strength, inclination, north = here
-    field = replace(
-        given,
-        strength=strength if given.strength.is_unknown else given.strength,
-        inclination=inclination if given.inclination.is_unknown else given.inclination,
-    )
-    if given.declination is not None or model.level < VALIDITY.blackout:
-        return field
-    return replace(field, declination=north.value, declination_sigma=north.sigma)
 
 
 def _contradictions(given: ReferenceField, here: Sequence[Belief], spot: str) -> Iterator[str]:
@@ -325,11 +293,9 @@ def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
     found = []
     level = f"the level field is only {model.level * 1e6:.1f} µT this near to the magnetic pole"
     if model.level < VALIDITY.blackout:
-        words = "no true north is published unless the declination is given by hand"
-        found.append(
-            f"{level}: a compass is of no use here"
-            + (f", and {words}" if field.declination is None else "")
-        )
+        words = ", and no true north is published unless the declination is given by hand"
+        more = words if field.declination is None else ""
+        found.append(f"{level}: a compass is of no use here{more}")
     elif model.level < VALIDITY.caution:
         sigma = math.degrees(model.declination.sigma)
         found.append(f"{level}: the declination is uncertain by {sigma:.1f}° (1σ) or more")
@@ -342,10 +308,7 @@ def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
 
 
 def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
-    """Return the warning that a calibration was made in another field; empty if it was not.
-
-    It is empty for a calibration that was made without a reference.
-    """
+    """Return the warning that a calibration was made elsewhere; empty if not, or not known."""
     if NO_REFERENCE in calibration.evidence.not_shown or not reference.is_complete:
         return ""
     strength, dip = reference.strength, reference.inclination

@@ -14,8 +14,7 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief
 
-EARTH_RADIUS = 6_371_200.0
-"""Metres: the sphere to which the coefficients belong."""
+EARTH_RADIUS = 6_371_200.0  # metres: the sphere to which the coefficients belong
 
 SEMI_MAJOR = 6378.137
 FLATTENING = 1.0 / 298.257223563
@@ -26,11 +25,9 @@ FLATTENING = 1.0 / 298.257223563
 class Harmonics:
     """A model of the main field."""
 
-    epoch: float
-    """Decimal year for which g and h hold."""
+    epoch: float  # decimal year for which g and h hold
     terms: FloatArray
-    """Degree, order, g and h in nT (Schmidt semi-normalised), and their change in nT a year. Shape
-    (k, 6)."""
+    """Degree, order, g and h in nT (Schmidt), and their change in nT a year. Shape (k, 6)."""
 
     @classmethod
     def parse(cls, text: str) -> Harmonics:
@@ -50,7 +47,16 @@ class Harmonics:
         upward = (polar * normal + altitude_km) * sin_lat
         radius = math.hypot(outward, upward)
         sine, cosine = upward / radius, outward / radius
-        north, east, down = self._on_sphere(sine, cosine, longitude, radius, year - self.epoch)
+        n, m = self.terms[:, :2].T
+        g, h = (self.terms[:, 2:4] + (year - self.epoch) * self.terms[:, 4:]).T
+        table = np.array(_legendre(int(n.max()), sine, cosine))
+        over_cosine, value, slope = table[n.astype(int), m.astype(int)].T
+        cos_m, sin_m = np.cos(m * longitude), np.sin(m * longitude)
+        size = (0.001 * EARTH_RADIUS / radius) ** (n + 2)
+        along = size * (g * cos_m + h * sin_m)
+        # Along the sphere's north, east and down, nT.
+        north, down = -float(along @ slope), -float(((n + 1) * along) @ value)
+        east = float((size * m * (g * sin_m - h * cos_m) * over_cosine).sum())
         # The vertical of the sphere leans towards the pole from that of the ellipsoid.
         sin_lean = sine * cos_lat - cosine * sin_lat
         cos_lean = cosine * cos_lat + sine * sin_lat
@@ -60,27 +66,10 @@ class Harmonics:
             (north * sin_lean + down * cos_lean) * 1e-9,
         )
 
-    def _on_sphere(
-        self, sine: float, cosine: float, longitude: float, radius: float, years: float
-    ) -> tuple[float, float, float]:
-        """Return the field along the sphere's north, east and down, nT."""
-        n, m = self.terms[:, :2].T
-        g, h = (self.terms[:, 2:4] + years * self.terms[:, 4:]).T
-        table = np.array(_legendre(int(n.max()), sine, cosine))
-        over_cosine, value, slope = table[n.astype(int), m.astype(int)].T
-        cos_m, sin_m = np.cos(m * longitude), np.sin(m * longitude)
-        size = (0.001 * EARTH_RADIUS / radius) ** (n + 2)
-        along = size * (g * cos_m + h * sin_m)
-        east = size * m * (g * sin_m - h * cos_m) * over_cosine
-        return -float(along @ slope), float(east.sum()), -float(((n + 1) * along) @ value)
-
 
 def _legendre(highest: int, sine: float, cosine: float) -> list[list[tuple[float, float, float]]]:
-    """Return Schmidt's semi-normalised functions of the latitude by degree and order.
-
-    Each comes as P/cos (for orders above zero, finite at the poles), P, and dP by the latitude;
-    all three obey the same recursion, so that nothing is divided by the cosine.
-    """
+    """Return Schmidt's semi-normalised functions by degree and order: P/cos, P, dP by latitude."""
+    # All three obey the same recursion, so that nothing is divided by the cosine.
     table = [[(0.0, 0.0, 0.0)] * (highest + 2) for _ in range(highest + 1)]
     table[0][0] = (0.0, 1.0, 0.0)
     for m in range(highest + 1):
@@ -110,19 +99,16 @@ class Validity:
     """Metres between which the model holds (WMM2025 Technical Report)."""
     first_year: float = 2015.0
     """Start of the oldest model that is shipped; a clock that was never set is earlier."""
-    life: float = 5.0
-    """Years for which a model is made."""
+    life: float = 5.0  # years for which a model is made
     most_years_late: float = 5.0
     """Years after the end of its life during which a model is still used, with grown sigmas."""
     drift_strength: float = 30e-9
     """Tesla a year, growth of a component's error after the model's life: WMM2010, 2015 and 2020
     extrapolated for five to ten years differ from their successors by 24 to 28 nT and 0.03 to 0.05°
     a year (RMS over the globe)."""
-    drift_inclination: float = math.radians(0.05)
-    """Radians of the same."""
+    drift_inclination: float = math.radians(0.05)  # radians of the same
     blackout: float = 2000e-9
-    """Tesla of level field below which a compass is of no use (WMM2025 Technical Report, blackout
-    zone)."""
+    """Tesla of level field below which a compass is of no use (WMM2025 report, blackout zone)."""
     caution: float = 6000e-9
     """Tesla of level field below which a compass is unreliable (caution zone)."""
 
@@ -196,10 +182,8 @@ class ModelField:
     declination: Belief
     """Tesla and radians, signs as everywhere in this package. The sigmas are those of the published
     error model, which holds outdoors anywhere on Earth."""
-    model: str
-    """Its name."""
-    years_late: float = 0.0
-    """Years from the end of the model's life to the date; zero inside it."""
+    model: str  # its name
+    years_late: float = 0.0  # years from the end of the model's life to the date; zero inside it
 
     @property
     def level(self) -> float:
@@ -216,22 +200,20 @@ def decimal_year(stamp: float) -> float:
 
 
 def year_of(stamps: Iterable[float], clock: float) -> float:
-    """Return the earliest plausible date of stamps as a decimal year; without one, of a clock.
-
-    All are in seconds since 1970. Stamps that count from the start of a simulation or a machine are
-    left out.
-    """
+    """Return the earliest plausible date of stamps (s since 1970) as a year; else the clock's."""
     years = [decimal_year(stamp) for stamp in stamps if math.isfinite(stamp)]
     return min((year for year in years if year >= VALIDITY.first_year), default=decimal_year(clock))
 
 
 def model_field(place: Place, year: float) -> ModelField:
-    """Return the field of the World Magnetic Model for a place and a decimal year.
-
-    After the newest model's life its sigmas grow each year. Raises `NoModel` years after that.
-    """
-    base = _newest_model(year)
+    """Return the field of the newest model for place and year; `NoModel` long after its life."""
+    base = max((begun for begun in ERRORS if begun <= year), default=0)
     late = max(year - (base + VALIDITY.life), 0.0)
+    if not base or not late <= VALIDITY.most_years_late:
+        raise NoModel(
+            f"no World Magnetic Model is at hand for the year {year:.1f}: set the clock, or bring "
+            "magcal_ros up to date"
+        )
     angles = math.radians(place.latitude_deg), math.radians(place.longitude_deg)
     north, east, down = _load(base).field(*angles, place.altitude / 1000.0, year)
     level = math.hypot(north, east)
@@ -250,17 +232,6 @@ def model_field(place: Place, year: float) -> ModelField:
         f"World Magnetic Model {base}",
         late,
     )
-
-
-def _newest_model(year: float) -> int:
-    """Return the first year of the newest model that started before a date."""
-    started = [base for base in ERRORS if base <= year]
-    if not started or not year <= max(started) + VALIDITY.life + VALIDITY.most_years_late:
-        raise NoModel(
-            f"no World Magnetic Model is at hand for the year {year:.1f}: set the clock, or bring "
-            "magcal_ros up to date"
-        )
-    return max(started)
 
 
 @lru_cache(maxsize=len(ERRORS))

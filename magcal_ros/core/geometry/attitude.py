@@ -8,8 +8,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 
-STANDARD_GRAVITY = 9.80665
-"""m/s², the specific force of an accelerometer at rest, upwards."""
+STANDARD_GRAVITY = 9.80665  # m/s², the specific force of an accelerometer at rest, upwards
 
 FRD_FROM_FLU: FloatArray = np.diag([1.0, -1.0, -1.0])
 """Body axes forward-right-down from forward-left-up, and the other way round."""
@@ -51,22 +50,14 @@ def yaw_from_up_and_field(up: FloatArray, field: FloatArray) -> FloatArray:
 
 
 def body_from_enu(up: FloatArray, field: FloatArray) -> FloatArray:
-    """Return the rotation from magnetic ENU to body axes seen by gravity and field.
-
-    Both vectors (..., 3) are in body axes and not parallel. The columns of the rotations (..., 3,
-    3) are east, north and up in body axes.
-    """
+    """Return rotations (..., 3, 3) from magnetic ENU to body axes by up and field (..., 3)."""
     up = unit(up)
     east = unit(np.cross(field, up))
     return np.stack([east, np.cross(up, east), up], axis=-1)
 
 
 def field_in_enu(strength: float, inclination: float, declination: float = 0.0) -> FloatArray:
-    """Return the reference field in ENU, shape (3,), in the unit of `strength`.
-
-    `inclination` is positive where the field points down, and `declination` where magnetic north
-    lies east of true north, radians; without a declination it is magnetic ENU.
-    """
+    """Return the reference field in ENU, (3,); inclination down, declination east, radians."""
     level = strength * np.cos(inclination)
     return np.array(
         [level * np.sin(declination), level * np.cos(declination), -strength * np.sin(inclination)]

@@ -13,8 +13,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, freeze
 from magcal_ros.core.geometry.attitude import angle_between
 from magcal_ros.core.geometry.rotations import rpy_from_rotation
 
-FIXED = "fixed"
-"""The kind of joint that does not move, by its name in URDF."""
+FIXED = "fixed"  # the kind of joint that does not move, by its name in URDF
 
 
 class FrameTrouble(MagcalError):
@@ -53,11 +52,7 @@ class FrameTree:
         return FrameTree([*self._above.values(), *joints])
 
     def pose(self, frame: str, parent: str) -> FloatArray:
-        """Return the rotation (3, 3) from the axes of `frame` to those of `parent`.
-
-        `parent` need not be above `frame`. Raises `FrameTrouble` if one of them is missing, if
-        nothing joins them, or if a joint between them moves.
-        """
+        """Return the rotation (3, 3) from `frame` to `parent`; `FrameTrouble` if none is known."""
         for name in (frame, parent):
             if name not in self.frames:
                 raise FrameTrouble(
@@ -123,20 +118,15 @@ class SensorPoses:
     """Poses of the sensors."""
 
     magnetometer: FloatArray
-    """Nominal pose of the magnetometer in the IMU's frame, sensor axes to IMU axes. Shape (3,
-    3)."""
+    """Nominal pose of the magnetometer, sensor axes to IMU axes. Shape (3, 3)."""
     is_described: bool
     """Whether it is from the robot's description; else given by hand, or the identity."""
     imu: FloatArray | None
-    """Pose of the IMU in the base, IMU axes to base axes; None while it is not known. Shape (3,
-    3)."""
+    """Pose of the IMU, IMU axes to base axes; None while it is not known. Shape (3, 3)."""
     complaints: tuple[str, ...] = ()  # what is missing
 
     def contradiction(self, up: FloatArray, frames: Frames) -> str:
-        """Return the warning that gravity contradicts the description; empty if it does not.
-
-        `up` (3,) is that of a robot at rest, unit, IMU axes; `frames` are for the text.
-        """
+        """Return a warning if up at rest (3,), unit, IMU axes, contradicts the description."""
         if self.imu is None:
             return ""
         lean = angle_between(self.imu[2], up)
@@ -150,21 +140,15 @@ class SensorPoses:
 
 
 def sensor_poses(frames: Frames, tree: FrameTree, given: FloatArray | None) -> SensorPoses:
-    """Return the poses of the sensors.
-
-    With an empty base the robot's description is not used, and the base is the IMU. `given` (3, 3)
-    is the magnetometer's pose as given by hand; it replaces the described one.
-    """
+    """Return the poses of the sensors; `given` (3, 3) replaces the described magnetometer's."""
     nothing: FloatArray = np.eye(3)
     if not frames.base:
         return SensorPoses(nothing if given is None else given, False, nothing)
-    imu, why_imu = _pose(frames.imu, frames.base, tree)
+    imu, why = _pose(frames.imu, frames.base, tree)
     if given is not None:
-        return SensorPoses(given, False, imu, why_imu)
-    sensor, why_sensor = _pose(frames.magnetometer, frames.imu, tree)
-    if sensor is None:
-        return SensorPoses(nothing, False, imu, why_imu + why_sensor)
-    return SensorPoses(sensor, True, imu, why_imu)
+        return SensorPoses(given, False, imu, why)
+    sensor, more = _pose(frames.magnetometer, frames.imu, tree)
+    return SensorPoses(nothing if sensor is None else sensor, sensor is not None, imu, why + more)
 
 
 def _pose(frame: str, parent: str, tree: FrameTree) -> tuple[FloatArray | None, tuple[str, ...]]:
@@ -173,11 +157,9 @@ def _pose(frame: str, parent: str, tree: FrameTree) -> tuple[FloatArray | None, 
         return None, ()
     if frame == parent:
         return np.eye(3), ()
-    if not tree.frames:
-        words = f"the pose of {frame!r} in {parent!r} is unknown: no robot_description came"
-        return None, (words,)
+    words = f"the pose of {frame!r} in {parent!r} is unknown: no robot_description came"
     try:
-        return tree.pose(frame, parent), ()
+        return (tree.pose(frame, parent), ()) if tree.frames else (None, (words,))
     except FrameTrouble as trouble:
         return None, (str(trouble),)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -41,11 +42,11 @@ def exp_rotation(vector: FloatArray) -> FloatArray:
 
 
 def skews(vectors: FloatArray) -> FloatArray:
-    """Return the cross-product matrices of vectors (n, 3), shape (n, 3, 3)."""
-    out = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
+    """Return the cross-product matrices of vectors (..., 3), shape (..., 3, 3)."""
+    out = np.zeros((*vectors.shape, 3))
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -z, y, -x
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = z, -y, x
     return out
 
 
@@ -61,10 +62,7 @@ def exp_rotations(vectors: FloatArray) -> FloatArray:
 
 
 def rotation_vectors(rotations: FloatArray) -> FloatArray:
-    """Return the vectors (n, 3) of small rotations (n, 3, 3), the inverse of `exp_rotations`.
-
-    Angles below a quarter turn.
-    """
+    """Return the vectors (n, 3) of rotations (n, 3, 3) below a quarter turn."""
     # The antisymmetric part is the axis times the sine of the angle.
     part = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
     sine = np.minimum(np.linalg.norm(part, axis=1), 1.0)
@@ -125,10 +123,7 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float = 0.0) -> FloatArray
 
 
 def rpy_from_rotation(pose: FloatArray) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw in radians of a pose: the inverse of `rotation_from_rpy`.
-
-    Pitch lies within ±90°. At ±90° roll and yaw turn about one axis and yaw is taken as zero.
-    """
+    """Return roll, pitch (within ±90°), yaw of a pose, radians; at ±90° of pitch yaw is zero."""
     pitch = math.asin(min(1.0, max(-1.0, -float(pose[2, 0]))))
     if math.hypot(float(pose[0, 0]), float(pose[1, 0])) < 1e-9:
         roll = math.atan2(-float(pose[1, 2]), float(pose[1, 1]))
@@ -176,10 +171,7 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArr
 
 
 def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the smallest turn that takes the unit vector `start` to `end`, shape (3, 3).
-
-    Opposite vectors leave the axis open; any axis across them is taken.
-    """
+    """Return the smallest turn (3, 3) from one unit vector to another."""
     middle = start + end
     if np.linalg.norm(middle) < 1e-8:
         middle = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
@@ -228,13 +220,14 @@ def is_mirrored(axes: FloatArray) -> bool:
     return bool(np.linalg.det(axes) < 0.0)
 
 
-def spoken(axes: FloatArray) -> str:
+def spoken(
+    axes: FloatArray, directions: Sequence[tuple[str, str]] = DIRECTIONS, verb: str = " "
+) -> str:
     """Return the directions of the axes (3, 3) in words, as "x forward, y left, z up"."""
-    words = []
-    for name, row in zip("xyz", axes, strict=True):
-        along = int(np.argmax(np.abs(row)))
-        words.append(f"{name} {DIRECTIONS[along][int(row[along] < 0.0)]}")
-    return ", ".join(words)
+    along = np.argmax(np.abs(axes), axis=1)
+    negative = (axes.sum(axis=1) < 0.0).astype(int)
+    names = (directions[k][sign] for k, sign in zip(along, negative, strict=True))
+    return ", ".join(f"{name}{verb}{to}" for name, to in zip("xyz", names, strict=True))
 
 
 def swapped(axes: FloatArray) -> str:

@@ -59,11 +59,8 @@ def between(a: Triple, b: Triple, share: float) -> Triple:
 
 
 def propagated(a: Triple, turn: Triple) -> Triple:
-    """Return a direction fixed in the world, in body axes after the body turned.
-
-    `a` is in the body axes before, `turn` the rotation vector of the body in radians: Rodrigues'
-    formula for exp(-[turn]x) a.
-    """
+    """Return a fixed direction in body axes after the body turned by a rotation vector, radians."""
+    # Rodrigues' formula for exp(-[turn]x) a.
     p, q, r = turn
     x, y, z = a
     square = p * p + q * q + r * r

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.driving.course_offset import CourseOffset
+from magcal_ros.core.driving.chords import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation

@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, integral
 from magcal_ros.core.geometry.attitude import unit, usual_size
-from magcal_ros.core.geometry.planes import plane_normal
+from magcal_ros.core.geometry.shapes import plane_normal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import STREAMS, SWAY
 from magcal_ros.core.samples.window import Window, without_spikes

@@ -20,9 +20,8 @@ from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
-from magcal_ros.core.geometry.conics import ConicFit
-from magcal_ros.core.geometry.planes import SMALLEST
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
+from magcal_ros.core.geometry.shapes import SMALLEST, ConicFit
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.checks import SCREENING, check_arc, check_radius, check_window
 from magcal_ros.core.methods.resampling import jackknife_covariance

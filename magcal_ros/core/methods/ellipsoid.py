@@ -14,7 +14,7 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.conics import Ellipsoid, QuadricFit, fit_quadric
+from magcal_ros.core.geometry.shapes import Ellipsoid, QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.tumbling import (
     CLOUD,

@@ -15,13 +15,12 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU, unit
-from magcal_ros.core.geometry.conics import ConicFit
-from magcal_ros.core.geometry.planes import SMALLEST, Plane, PlaneFit
 from magcal_ros.core.geometry.rotations import (
     roll_pitch_between,
     rotation_angle,
     rotation_from_rpy,
 )
+from magcal_ros.core.geometry.shapes import SMALLEST, ConicFit, Plane, PlaneFit
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.window import Window
 

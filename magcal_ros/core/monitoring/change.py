@@ -58,8 +58,7 @@ class ChangeTuning:
 CHANGE = ChangeTuning()
 GYRO_BOUND = Bound(
     Figure.GYRO_COMPASS_DIFFERENCE,
-    4.0,
-    7.0,
+    (None, 4.0, 7.0),
     "gyro against compass",
     "the compass does not turn as the robot does",
 )

@@ -13,7 +13,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroS
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import known_sigma
-from magcal_ros.core.doctor.on_the_spot import drove_while_turning
+from magcal_ros.core.doctor.latency import drove_while_turning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
 from magcal_ros.core.knowledge import (
@@ -64,25 +64,31 @@ OTHER_ROBOT = f"{GYRO_BOUND.remedy}; does the calibration belong to this robot a
 ELSEWHERE = "another place, or the hard iron along the turn's axis has changed"
 
 RECHECK_BOUNDS: tuple[Bound, ...] = (
-    Bound(Figure.HEADING_SWING, 4.0, 7.0, "the level field makes the heading swing by", MOVED),
+    Bound(
+        Figure.HEADING_SWING, (None, 4.0, 7.0), "the level field makes the heading swing by", MOVED
+    ),
     replace(GYRO_BOUND, when_refused=OTHER_ROBOT),
     Bound(
-        Figure.STRENGTH_SPREAD, 3.0, 6.0, "field strength varies with heading by", MOVED, unit="%"
+        Figure.STRENGTH_SPREAD,
+        (None, 3.0, 6.0),
+        "field strength varies with heading by",
+        MOVED,
+        unit="%",
     ),
-    Bound(Figure.DIP_SPREAD, 2.0, 4.0, "inclination varies with heading by", MOVED),
+    Bound(Figure.DIP_SPREAD, (None, 2.0, 4.0), "inclination varies with heading by", MOVED),
     Bound(
         Figure.STRENGTH_OFFSET,
-        5.0,
-        15.0,
+        (None, 5.0, 15.0),
         "field strength is off the calibrated one by",
         ELSEWHERE,
         unit="%",
     ),
-    Bound(Figure.DIP_OFFSET, 3.0, 8.0, "inclination is off the calibrated one by", ELSEWHERE),
+    Bound(
+        Figure.DIP_OFFSET, (None, 3.0, 8.0), "inclination is off the calibrated one by", ELSEWHERE
+    ),
     Bound(
         Figure.ARC,
-        270.0,
-        0.0,
+        (None, 270.0, 0.0),
         "the turn covers",
         "the headings that were not seen are not checked",
         aspect=Aspect.CONFIDENCE,
@@ -92,8 +98,7 @@ RECHECK_BOUNDS: tuple[Bound, ...] = (
 """Nothing is better than good: that a calibration holds is all that a recheck can say."""
 IRON_BOUND = Bound(
     Figure.HARD_IRON_CHANGE,
-    6.0,
-    12.0,
+    (None, 6.0, 12.0),
     "iron added since, over level field",
     "the robot's own field has changed",
     unit="%",

@@ -12,7 +12,7 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Bound, Check, Grade
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.driving.course_offset import CourseOffset
+from magcal_ros.core.driving.chords import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -139,15 +139,13 @@ def against_own_yaw(
 
 SWING_ONCE = Bound(
     Figure.COURSE_SWING_ONCE,
-    4.0,
-    8.0,
+    (None, 4.0, 8.0),
     "made where the field was disturbed: heading swings once around by",
     "calibrate in the open, away from steel",
 )
 SWING_TWICE = Bound(
     Figure.COURSE_SWING_TWICE,
-    4.0,
-    8.0,
+    (None, 4.0, 8.0),
     "soft iron is missing: heading swings twice around by",
     "calibrate with turns on slopes, or give soft_iron_gains",
 )

@@ -16,22 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import (
-    chained,
-    exp_rotations,
-    signed_permutations,
-    skews,
-)
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, signed_permutations, skews
 from magcal_ros.core.samples.window import Stretch
 
 
 @dataclass(frozen=True)
 class AlignmentTuning:
-    """What is assumed while the axes are weighed.
-
-    Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a second of
-    latency.
-    """
+    """What is assumed while the axes are weighed: wide enough for the faults looked for."""
 
     installation: float = math.radians(5.0)
     """Radians, standard deviation of the installation error about each axis."""
@@ -57,14 +48,8 @@ ROUNDS = ((80.0, 4), (400.0, 4), (400.0, 4))
 """Misfit, first with wide noise and then with that of the best one, beyond which a candidate is
 given up; and steps between estimates of the noise."""
 PARAMETERS = 23
-SOFT, FIELD, IRON, UP, BIAS = (
-    slice(0, 9),
-    slice(9, 12),
-    slice(12, 15),
-    slice(15, 18),
-    slice(18, 21),
-)
-SCALE, LAG = 21, 22
+SOFT, FIELD, IRON, UP = slice(0, 9), slice(9, 12), slice(12, 15), slice(15, 18)
+BIAS, SCALE, LAG = slice(18, 21), 21, 22
 OF_FIELD = np.r_[9:12, 18:23]
 """What acts on the field before the soft iron does."""
 OF_UP = np.r_[15:22]
@@ -75,17 +60,14 @@ class Alignment:
     """What became of every candidate."""
 
     misfit: FloatArray
-    """Twice the negative logarithm of the posterior in independent samples, above the best's. Shape
-    (k,)."""
-    rms: FloatArray
-    """Typical residual of the field over the size of its changing part. Shape (k,)."""
+    """Twice the negative log of the posterior of independent samples above the best's, (k,)."""
+    rms: FloatArray  # typical residual of the field over the size of its changing part. Shape (k,).
     parameters: FloatArray
     """Soft iron and installation, field, hard iron, gravity (both sensors in body axes), the gyro's
     bias (rad/s) and scale error, and the field's lag (s). Shape (k, 23)."""
     covariance: FloatArray
     """Of the parameters; infinite for candidates that were given up. Shape (k, 23, 23)."""
-    tilt: float
-    """Radians RMS by which the movement was more than a turn about one axis."""
+    tilt: float  # radians RMS by which the movement was more than a turn about one axis
     least_tilt: float
     """The part of it that is not the gyro's own wandering: so much of it may be that as gravity
     deviates in the world meanwhile."""
@@ -103,10 +85,7 @@ def align(
     with_up: bool = True,
     bias: FloatArray = NO_BIAS,
 ) -> Alignment:
-    """Fit every candidate and say how much worse than the best it explains the samples.
-
-    Takes the same as `AlignmentFit`; `bias` (3,) is that of the gyro's rates at first, rad/s.
-    """
+    """Fit every candidate of an `AlignmentFit`; `bias` (3,) of the gyro is the start, rad/s."""
     problem = AlignmentFit(stretch, axes, gyro, WIDE, with_up)
     some, noise = problem.descend(problem.start(bias), START_NOISE, FIRST_STEPS), START_NOISE
     information, _, cost = problem.normal_equations(some, noise)
@@ -126,24 +105,19 @@ def align(
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
     covariance[kept] = np.linalg.inv(information)
     attitude = problem.propagate(some)[0][int(np.argmin(cost))]
-    tilt, wandering = _tilt_spread(attitude), _gravity_spread(attitude, stretch.up)
+    apart = attitude - attitude.mean(axis=0)
+    power = np.einsum("nij,nik->jk", apart, apart) / len(attitude)
+    # How far attitudes leave the turn about one axis.
+    tilt = math.sqrt(max(float(np.linalg.eigvalsh(power)[0]), 0.0))
+    wandering = _gravity_spread(attitude, stretch.up)
     least_tilt = math.sqrt(max(tilt**2 - wandering**2, 0.0))
     return Alignment(misfit, rms, state, covariance, tilt, least_tilt)
 
 
-def _tilt_spread(attitude: FloatArray) -> float:
-    """Return how far attitudes (n, 3, 3) leave the turn about one axis, radians RMS."""
-    apart = attitude - attitude.mean(axis=0)
-    power = np.einsum("nij,nik->jk", apart, apart) / len(attitude)
-    return math.sqrt(max(float(np.linalg.eigvalsh(power)[0]), 0.0))
-
-
 def _gravity_spread(attitude: FloatArray, up: FloatArray) -> float:
-    """Return how far gravity deviates in the world that attitudes (n, 3, 3) tell, radians RMS.
-
-    Whatever the axes of gyro and accelerometer: those with which it deviates least count.
-    """
+    """Return how far gravity deviates in the world that attitudes (n, 3, 3) tell, radians RMS."""
     up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
+    # Whatever the axes of gyro and accelerometer: those with which it deviates least count.
     world = np.einsum("nji,kjl,nl->kni", attitude, signed_permutations(), up)
     deviations = world - world.mean(axis=1, keepdims=True)
     return math.sqrt(float(np.sum(deviations**2, axis=2).mean(axis=1).min()))
@@ -207,9 +181,8 @@ class AlignmentFit:
         state[:, BIAS] = bias @ self.gyro
         rotation = self.propagate(state)[0]
         count, n = rotation.shape[:2]
-        design = np.concatenate(
-            [rotation, np.broadcast_to(np.eye(3), (count, n, 3, 3))], axis=3
-        ).reshape(count, 3 * n, 6)
+        axes = np.broadcast_to(np.eye(3), (count, n, 3, 3))
+        design = np.concatenate([rotation, axes], axis=3).reshape(count, 3 * n, 6)
         transposed = design.swapaxes(1, 2)
         normal = transposed @ design + 1e-3 * n * np.diag([0.1] * 3 + [1.0] * 3)
         seen = transposed @ self.measured.reshape(count, 3 * n, 1)
@@ -218,10 +191,7 @@ class AlignmentFit:
         return state
 
     def propagate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return attitudes (k, n, 3, 3) from the first sample's, and what bias and scale do.
-
-        The latter has shape (k, n, 3, 4): rotation vectors, on the left of the attitudes.
-        """
+        """Return attitudes (k, n, 3, 3), and what bias and scale turn them by, (k, n, 3, 4)."""
         bias, scale = state[:, BIAS], state[:, SCALE]
         seconds = self.stretch.seconds
         count, n = len(state), len(seconds) + 1
@@ -240,10 +210,7 @@ class AlignmentFit:
         return attitude, moved
 
     def linearised(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return measured less expected, and how what is expected changes with the parameters.
-
-        Shapes (k, s, n, 3) and (k, s, n, 3, 23); the first sensor is the field, the second up.
-        """
+        """Return residuals (k, s, n, 3) of field and up, and their Jacobian (k, s, n, 3, 23)."""
         attitude, moved = self.propagate(state)
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
         rate = (1.0 + state[:, SCALE, None, None]) * self.rate - state[:, None, BIAS]
@@ -282,10 +249,7 @@ class AlignmentFit:
     def normal_equations(
         self, state: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return information (k, 23, 23), gradient (k, 23) and cost (k,) with robust weights.
-
-        The cost is twice the negative logarithm of the posterior.
-        """
+        """Return information (k, 23, 23), gradient (k, 23) and cost (k,), -2 log(posterior)."""
         residual, jacobian = self.linearised(state)
         nu, sigma = self.tuning.freedom, noise[: self.sensors, None]
         share = self.share[:, None] * (nu + 3.0)
@@ -303,10 +267,8 @@ class AlignmentFit:
         damping = np.full(len(state), 1e-4)
         information, gradient, cost = self.normal_equations(state, noise)
         for _ in range(steps):
-            diagonal = np.einsum("kii->ki", information)
-            damped = information + damping[:, None, None] * (
-                diagonal[:, :, None] * np.eye(PARAMETERS)
-            )
+            diagonal = np.einsum("kii->ki", information)[..., None] * np.eye(PARAMETERS)
+            damped = information + damping[:, None, None] * diagonal
             tried = state + np.linalg.solve(damped, gradient[..., None])[..., 0]
             again = self.normal_equations(tried, noise)
             better = again[2] < cost
@@ -322,9 +284,5 @@ class AlignmentFit:
 
 
 def turned(vectors: FloatArray, turns: FloatArray) -> FloatArray:
-    """Return how turns (k, n, 3, m) of the body move vectors (k, n, 3) of the world.
-
-    Shape (k, n, 3, m).
-    """
-    cross = skews(vectors.reshape(-1, 3)).reshape(*vectors.shape, 3)
-    return np.asarray(-cross @ turns)
+    """Return how turns (k, n, 3, m) of the body move vectors (k, n, 3), shape (k, n, 3, m)."""
+    return np.asarray(-skews(vectors) @ turns)

@@ -11,10 +11,9 @@ import numpy as np
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, integral
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
-from magcal_ros.core.geometry.planes import fit_circle_in_space
+from magcal_ros.core.geometry.shapes import fit_circle_in_space
 
-BINS, THINNED = 36, 180
-"""Bins of the circle in which a turn is shown, and in which it is thinned."""
+BINS, THINNED = 36, 180  # bins of the circle in which a turn is shown, and in which it is thinned
 
 
 @dataclass(frozen=True)
@@ -28,8 +27,7 @@ class CoverageTuning:
     """The field's cloud must be so many times wider than its noise before it shows a phase."""
     smallest_radius: float = 4e-6  # tesla, a smaller circle is noise, or a robot that stands
     gyro_leads_until: float = math.radians(60.0)
-    """Radians. A shorter arc does not show its circle well; a gyro, where there is one, measures
-    it."""
+    """Radians. A shorter arc does not show its circle well; a gyro measures it."""
     smallest_turn: float = math.radians(10.0)
     """Radians of the gyro that are a turn, beyond what its bias pretends."""
     largest_gyro_bias: float = math.radians(1.0)
@@ -43,11 +41,9 @@ COVERAGE = CoverageTuning()
 class Coverage:
     """Which headings of the turn were seen."""
 
-    filled: BoolArray
-    """Bins of yaw relative to the first sample, counter-clockwise. Shape (36,)."""
+    filled: BoolArray  # bins of yaw relative to the first sample, counter-clockwise. Shape (36,).
     arc: float
-    """Radians seen: the full turn less the largest gap, which is none where it is a few samples'
-    spacing."""
+    """Radians seen: the full turn less the largest gap, unless that is a few samples' spacing."""
     gap: float  # radians of the largest gap
     gap_centre: float
     """Radians from the start to the middle of the largest gap, positive to the left."""

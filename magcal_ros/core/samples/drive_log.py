@@ -20,10 +20,8 @@ from magcal_ros.core.samples.window import Window
 class RecorderTuning:
     """How a drive is averaged, and when a robot rests on the way."""
 
-    row: float = 0.1
-    """Seconds of samples that make one row."""
-    chunk: int = 10
-    """Rows after which it is asked whether the robot rests."""
+    row: float = 0.1  # seconds of samples that make one row
+    chunk: int = 10  # rows after which it is asked whether the robot rests
     rests: int = 60
     rest_chunks: int = 60
     """What is remembered of the gyro: rests, and chunks of each that its mean is over."""
@@ -44,22 +42,16 @@ TUNING = RecorderTuning()
 class DriveLog:
     """Means over short stretches, one row each."""
 
-    time: FloatArray
-    """Seconds, increasing. Shape (m,)."""
-    field: FloatArray
-    """Raw field, tesla. Shape (m, 3)."""
-    force: FloatArray
-    """Specific force, m/s², body axes. Shape (m, 3)."""
-    rate: FloatArray
-    """rad/s, body axes. Shape (m, 3)."""
-    speed: FloatArray
-    """m/s ahead; NaN where it was not measured. Shape (m,)."""
+    time: FloatArray  # seconds, increasing. Shape (m,).
+    field: FloatArray  # raw field, tesla. Shape (m, 3).
+    force: FloatArray  # specific force, m/s², body axes. Shape (m, 3).
+    rate: FloatArray  # rad/s, body axes. Shape (m, 3).
+    speed: FloatArray  # m/s ahead; NaN where it was not measured. Shape (m,).
     bias_sigma: float = math.inf
     """rad/s per axis by which `rate` may still be biased, where a rest has shown the gyro's bias
     and it was taken off; infinite where none has."""
     rested: BoolArray | None = None
-    """Where the robot certainly stood: a recorder has seen it, and cut the rest out. None where
-    nobody has looked. Shape (m,)."""
+    """Where a recorder saw the robot stand; None where nobody has looked. Shape (m,)."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -96,21 +88,16 @@ def log_of(window: Window) -> DriveLog:
 COLUMNS = 12
 FIELD, FORCE, RATE, SPEED, RESTED = slice(1, 4), slice(4, 7), slice(7, 10), 10, 11
 
-CHUNKS_OF_REST = 5
-"""Chunks over which a rest is looked for."""
+CHUNKS_OF_REST = 5  # chunks over which a rest is looked for
 
 
 @dataclass
 class _Rest:
-    """What the gyro reads at rest.
+    """What the gyro reads at rest."""
 
-    `clock` is the drive's own when the rest began, minus infinity before any movement; `sigma` is
-    that of `rate` then.
-    """
-
-    clock: float
+    clock: float  # the drive's own when the rest began, minus infinity before any movement
     rate: FloatArray
-    sigma: float
+    sigma: float  # of the rate when the rest began
     chunks: int
 
     @classmethod
@@ -126,21 +113,13 @@ class _Rest:
 
 
 class DriveRecorder:
-    """Averages samples into rows, and keeps those of movement.
+    """Averages samples into rows, and keeps those of so many seconds of movement.
 
     Its clock runs while the robot moves: a pause is cut out, however long it is. Where time jumps,
     or nothing is heard for longer than it takes to see a rest, a piece of the drive ends, and the
-    next follows it on the clock. A piece too short for that is dropped.
-
-    Parameters
-    ----------
-    seconds : float
-        Of movement that is kept.
-
-    Attributes
-    ----------
-    begun : float
-        Where its clock began, seconds; NaN before the first movement.
+    next follows it on the clock. A piece too short for that is dropped. `begun` is where its clock
+    began, seconds, NaN before the first movement; `rests` is whether the robot stood in the last
+    second.
     """
 
     def __init__(self, seconds: float) -> None:
@@ -156,16 +135,16 @@ class DriveRecorder:
     def begin_anew(self) -> None:
         """Forget the drive."""
         self._chunks.clear()
-        self._recent.clear()
         self._rested.clear()
+        self._newest, self._pause, self.begun = -math.inf, 0.0, math.nan
+        self._begin_piece()
+
+    def _begin_piece(self) -> None:
         self._rows: list[tuple[float, ...]] = []
-        self._sums = [0.0] * COLUMNS
-        self._count = 0
-        self._row = self._newest = -math.inf
-        self._pause = 0.0
-        self._rests = False
+        self._recent.clear()
         self._held.clear()
-        self.begun = math.nan
+        self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
+        self.rests = False
 
     @property
     def clock(self) -> float:
@@ -182,29 +161,13 @@ class DriveRecorder:
         """Seconds of movement since it began, with what is no longer kept."""
         return self.clock - self.begun if self._chunks else 0.0
 
-    @property
-    def rests(self) -> bool:
-        """Whether the robot stood in the last second."""
-        return self._rests
-
     def add(
         self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
     ) -> bool:
-        """Take a field sample with what else was measured at its stamp.
+        """Take a field sample with what else was measured at its stamp, seconds.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        field, force, rate : tuple of float
-            Raw field (tesla); specific force (m/s²); rad/s.
-        speed : float
-            m/s; NaN where nobody measures it.
-
-        Returns
-        -------
-        bool
-            Whether more of the drive is known than before.
+        Raw field (tesla), specific force (m/s²), rad/s, and speed (m/s; NaN where nobody measures
+        it). Returns whether more of the drive is known than before.
         """
         if not 0.0 <= stamp - self._newest <= self._longest_silence:
             self._end_piece()
@@ -221,42 +184,27 @@ class DriveRecorder:
         return grown
 
     def _end_piece(self) -> None:
-        if not self._is_long_enough:
+        # A piece that was too short to show a rest is dropped.
+        if len(self._recent) < CHUNKS_OF_REST:
             for _ in self._recent:
                 self._chunks.pop()
             if not self._chunks:
                 self.begun = math.nan
-        self._rows.clear()
-        self._recent.clear()
-        self._held.clear()
-        self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
-        self._rests = False
-
-    @property
-    def _is_long_enough(self) -> bool:
-        """Whether the piece under way is long enough to show a rest."""
-        return len(self._recent) == CHUNKS_OF_REST
+        self._begin_piece()
 
     def log(self) -> DriveLog:
-        """Return everything that is kept, by the drive's own clock.
-
-        The gyro's bias is taken off the rates where rests have shown it, between two of them as it
-        changes from one to the other.
-        """
+        """Return what is kept, by the drive's own clock, less the gyro's bias if rests show it."""
         rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
         time, rate, sigma = rows[:, 0], rows[:, RATE], math.inf
         if self._rested:
-            newest = self._rested[-1]
-            rate = rate - self._bias_at(time)
-            sigma = sigma_later(newest.rate.tolist(), newest.sigma)
+            # A rest before any movement was when that began.
+            first = time[0] if len(time) else 0.0
+            clocks = np.maximum([rest.clock for rest in self._rested], first)
+            biases = np.array([rest.rate for rest in self._rested])
+            rate = rate - interpolated(time, clocks, biases)
+            sigma = sigma_later(biases[-1].tolist(), self._rested[-1].sigma)
         rested = rows[:, RESTED] > 0.0
         return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma, rested)
-
-    def _bias_at(self, time: FloatArray) -> FloatArray:
-        """Return what rests say of the gyro's bias at moments (n,) of the drive's clock, (n, 3)."""
-        # One before any movement was when that began.
-        clocks = np.maximum([rest.clock for rest in self._rested], time[0] if len(time) else 0.0)
-        return interpolated(time, clocks, np.array([rest.rate for rest in self._rested]))
 
     def _close(self) -> bool:
         """End a row, and a chunk of them now and then."""
@@ -268,8 +216,8 @@ class DriveRecorder:
         chunk = np.array(self._rows)
         self._rows.clear()
         self._recent.append(chunk)
-        rested, self._rests = self._rests, self._is_quiet and (self._rests or self._field_stays)
-        if self._rests:
+        rested, self.rests = self.rests, self._is_quiet(field_too=not self.rests)
+        if self.rests:
             self._note_rest(chunk, begins=not rested)
             return False
         for each in self._held:
@@ -309,28 +257,19 @@ class DriveRecorder:
             self.begun = float(stamps[0])
         self._chunks.append(chunk)
 
-    @property
-    def _is_quiet(self) -> bool:
+    def _is_quiet(self, *, field_too: bool) -> bool:
         """Whether turn rate, force and speed were those of a rest over the last seconds."""
-        if not self._is_long_enough:
+        if len(self._recent) < CHUNKS_OF_REST:
             return False
         rows = np.concatenate(list(self._recent))
-        speed = np.abs(rows[-TUNING.chunk :, SPEED])
-        if (speed > TUNING.rest_speed).any():
+        if (np.abs(rows[-TUNING.chunk :, SPEED]) > TUNING.rest_speed).any():
             return False
+        # A rest begins with a field that stays; once it has, iron may come to a robot that stands.
         return bool(
             (_changes(rows[:, RATE]) < TUNING.rest_rate).all()
             and (rows[:, FORCE].std(axis=0) < TUNING.rest_force).all()
+            and (not field_too or (_changes(rows[:, FIELD]) < TUNING.rest_field).all())
         )
-
-    @property
-    def _field_stays(self) -> bool:
-        """Whether the field stayed what it was over the last seconds.
-
-        A rest begins with that; once it has, iron may come to a robot that stands.
-        """
-        field = np.concatenate(list(self._recent))[:, FIELD]
-        return bool((_changes(field) < TUNING.rest_field).all())
 
 
 def _changes(values: FloatArray) -> FloatArray:

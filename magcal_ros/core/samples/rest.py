@@ -26,8 +26,7 @@ from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
 
 CHANGES_BY = 0.03
-"""Share of itself that a bias changes by from rest to rest: 3.38 and 3.55 °/s within 40 s, of a car
-whose gyro had 4.5 °/s."""
+"""Share by which a bias changes from rest to rest: 3.38 and 3.55 °/s within 40 s in a car."""
 
 
 class GyroAtRest(NamedTuple):
@@ -50,8 +49,7 @@ def sigma_later(rate: Triple, sigma: float) -> float:
 class LongestRest(NamedTuple):
     """The longest rest."""
 
-    rate: FloatArray
-    """What the gyro read, rad/s. Shape (3,)."""
+    rate: FloatArray  # what the gyro read, rad/s. Shape (3,).
     is_certain: bool  # whether a turn at that rate would have moved the field, which did not move
 
 
@@ -73,8 +71,7 @@ class BiasAtRestTuning:
     next_to_nothing: float = 0.05
     """Share of a turn's own rate at which no robot turns steadily for seconds beforehand."""
     longest: float = 10.0
-    """Seconds of a rest that count, those nearest to the turn: before, things may have been
-    moved."""
+    """Seconds of a rest next to the turn that count: before, things may have been moved."""
     fewest: int = 20  # rows that are left of a turn; where there are fewer, it hardly moved
 
 
@@ -87,15 +84,12 @@ class RestBeside:
 
     seconds: float  # how long
     field: FloatArray  # mean raw field, tesla, shape (3,)
-    force: FloatArray
-    """Mean specific force in body axes, m/s². Shape (3,)."""
-    rate: FloatArray
-    """What the gyro read, rad/s: its bias; zero without a gyro. Shape (3,)."""
+    force: FloatArray  # mean specific force in body axes, m/s². Shape (3,).
+    rate: FloatArray  # what the gyro read, rad/s: its bias; zero without a gyro. Shape (3,).
     rate_sigma: float  # of that mean, per axis; infinite without a gyro
     beside: float  # stamp of the turn's sample that is nearest, seconds
     turned: FloatArray
-    """Rotation from the body axes of that sample to those at rest, by the gyro. Shape (3,
-    3)."""
+    """Rotation from that sample's body axes to those at rest, by the gyro. Shape (3, 3)."""
 
     def __post_init__(self) -> None:
         freeze(self, field=(3,), force=(3,), rate=(3,), turned=(3, 3))
@@ -205,18 +199,15 @@ def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 class _Stretch(NamedTuple):
-    """Blocks in a row in which nothing moved from one to the next, and what the gyro read in them.
-
-    `stood` is whether the field moved far less than a turn at the gyro's rate would have moved it:
-    a slow turn passes from block to block, but shows over the whole. `shows` is whether such a turn
-    would have moved the field out of its limits. `rates` (b, 3) are in rad/s.
-    """
+    """Blocks in a row in which nothing moved from one to the next."""
 
     first: int
     end: int
-    rates: FloatArray
+    rates: FloatArray  # what the gyro read in them, rad/s, shape (b, 3)
     stood: bool = False
-    shows: bool = False
+    """Whether the field moved far less than by a turn at the gyro's rate: over the whole of a
+    stretch a slow turn shows, which passes from block to block."""
+    shows: bool = False  # whether such a turn would have moved the field out of its limits
 
     @property
     def is_proven(self) -> bool:
@@ -231,11 +222,8 @@ def _stands(
     rates = np.linalg.norm(block_means(rate, blocks[0]), axis=1)
     creeps = TUNING.next_to_nothing * float(np.sort(rates)[-TUNING.at_least])
     found = _steady(field, rate, blocks, 0.5 * float(np.ptp(field, axis=0).max()))
-    return [
-        each
-        for each in found
-        if each.is_proven or float(np.linalg.norm(each.rates.mean(axis=0))) <= creeps
-    ]
+    means = [float(np.linalg.norm(each.rates.mean(axis=0))) for each in found]
+    return [s for s, mean in zip(found, means, strict=True) if s.is_proven or mean <= creeps]
 
 
 def _stands_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_Stretch]:

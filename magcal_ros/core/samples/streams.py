@@ -1,4 +1,4 @@
-"""Cleans the two raw streams, and pairs them by stamp.
+"""Cleans the two raw streams, pairs them by stamp, and watches for stamps that come in bursts.
 
 What is dropped is counted by its reason.
 """
@@ -12,8 +12,107 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, TypeVar
 
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray, accumulated
 from magcal_ros.core.geometry.vec3 import Triple, between, length
-from magcal_ros.core.samples.stamps import BurstWatch
+
+
+@dataclass(frozen=True)
+class BurstTuning:
+    """When stamps come in bursts."""
+
+    share: float = 0.5  # of the time that passes in gaps
+    longer: float = 5.0  # how many usual gaps such a one lasts
+    fewest: int = 10  # gaps from which they are more than pauses
+    alike: float = 0.4
+    apart: float = 0.25
+    """Share within this relative distance of the usual one: buffers are read by the clock."""
+    each: float = 3.0
+    """Samples that a burst has at least; pairs are rather messages that come twice."""
+    straight: float = 1.5
+    """How many usual gaps the stamps may be off an even rate, from the earliest to the latest;
+    whole bursts are missing beyond."""
+    harmful: float = 0.1  # seconds between bursts from which a running robot's user is told
+    watched: int = 3000  # gaps that are looked at while samples come
+
+
+BURSTS = BurstTuning()
+
+
+def long_gaps(time: FloatArray) -> FloatArray:
+    """Return the gaps between bursts, seconds; empty where most of the time passes otherwise.
+
+    A few long gaps are pauses of a recording, and no bursts. Pauses are thinned out of a turn
+    before it is fitted, which leaves gaps of all lengths. `time` (n,) holds the stamps in their
+    order.
+    """
+    gaps = np.diff(time)
+    if len(gaps) < BURSTS.fewest:
+        return gaps[:0]
+    # Stamps of one buffer may be equal but for rounding: then the median alone parts nothing.
+    long = gaps[gaps > max(BURSTS.longer * float(np.median(gaps)), float(np.mean(gaps)))]
+    if len(long) < BURSTS.fewest or long.sum() <= BURSTS.share * float(time[-1] - time[0]):
+        return gaps[:0]
+    usual = float(np.median(long))
+    alike = float(np.mean(np.abs(long - usual) < BURSTS.apart * usual))
+    return long if alike > BURSTS.alike else gaps[:0]
+
+
+def bursts_in_words(time: FloatArray) -> str:
+    """Say that stamps (n,) come in bursts, and what to do about it; empty where they do not."""
+    long = long_gaps(time)
+    if not len(long):
+        return ""
+    return (
+        f"the stamps come in bursts, {float(np.median(long)):.2f} s apart: stamp each sample when "
+        "it is measured, not when a buffer is read"
+    )
+
+
+def evenly(time: FloatArray) -> FloatArray:
+    """Return stamps (n,) spread evenly in the order in which they came, by a line through them."""
+    rank = np.arange(len(time), dtype=np.float64)
+    return np.asarray(np.polyval(np.polyfit(rank, time, 1), rank))
+
+
+def spread_bursts(time: FloatArray) -> FloatArray | None:
+    """Return stamps that came in bursts as they would have been; None where that is not known.
+
+    The sensor is taken to have measured at one rate all along. No sample was measured after its
+    stamp, and the newest of a buffer just before it was read.
+
+    `time` (n,) are the stamps of a whole recording, in the order in which they came, seconds. None
+    as well if samples are missing, or time was set back.
+    """
+    long = long_gaps(time)
+    if not len(long) or len(time) < BURSTS.each * len(long):
+        return None
+    even = evenly(time - time[0])
+    late = time - time[0] - even
+    if np.ptp(late) > BURSTS.straight * float(np.median(long)):
+        return None
+    return np.asarray(time[0] + even + late.min())
+
+
+class BurstWatch:
+    """Watches whether stamps come in bursts, gap after gap."""
+
+    def __init__(self) -> None:
+        self._gaps: deque[float] = deque(maxlen=BURSTS.watched)
+
+    def add(self, gap: float) -> None:
+        """Take the seconds from the stamp before."""
+        self._gaps.append(gap)
+
+    @property
+    def words(self) -> str:
+        """Say that they do, and what to do about it; empty where it does no harm."""
+        time = accumulated(np.array(self._gaps))
+        long = long_gaps(time)
+        is_harmful = len(long) > 0 and float(np.median(long)) > BURSTS.harmful
+        return bursts_in_words(time) if is_harmful else ""
+
 
 Stamped = TypeVar("Stamped", bound=tuple[object, ...])
 SWAY = 0.22
@@ -30,8 +129,7 @@ class StreamTuning:
     longest_gyro_step: float = 0.5
     """Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
     longest_field_gap: float = 0.6
-    """Seconds, the same of the field on a drive. The gaps of 2 Hz are often a little longer than
-    half a second."""
+    """Seconds, the same of the field on a drive: gaps of 2 Hz are often longer than half of one."""
     remembered: int = 4096  # samples kept of each stream: four seconds of the fastest sensors
     smallest: float = 1e-9  # tesla and m/s²; less is a sensor that reads nothing
     largest_field: float = 1e-3
@@ -110,29 +208,6 @@ class StampGuard:
         return None
 
 
-def slow_words(gap: float) -> str:
-    """Say that IMU samples so many seconds apart are not joined; empty where they are."""
-    if not gap > STREAMS.max_gap:
-        return ""
-    return (
-        f"it comes at {1.0 / gap:.2g} Hz by its stamps (seconds), and samples more than "
-        f"{STREAMS.max_gap:g} s apart are not joined: publish or record the IMU at 10 Hz or more, "
-        "at best at 50 Hz"
-    )
-
-
-def slow_field_words(gap: float) -> str:
-    """Say that field samples so many seconds apart show no drive; empty where one is."""
-    if not gap > STREAMS.longest_field_gap:
-        return ""
-    return (
-        f"it comes at {1.0 / gap:.2g} Hz, and between field samples a gyro is followed for "
-        f"{STREAMS.longest_field_gap:g} s at most: a drive needs the field at "
-        f"{1.0 / STREAMS.longest_field_gap:.1g} Hz or more, at best at 10 Hz; `magcal fit` "
-        "calibrates from a slower recording"
-    )
-
-
 class Streams:
     """The newest samples of IMU and field, cleaned, and the IMU at any stamp among them.
 
@@ -198,7 +273,16 @@ class Streams:
     def imu_at(self, stamp: float) -> ImuSample | None:
         """Return the IMU interpolated at a stamp; None unless two near samples enclose it."""
         found = enclosing(self._imu, stamp)
-        return None if found is None else _interpolate(*found, stamp, self.max_gap)
+        if found is None:
+            return None
+        before, after = found
+        if before.stamp == stamp:
+            return before
+        if after is None or after.stamp - before.stamp > self.max_gap:
+            return None
+        share = (stamp - before.stamp) / (after.stamp - before.stamp)
+        force = between(before.force, after.force, share)
+        return ImuSample(stamp, force, between(before.rate, after.rate, share))
 
     @property
     def newest_imu(self) -> ImuSample | None:
@@ -216,10 +300,7 @@ class Streams:
 
 
 def enclosing(samples: Sequence[Stamped], stamp: float) -> tuple[Stamped, Stamped | None] | None:
-    """Return the newest sample at or before a stamp, and the one after it.
-
-    Samples begin with their stamps, which increase. None where all are later.
-    """
+    """Return the newest sample at or before a stamp and the next; None if all come later."""
     after = None
     for sample in reversed(samples):
         if sample[0] <= stamp:  # type: ignore[operator]
@@ -237,18 +318,6 @@ def _fault(vector: Triple, largest: float) -> Drop | None:
     if square < STREAMS.smallest**2:
         return Drop.ZERO
     return Drop.TOO_LARGE if square > largest * largest else None
-
-
-def _interpolate(
-    before: ImuSample, after: ImuSample | None, stamp: float, max_gap: float
-) -> ImuSample | None:
-    if before.stamp == stamp:
-        return before
-    if after is None or after.stamp - before.stamp > max_gap:
-        return None
-    share = (stamp - before.stamp) / (after.stamp - before.stamp)
-    force = between(before.force, after.force, share)
-    return ImuSample(stamp, force, between(before.rate, after.rate, share))
 
 
 class Pairer:
@@ -288,10 +357,7 @@ class Pairer:
 
 
 class SpeedSample(NamedTuple):
-    """Speed along the vehicle's x (m/s, negative backwards) at a stamp (s).
-
-    `is_signed` is false where the source knows no backwards: a receiver's speed over ground.
-    """
+    """Speed along the vehicle's x (m/s, negative backwards if `is_signed`) at a stamp (s)."""
 
     stamp: float
     speed: float
@@ -315,8 +381,7 @@ class VelocitySample(NamedTuple):
     sigma: float
 
 
-TravelSample = SpeedSample | PositionSample | VelocitySample
-"""Whatever shows how a vehicle travels."""
+TravelSample = SpeedSample | PositionSample | VelocitySample  # whatever shows how a vehicle travels
 
 
 class HeadingSample(NamedTuple):

@@ -10,8 +10,7 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.samples.stamps import bursts_in_words
-from magcal_ros.core.samples.streams import Drop, Streams
+from magcal_ros.core.samples.streams import STREAMS, Drop, Streams, bursts_in_words
 from magcal_ros.core.samples.window import Window
 
 OF_ITS_OWN = "the field's strength there (tesla)"
@@ -37,6 +36,29 @@ def likely_field_unit(size: float) -> str:
         if low <= size < high
     ]
     return f"a field of {size:.3g} T {'; or it '.join(fitting)}" if fitting else ""
+
+
+def slow_words(gap: float) -> str:
+    """Say that IMU samples so many seconds apart are not joined; empty where they are."""
+    if not gap > STREAMS.max_gap:
+        return ""
+    return (
+        f"it comes at {1.0 / gap:.2g} Hz by its stamps (seconds), and samples more than "
+        f"{STREAMS.max_gap:g} s apart are not joined: publish or record the IMU at 10 Hz or more, "
+        "at best at 50 Hz"
+    )
+
+
+def slow_field_words(gap: float) -> str:
+    """Say that field samples so many seconds apart show no drive; empty where one is."""
+    if not gap > STREAMS.longest_field_gap:
+        return ""
+    return (
+        f"it comes at {1.0 / gap:.2g} Hz, and between field samples a gyro is followed for "
+        f"{STREAMS.longest_field_gap:g} s at most: a drive needs the field at "
+        f"{1.0 / STREAMS.longest_field_gap:.1g} Hz or more, at best at 10 Hz; `magcal fit` "
+        "calibrates from a slower recording"
+    )
 
 
 Z_NOT_UP = (
@@ -76,10 +98,7 @@ LEAST_UPRIGHT = 0.5
 
 
 def explained(refusal: Refusal, window: Window) -> Refusal:
-    """Add the field's likely unit, axes that point down, or stamps in bursts, to a refusal.
-
-    Either upsets every check before it shows by itself.
-    """
+    """Add the field's likely unit, axes that point down, or stamps in bursts, to a refusal."""
     if len(window) == 0:
         return refusal
     hint = likely_field_unit(usual_size(window.field))
@@ -99,8 +118,7 @@ class DiagnosisTuning:
     """Share of repeated field values beyond which the sensor is frozen or the robot at rest."""
     largest_offset: float = 1.0  # seconds between the two sensors' newest stamps
     ahead_in_gaps: float = 1.5
-    """Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter any
-    more."""
+    """Gaps (the largest that is bridged) by which a field may lead the IMU by mere jitter."""
 
 
 TUNING = DiagnosisTuning()

@@ -36,10 +36,8 @@ class Window:
         If lengths differ, a number is not finite or time does not increase.
     """
 
-    time: FloatArray
-    """Seconds of the field's stamps, increasing. Shape (n,)."""
-    field: FloatArray
-    """Raw field in tesla, in the magnetometer's axes. Shape (n, 3)."""
+    time: FloatArray  # seconds of the field's stamps, increasing. Shape (n,).
+    field: FloatArray  # raw field in tesla, in the magnetometer's axes. Shape (n, 3).
     specific_force: FloatArray
     """m/s² in body axes at the same moments, +9.81 upwards at rest. Shape (n, 3)."""
     angular_rate: FloatArray | None = None
@@ -51,8 +49,7 @@ class Window:
     """What was seen right before and after the turn, where the robot stood there; the gyro's bias
     that they show is taken off `angular_rate`."""
     sigma_before: float = math.inf
-    """rad/s per axis, of a bias of the gyro that was known from before and was taken off, too;
-    infinite where none was."""
+    """Of a bias known before, which was taken off too, rad/s per axis; infinite without one."""
 
     def __post_init__(self) -> None:
         freeze(self, time=(-1,))
@@ -63,10 +60,7 @@ class Window:
 
     @property
     def bias_sigma(self) -> float:
-        """Sigma of the bias that `angular_rate` still has, rad/s; infinite where it is unknown.
-
-        It was taken off where a rest has shown it.
-        """
+        """Sigma of the bias that `angular_rate` still has, rad/s; infinite if no rest shows it."""
         return min([self.sigma_before, *(rest.rate_sigma for rest in self.rests)])
 
     def __len__(self) -> int:
@@ -74,21 +68,13 @@ class Window:
 
     def take(self, rows: BoolArray | IntArray) -> Window:
         """Return the window of the chosen rows, a mask or increasing indices."""
-        return replace(
-            self,
-            time=self.time[rows],
-            field=self.field[rows],
-            specific_force=self.specific_force[rows],
-            angular_rate=None if self.angular_rate is None else self.angular_rate[rows],
-            turned=None if self.turned is None else self.turned[rows],
-        )
+        columns = ("time", "field", "specific_force", "angular_rate", "turned")
+        found = {name: getattr(self, name) for name in columns}
+        return replace(self, **{n: each[rows] for n, each in found.items() if each is not None})
 
 
 def white_noise(values: FloatArray) -> FloatArray:
-    """Return the noise of samples (n, 3) per axis by fourth differences, to which sway adds little.
-
-    It is zero where there are too few.
-    """
+    """Return the noise of samples (n, 3) per axis, by fourth differences; zero for too few."""
     bends = np.diff(values, 4, axis=0)
     if not len(bends):
         return np.zeros(values.shape[1])
@@ -111,26 +97,19 @@ class SensorLog:
     """Both streams in the order in which they came, nothing cleaned."""
 
     imu_time: FloatArray  # stamps, seconds, shape (n,)
-    force: FloatArray
-    """Specific force as published, meant as m/s². Shape (n, 3)."""
-    rate: FloatArray
-    """Angular rate as published, meant as rad/s; NaN without a gyro. Shape (n, 3)."""
+    force: FloatArray  # specific force as published, meant as m/s². Shape (n, 3).
+    rate: FloatArray  # angular rate as published, meant as rad/s; NaN without a gyro. Shape (n, 3).
     field_time: FloatArray  # stamps, seconds, shape (m,)
-    field: FloatArray
-    """Raw field as published, meant as tesla. Shape (m, 3)."""
+    field: FloatArray  # raw field as published, meant as tesla. Shape (m, 3).
     orientation: FloatArray | None = None
     """Quaternions x, y, z, w of the same IMU messages, NaN where there is none. Shape (n, 4)."""
 
     @classmethod
     def of(cls, samples: Iterable[ImuSample | FieldSample]) -> SensorLog:
         """Gather samples."""
-        imu: list[ImuSample] = []
-        field: list[FieldSample] = []
-        for sample in samples:
-            if isinstance(sample, ImuSample):
-                imu.append(sample)
-            else:
-                field.append(sample)
+        every = list(samples)
+        imu = [sample for sample in every if isinstance(sample, ImuSample)]
+        field = [sample for sample in every if isinstance(sample, FieldSample)]
         return cls(
             np.array([s.stamp for s in imu], dtype=np.float64),
             np.array([s.force for s in imu], dtype=np.float64).reshape(-1, 3),
@@ -173,34 +152,21 @@ class Stretch:
     """Averaged samples with the turns between them."""
 
     field: FloatArray  # over `size`, shape (n, 3)
-    up: FloatArray
-    """Specific force over its own usual size. Shape (n, 3)."""
+    up: FloatArray  # specific force over its own usual size. Shape (n, 3).
     turn: FloatArray
     """The gyro's rate integrated from each sample to the next, radians. Shape (n - 1, 3)."""
     coning: FloatArray
-    """What must be added for rotation vectors, because turns do not commute: second order. Shape (n
-    - 1, 3)."""
+    """Second order of the rotation vectors, as turns do not commute. Shape (n - 1, 3)."""
     seconds: FloatArray  # shape (n - 1,)
-    rate: FloatArray
-    """The gyro's mean rate, rad/s. Shape (n, 3)."""
+    rate: FloatArray  # the gyro's mean rate, rad/s. Shape (n, 3).
     size: float  # of the field's changing part, tesla
-    time: FloatArray
-    """Stamps of the IMU to which the samples belong, seconds. Shape (n,)."""
-
-
-def field_size(field: FloatArray) -> float:
-    """Return how large the changing part of a field (n, 3) is, in its unit; never zero."""
-    span = np.ptp(np.quantile(field, (0.02, 0.98), axis=0), axis=0)
-    return max(float(np.linalg.norm(span)) / 2.0, 1e-12)
+    time: FloatArray  # stamps of the IMU to which the samples belong, seconds. Shape (n,).
 
 
 def stretch_of_log(
     log: SensorLog, lag: float = 0.0, tuning: StretchTuning = TUNING
 ) -> Stretch | None:
-    """Average a log of increasing stamps that has a gyro; None where there is too little of it.
-
-    Its numbers are finite; `lag` (seconds, by which the field is late) is taken off its stamps.
-    """
+    """Average a finite log, its field late by `lag` (s); None where it has too little of a turn."""
     field_time = log.field_time - lag
     span = _liveliest(log, field_time, tuning.longest)
     if span is None:
@@ -224,11 +190,12 @@ def stretch_of_log(
         for path in (turned, integral(time, np.cross(turned, rate)))
     )
     step = np.diff(angle, axis=0)
-    size = field_size(field)
-    gravity = usual_size(force)
+    # How large the changing part of the field is.
+    swing = np.ptp(np.quantile(field, (0.02, 0.98), axis=0), axis=0)
+    size = max(float(np.linalg.norm(swing)) / 2.0, 1e-12)
     return Stretch(
         field / size,
-        force / max(gravity, 1e-12),
+        force / max(usual_size(force), 1e-12),
         step,
         0.5 * (np.diff(bend, axis=0) - np.cross(angle[:-1], step)),
         np.diff(moment),

@@ -38,9 +38,8 @@ from magcal_ros.core.samples.streams import (
     SpeedSample,
     Streams,
     TravelSample,
-    slow_field_words,
 )
-from magcal_ros.core.samples.units import Heard, complaints
+from magcal_ros.core.samples.units import Heard, complaints, slow_field_words
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.at_known_heading import (
     CollectedSamples,

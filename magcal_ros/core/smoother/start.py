@@ -10,7 +10,6 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.planes import Circle, fit_circle_robustly, plane_normal
 from magcal_ros.core.geometry.rotations import (
     chained,
     minimal_rotation,
@@ -18,6 +17,7 @@ from magcal_ros.core.geometry.rotations import (
     rotation_about,
     rotation_from_rpy,
 )
+from magcal_ros.core.geometry.shapes import Circle, fit_circle_robustly, plane_normal
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.priors import Priors

@@ -15,8 +15,8 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.planes import fit_circle_robustly
 from magcal_ros.core.geometry.rotations import minimal_rotation
+from magcal_ros.core.geometry.shapes import fit_circle_robustly
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window, without_spikes
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of

@@ -52,7 +52,7 @@ def refused_value(threshold):
 class TestBound:
     @every_threshold
     def test_the_table_goes_from_best_to_worst(self, threshold):
-        bounds = (threshold.excellent, threshold.good, threshold.warn)
+        bounds = threshold.limits
         assert min(bounds) > 0.0
         assert list(bounds) == sorted(set(bounds), reverse=threshold.at_least)
         assert threshold.words
@@ -60,7 +60,7 @@ class TestBound:
 
     @every_threshold
     def test_every_bound_belongs_to_the_better_grade(self, threshold):
-        bounds = (threshold.excellent, threshold.good, threshold.warn)
+        bounds = threshold.limits
         for bound, better, worse in zip(bounds, list(Grade), list(Grade)[1:], strict=False):
             inside, outside = (1.001, 0.999) if threshold.at_least else (0.999, 1.001)
             assert at(threshold, inside * bound).grade is better
@@ -79,7 +79,7 @@ class TestBound:
 
     @every_threshold
     def test_the_words_give_the_value_in_the_unit_people_see(self, threshold):
-        value = threshold.excellent * (2.0 if threshold.at_least else 0.5)
+        value = threshold.limits[0] * (2.0 if threshold.at_least else 0.5)
         words = at(threshold, value).words
         assert words == f"{threshold.words} {value:g}{threshold.unit}"
 
@@ -461,7 +461,7 @@ def test_a_method_that_does_not_iterate_is_not_asked_whether_it_converged():
     ("value", "words"), [(2.003, "2.003"), (2.4, "2.4"), (2.0000004, "2.0000004")]
 )
 def test_a_bound_that_is_missed_narrowly_is_not_called_met(value, words):
-    bound = Bound(Figure.STRENGTH_OFFSET, 2.0, 8.0, "off by", "look", unit="%")
+    bound = Bound(Figure.STRENGTH_OFFSET, (None, 2.0, 8.0), "off by", "look", unit="%")
     check = bound.check(value / bound.scale)
     assert check.words.startswith(f"off by {words}%")
     assert "(want 2% or less)" in check.words

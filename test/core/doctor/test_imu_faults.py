@@ -170,7 +170,7 @@ def test_the_sigma_of_a_latency_is_what_it_errs_by():
         case = good_case(np.random.default_rng([8, seed]), MOST_SEEN)
         log = prepare(case.log).log
         explanations = explain(log, case.knowledge.reference.inclination)
-        latency = force_latency(log, explanations, explanations.best)
+        latency = force_latency(log, explanations.way(explanations.best))
         errors.append(latency.lag / latency.sigma)
     assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
 

@@ -21,8 +21,7 @@ from simulated import (
     standing,
 )
 
-from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.course_offset import CourseCells, fit_course_offset
+from magcal_ros.core.driving.chords import Chord, CourseCells, fit_course_offset
 from magcal_ros.core.driving.driving_tuning import COURSE
 from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
 

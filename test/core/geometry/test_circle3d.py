@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.planes import fit_circle_in_space
 from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.geometry.shapes import fit_circle_in_space
 
 numbers = st.floats(-3.0, 3.0)
 vectors = st.tuples(numbers, numbers, numbers).map(np.array)

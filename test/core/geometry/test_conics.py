@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.conics import ConicFit
+from magcal_ros.core.geometry.shapes import ConicFit
 
 every_fit = pytest.mark.parametrize("fit", ConicFit)
 CIRCLES = (ConicFit.TAUBIN, ConicFit.CIRCLE)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.planes import PlaneFit
+from magcal_ros.core.geometry.shapes import PlaneFit
 
 every_fit = pytest.mark.parametrize("fit", PlaneFit)
 

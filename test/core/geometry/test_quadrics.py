@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.conics import QuadricFit, fit_quadric
+from magcal_ros.core.geometry.shapes import QuadricFit, fit_quadric
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -17,9 +17,8 @@ from tip_turns import QUIET, distance, level_turn, ramp_turn, refusal, rms_deg
 from tumbles import hand_tumbling, tumble
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.conics import ConicFit
-from magcal_ros.core.geometry.planes import PlaneFit
 from magcal_ros.core.geometry.rotations import roll_pitch_between, rotation_from_rpy
+from magcal_ros.core.geometry.shapes import ConicFit, PlaneFit
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.methods.design_tip import Options, fit
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors

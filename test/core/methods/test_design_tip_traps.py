@@ -14,8 +14,7 @@ from tip_bridge import knowledge_of, ours, window_of, worst_difference
 from tip_turns import QUIET, distance, ramp_turn, refusal, rms_deg, rms_of
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.conics import ConicFit
-from magcal_ros.core.geometry.planes import PlaneFit
+from magcal_ros.core.geometry.shapes import ConicFit, PlaneFit
 from magcal_ros.core.methods.design_tip import Options, fit
 from magcal_ros.core.simulation import DEGREE, Robot, heading_errors
 
