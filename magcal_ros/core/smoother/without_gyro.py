@@ -122,8 +122,7 @@ def without_rates(priors: Priors, *, rests: bool) -> Priors:
     scale[AT["gyro_bias"]] = scale[AT["gyro_matrix"]] = scale[AT["gradient"]] = 0.0
     for name in ("axis", "upright", "sway_arm"):
         scale[AT[name]] = UNKNOWNS[name].sigma
-    # The accelerometer's own up is what the answer leads to: its offset is part of the roll.
-    scale[AT["latency"]] = scale[AT["force_offset"]][:2] = 0.0
+    scale[AT["latency"]] = 0.0
     if priors.earth[0, 0] >= UNKNOWNS["earth"].sigma[0] ** 2:
         scale[AT["shielding"]] = 0.0
     # Without a rest nothing shows how large a shift is that lasts while the robot moves.

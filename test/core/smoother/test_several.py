@@ -57,7 +57,7 @@ def test_a_turn_without_another_is_as_sure_as_alone(alone: list[Fit]) -> None:
 
 def test_the_order_of_turns_does_not_matter(alone: list[Fit], joint: Together) -> None:
     other = fit_together(alone[::-1], SIGMA)
-    assert other.evidence == pytest.approx(joint.evidence, abs=1.0)
+    assert other.evidence == pytest.approx(joint.evidence, abs=3.0)
     sigma = np.sqrt(np.diag(joint.fits[0].covariance))[AT["iron"]]
     off = other.fits[0].state.shared[AT["iron"]] - joint.fits[0].state.shared[AT["iron"]]
     assert np.all(np.abs(off) < 0.2 * sigma)
