@@ -82,6 +82,7 @@ class FusedYaw:
         self.last_heading_gap = 0.0  # by which the last of another device was ahead, radians
         self._overruled = 0.0
         self._headings_ahead: list[float] = []
+        self._doubted = 0.0  # variance by all that headings may be while they correct the yaw, rad²
         self._rests: list[tuple[float, float, float]] = []
         self._path.clear()
 
@@ -102,6 +103,8 @@ class FusedYaw:
             self._take_bias(known)
         if self._north is None:
             return
+        if self._doubted and not self.has_external_yaw:
+            self._end_headings()
         x, y, z = up.direction
         bias = self._filter.bias
         p, q, r = rate
@@ -224,6 +227,18 @@ class FusedYaw:
             ahead = sum(self._headings_ahead) / count
             self._loss.add_heading(stamp, ahead, variance, count, self._lost)
             self._headings_ahead, self._heading_since, self._lost = [], stamp, 0.0
+            mean, covariance = self._loss.ahead()
+            self._doubted = float(covariance[0, 0]) + (mean[0] - self._shift + self._drift) ** 2
+
+    def _end_headings(self) -> None:
+        """Go on without headings: where they may have drifted and not the gyro, doubt them."""
+        self._loss.go_on(self._stamp, self._lost)
+        self._lost = self._doubted = 0.0
+        mean, covariance = self._loss.ahead()
+        if covariance[0, 0] > self._filter.yaw_variance:
+            bias = self._filter.bias + dot(self._known.rate, self._up.direction)
+            off = mean - (self._shift - self._drift, -bias)
+            self._filter.doubt(covariance + np.outer(off, off))
 
     @property
     def has_external_yaw(self) -> bool:
@@ -238,7 +253,7 @@ class FusedYaw:
         east = cross(north, up)
         yaw = math.atan2(north[0], east[0])
         roll, pitch = math.atan2(up[1], up[2]), math.atan2(-up[0], math.hypot(up[1], up[2]))
-        variance = self._filter.yaw_variance + self._filter.own_error_variance
+        variance = max(self._filter.yaw_variance, self._doubted) + self._filter.own_error_variance
         return Heading(roll, pitch, yaw, self._up.variance, variance, 0.0, 0.0)
 
     def north_at(self, stamp: float) -> Triple | None:

@@ -48,6 +48,14 @@ class FusionTuning:
     lasts_spread: float = 1.5
     """Median of the seconds over which such a heading is wrong by the same, and standard deviation
     of their natural logarithm: noise is new with each message, reflections last for a minute."""
+    heading_wander: float = 7e-4  # rad/s per root second: .3°/s within a minute
+    wander_lasts: float = 100.0
+    wander_jump: float = 0.1
+    wander_odds: tuple[float, float] = (0.1, 1e-3)
+    """By how much the rate at which such headings drift changes where reflections or a wrong
+    ambiguity turn them, over how many seconds both rate and error last, the radians by which they
+    are off where they come back from beyond the gate, and the odds of such a device, and that it
+    becomes one within `heading_tau`: a gyro whose bias walks looks the same."""
     heading_gate: float = 4.0  # sigmas by which such a heading may miss
     unknown: float = 0.5  # radians of uncertainty of a start in a field that is not expected
     start: float = 5.0  # seconds from the start in which that may be found out
@@ -199,6 +207,11 @@ class YawFilter:
         self.disturbance += float(self._disturbance_shares @ found)
         return by_yaw * left - float(self._shares @ found)
 
+    def doubt(self, covariance: FloatArray) -> None:
+        """Take the larger covariance (2, 2) of the yaw and minus the bias."""
+        self.yaw_variance, self.bias_variance = float(covariance[0, 0]), float(covariance[1, 1])
+        self._yaw_bias = -float(covariance[0, 1])
+
     def follow(self, share: float, variance: float, compass: FloatArray) -> None:
         """Give up a share of the yaw for a compass whose variance is smaller, rad²."""
         self.yaw_variance += share * (variance - self.yaw_variance)
@@ -210,9 +223,9 @@ class YawFilter:
 class GyroLoss:
     """How fast a gyro loses its angle and its bias, from headings of another device and from rests.
 
-    For each set of sizes on a grid a Kalman filter follows by how much headings are ahead of the
-    gyro, the bias, and the part of the headings' error that lasts. Their likelihoods and log-normal
-    priors weigh the sets.
+    For each set of sizes on a grid a Kalman filter follows by how much the robot is ahead of the
+    gyro, the bias, the part of the headings' error that lasts, and by how much and how fast they
+    have drifted away. Their likelihoods and log-normal priors weigh the sets.
 
     `share` is the part of the usual loss of angle, rad², that this gyro has, one on average,
     `walked` are the (rad/s)² a second by which its bias walks, `rest_turn` those by which the robot
@@ -222,32 +235,35 @@ class GyroLoss:
 
     def __init__(self) -> None:
         spread = FUSION.loss_spread
-        first, second, third, fourth = (
+        first, second, third, fourth, wanders = (
             each.ravel()
             for each in np.meshgrid(
                 np.linspace(-3.0, 4.0, 11),
                 np.linspace(-3.0, 3.0, 7),
                 np.linspace(-2.0, 3.0, 6),
                 np.linspace(-2.0, 3.0, 6),
+                [0.0, 1.0],
             )
         )
         self._walks: FloatArray = (FUSION.bias_walk * np.exp(FUSION.walk_spread * first)) ** 2
         self._shares: FloatArray = np.exp(spread * second - 0.5 * spread**2)
         self._turns: FloatArray = (FUSION.rest_turn * np.exp(FUSION.rest_spread * third)) ** 2
         self._lasts: FloatArray = FUSION.heading_lasts * np.exp(FUSION.lasts_spread * fourth)
+        self._wanders: FloatArray = (FUSION.heading_wander * wanders) ** 2
         part = self._lasts / FUSION.heading_tau
         self._left: FloatArray = 2.0 * part * (1.0 - part * (1.0 - np.exp(-1.0 / part)))
         self._log_odds: FloatArray = -0.5 * (first**2 + second**2 + third**2 + fourth**2)
+        self._log_odds += wanders * math.log(FUSION.wander_odds[0])
         self._weigh()
         self.begin(0.0, 0.0)
 
     def begin(self, bias: float, variance: float) -> None:
         """Follow gap and bias (rad/s, with its variance) anew; the sizes are still known."""
         self._stamp, self._heard = math.nan, -math.inf
-        self._state: FloatArray = np.tile([0.0, -bias, 0.0], (len(self._walks), 1))
-        self._covariance: FloatArray = np.tile(
-            np.diag([UNKNOWN_YAW, variance, 0.0]), (len(self._walks), 1, 1)
-        )
+        count = len(self._walks)
+        self._state: FloatArray = np.tile([0.0, -bias, 0.0, 0.0, 0.0], (count, 1))
+        start = np.diag([UNKNOWN_YAW, variance, 0.0, 0.0, 0.0])
+        self._covariance: FloatArray = np.tile(start, (count, 1, 1))
 
     def add_heading(
         self, stamp: float, ahead: float, variance: float, count: int, lost: float
@@ -258,37 +274,52 @@ class GyroLoss:
         of so many, rad²; `lost` are the rad² that a gyro usually loses since the last heading or
         rest, apart from its bias.
         """
-        self._propagate(stamp, lost)
+        self.go_on(stamp, lost)
+        if stamp - self._heard > 2.0 * FUSION.heading_tau:
+            self._covariance[:, 3, 3] += FUSION.wander_jump**2 * (self._wanders > 0.0)
+        steady, drifting = self._log_odds.reshape(-1, 2).T
+        drifting[:] = np.logaddexp(drifting, steady + math.log(FUSION.wander_odds[1]))
         kept = np.exp((self._heard - stamp) / self._lasts)
         self._heard = stamp
         self._state[:, 2] *= kept
         self._covariance[:, 2] *= kept[:, None]
         self._covariance[:, :, 2] *= kept[:, None]
         self._covariance[:, 2, 2] += (1.0 - kept**2) * self._left * variance
-        by = self._covariance[:, 0] + self._covariance[:, 2]
-        left = ahead - self._state[:, 0] - self._state[:, 2]
-        self._take(left, by[:, 0] + by[:, 2] + variance / count, by)
+        self._take(ahead, np.array([1.0, 0.0, 1.0, 1.0, 0.0]), variance / count)
 
     def add_rest(self, stamp: float, rate: float, variance: float, lost: float) -> None:
         """Take the gyro's mean rate about up while the robot seems to rest; as `add_heading`."""
-        self._propagate(stamp, lost)
-        by = self._covariance[:, 1].copy()
-        self._take(-rate - self._state[:, 1], by[:, 1] + variance + self._turns, by)
+        self.go_on(stamp, lost)
+        self._take(-rate, np.array([0.0, 1.0, 0.0, 0.0, 0.0]), variance + self._turns)
 
-    def _propagate(self, stamp: float, lost: float) -> None:
+    def go_on(self, stamp: float, lost: float) -> None:
+        """Go on to a stamp; `lost` as of `add_heading`."""
         seconds, self._stamp = stamp - self._stamp, stamp
         if not seconds > 0.0:
             return
-        covariance, walked = self._covariance, self._walks * seconds
-        self._state[:, 0] += seconds * self._state[:, 1]
-        covariance[:, 0] += seconds * covariance[:, 1]
-        covariance[:, :, 0] += seconds * covariance[:, :, 1]
-        covariance[:, 0, 0] += lost * self._shares + walked * seconds**2 / 3.0
-        covariance[:, 0, 1] += 0.5 * walked * seconds
-        covariance[:, 1, 0] += 0.5 * walked * seconds
-        covariance[:, 1, 1] += walked
+        step = np.eye(5)
+        step[0, 1] = step[3, 4] = seconds
+        step[3:, 3:] *= math.exp(-seconds / FUSION.wander_lasts)
+        self._state = self._state @ step.T
+        covariance = self._covariance = step @ self._covariance @ step.T
+        covariance[:, 0, 0] += lost * self._shares
+        for angle, walks in ((0, self._walks), (3, self._wanders)):
+            rate, walked = (1, 4)[angle > 0], walks * seconds
+            covariance[:, angle, angle] += walked * seconds**2 / 3.0
+            covariance[:, angle, rate] += 0.5 * walked * seconds
+            covariance[:, rate, angle] += 0.5 * walked * seconds
+            covariance[:, rate, rate] += walked
 
-    def _take(self, left: FloatArray, spread: FloatArray, by: FloatArray) -> None:
+    def ahead(self) -> tuple[FloatArray, FloatArray]:
+        """Return gap (radians) and minus the bias (rad/s) by all sets, with their covariance."""
+        mean = self._weights @ self._state[:, :2]
+        off = self._state[:, :2] - mean
+        spread = self._covariance[:, :2, :2] + off[:, :, None] * off[:, None]
+        return mean, np.einsum("n,nij->ij", self._weights, spread)
+
+    def _take(self, shown: float, sight: FloatArray, noise: FloatArray | float) -> None:
+        by = self._covariance @ sight
+        spread, left = by @ sight + noise, shown - self._state @ sight
         self._log_odds = self._log_odds - 0.5 * (np.log(spread) + left**2 / spread)
         gain = by / spread[:, None]
         self._state += gain * left[:, None]
@@ -297,7 +328,8 @@ class GyroLoss:
 
     def _weigh(self) -> None:
         weights = np.exp(self._log_odds - self._log_odds.max())
-        weights = weights / weights.sum()
-        self.share, self.walked = float(weights @ self._shares), float(weights @ self._walks)
-        self.rest_turn = float(weights @ self._turns)
-        self.heading_lasts = float(weights @ self._lasts)
+        self._weights: FloatArray = weights / weights.sum()
+        self.share, self.walked, self.rest_turn, self.heading_lasts = (
+            float(self._weights @ each)
+            for each in (self._shares, self._walks, self._turns, self._lasts)
+        )

@@ -402,3 +402,27 @@ def test_told_headings_show_whether_gyro_or_compass_is_better_without_them(walk)
     off, sigma = now.yaw - 0.5 * math.pi, math.sqrt(now.yaw_variance)
     assert abs(off) < min(2.0 * sigma, 0.5 * abs(compass))
     assert sigma < math.sqrt(heading.yaw_variance)
+
+
+def test_headings_that_drift_before_they_fall_silent_are_doubted():
+    """A gyro whose bias walks looks the same: it promised 1° and was 13° off."""
+    rng = np.random.default_rng(11)
+    fused, up = FusedYaw(CALIBRATED, PATIENCE), Up((0.0, 0.0, 1.0), 1e-6)
+    field = tuple(CALIBRATED.strength * np.array([0.4, 0.0, -0.9]))
+    compass = Compass(CALIBRATED).heading(field, up.direction, up.variance)
+    known = GyroBias((0.0, 0.0, 0.0), 1e-4)
+    off, sigma = [], []
+    for k in range(9000):
+        since = 0.02 * k
+        rate = (0.0, 0.0, 0.003 + 2e-3 * rng.standard_normal())
+        fused.propagate(100.0 + since, up, rate, known)
+        if k == 0:
+            fused.correct(100.0, field, up, compass)
+        if k % 10 == 5 and since < 120.0:
+            drift = math.radians(0.3) * max(0.0, since - 60.0)
+            told = 0.5 * math.pi + drift + math.radians(1.0) * rng.standard_normal()
+            fused.take_heading(100.0 + since, told, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
+        if since >= 100.0:
+            off.append(fused.heading().yaw - 0.5 * math.pi)
+            sigma.append(math.sqrt(fused.heading().yaw_variance))
+    assert (np.abs(off) < 3.0 * np.array(sigma)).all()
