@@ -85,6 +85,17 @@ def test_a_magnetometer_that_saturates_is_said():
     assert "saturates" in outcome.verdict.summary
 
 
+def test_an_axis_that_stands_at_its_limit_all_the_time_is_no_calibration():
+    """On the level it looked like hard iron along the axis, of excellent quality."""
+    level = replace(ROBOT, roll=0.0, pitch=0.0)
+    _, window = driven(evenly, level, 6.0)
+    knowledge = replace(level.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
+    field = window.field * [1.0, 1.0, 0.0]
+    outcome = calibrate(collected(replace(window, field=field)), knowledge)
+    assert not outcome.verdict.accepted
+    assert "its range ends" in outcome.verdict.summary
+
+
 @pytest.mark.nightly
 def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
     motion, window = driven(evenly, ROBOT, 6.0)

@@ -59,6 +59,11 @@ class HealthTuning:
     saturated: tuple[int, float] = (5, 1.5)
     """Places along the other two axes, in twentieths of the field's size, at which one axis must
     stand at its extreme; and how many times those just below the extreme."""
+    quiet: float = 10e-9  # tesla of noise that every magnetometer has
+    rounding: float = (
+        0.71  # steps of noise that a number shows which rises by half a step each time
+    )
+    by_chance: float = 1e-6  # probability that an axis stays at one number all the time
     smooth: float = 1e-4  # share of its largest value by which a rate without noise may bend
     gravity: float = 0.15  # misfit of the usual acceleration
     fewest: int = 50  # samples below which nothing is said of a stream
@@ -190,6 +195,25 @@ def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None
 def unchanging(values: FloatArray) -> list[int]:
     """Return the axes of values (n, 3) that never change."""
     return [axis for axis in range(3) if np.ptp(values[:, axis]) == 0.0]
+
+
+def stuck_axes(field: FloatArray) -> list[int]:
+    """Return the axes of a field (n, 3) that never change although noise would change them.
+
+    The other axes show noise and resolution: a coarse number of a quiet sensor may well stay.
+    """
+    stuck = unchanging(field)
+    others = np.delete(field, stuck, axis=1)
+    if not 0 < len(stuck) < 3 or len(field) < TUNING.fewest:
+        return []
+    steps = np.array([_step(axis) for axis in others.T])
+    # What rounding adds is no noise that would change the number: most on a slow rise.
+    own = white_noise(others) ** 2 - (TUNING.rounding * steps) ** 2
+    noise = math.sqrt(max(0.0, float(own.min())))
+    if noise < TUNING.quiet:
+        return []
+    stays = math.erf(float(steps.max()) / (math.sqrt(8.0) * noise)) ** len(field)
+    return stuck if stays < TUNING.by_chance else []
 
 
 def dead_axes(rate: FloatArray) -> list[int]:

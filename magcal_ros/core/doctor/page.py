@@ -23,6 +23,7 @@ from magcal_ros.core.doctor.health import (
     looked_at,
     noise_findings,
     not_shown,
+    stuck_axes,
 )
 from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
 from magcal_ros.core.doctor.motion import (
@@ -260,6 +261,9 @@ def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
     for found in field_findings(window.field) if len(window) >= 3 else ():
         if found.is_wrong and found.key == "saturation":
             words = f"the magnetometer saturates ({found.evidence}): {found.remedy}"
+            return Refusal(Reason.NO_SOLUTION, words)
+        if found.key == "frozen" and stuck_axes(window.field):
+            words = f"{found.remedy}, or its range ends below the field"
             return Refusal(Reason.NO_SOLUTION, words)
     return _wrong_gyro(window, knowledge)
 

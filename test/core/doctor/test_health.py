@@ -11,6 +11,7 @@ from magcal_ros.core.doctor.health import (
     gravity_size_finding,
     repeats_finding,
     stamps_finding,
+    stuck_axes,
 )
 from magcal_ros.core.doctor.page import examine_window
 from magcal_ros.core.simulation import Robot
@@ -111,6 +112,17 @@ def test_a_robot_that_rests_at_the_top_of_a_coarse_swing_is_not_saturated(field)
     resting = np.concatenate([np.round(field / 0.6e-6) * 0.6e-6, np.tile(field[:1], (300, 1))])
     resting[COUNT:, 0] = resting[:, 0].max()
     assert "saturation" not in wrong(field_findings(resting))
+
+
+def test_an_axis_at_its_limit_all_the_time_is_told_from_a_coarse_one(field):
+    assert stuck_axes(dead(field)) == [1]
+    assert stuck_axes(np.round(dead(field) / 0.15e-6) * 0.15e-6) == [1]
+    # Without most of its noise the same turn leaves a rounded z at one number.
+    quiet = field - 0.27e-6 * np.random.default_rng(1).standard_normal((COUNT, 3))
+    coarse = np.round((quiet + 0.3e-6) / 0.6e-6) * 0.6e-6
+    assert np.ptp(coarse[:, 2]) == 0.0
+    assert not stuck_axes(coarse)
+    assert not stuck_axes(field)
 
 
 def test_coarse_numbers_of_a_quiet_sensor_are_no_repeats():
