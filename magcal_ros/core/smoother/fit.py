@@ -161,7 +161,7 @@ def optimum(
             break
         before = evidence
         if rounds > tolerances.undamped:
-            damping = damping.next(answer)
+            damping = damping.next(evidence)
         for k in every:
             model, parts, solution = models[k], joint.weighted[k], solutions[k]
             point = points[k]
@@ -242,18 +242,17 @@ def answer_of(model: Model, solution: Solution) -> FloatArray:
     return np.asarray(solution.shared[answer] / sigma)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Damping:
-    """The share of a step that is taken: less where steps go back and forth as far."""
+    """The share of a step that is taken: less after a step that made the evidence worse."""
 
     share: float = 1.0
-    step: FloatArray | None = None
+    evidence: float = math.inf
 
-    def next(self, step: FloatArray) -> Damping:
-        """Return the share for a step of the answer, after the one before it."""
-        last = self.step
-        alternates = last is not None and float(step @ last) < -0.5 * float(last @ last)
-        return Damping(0.5 * self.share if alternates else min(1.0, 1.5 * self.share), step)
+    def next(self, evidence: float) -> Damping:
+        """Return the share of the next step, by the evidence after the last one."""
+        worse = evidence > self.evidence
+        return Damping(0.5 * self.share if worse else min(1.0, 1.5 * self.share), evidence)
 
 
 def stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:

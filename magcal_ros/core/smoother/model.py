@@ -63,7 +63,9 @@ class Model:
             scale[AT["mounting_yaw"]] = 0.0
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         travels = kind.speed > KINDS[ON_THE_SPOT].speed
-        begins = {n: priors.sizes[n]._replace(start=kind.begins) for n in CHANGES}
+        # Wheels change their velocity less to the side than ahead.
+        begun = zip(CHANGES, (1.0, math.sqrt(kind.aside)), strict=True)
+        begins = {n: priors.sizes[n]._replace(start=kind.begins * by) for n, by in begun}
         spread = {**priors.spread, **dict.fromkeys(("motors_moving", "motors_rate"), kind.motors)}
         return cls(
             nodes,

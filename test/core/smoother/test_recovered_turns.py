@@ -185,10 +185,9 @@ def test_a_fit_tells_how_much_of_it_is_done():
     assert 0.0 <= told[0] < 0.1 < 0.25 < told[-1] <= 1.0
 
 
-def test_steps_that_go_back_and_forth_are_shortened():
-    forth, small = np.array([1.0, -0.2]), np.array([-0.3, 0.0])
-    damping = Damping().next(forth).next(-forth)
-    assert damping.share == 0.5
-    assert damping.next(forth).share == 0.25
-    assert damping.next(-0.1 * forth).share == 0.75
-    assert Damping().next(forth).next(small).share == 1.0
+def test_steps_after_one_that_made_the_evidence_worse_are_shortened():
+    worse = Damping().next(10.0).next(12.0)
+    assert worse.share == 0.5
+    assert worse.next(13.0).share == 0.25
+    assert worse.next(11.0).share == 0.75
+    assert Damping().next(10.0).next(9.0).share == 1.0
