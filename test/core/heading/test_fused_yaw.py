@@ -405,7 +405,7 @@ def test_told_headings_show_whether_gyro_or_compass_is_better_without_them(walk)
 
 
 def test_headings_that_drift_before_they_fall_silent_are_doubted():
-    """A gyro whose bias walks looks the same: the yaw was 8.6° off at ±2.9° when they fell silent."""
+    """A gyro whose bias walks looks the same: they left the yaw 8.6° wrong at ±2.9°."""
     rng = np.random.default_rng(11)
     fused, up = FusedYaw(CALIBRATED, PATIENCE), Up((0.0, 0.0, 1.0), 1e-6)
     field = tuple(CALIBRATED.strength * np.array([0.4, 0.0, -0.9]))
