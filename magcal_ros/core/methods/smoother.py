@@ -228,8 +228,10 @@ def _arc(found: Smoothed, window: Window) -> float:
     """Return the range of the angle about the main axis of rotation, radians, at most 2 pi."""
     attitude, nodes = found.fit.state.attitude, found.nodes
     steps = rotation_vectors(attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2))
-    main = np.linalg.svd(steps, full_matrices=False)[2][0]
-    angle = np.append(0.0, np.cumsum(steps @ main))
+    # A sway comes back, however fast it is: the turn adds up.
+    turned = np.insert(np.cumsum(steps, axis=0), 0, 0.0, axis=0)
+    main = np.linalg.svd(turned - turned.mean(axis=0), full_matrices=False)[2][0]
+    angle = turned @ main
     # The first and the last samples lie half a node beyond the middles.
     pace = np.diff(angle) / nodes.seconds
     first = angle[0] - pace[0] * (nodes.time[0] - window.time[0])

@@ -45,7 +45,7 @@ def test_without_noise_the_truth_is_found(axis, arc, gyro):
     motion = turn(arc=arc * DEGREE, samples=200, axis=axis, start_rpy=(0.0, 0.0, 0.7))
     window = measure(robot, motion, np.random.default_rng(1), gyro=gyro)
     estimate = fit(window, robot.knowledge())
-    assert rms_deg(estimate, robot, level=False) < (2e-2 if gyro else 5e-3)
+    assert rms_deg(estimate, robot, level=False) < (2e-2 if gyro else 7e-3)
     assert estimate.arc == pytest.approx(arc * DEGREE, abs=2.5 * DEGREE)
 
 
@@ -63,6 +63,7 @@ def test_known_gains_and_pose_are_taken_off_first():
     ("arc", "wobble", "limit", "seeds"),
     [
         (360.0, 0.0, 0.086, 2),
+        (360.0, 5.0, 0.096, 1),
         *(
             pytest.param(*row, 8, marks=pytest.mark.nightly)
             for row in (
