@@ -34,7 +34,10 @@ def node_name(text: str) -> str:
 
 
 def find_calibrator(node: Any, wanted: str | None) -> str:
-    """Return the calibrator's full name; Misuse if one of several must be named."""
+    """Return the full name of the calibrator that is meant.
+
+    Misuse if there are several and none is named; a MagcalError that lists those that are there.
+    """
     begin = first_seen = time.monotonic()
     seen: list[str] = []
     while True:

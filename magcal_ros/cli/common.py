@@ -203,7 +203,10 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
 def reference_in_use(
     options: argparse.Namespace, recorded: Place | None, stamp: float
 ) -> Reference:
-    """Return what the options give, and the rest from the model by recorded place and stamp."""
+    """Return what the options give, and the rest from the model.
+
+    `recorded` is the place by the recording's own fixes, `stamp` (s) the newest of the recording.
+    """
     given = Given.of(vars(options))
     if given.half_place:
         raise Misuse("give --latitude and --longitude together, or neither")

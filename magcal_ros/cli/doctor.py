@@ -218,9 +218,10 @@ def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, An
 
 
 def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) -> str | None:
-    """Write what parameters can correct, and the given gains; returns the path.
+    """Write what parameters can correct, and the gains that were given; returns the path.
 
-    What a driver does wrong is corrected there, and never here.
+    Nothing is written where no mounting alone corrects the axes: what a driver does wrong is
+    corrected there, and never here.
     """
     if path is None or not page.parameters:
         return None

@@ -90,7 +90,11 @@ WIDEST = 80
 
 
 def progress_of(status: str) -> dict[str, Any] | None:
-    """Return how far a turn is by the text of `~/status`; None if none is, or it is no status."""
+    """Return how far a turn is from the text of `~/status`; None if none is under way.
+
+    Anybody in the graph may publish there: what is no status is ignored, and control characters are
+    replaced.
+    """
     # Anybody in the graph may publish there.
     try:
         content = json.loads(status)
@@ -116,7 +120,10 @@ def turns_itself(status: str) -> bool:
 
 
 def with_all_reasons(message: str, status: str | None) -> str:
-    """Return the answer of ~/calibrate with all reasons, which the text of `~/status` has."""
+    """Return the answer of ~/calibrate with every reason against the result on a line of its own.
+
+    The answer names the first ones; the text of `~/status` has all of them.
+    """
     try:
         verdict = json.loads(status or "")["verdict"]
         summary, headline = str(verdict["summary"]), str(verdict["headline"])

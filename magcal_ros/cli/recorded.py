@@ -132,7 +132,11 @@ def gather(
     source: Source,
     known: Calibration | None = None,
 ) -> Gathered:
-    """Read a recording less its motors' field, if known; a Refusal if the IMU is too slow."""
+    """Read a recording, with progress on stderr, and find its reference field.
+
+    The field of the motors, if a calibration knows it, is subtracted. A Refusal if the IMU is too
+    slow.
+    """
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
     with at_work(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
@@ -145,7 +149,11 @@ def gather(
 
 @contextmanager
 def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
-    """Say now and then that a long operation goes on: one line, or at intervals off a terminal."""
+    """Say every now and then that a long operation goes on, and for how long.
+
+    On a terminal one line is drawn again and removed at the end. Elsewhere a line comes now and
+    then, if it is a new one, so that a short operation prints nothing.
+    """
     is_terminal, begun, done = out.isatty(), time.monotonic(), threading.Event()
     begin, end, pause = ("\r", "\x1b[K", REDRAW) if is_terminal else ("", "\n", LINE_EVERY)
 

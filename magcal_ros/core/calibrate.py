@@ -262,7 +262,10 @@ def _refused(outcome: Outcome, kept: Kept) -> Outcome:
 
 
 def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -> float:
-    """Return the heading's sigma on the level by a fit, radians; infinite where none is found."""
+    """Return the sigma of the heading on the level by a fit of this window, radians.
+
+    It is infinite where no fit is found.
+    """
     from magcal_ros.core.smoother.without_gyro import living_axes
 
     try:

@@ -152,7 +152,11 @@ def knowledge_of(
     mount_rpy_deg: Sequence[float] = (0.0, 0.0, 0.0),
     declination_sigma_deg: float = DECLINATION_SIGMA_DEG,
 ) -> Knowledge:
-    """Return the knowledge in numbers with the suffixes' units; NaN where one is not known."""
+    """Return the knowledge in numbers with the suffixes' units; NaN where one is not known.
+
+    `soft_iron_gains` are the known gains of the magnetometer's axes, `mount_rpy_deg` is its nominal
+    roll, pitch and yaw in the IMU's frame.
+    """
     strength, inclination = Belief.unknown(), Belief.unknown()
     if not math.isnan(strength_ut):
         strength = Belief(strength_ut * 1e-6, strength_sigma_ut * 1e-6)

@@ -78,7 +78,11 @@ def speed_from(
 def velocity_from(
     stamp: float, east: float, north: float, of_east: float = 0.0, of_north: float = 0.0
 ) -> VelocitySample | str:
-    """Return the velocity of a twist, m/s with variances (0 if unknown), or why it has none."""
+    """Return the velocity of a twist, or why it has none.
+
+    The stamp is in seconds, the velocity in m/s, and `of_east`, `of_north` are the variances of
+    both, (m/s)²; zero where they are unknown.
+    """
     if of_east == ABSENT:
         return "its velocity is marked absent (covariance -1)"
     sigma = RECEIVER_SPEED_SIGMA
@@ -97,7 +101,10 @@ NO_HEADING = math.radians(30.0)  # sigma from which a heading counts as unknown
 def heading_from(
     stamp: float, orientation: tuple[float, float, float, float], mark: float, variance: float
 ) -> HeadingSample | str:
-    """Return the yaw of an orientation x, y, z, w (`variance` in rad²), or why it has none."""
+    """Return the yaw of an Imu's orientation (x, y, z, w), or why it has none.
+
+    `mark` is the first element of its covariance, and `variance` that of the yaw, rad².
+    """
     x, y, z, w = orientation
     if mark == ABSENT:
         return "its orientation is marked absent (covariance -1)"

@@ -150,7 +150,10 @@ class Bag:
         return sorted(self._read(heard, take))
 
     def headings(self, topic: str) -> list[HeadingSample]:
-        """Return a topic's yaws by stamp; a FileTrouble if there is no such topic or no yaw."""
+        """Return the yaws of a topic's orientations, by stamp.
+
+        Misuse if there is no such topic, FileTrouble if it gives no heading.
+        """
         heard = _named(self._path, self._reader, IMU_TYPE, topic)
         read = list(self._read(heard, lambda _, __, data: self._format.heading(data)))
         found = [each for each in read if not isinstance(each, str)]

@@ -97,7 +97,11 @@ def write_calibration(
     origin: Origin,
     when_written: Callable[[], object] | None = None,
 ) -> None:
-    """Write a calibration as of `write_atomically`; a FileTrouble too if the file is not ours."""
+    """Write a calibration in one step, at full precision.
+
+    After a FileTrouble the file is as it was: it cannot be written, or it is no calibration of this
+    package. `when_written` is as of `write_atomically`.
+    """
     require_ours(path)
     document = {k: v for k, v in _document(calibration, origin).items() if v is not None}
     style: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "default_flow_style": None}
@@ -125,7 +129,11 @@ def require_ours(path: Path) -> None:
 
 
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
-    """Return what was written, to the last bit; a FileTrouble of what is no usable calibration."""
+    """Return the numbers that were written, to the last bit.
+
+    A FileTrouble if the file is missing, damaged, no calibration of this version, or claims what is
+    impossible.
+    """
     document = _parse(path)
     try:
         calibration, origin = _calibration(document), _origin(document)

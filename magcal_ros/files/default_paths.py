@@ -39,7 +39,10 @@ def chosen_path(text: str) -> Path:
 
 
 def lies_within(path: Path, places: Iterable[Path]) -> bool:
-    """Whether a path is one of some places or below one, by names: links are not looked at."""
+    """Whether a path is one of some places or lies below one, by its names alone.
+
+    Links are not looked at: only who may write there already can have made one.
+    """
     if ".." in path.parts or "\0" in str(path):
         return False
     return any(path.absolute().is_relative_to(place.absolute()) for place in places)

@@ -183,7 +183,10 @@ UNCHANGED = 1e-9
 
 
 def imu_filter_madgwick(calibration: Calibration) -> str:
-    """Return a parameter file for imu_filter_madgwick: `compensated = mag - mag_bias`, tesla."""
+    """Return a parameter file for imu_filter_madgwick, which knows the hard iron alone.
+
+    `compensated = mag - mag_bias`, tesla (wiki.ros.org/imu_filter_madgwick).
+    """
     comments = ["compensated = mag - mag_bias, tesla."]
     matrix = calibration.correction.matrix
     if np.abs(matrix - np.eye(3)).max() > UNCHANGED:

@@ -46,7 +46,10 @@ def is_phone_folder(path: Path) -> bool:
 
 
 def read_phone(path: Path) -> Recording:
-    """Read a folder of Sensor Logger or phyphox; a FileTrouble says what is missing."""
+    """Read a folder of Sensor Logger or phyphox.
+
+    A FileTrouble if a sensor is missing, or gravity was taken off, says what to record.
+    """
     headers = _headers(path)
     logger = any(map(_is_logger, headers.values()))
     notes: list[str] = []

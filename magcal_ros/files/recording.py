@@ -113,7 +113,10 @@ class Recording:
 
 
 def read_csv_folder(folder: Path) -> Recording:
-    """Read `imu.csv` (t,ax,ay,az and maybe gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder."""
+    """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder.
+
+    Without the columns of the gyro there is none.
+    """
     path = folder / "imu.csv"
     some = set(GYRO) & set(read_header(path))
     _, imu = read_columns(path, IMU_COLUMNS, *([] if some else [IMU_COLUMNS[:4]]))
@@ -130,7 +133,11 @@ LATEST_STAMP = 2.0**33  # seconds, whichever sign: the stamps of ROS end at a qu
 def read_columns(
     path: Path, *choices: tuple[str, ...], may_be_empty: bool = False
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the first choice of columns that a file has, and its rows, stamps (s) first."""
+    """Return the first choice of columns that a file has, and its rows, one column each.
+
+    The file has a header line; columns may come in any order, with others beside them. The first
+    name of a choice is that of the stamps, seconds.
+    """
     header = read_header(path)
     columns = next((each for each in choices if set(each) <= set(header)), None)
     if columns is None:
@@ -252,7 +259,11 @@ REMEDY = "Choose a writable folder, or correct its permissions."
 
 
 def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) -> None:
-    """Write a window and the inliers (n,) of its fit; without a gyro its columns hold `nan`."""
+    """Write a window, every number at full precision.
+
+    Without a gyro its columns hold `nan`. `inliers` (n,) are those of the fit; without a
+    fit there are none.
+    """
     n = len(window)
     rate = np.full((n, 3), np.nan) if window.angular_rate is None else window.angular_rate
     marks = [0] * n if inliers is None else [int(mark) for mark in inliers]
@@ -265,7 +276,11 @@ def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) 
 
 
 def read_samples(path: Path) -> Window:
-    """Read a window that `write_samples` wrote; columns may come in any order."""
+    """Read the window of a turn back, outliers included.
+
+    The header has at least t, mx, my, mz, ax, ay and az, in any order, with or without units in
+    brackets; SI units.
+    """
     _, table = read_columns(path, NEEDED + GYRO, NEEDED, may_be_empty=True)
     rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None
     try:

@@ -21,7 +21,10 @@ class DescriptionTrouble(MagcalError):
 
 
 def joints_of(text: str) -> tuple[FrameJoint, ...]:
-    """Return the joints of a URDF in order; a DescriptionTrouble if it is damaged or none."""
+    """Return the joints of a URDF in their order; whatever else it holds is skipped.
+
+    A DescriptionTrouble if it is no URDF, is damaged, or declares entities, which no URDF needs.
+    """
     if len(text) > LARGEST:
         raise DescriptionTrouble(
             f"the robot description has {len(text)} characters; at most {LARGEST} are read"

@@ -89,7 +89,10 @@ class Format:
         return heading_from(stamp, (x, y, z, w), mark, variance)
 
     def field(self, data: bytes) -> tuple[bytes, FieldSample, bytes]:
-        """Return frame, numbers and covariance (nine little-endian doubles) of a MagneticField."""
+        """Return frame, numbers and covariance of a sensor_msgs/MagneticField.
+
+        The covariance stays nine little-endian doubles: hardly any reader needs its numbers.
+        """
         stamp, frame, at = self.header(data)
         x, y, z, covariance = FIELD_BODY.unpack_from(data, at)
         return frame, FieldSample(stamp, (x, y, z)), covariance
@@ -153,7 +156,10 @@ class Channel(NamedTuple):
 
 
 class RosReader:
-    """An open rosbag2 (a folder, .mcap or .db3), read by the module `rosbag2_py`."""
+    """An open rosbag2: a folder with metadata.yaml, or a single .mcap or .db3.
+
+    `library` is the module `rosbag2_py`; it raises RuntimeError for what it cannot read.
+    """
 
     is2 = True
 

@@ -131,7 +131,10 @@ def caption_of_gyro(turn: Turn) -> str:
 
 
 def deviations(turn: Turn, corrected: Corrected) -> tuple[FloatArray, FloatArray]:
-    """Return the mean deviation before and after at 24 headings, radians; NaN where none was."""
+    """Return the mean deviation before and after at 24 headings, radians; NaN where none was.
+
+    Afterwards it is what the verdict is on, where it is on any.
+    """
     reference, inliers = corrected.reference, turn.inliers
     before = _means(wrap_angle(turn.yaw - reference)[inliers], reference[inliers])
     swing = corrected.estimate.swing

@@ -295,7 +295,10 @@ class HeadingPipeline:
         return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
     def settled(self, number: int = FIRST, frame: str = "") -> Settings:
-        """Return the parameters for a turn of a magnetometer, with the reference field in use."""
+        """Return the parameters as they hold for a turn of one magnetometer.
+
+        The reference field in use stands in place of the one that was given by hand.
+        """
         settings, mounting = self.settings, self.frames.mounting(number, frame)
         known = replace(settings.knowledge, reference=self.reference.field, mounting=mounting)
         return replace(settings, knowledge=known)

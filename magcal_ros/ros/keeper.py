@@ -75,7 +75,10 @@ class Keeper:
         self._apply(calibration, origin.magnetometer_frame)
 
     def keep(self, learnt: VehicleYaw | MotorField) -> None:
-        """Store what was learnt while driving, and is used already, with the one in force."""
+        """Store what was learnt while driving with the calibration in force, if there is one.
+
+        Nothing is applied: the caller uses it already.
+        """
         if self.calibration is None or self.origin is None:
             return
         if isinstance(learnt, VehicleYaw):
@@ -175,7 +178,10 @@ class Keeper:
             self._read_next()
 
     def note_sensor(self, frame: str) -> None:
-        """Load in the background what was made for a sensor that is met; check what is loaded."""
+        """Load the calibration of the sensor whose field comes now, in the background.
+
+        One that is loaded already is checked; a sensor that was there before is not read again.
+        """
         self._frame = frame
         if frame in self._found:
             self._use_found(self._found[frame])

@@ -57,7 +57,10 @@ class Owner(Protocol):
 
 
 class Magnetometer:
-    """A magnetometer's messages, calibration, file and turns; no more before its first message."""
+    """A magnetometer's messages, calibration, file and turns.
+
+    One beside the first is nothing but a subscription until its first message comes.
+    """
 
     def __init__(
         self, owner: Owner, pipeline: HeadingPipeline, number: int, robot: SelfTurn | None = None

@@ -28,7 +28,11 @@ SILENT = 1.5  # seconds without a message after which the current counts as unkn
 
 
 class Commands:
-    """Receives the commanded speed while something publishes it, by the publisher's type."""
+    """Receives the commanded speed while something publishes it.
+
+    The type is that of the publisher. Nothing is subscribed to while the wheels measure a speed, or
+    while this node turns the robot and counts the subscribers of its commands.
+    """
 
     def __init__(self, node: Node, up: UpFollower) -> None:
         self._node, self._up = node, up

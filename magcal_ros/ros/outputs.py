@@ -216,7 +216,10 @@ class FusedOutput:
         """The yaw that is propagated; None while none is."""
 
     def begin_anew(self, calibration: Calibration | None) -> None:
-        """Use another calibration, or none; forget the yaw unless two antennas measure it."""
+        """Forget the yaw: another calibration is in force, or none.
+
+        While two antennas measure it, no compass is needed.
+        """
         self._calibration = calibration
         if calibration is not None and self.yaw is not None and self.yaw.has_external_yaw:
             self.yaw.use(calibration, self.patience)

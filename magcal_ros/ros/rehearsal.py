@@ -75,7 +75,11 @@ def replay(
     between: Callable[[float], None],
     clock: bool = False,
 ) -> int:
-    """Publish a recording by its stamps, `rate` times as fast; returns the number of samples."""
+    """Publish a recording under its own stamps, in its own time or `rate` times faster.
+
+    `between` is called with the seconds to wait before the next sample; it may spin or sleep.
+    Returns the number of samples.
+    """
     clock_out, message = node.create_publisher(Clock, "/clock", 10) if clock else None, Clock()
     started, count = math.nan, 0
     for count, sample in enumerate(recording.cut(0.0, math.inf).samples(), start=1):
@@ -169,7 +173,10 @@ class Rehearsal:
         yaw_rate: float | Callable[[], float] = 0.0,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Run the robot for some seconds at a yaw rate (rad/s), or until `stop` returns true."""
+        """Run the robot for so many wall-clock seconds, or until `stop` returns true.
+
+        Its yaw rate (rad/s) is given, or asked for at each step.
+        """
         rate = yaw_rate if callable(yaw_rate) else lambda: yaw_rate
         started = time.monotonic()
         step = self.ride.period / self.speed

@@ -28,9 +28,11 @@ LONGEST = 60.0
 
 
 class Reporter:
-    """Writes one report after another without delaying the node; of those waiting, the newest.
+    """Writes one report after another without delaying the node.
 
-    A process draws it and ends, a second or two later; it outlives the node.
+    Drawing takes a second or two of one core and loads a plotting library, so a process does it
+    that is ended afterwards. It is not ended with the node: a report that was begun is finished.
+    Of the reports that wait, only the newest is drawn.
     """
 
     def __init__(

@@ -175,7 +175,11 @@ class SensorFrames:
         return Mounting(pose=sensor_poses(frames, self._description.tree, given).magnetometer)
 
     def follow(self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None) -> None:
-        """Compare the description with gravity at rest, the last turn, and the drive's yaw."""
+        """Compare the description with what was measured, once a second.
+
+        That is gravity while the robot stands, the last turn, and the yaw of the IMU in the vehicle
+        that was found while driving.
+        """
         estimate = None if outcome is None else outcome.estimate
         self._found = None if estimate is None else estimate.installation
         if yaw != self._vehicle_yaw:

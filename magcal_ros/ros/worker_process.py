@@ -78,7 +78,10 @@ class WorkerProcess:
             return self._process
 
     def run(self, function: Callable[..., T], *arguments: Any) -> T:
-        """Return what a function returns, or raise what it raises; Lost if its process is lost."""
+        """Return what a function of a module returns, or raise what it raises.
+
+        Lost if the process could not be started, or ended or was stopped meanwhile.
+        """
         return self._answer(self.start(), _message((function, arguments)))
 
     def run_once(self, function: Callable[..., T], *arguments: Any) -> T:

@@ -97,7 +97,10 @@ def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray)
 
 
 def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Return a quantity's derivative by the twelve numbers, from its gradient by the field."""
+    """Return the derivative by the twelve numbers of a quantity with this gradient by the field.
+
+    The corrected field and the gradient are (..., 3) in body axes.
+    """
     uncorrected = correction.undo(field_body) - correction.hard_iron
     by_matrix = gradient[..., :, None] * uncorrected[..., None, :]
     by_iron = -gradient @ correction.matrix

@@ -22,7 +22,10 @@ PARAMETERS = 12
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """The map `A (m_raw - h)` to body axes; a ValueError if A is singular or mirrors them."""
+    """Maps the raw field to the field in body axes, `A (m_raw - h)`.
+
+    A ValueError if a number is not finite, or if `matrix` is singular or mirrors the axes.
+    """
 
     matrix: FloatArray  # A, dimensionless; must be invertible and keep handedness. Shape (3, 3).
     hard_iron: FloatArray  # h in tesla, in the magnetometer's own axes. Shape (3,).

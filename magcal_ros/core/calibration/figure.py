@@ -152,7 +152,10 @@ class Figure(str, Enum):
 
     @property
     def key(self) -> str:
-        """The name in JSON and status: comparisons of gyro and compass keep a known one."""
+        """The name of the figure in JSON and status.
+
+        A recheck's and a drive's comparison of gyro and compass keep the one that readers know.
+        """
         compared = (Figure.GYRO_COMPASS_DIFFERENCE, Figure.GYRO_COMPASS_HARMONIC)
         return "gyro_compass_rms" if self in compared else self.value
 

@@ -40,7 +40,11 @@ def common_figures(estimate: Estimate) -> dict[Figure, float]:
 
 
 def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
-    """Return the yaw's sigma, local disturbances included: RMS over headings, slopes of `tilt`."""
+    """Return the yaw's sigma by the calibration and by the field along the drive, radians.
+
+    It is the root mean square over 24 headings, on the level or on slopes of `tilt` (rad) to four
+    sides.
+    """
     return math.hypot(calibration_sigma(estimate, tilt), local_sigma(estimate, tilt))
 
 
@@ -73,7 +77,11 @@ def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
 
 
 def arc_sigma(estimate: Estimate) -> float:
-    """Return the sigma of the arc by the compass on the level, the largest of starts, radians."""
+    """Return the sigma of the arc by the compass, on the level, radians.
+
+    It is the largest over all starts: a partial turn shows the circle's centre least along the
+    middle of the arc, and an error in that direction changes the arc.
+    """
     reference = field_in_enu(estimate.strength, estimate.inclination)
     jacobian = heading_jacobian(estimate.correction, reference, 0.0)
     apart = np.roll(jacobian, -round(estimate.arc / math.tau * HEADINGS), axis=0) - jacobian
@@ -82,7 +90,11 @@ def arc_sigma(estimate: Estimate) -> float:
 
 
 def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float) -> FloatArray:
-    """Return the yaw's derivative by the twelve numbers at all headings, on slopes of `tilt`."""
+    """Return the derivative of the yaw by the twelve numbers over all headings, radians each.
+
+    The field (3,) is the Earth's in ENU, tesla. With a `tilt` (rad) it is over slopes to four
+    sides.
+    """
     leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
     poses = np.concatenate([_all_headings(roll, pitch) for roll, pitch in leanings])
     return yaw_jacobian(correction, poses[:, :, 2], poses @ field_enu)
@@ -117,7 +129,12 @@ def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:
 
 
 def sideways_acceleration(window: Window) -> float:
-    """Return the angle between the gyro's mean axis and the mean specific force, radians."""
+    """Return the angle between the gyro's mean axis and the mean specific force, radians.
+
+    Over a full turn about any axis the true up averages to that axis. What is left is a steady
+    lateral acceleration, as of a car in a circle. The mean is over the angle, so a pause has no
+    weight.
+    """
     rate = window.angular_rate
     if rate is None:
         return 0.0

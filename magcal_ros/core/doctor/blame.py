@@ -42,7 +42,11 @@ WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is 
 def upright(
     log: SensorLog, given: Explanations | None, other: Explanations | None, turned_left: bool | None
 ) -> tuple[Finding, bool | None]:
-    """Return a line on where gravity points, and whether its sign errs; None if undecided."""
+    """Look at which way gravity points.
+
+    Return a line, and whether gravity's sign is what errs; None where that or the IMU's axes do.
+    `turned_left` is what the user says of the turn; None where that was not asked.
+    """
     usual = np.median(log.force, axis=0)
     usual = usual / max(float(np.linalg.norm(usual)), 1e-9)
     name = "accelerometer: up"

@@ -82,7 +82,10 @@ def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
 def course_findings(
     used: AxesInUse, seen: CourseSeen
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
-    """Return the lines on a compass against course, and the mounting that corrects its yaw."""
+    """Return the lines, and the mounting that corrects the yaw where it is wrong.
+
+    The course was compared with the compass that `used` makes; `seen` is the result.
+    """
     lines = []
     knows_imu = seen.imu_sigma < TUNING.vague
     if knows_imu:

@@ -144,7 +144,11 @@ class Explanations:
 
     @property
     def shows_the_unit(self) -> bool:
-        """Whether the gyro's unit is right: the best way fits well, and not by chance."""
+        """Whether the gyro's unit is right: the best way fits well, and not by chance.
+
+        In less than a quarter turn some axes of both sensors fit a field that changes from place to
+        place, whatever the gyro's unit.
+        """
         # In less than a quarter turn some axes of both fit a field that changes with the place.
         axes_fit = bool(self.rms[self.plain] < WEIGHED.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
@@ -169,7 +173,10 @@ def _are_right(axes: FloatArray) -> BoolArray:
 
 
 def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> Explanations | None:
-    """Weigh the ways in which axes may lie, from a bias (3,), rad/s, on; None if none moves."""
+    """Weigh the ways in which axes may lie; None where too little moves.
+
+    `bias` (3,) is that of the gyro's rates by a rest, rad/s: each fit begins with it.
+    """
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0

@@ -117,7 +117,10 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
 
 
 def repeats_finding(name: str, values: FloatArray) -> Finding:
-    """Look for samples (n, d) that repeat the one before, more often than by chance."""
+    """Look for values (n, d) of the sample before.
+
+    Coarse numbers repeat by chance, each axis for itself, and a frozen sensor for long.
+    """
     same = repeats(values)
     long = in_long_runs(same)
     axes = (np.diff(values, axis=0) == 0.0)[~long[1:]]
@@ -278,7 +281,10 @@ def _step(values: FloatArray) -> float:
 
 
 def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
-    """Look at the scatter of clean streams, three samples or more; rate times `factor` is rad/s."""
+    """Look at the scatter of both sensors; each stream has three samples or more.
+
+    The streams are clean, and `factor` makes rad/s of the gyro's numbers.
+    """
     field = float(white_noise(log.field).max())
     is_noisy = field > TUNING.field_noise and not likely_field_unit(usual_size(log.field))
     words = (

@@ -81,7 +81,10 @@ class Page:
 def examine(
     log: SensorLog, knowledge: Knowledge = Knowledge(), turned_left: bool | None = None
 ) -> Page:
-    """Look at all that a log shows; `turned_left` is what the user says, None if not asked."""
+    """Look at everything that a log shows of its sensors.
+
+    `turned_left` is what the user says of the turn; None where that was not asked.
+    """
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:
@@ -257,7 +260,10 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
 
 
 def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of readings that no fit can use, seen before the work; None of others."""
+    """Return the refusal of readings that no fit can use, seen before the work; None of others.
+
+    What is cut off at the end of a range looks like a smaller hard iron.
+    """
     for found in field_findings(window.field) if len(window) >= 3 else ():
         if found.is_wrong and found.key == "saturation":
             words = f"the magnetometer saturates ({found.evidence}): {found.remedy}"

@@ -129,7 +129,10 @@ QUIRKS: tuple[Quirk, ...] = (
 
 
 def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding]:
-    """Return a line for each driver whose habit the log or wrong field axes (3, 3) show."""
+    """Return a line for each driver whose habit a log shows.
+
+    `axes` (3, 3) are the magnetometer's, rows in the IMU's, where they alone err.
+    """
     return [
         looked_at("driver", "driver", f"as {each.driver}: {each.habit}", each.remedy)
         for each in QUIRKS

@@ -299,7 +299,10 @@ class MountingWatch:
         self._fitted_at = -math.inf
 
     def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
-        """Return the work of a fit, for any thread; its result is for `take`."""
+        """Return the work of fitting what was driven, for any thread; give `take` its result.
+
+        The sources after the first good one wait for every eighth fit, which measures latencies.
+        """
         self._fitted_at = stamp
         self._fits += 1
         # Every eighth fit looks at all sources, and measures their latencies.

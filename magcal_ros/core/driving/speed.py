@@ -63,7 +63,11 @@ class SpeedRecord:
 
 
 class SpeedTrack:
-    """What one source has measured lately; its stamps are late by `delay`, seconds."""
+    """What one source has measured lately.
+
+    `delay` are the seconds by which its stamps are late, and `is_signed` is whether backwards is
+    negative.
+    """
 
     def __init__(self, source: SpeedSource) -> None:
         own = source is SpeedSource.ODOMETRY
@@ -244,7 +248,10 @@ class OwnAcceleration:
         self.is_used = False
 
     def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
-        """Return a trip's sign, whether the force has decided on it, and whether it still may."""
+        """Return the sign of a trip under way at a stamp, or that ended after it.
+
+        And whether the force has decided on it, and whether it may still do so.
+        """
         if stamp > self._before.end:
             return self.sign, self.is_clear, True
         return self._before.sign, self._before.is_clear, False
@@ -275,7 +282,10 @@ class OwnAcceleration:
         return met
 
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
-        """Return what to subtract from a force, m/s², body axes; None while it is not known."""
+        """Return what to subtract from a specific force, m/s², body axes; None if it is not known.
+
+        It does not come and go: a force that is corrected for moments only would mislead.
+        """
         since, gravity = self._gravity or (math.inf, force)
         is_known = self.is_used and 0.0 <= stamp - since <= OWN.oldest
         if not is_known or frame.axes is None or stamp < self._pauses_until:

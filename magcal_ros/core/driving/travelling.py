@@ -142,7 +142,10 @@ class Travelling:
         self._believe_fit()
 
     def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> Triple | None:
-        """Take an IMU sample; returns the own acceleration, m/s², body axes; None if unknown."""
+        """Take an IMU sample; returns the vehicle's own acceleration, m/s², body axes.
+
+        None where it is not known; then nothing is to be taken off.
+        """
         if not self.is_heard:
             return None
         tick = self._frame.add(sample, gyro_bias)
@@ -255,7 +258,11 @@ class Travelling:
 
 
 class TravelReplay:
-    """Merges travel samples into readings; `own` is the vehicle's acceleration, m/s², or zero."""
+    """Merges travel samples into a recording's readings, and follows up and speed along it.
+
+    `own` is the vehicle's own acceleration at the newest IMU sample, m/s², body axes; zero where it
+    is not known.
+    """
 
     def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:
         self._travel, self._streams = list(travel), streams

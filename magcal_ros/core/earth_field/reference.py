@@ -80,7 +80,11 @@ def place_of(fix: Fix) -> Place | str:
 
 
 class Fixes:
-    """Follows the robot's place by fixes; `stamp` (s) is that of the newest good one, else 0."""
+    """Follows the position by a receiver's fixes.
+
+    `place` is None before the first good fix; `stamp` (s) is that of the newest good one, zero
+    before it.
+    """
 
     def __init__(self) -> None:
         self.place: Place | None = None
@@ -127,7 +131,10 @@ class Fixes:
 
 
 class LocalPlane:
-    """The plane at the first good fix, its `origin` (equirectangular), right to 0.4%."""
+    """The plane that touches the Earth at the first good fix, its `origin` (equirectangular).
+
+    Its scale is right to 0.4%.
+    """
 
     def __init__(self) -> None:
         self.origin: Place | None = None
@@ -308,7 +315,10 @@ def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
 
 
 def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
-    """Return the warning that a calibration was made elsewhere; empty if not, or not known."""
+    """Return the warning that a calibration was made in another field; empty if it was not.
+
+    It is empty for a calibration that was made without a reference.
+    """
     if NO_REFERENCE in calibration.evidence.not_shown or not reference.is_complete:
         return ""
     strength, dip = reference.strength, reference.inclination

@@ -200,13 +200,20 @@ def decimal_year(stamp: float) -> float:
 
 
 def year_of(stamps: Iterable[float], clock: float) -> float:
-    """Return the earliest plausible date of stamps (s since 1970) as a year; else the clock's."""
+    """Return the earliest plausible date of stamps as a decimal year; without one, of a clock.
+
+    All are in seconds since 1970. Stamps that count from the start of a simulation or a machine are
+    left out.
+    """
     years = [decimal_year(stamp) for stamp in stamps if math.isfinite(stamp)]
     return min((year for year in years if year >= VALIDITY.first_year), default=decimal_year(clock))
 
 
 def model_field(place: Place, year: float) -> ModelField:
-    """Return the field of the newest model for place and year; `NoModel` long after its life."""
+    """Return the field of the World Magnetic Model for a place and a decimal year.
+
+    After the newest model's life its sigmas grow each year. Raises `NoModel` years after that.
+    """
     base = max((begun for begun in ERRORS if begun <= year), default=0)
     late = max(year - (base + VALIDITY.life), 0.0)
     if not base or not late <= VALIDITY.most_years_late:

@@ -16,7 +16,11 @@ ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
 
 def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
-    """Copy values into a read-only array; `ValueError` on NaN or another shape (-1: any)."""
+    """Copy `values` into a read-only float array of a given shape.
+
+    In `shape`, -1 stands for any length; `name` is for the words of the error. Raises `ValueError`
+    if the shape is another, or if a number is not finite.
+    """
     array = np.array(values, dtype=np.float64, order="C")
     fits = array.ndim == len(shape) and all(
         wanted in (-1, actual) for wanted, actual in zip(shape, array.shape, strict=True)
@@ -30,7 +34,10 @@ def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Fl
 
 
 def freeze(owner: object, **shapes: tuple[int, ...]) -> None:
-    """Make fields of a frozen dataclass that are not None read-only, by `frozen_array`."""
+    """Make fields of a frozen dataclass read-only arrays of given shapes, by `frozen_array`.
+
+    A field that is None stays None.
+    """
     for name, shape in shapes.items():
         values = getattr(owner, name)
         if values is not None:
@@ -38,7 +45,10 @@ def freeze(owner: object, **shapes: tuple[int, ...]) -> None:
 
 
 def centred(points: FloatArray, least: int, shape: str) -> tuple[FloatArray, FloatArray]:
-    """Return the centroid of points (n, d) and them about it; `Refusal` on NaN or too few."""
+    """Return the centroid (d,) of points (n, d), and the points about it.
+
+    Raises `Refusal` if a point is not finite, or if there are fewer than `shape` needs.
+    """
     if not np.isfinite(points).all():
         raise Refusal(Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting.")
     if len(points) < least:

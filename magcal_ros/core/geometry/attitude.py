@@ -50,14 +50,22 @@ def yaw_from_up_and_field(up: FloatArray, field: FloatArray) -> FloatArray:
 
 
 def body_from_enu(up: FloatArray, field: FloatArray) -> FloatArray:
-    """Return rotations (..., 3, 3) from magnetic ENU to body axes by up and field (..., 3)."""
+    """Return the rotation from magnetic ENU to body axes seen by gravity and field.
+
+    Both vectors (..., 3) are in body axes and not parallel. The columns of the rotations (..., 3,
+    3) are east, north and up in body axes.
+    """
     up = unit(up)
     east = unit(np.cross(field, up))
     return np.stack([east, np.cross(up, east), up], axis=-1)
 
 
 def field_in_enu(strength: float, inclination: float, declination: float = 0.0) -> FloatArray:
-    """Return the reference field in ENU, (3,); inclination down, declination east, radians."""
+    """Return the reference field in ENU, shape (3,), in the unit of `strength`.
+
+    `inclination` is positive where the field points down, and `declination` where magnetic north
+    lies east of true north, radians; without a declination it is magnetic ENU.
+    """
     level = strength * np.cos(inclination)
     return np.array(
         [level * np.sin(declination), level * np.cos(declination), -strength * np.sin(inclination)]

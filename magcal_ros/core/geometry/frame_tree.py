@@ -52,7 +52,11 @@ class FrameTree:
         return FrameTree([*self._above.values(), *joints])
 
     def pose(self, frame: str, parent: str) -> FloatArray:
-        """Return the rotation (3, 3) from `frame` to `parent`; `FrameTrouble` if none is known."""
+        """Return the rotation (3, 3) from the axes of `frame` to those of `parent`.
+
+        `parent` need not be above `frame`. Raises `FrameTrouble` if one of them is missing, if
+        nothing joins them, or if a joint between them moves.
+        """
         for name in (frame, parent):
             if name not in self.frames:
                 raise FrameTrouble(
@@ -126,7 +130,10 @@ class SensorPoses:
     complaints: tuple[str, ...] = ()  # what is missing
 
     def contradiction(self, up: FloatArray, frames: Frames) -> str:
-        """Return a warning if up at rest (3,), unit, IMU axes, contradicts the description."""
+        """Return the warning that gravity contradicts the description; empty if it does not.
+
+        `up` (3,) is that of a robot at rest, unit, IMU axes; `frames` are for the text.
+        """
         if self.imu is None:
             return ""
         lean = angle_between(self.imu[2], up)
@@ -140,7 +147,11 @@ class SensorPoses:
 
 
 def sensor_poses(frames: Frames, tree: FrameTree, given: FloatArray | None) -> SensorPoses:
-    """Return the poses of the sensors; `given` (3, 3) replaces the described magnetometer's."""
+    """Return the poses of the sensors.
+
+    With an empty base the robot's description is not used, and the base is the IMU. `given` (3, 3)
+    is the magnetometer's pose as given by hand; it replaces the described one.
+    """
     nothing: FloatArray = np.eye(3)
     if not frames.base:
         return SensorPoses(nothing if given is None else given, False, nothing)

@@ -62,7 +62,10 @@ def exp_rotations(vectors: FloatArray) -> FloatArray:
 
 
 def rotation_vectors(rotations: FloatArray) -> FloatArray:
-    """Return the vectors (n, 3) of rotations (n, 3, 3) below a quarter turn."""
+    """Return the vectors (n, 3) of small rotations (n, 3, 3), the inverse of `exp_rotations`.
+
+    Angles below a quarter turn.
+    """
     # The antisymmetric part is the axis times the sine of the angle.
     part = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
     sine = np.minimum(np.linalg.norm(part, axis=1), 1.0)
@@ -123,7 +126,10 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float = 0.0) -> FloatArray
 
 
 def rpy_from_rotation(pose: FloatArray) -> tuple[float, float, float]:
-    """Return roll, pitch (within ±90°), yaw of a pose, radians; at ±90° of pitch yaw is zero."""
+    """Return roll, pitch, yaw in radians of a pose: the inverse of `rotation_from_rpy`.
+
+    Pitch lies within ±90°. At ±90° roll and yaw turn about one axis and yaw is taken as zero.
+    """
     pitch = math.asin(min(1.0, max(-1.0, -float(pose[2, 0]))))
     if math.hypot(float(pose[0, 0]), float(pose[1, 0])) < 1e-9:
         roll = math.atan2(-float(pose[1, 2]), float(pose[1, 1]))
@@ -171,7 +177,10 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArr
 
 
 def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the smallest turn (3, 3) from one unit vector to another."""
+    """Return the smallest turn that takes the unit vector `start` to `end`, shape (3, 3).
+
+    Opposite vectors leave the axis open; any axis across them is taken.
+    """
     middle = start + end
     if np.linalg.norm(middle) < 1e-8:
         middle = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])

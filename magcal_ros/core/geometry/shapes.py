@@ -248,7 +248,10 @@ class Circle:
 
 
 def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
-    """Fit a circle to points (n, 3), its normal towards `upwards`; `Refusal` for a line."""
+    """Return `fit_circle_robustly` with the normal on the side of `upwards` (3,).
+
+    Raises `Refusal` if the points (n, 3) are too few, on a line, or one point.
+    """
     away = centred(points, 3, "circle")[1]
     spread = np.linalg.svd(away, compute_uv=False)
     _refuse_degenerate(np.asarray(spread[::-1]), points.mean(axis=0))
@@ -259,7 +262,10 @@ def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
 
 
 def fit_circle_robustly(points: FloatArray) -> Circle:
-    """Fit plane and circle to points (n, 3) by Cauchy weights; the normal has either sign."""
+    """Fit the plane of least spread and Taubin's circle in it, by Cauchy weights.
+
+    The points (n, 3) are in any unit; the normal has either sign. The radius is zero for one point.
+    """
     weight = np.ones(len(points))
     circle = _weighted_circle(points, weight)
     for _ in range(ROBUST_ROUNDS):
@@ -325,7 +331,10 @@ class Plane:
         return np.asarray((axes * information) @ axes.T)
 
     def normal_sigma(self, least_noise: float) -> float:
-        """Return the normal's larger sigma, radians; infinite where the cloud is not flat."""
+        """Return the larger standard deviation of the normal's direction in radians.
+
+        It is infinite where the cloud is not flat at all.
+        """
         middle = float(np.linalg.eigvalsh(self.normal_information(least_noise))[1])
         return float(1.0 / np.sqrt(middle)) if middle > 0.0 else np.inf
 

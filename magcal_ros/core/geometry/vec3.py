@@ -59,7 +59,11 @@ def between(a: Triple, b: Triple, share: float) -> Triple:
 
 
 def propagated(a: Triple, turn: Triple) -> Triple:
-    """Return a fixed direction in body axes after the body turned by a rotation vector, radians."""
+    """Return a direction fixed in the world, in body axes after the body turned.
+
+    `a` is in the body axes before, `turn` the rotation vector of the body in radians: Rodrigues'
+    formula for exp(-[turn]x) a.
+    """
     # Rodrigues' formula for exp(-[turn]x) a.
     p, q, r = turn
     x, y, z = a

@@ -137,7 +137,10 @@ def _suspicion(gap: float, sigma: float, declination: float) -> str:
 
 
 class BaseView:
-    """Turns headings of the IMU into those of its base; `imu_in_base` (3, 3) is the IMU's pose."""
+    """Turns headings of the IMU into headings of its base.
+
+    `imu_in_base` (3, 3) is the pose of the IMU, IMU axes to base axes.
+    """
 
     def __init__(self, imu_in_base: FloatArray) -> None:
         self.pose = imu_in_base

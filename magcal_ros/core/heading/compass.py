@@ -50,7 +50,11 @@ class Heading(NamedTuple):
         return quaternion_from_rpy(self.roll, self.pitch, true_yaw(self.yaw, declination))
 
     def covariance(self, north_variance: float = 0.0) -> tuple[float, ...]:
-        """Return the row-major covariance of roll, pitch and yaw, with the north's own, rad²."""
+        """Return the row-major 3 x 3 covariance of roll, pitch and yaw, rad².
+
+        `north_variance` is that of the north that yaw counts from, rad²: the declination's for true
+        north.
+        """
         t, ry, py = self.tilt_variance, self.roll_yaw, self.pitch_yaw
         roll = t / max(math.cos(self.pitch) ** 2, SMALLEST_FORWARD)
         return (roll, 0.0, ry, 0.0, t, py, ry, py, self.yaw_variance + north_variance)
@@ -125,7 +129,10 @@ class Compass:
     def at_rest(
         self, stamp: float, raw: Triple, rate: Triple | None, running: Running
     ) -> tuple[Triple, FloatArray | None]:
-        """Return the field (T) without that of motors, and the covariance of the latter, if any."""
+        """Return the corrected field without what motors add, and the covariance of the latter.
+
+        Stamps go on (`MotorsNow.add`); None where no motors are known.
+        """
         field = self.correct(raw)
         return (field, None) if self._now is None else self._now.add(stamp, field, rate, running)
 
@@ -185,7 +192,10 @@ class Compass:
 
 
 def field_variance(calibration: Calibration) -> float:
-    """Return the calibration's own variance of the corrected field, mean over axes, tesla²."""
+    """Return the variance of the corrected field per axis by the calibration's own, tesla².
+
+    The mean over all attitudes and axes.
+    """
     rows = np.diag(_body_covariance(calibration)).reshape(3, 4)
     matrix, offset = rows[:, :3].sum() / 3.0, rows[:, 3].sum()
     return float(calibration.strength**2 * matrix + offset) / 3.0
@@ -225,10 +235,10 @@ class Moment(NamedTuple):
         running: Running | None = None,
         turning: Triple | None = None,
     ) -> Moment:
-        """Return what a field sample comes to.
+        """Return what a field sample comes to by the compass in force.
 
-        Unless `running` is given the motors are off. `turning` is the believed gyro's rate without
-        bias, rad/s.
+        Unless `running` is given, the motors are taken to be off. `turning` is in rad/s, body axes,
+        less the gyro's bias; None where no gyro is believed.
         """
         field, motors, heading = compass.correct(sample.field), None, None
         if running is not None:

@@ -97,7 +97,11 @@ class DisturbanceDetector:
     def add(
         self, stamp: float, field: Triple, up: Triple, tilt_variance: float, yaw: float
     ) -> bool:
-        """Take field (T), up and its variance (rad²); returns whether a new field is accepted."""
+        """Take a corrected field (tesla, body axes); returns whether a new field was accepted.
+
+        `field` (tesla) and `up`, a unit vector, are in body axes; `tilt_variance` is that of up,
+        rad², and `yaw` is kept for the record.
+        """
         size = length(field)
         dip = math.asin(max(-1.0, min(1.0, -dot(field, up) / size))) if size > 0.0 else 0.0
         seconds, self._stamp = stamp - self._stamp, stamp
@@ -200,7 +204,11 @@ class FieldDoubt:
         self._stamp = math.nan
 
     def add(self, stamp: float, field: Triple, up: Triple, tilt_variance: float) -> float:
-        """Take field (T), up and its variance; returns the yaw's variance by disturbances, rad²."""
+        """Take a field; returns the variance of the yaw by disturbances, beside its own.
+
+        `field` is corrected, tesla, `up` a unit vector, both in body axes; `tilt_variance` is that
+        of up, rad².
+        """
         rise, square = dot(field, up), dot(field, field)
         level = math.sqrt(max(square - rise * rise, 0.0))
         off = (level - self._level) ** 2 + (rise - self._rise) ** 2

@@ -94,7 +94,11 @@ class FusedYaw:
         known: GyroBias = UNBIASED,
         is_at_rest: bool = False,
     ) -> None:
-        """Go on to an IMU message with its up, and the mean rate (rad/s) less the `known` bias."""
+        """Go on to the next IMU message.
+
+        `up` belongs to the message. `rate` is the mean since the one before, rad/s, less the bias
+        `known`. At rest the field of the place stays the same.
+        """
         seconds = stamp - self._stamp
         if not 0.0 < seconds <= STREAMS.longest_gyro_step and self._north is not None:
             self.restart()
@@ -155,7 +159,11 @@ class FusedYaw:
         self._turn(following.observe_bias(left, noise))
 
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
-        """Let the compass correct the yaw, by a corrected field (T) with the up of its stamp."""
+        """Let the compass correct the yaw.
+
+        `field` is corrected, tesla, body axes, `up` belongs to its `stamp`, and `heading` is what
+        the compass makes of both.
+        """
         seen = levelled(field, up.direction)
         if seen is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
             return

@@ -132,10 +132,11 @@ class PlaceFieldTuning:
     def change(
         self, place: FloatArray, turned: FloatArray, faster: FloatArray, way: float, seconds: float
     ) -> FloatArray:
-        """Return the covariance (3, 3) that a propagated field of the place gains, µT².
+        """Return the covariance that a propagated field of the place gains, µT², shape (3, 3).
 
-        `place` is in µT, body axes; it has `turned` (rad), by rates `faster` (rad/s) than before,
-        for a `way` (m).
+        `place` (3,) is the field in µT, body axes, `turned` (3,) the radians by which the robot has
+        turned, `faster` (3,) the rad/s by which the turn rate has grown, and `way` the metres that
+        the magnetometer has gone, zero at rest.
         """
         lost = self.turn_error**2 * math.sqrt(float(turned @ turned))
         lost += self.latency**2 * float(faster @ faster)

@@ -373,7 +373,10 @@ def misfit(yaws: list[CompassYaw], known: float = math.inf) -> float:
 
 
 def excess_variance(yaws: list[CompassYaw]) -> float:
-    """Return the further variance of each for all to agree, rad² (DerSimonian and Laird)."""
+    """Return the variance that each must have beside its own for all to agree, rad².
+
+    The estimate of DerSimonian and Laird for the variance between the studies of a meta-analysis.
+    """
     weights = [1.0 / each.variance for each in yaws]
     spread = sum(weights) - sum(weight**2 for weight in weights) / sum(weights)
     if spread <= 0.0:

@@ -49,13 +49,12 @@ class FusionTuning:
     """Median of the seconds over which such a heading is wrong by the same, and standard deviation
     of their natural logarithm: noise is new with each message, reflections last for a minute."""
     heading_wander: float = 7e-4  # rad/s per root second: .3°/s within a minute
-    wander_lasts: float = 100.0
-    wander_jump: float = 0.1
+    """Change of the rate at which such headings drift, where reflections or a wrong ambiguity turn
+    them. A bias of the gyro that walks looks the same."""
+    wander_lasts: float = 100.0  # seconds over which the drift's rate and its error last
+    wander_jump: float = 0.1  # radians of error when headings come back from beyond the gate
     wander_odds: tuple[float, float] = (0.1, 1e-3)
-    """By how much the rate at which such headings drift changes where reflections or a wrong
-    ambiguity turn them, over how many seconds both rate and error last, the radians by which they
-    are off where they come back from beyond the gate, and the odds of such a device, and that it
-    becomes one within `heading_tau`: a gyro whose bias walks looks the same."""
+    """Prior odds that a device drifts, and that a sound one begins to within `heading_tau`."""
     heading_gate: float = 4.0  # sigmas by which such a heading may miss
     unknown: float = 0.5  # radians of uncertainty of a start in a field that is not expected
     start: float = 5.0  # seconds from the start in which that may be found out
@@ -91,7 +90,11 @@ class YawFilter:
         disturbance: float,
         compass: FloatArray = PERFECT,
     ) -> None:
-        """Start from a compass, by variances of its yaw, bias and disturbance: rad², (rad/s)²."""
+        """Start from a compass reading and its errors.
+
+        The variances are those of the reading but for the disturbance, rad², of the bias, (rad/s)²,
+        and of the disturbance, rad².
+        """
         self.bias = self.disturbance = 0.0
         self.yaw_variance = yaw_variance + disturbance
         self.bias_variance, self._disturbance = bias_variance, disturbance
@@ -125,7 +128,10 @@ class YawFilter:
         self.bias_variance += bias_lost
 
     def move_on(self, share: float, variance: float) -> None:
-        """Keep a share (0 to 1) of the disturbance; `variance` is that of a new one, rad²."""
+        """Let the disturbance become another one.
+
+        `share` of it is left, 0 to 1, and `variance` is that of a disturbance, rad².
+        """
         self.disturbance *= share
         self._yaw_disturbance *= share
         self._bias_disturbance *= share
@@ -258,7 +264,10 @@ class GyroLoss:
         self.begin(0.0, 0.0)
 
     def begin(self, bias: float, variance: float) -> None:
-        """Follow gap and bias (rad/s, with its variance) anew; the sizes are still known."""
+        """Follow gap and bias anew; the sizes are still known.
+
+        The gyro's whole bias about up, rad/s, is known with a variance, (rad/s)².
+        """
         self._stamp, self._heard = math.nan, -math.inf
         count = len(self._walks)
         self._state: FloatArray = np.tile([0.0, -bias, 0.0, 0.0, 0.0], (count, 1))
@@ -304,7 +313,7 @@ class GyroLoss:
         covariance = self._covariance = step @ self._covariance @ step.T
         covariance[:, 0, 0] += lost * self._shares
         for angle, walks in ((0, self._walks), (3, self._wanders)):
-            rate, walked = (1, 4)[angle > 0], walks * seconds
+            rate, walked = angle + 1, walks * seconds
             covariance[:, angle, angle] += walked * seconds**2 / 3.0
             covariance[:, angle, rate] += 0.5 * walked * seconds
             covariance[:, rate, angle] += 0.5 * walked * seconds

@@ -110,7 +110,10 @@ def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
 
 
 def difference(old: Calibration, new: Calibration) -> float:
-    """Return the RMS over headings by which two calibrations differ, less a constant, radians."""
+    """Return the RMS over headings by which two calibrations differ, radians.
+
+    The constant is taken off: no drive shows it.
+    """
     apart = headings_apart(new.correction, old.correction, new.strength, new.inclination)
     turn = np.exp(1j * apart)
     return math.sqrt(float(np.mean(np.angle(turn / turn.mean()) ** 2)))
@@ -148,7 +151,10 @@ class Mode(str, Enum):
 
 
 class Probation(NamedTuple):
-    """A candidate as it is known by now; each earlier step is for the road from there."""
+    """A candidate that has to prove itself, as it is known by now, and what it was at each look.
+
+    Each step is for the road from there; road counts from the first one on.
+    """
 
     candidate: DriveCandidate
     steps: tuple[Step, ...]

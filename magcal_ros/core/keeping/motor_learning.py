@@ -97,7 +97,11 @@ class MotorLearning:
         self._forget_place()
 
     def add(self, stamp: float, raw: Triple, rate: Triple, running: Running) -> bool:
-        """Take a raw field (T) and the rate (rad/s less bias); returns whether a block is done."""
+        """Take a raw field sample with what the robot does; returns whether a block is done.
+
+        The stamp is in seconds, `raw` in tesla as the magnetometer reads it, `rate` in rad/s in
+        body axes, less the gyro's bias, and `running` what the motors do.
+        """
         seconds, self._stamp = stamp - self._stamp, stamp
         if not 0.0 < seconds < PLACE_FIELD.longest:
             self._forget_place()

@@ -81,7 +81,10 @@ class SelfCalibration:
         self._is_outdated = True
 
     def put_in_force(self, calibration: Calibration | None) -> None:
-        """Take note of what is in force; if it was decided here, the one before stays on trial."""
+        """Take note that another calibration is in force, by whomever.
+
+        One that it had decided for itself keeps the one before on trial; any other begins anew.
+        """
         old = self._in_force
         if is_same(calibration, old):
             return
@@ -142,7 +145,10 @@ class SelfCalibration:
         self.lost += 1
 
     def note(self, findings: Findings) -> list[Decision]:
-        """Take what a job found; returns what was decided, to be put in force or proposed."""
+        """Take what a job found; returns what was decided.
+
+        A calibration of a decision is to be put in force, or offered where it is `PROPOSED`.
+        """
         is_current = self._is_pending and not self._is_outdated
         self._is_pending, self.lost = False, 0
         if not is_current:

@@ -64,7 +64,10 @@ def replayed(
     travel: Iterable[TravelSample],
     machine: SelfCalibration | None = None,
 ) -> DriveStory:
-    """Run self-calibration on readings in order, and travel by stamp; returns what it decided."""
+    """Run self-calibration on a recording, and return what it decided.
+
+    Readings are in their order, travel by stamp; `calibration` is in force at the beginning.
+    """
     streams, ways = Streams(STREAMS.max_gap), list(travel)
     replay, now = TravelReplay(ways, streams), calibration
     machine = SelfCalibration(Mode.APPLY) if machine is None else machine

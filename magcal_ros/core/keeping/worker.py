@@ -81,7 +81,11 @@ def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveC
 
 
 def prove(nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowledge) -> Proof:
-    """Compare two calibrations on road that neither was fitted to (prequential; Dawid, 1984)."""
+    """Compare two calibrations on road that neither was fitted to.
+
+    Of a new one that is fitted anew now and then each stretch is predicted by the fit before it
+    (prequential; Dawid, 1984), so that all road since the first fit counts.
+    """
     road = nodes.between(new[0].since)
     if len(road) < 4:
         return Proof()

@@ -228,7 +228,7 @@ def _arc(found: Smoothed, window: Window) -> float:
     """Return the range of the angle about the main axis of rotation, radians, at most 2 pi."""
     attitude, nodes = found.fit.state.attitude, found.nodes
     steps = rotation_vectors(attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2))
-    # A sway comes back, however fast it is: the turn adds up.
+    # The steps of a sway cancel each other, however fast it is; those of the turn add up.
     turned = np.insert(np.cumsum(steps, axis=0), 0, 0.0, axis=0)
     main = np.linalg.svd(turned - turned.mean(axis=0), full_matrices=False)[2][0]
     angle = turned @ main

@@ -165,7 +165,10 @@ def fit_waves(
 
 
 class GyroWaves(NamedTuple):
-    """Compass less gyro (rad) at some rows, and its harmonics; none of a part of a turn."""
+    """Compass less gyro: the rows that are compared, the deviation there, and its harmonics.
+
+    There are no harmonics of a part of a turn, which cannot tell them from a bias of the gyro.
+    """
 
     rows: IntArray
     deviation: FloatArray
@@ -214,7 +217,11 @@ def compass_less_gyro(records: FloatArray, heading: FloatArray, sigmas: float) -
 def check_beside_chance(
     bound: Bound, figure: float, chance: float, before: float | None = None, decided: bool = False
 ) -> Check:
-    """Grade what chance does not explain of a figure; where it may explain all, it is doubtful."""
+    """Grade the part of a figure that chance does not explain.
+
+    Where chance alone reaches the bound of stale, the turn is inconclusive: doubtful, unless the
+    figure is small, or the drive itself has shown whether iron was added (`decided`).
+    """
     excess = math.sqrt(max(figure**2 - chance**2, 0.0))
     seen = chance * bound.scale
     note = f", of which chance may be {shown(seen)}{bound.unit}" if seen > 0.5 * bound.good else ""

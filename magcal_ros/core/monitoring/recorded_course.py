@@ -68,7 +68,10 @@ def recorded_course(
     travel: Iterable[TravelSample],
     declination: float | None = None,
 ) -> RecordedCourse | None:
-    """Compare a compass with course, at a declination, rad; None where nothing was straight."""
+    """Compare a calibration's compass with course; None where nothing was driven straight.
+
+    Readings are in their order, travel by stamp; `declination` (rad) is that of the place.
+    """
     replay = TravelReplay(travel, Streams(STREAMS.max_gap))
     travelling = replay.travelling
     for _, yaw in _yaws(calibration, replay, readings):

@@ -138,7 +138,11 @@ class Watched:
 def measure(
     records: FloatArray, calibration: Calibration
 ) -> tuple[tuple[Check, ...], tuple[float, float]]:
-    """Return the findings of a drive's records (n, 7), and the hard iron's change, T in x and y."""
+    """Compare the records (n, 7) of a drive with what the calibration predicts.
+
+    Returns the findings, and the hard iron's change, tesla in body x and y. What does not stand out
+    of chance is no finding.
+    """
     figures, iron = _gyro_figure(records), (0.0, 0.0)
     if not what_lacks(records):
         swings, iron = _swings(records, calibration)

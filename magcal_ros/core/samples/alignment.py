@@ -22,7 +22,11 @@ from magcal_ros.core.samples.window import Stretch
 
 @dataclass(frozen=True)
 class AlignmentTuning:
-    """What is assumed while the axes are weighed: wide enough for the faults looked for."""
+    """What is assumed while the axes are weighed.
+
+    Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a second of
+    latency.
+    """
 
     installation: float = math.radians(5.0)
     """Radians, standard deviation of the installation error about each axis."""
@@ -85,7 +89,10 @@ def align(
     with_up: bool = True,
     bias: FloatArray = NO_BIAS,
 ) -> Alignment:
-    """Fit every candidate of an `AlignmentFit`; `bias` (3,) of the gyro is the start, rad/s."""
+    """Fit every candidate and say how much worse than the best it explains the samples.
+
+    Takes the same as `AlignmentFit`; `bias` (3,) is that of the gyro's rates at first, rad/s.
+    """
     problem = AlignmentFit(stretch, axes, gyro, WIDE, with_up)
     some, noise = problem.descend(problem.start(bias), START_NOISE, FIRST_STEPS), START_NOISE
     information, _, cost = problem.normal_equations(some, noise)
@@ -191,7 +198,10 @@ class AlignmentFit:
         return state
 
     def propagate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return attitudes (k, n, 3, 3), and what bias and scale turn them by, (k, n, 3, 4)."""
+        """Return attitudes (k, n, 3, 3) from the first sample's, and what bias and scale do.
+
+        The latter has shape (k, n, 3, 4): rotation vectors, on the left of the attitudes.
+        """
         bias, scale = state[:, BIAS], state[:, SCALE]
         seconds = self.stretch.seconds
         count, n = len(state), len(seconds) + 1
@@ -210,7 +220,10 @@ class AlignmentFit:
         return attitude, moved
 
     def linearised(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return residuals (k, s, n, 3) of field and up, and their Jacobian (k, s, n, 3, 23)."""
+        """Return measured less expected, and how what is expected changes with the parameters.
+
+        Shapes (k, s, n, 3) and (k, s, n, 3, 23); the first sensor is the field, the second up.
+        """
         attitude, moved = self.propagate(state)
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
         rate = (1.0 + state[:, SCALE, None, None]) * self.rate - state[:, None, BIAS]
@@ -249,7 +262,10 @@ class AlignmentFit:
     def normal_equations(
         self, state: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return information (k, 23, 23), gradient (k, 23) and cost (k,), -2 log(posterior)."""
+        """Return information (k, 23, 23), gradient (k, 23) and cost (k,) with robust weights.
+
+        The cost is twice the negative logarithm of the posterior.
+        """
         residual, jacobian = self.linearised(state)
         nu, sigma = self.tuning.freedom, noise[: self.sensors, None]
         share = self.share[:, None] * (nu + 3.0)

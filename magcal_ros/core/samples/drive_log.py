@@ -164,10 +164,21 @@ class DriveRecorder:
     def add(
         self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
     ) -> bool:
-        """Take a field sample with what else was measured at its stamp, seconds.
+        """Take a field sample with what else was measured at its stamp.
 
-        Raw field (tesla), specific force (m/s²), rad/s, and speed (m/s; NaN where nobody measures
-        it). Returns whether more of the drive is known than before.
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        field, force, rate : tuple of float
+            Raw field (tesla); specific force (m/s²); rad/s.
+        speed : float
+            m/s; NaN where nobody measures it.
+
+        Returns
+        -------
+        bool
+            Whether more of the drive is known than before.
         """
         if not 0.0 <= stamp - self._newest <= self._longest_silence:
             self._end_piece()
@@ -193,7 +204,11 @@ class DriveRecorder:
         self._begin_piece()
 
     def log(self) -> DriveLog:
-        """Return what is kept, by the drive's own clock, less the gyro's bias if rests show it."""
+        """Return everything that is kept, by the drive's own clock.
+
+        The gyro's bias is taken off the rates where rests have shown it, between two of them as it
+        changes from one to the other.
+        """
         rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
         time, rate, sigma = rows[:, 0], rows[:, RATE], math.inf
         if self._rested:

@@ -300,7 +300,10 @@ class Streams:
 
 
 def enclosing(samples: Sequence[Stamped], stamp: float) -> tuple[Stamped, Stamped | None] | None:
-    """Return the newest sample at or before a stamp and the next; None if all come later."""
+    """Return the newest sample at or before a stamp, and the one after it.
+
+    Samples begin with their stamps, which increase. None where all are later.
+    """
     after = None
     for sample in reversed(samples):
         if sample[0] <= stamp:  # type: ignore[operator]
@@ -357,7 +360,10 @@ class Pairer:
 
 
 class SpeedSample(NamedTuple):
-    """Speed along the vehicle's x (m/s, negative backwards if `is_signed`) at a stamp (s)."""
+    """Speed along the vehicle's x (m/s, negative backwards) at a stamp (s).
+
+    `is_signed` is false where the source knows no backwards: a receiver's speed over ground.
+    """
 
     stamp: float
     speed: float

@@ -98,7 +98,10 @@ LEAST_UPRIGHT = 0.5
 
 
 def explained(refusal: Refusal, window: Window) -> Refusal:
-    """Add the field's likely unit, axes that point down, or stamps in bursts, to a refusal."""
+    """Add the field's likely unit, axes that point down, or stamps in bursts, to a refusal.
+
+    Either upsets every check before it shows by itself.
+    """
     if len(window) == 0:
         return refusal
     hint = likely_field_unit(usual_size(window.field))

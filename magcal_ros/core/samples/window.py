@@ -60,7 +60,10 @@ class Window:
 
     @property
     def bias_sigma(self) -> float:
-        """Sigma of the bias that `angular_rate` still has, rad/s; infinite if no rest shows it."""
+        """Sigma of the bias that `angular_rate` still has, rad/s; infinite where it is unknown.
+
+        It was taken off where a rest has shown it.
+        """
         return min([self.sigma_before, *(rest.rate_sigma for rest in self.rests)])
 
     def __len__(self) -> int:
@@ -74,7 +77,10 @@ class Window:
 
 
 def white_noise(values: FloatArray) -> FloatArray:
-    """Return the noise of samples (n, 3) per axis, by fourth differences; zero for too few."""
+    """Return the noise of samples (n, 3) per axis by fourth differences, to which sway adds little.
+
+    It is zero where there are too few.
+    """
     bends = np.diff(values, 4, axis=0)
     if not len(bends):
         return np.zeros(values.shape[1])
@@ -166,7 +172,10 @@ class Stretch:
 def stretch_of_log(
     log: SensorLog, lag: float = 0.0, tuning: StretchTuning = TUNING
 ) -> Stretch | None:
-    """Average a finite log, its field late by `lag` (s); None where it has too little of a turn."""
+    """Average a log of increasing stamps that has a gyro; None where there is too little of it.
+
+    Its numbers are finite; `lag` (seconds, by which the field is late) is taken off its stamps.
+    """
     field_time = log.field_time - lag
     span = _liveliest(log, field_time, tuning.longest)
     if span is None:

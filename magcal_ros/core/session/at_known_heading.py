@@ -335,7 +335,11 @@ class HeadingCollector:
         reference: ReferenceField,
         max_gap: float = 0.0,
     ) -> bool:
-        """Take a field sample; returns whether enough is new for a fit of headings of `forward`."""
+        """Take a field sample; returns whether enough is new for a fit.
+
+        `forward` (3,) is the direction in the IMU's axes whose heading is sent, to true north or
+        to magnetic north; `max_gap` is as of `UpFollower.at`.
+        """
         up, heading = self._up.at(sample.stamp, max_gap), self.newest
         given = ExternalHeading(heading.yaw, heading.sigma, is_true)
         shift = given.to_magnetic(reference)

@@ -106,7 +106,11 @@ class TurnSince:
         self._stamp = math.nan
 
     def add(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> None:
-        """Integrate the rate, rad/s less a bias of such a variance, up to a stamp, seconds."""
+        """Integrate the gyro up to an IMU message at a stamp, seconds.
+
+        `up` is unit, `rate` the mean since the message before, rad/s less the known bias, body
+        axes. The variance is of that bias about up, (rad/s)².
+        """
         seconds = stamp - self._stamp
         self._stamp = stamp
         if math.isnan(seconds):
@@ -129,7 +133,10 @@ class TurnSince:
 
 
 class HeadingAgainstGyro:
-    """Whether the headings of a device turn as the gyro does; else `fault` says how they differ."""
+    """Whether the headings of a device turn as the gyro does.
+
+    `fault` says in words how they differ; it is empty while they agree.
+    """
 
     def __init__(self) -> None:
         self.fault = ""

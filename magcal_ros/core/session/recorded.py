@@ -67,7 +67,11 @@ NEVER_TOGETHER = (
 
 
 class Gathering:
-    """Takes a whole recording into one session that does not end; it thins its samples."""
+    """Takes a whole recording into one session, which does not end by itself.
+
+    Memory is bounded: the session thins its samples, whatever the recording's length. The topics
+    are names for messages.
+    """
 
     def __init__(
         self, mounting: Mounting, imu_topic: str = "the IMU", field_topic: str = "the field"
@@ -166,7 +170,10 @@ def fit_gathered(
     method: str = METHODS[0],
     progress: Callable[[float], object] | None = None,
 ) -> Outcome:
-    """Calibrate from what was gathered; bad data are a refused outcome. `progress`: 0 to 1."""
+    """Calibrate from what was gathered; bad data are a refused outcome, perhaps without a window.
+
+    `progress` takes the share of the work that is done, 0 to 1, of a fit that takes long.
+    """
     log = gathering.drive()
     if method == DRIVES:
         return calibrate_drive(log, knowledge)
@@ -187,9 +194,10 @@ def fit_several(
     knowledge: Knowledge,
     method: str = METHODS[0],
 ) -> tuple[Outcome, int]:
-    """Join the turns of several recordings; returns the outcome, and whose window it has.
+    """Join the turns of several recordings into one calibration.
 
-    A recording without a turn is left out, with the reason. Misuse if the method cannot join turns.
+    Returns the outcome, and which recording its window is from. A recording without a turn is left
+    out, with the reason. Misuse if the method cannot join turns.
     """
     looked = [_window_or_refusal(gathering) for gathering in gatherings]
     windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}
@@ -225,7 +233,10 @@ def without_motors(
     travel: Iterable[TravelSample],
     currents: Sequence[tuple[float, float]],
 ) -> Iterator[AnyReading | FieldSample]:
-    """Yield the readings, fields without what motors add by travel and currents (s, A) by stamp."""
+    """Yield the readings; raw fields are those of the robot with its motors off.
+
+    Speeds of the wheels in `travel`, and `currents` (stamps in s, battery in A), are by stamp.
+    """
     if calibration.motors is None:
         yield from readings
         return

@@ -98,10 +98,10 @@ def planned_duration(speed: float) -> float:
 
 
 class RotationPlan:
-    """A turn to the left until all headings were seen, and back; `fault` is why it broke off.
+    """A turn to the left until every heading was seen or the turn is full, and as far back.
 
-    It may take `longest` seconds. `objection` is why it must not go on, by the gyro's angle or the
-    commanded one.
+    Speed and commands are in rad/s; `now` is in seconds on a steady clock. `fault` says why the
+    plan was broken off, if it was.
     """
 
     def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
@@ -198,7 +198,11 @@ class RotationPlan:
 
 
 def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArray) -> str:
-    """Say how the field (n, 2) contradicts the gyro's angles (n,), rad; empty if it does not."""
+    """Say how the field contradicts the gyro; empty if it does not, or it is too early to say.
+
+    The angles by gyro and by commands are (n,), radians to the left; the field in two level axes is
+    (n, 2), tesla.
+    """
     for span in TUNING.spans:
         rows = _last(span, turned, commanded)
         if len(rows) < 10:

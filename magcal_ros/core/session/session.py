@@ -156,7 +156,12 @@ class Session:
         return float(self._buffer[self._size - 1, 0]) if self._size else -math.inf
 
     def add(self, pair: Pair, now: float) -> None:
-        """Take a pair; a repeated stamp is left out, after an older one the turn starts again."""
+        """Take a pair.
+
+        One with the stamp of the newest is left out. An older stamp means that time was set back,
+        by a clock or by a bag that loops. The robot may have moved meanwhile, so the turn starts
+        again.
+        """
         stamp, newest = pair.field.stamp, self.newest
         if stamp == newest:
             return

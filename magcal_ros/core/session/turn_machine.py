@@ -24,7 +24,10 @@ from magcal_ros.core.session.session import TUNING, Brief, Progress, Session, St
 
 @dataclass(frozen=True)
 class Conclusion:
-    """How a turn ended, or what a request led to; as a command: answer all who wait."""
+    """How a turn ended, or what a request led to.
+
+    As a command: answer everyone who waits for the turn, and release what computes for it.
+    """
 
     success: bool
     message: str

@@ -266,7 +266,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     per_node = np.median(nodes.count) / nodes.count[:-1]
     force = factors_by_field.force_at_nodes(course, state)
     keeps = np.exp(-nodes.seconds / model.priors.lengths.sway)
-    # What the motors' field turns at a start looks like a turn: no heading is carried over it.
+    # At starts and stops the motors turn the field, which looks like a turn of the robot.
     starts = course.still[1:] != course.still[:-1]
 
     def sized(name: str, linear: Linear, scale: FloatArray) -> Weighted:

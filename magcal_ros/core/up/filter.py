@@ -196,7 +196,11 @@ class UpFilter:
         self.covariance[range(first, 12), range(first, 12)] = np.square(sigmas[first - 6 :])
 
     def predict(self, up: Triple, turned: Triple, seconds: float, motion: MotionPrior) -> None:
-        """Go on by a block: `up` after it by the gyro, and how far the body `turned`, rad."""
+        """Go on by a block of messages.
+
+        `up` is up after the block, propagated by the gyro less its bias, `turned` the radians that
+        the body turned by in body axes, and `motion` how the robot may move.
+        """
         step = self._transition
         fast = math.exp(-seconds / FILTER.speed_lasts)
         kept = math.exp(-seconds / FILTER.acceleration_lasts)
@@ -219,10 +223,11 @@ class UpFilter:
         self.covariance = p
 
     def observe_force(self, innovation: FloatArray, variance: float, rate: float) -> None:
-        """Take a block's mean force less up, g (3,), its variance, g², and the turn rate, rad/s.
+        """Take the mean of accelerometer less propagated up over a block, and its variance.
 
-        Rolling and pitching shake rather than turn, and an engine shakes sensor and seat in one
-        time.
+        `innovation` (3,) and the `variance` of its noise are in g and g². `rate` is that of the
+        turn about up meanwhile, rad/s. Rolling and pitching are shaking rather than turning, and an
+        engine shakes sensor and seat in one time.
         """
         reads = self._reads
         reads[:, 6:9] = _sideways(self.state[:3].tolist(), rate)
@@ -240,7 +245,11 @@ class UpFilter:
             self.covariance -= gain_rows[:, None] * (gain_rows / spread)
 
     def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
-        """Take a mean rate (3,) at rest, rad/s, and its variance; nothing is said about `axis`."""
+        """Take the mean rate of a block of a robot that does not turn.
+
+        `rate` (3,) is in rad/s, `variance` of its noise in (rad/s)². `axis` is the unit vector
+        about which the robot may turn all the same, where there is one.
+        """
         shown = IDENTITY if axis is None else IDENTITY - np.outer(axis, axis)
         reads = np.zeros((3, 12))
         reads[:, 3:6] = shown

@@ -101,7 +101,10 @@ def _followed(
 
 
 class Levelling:
-    """Smooths the direction of the specific force over gravity: `up`, unit, body axes."""
+    """Smooths the direction of the specific force.
+
+    It begins with a force over gravity that is not zero; `up` is a unit vector, body axes.
+    """
 
     def __init__(self, force: Triple) -> None:
         self.up = unit_triple(force)
@@ -128,7 +131,11 @@ class Levelling:
 
     @property
     def variance(self) -> float:
-        """Variance of up, rad², by its scatter and by how accelerations stretch the force."""
+        """Variance of up in either direction, rad².
+
+        Up that scatters is not known better than that, and an acceleration of p g across up
+        stretches the accelerometer by p²/2.
+        """
         stretch = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.smallest)
         return FILTER.floor**2 + self._scatter + stretch
 
@@ -215,11 +222,19 @@ class UpFollower:
         return self._ups[-1][0] if self._ups else -math.inf
 
     def add_field(self, stamp: float, field: Triple) -> None:
-        """Take a raw field sample, in any unit: whether it turns separates a turn from a bias."""
+        """Take a raw field sample: whether it turns separates a slow turn from a gyro's bias.
+
+        The stamp is on the clock of the IMU, seconds; the field may be in any unit, calibrated or
+        not.
+        """
         self._propagation.field.add(stamp, field)
 
     def add(self, sample: ImuSample, linear_acceleration: Triple | None = None) -> None:
-        """Take an IMU sample, and the robot's own acceleration (m/s², body axes) where measured."""
+        """Take the next IMU sample; one that does not follow the last starts anew.
+
+        `linear_acceleration` (m/s², body axes) is that of the robot itself, where it is measured,
+        as from a speed v it is (dv/dt, v w_z, 0). It is subtracted from the specific force.
+        """
         if not SMALLEST_FORCE < length(sample.force) < LARGEST_FORCE:
             return
         last, self._last = self._last, sample

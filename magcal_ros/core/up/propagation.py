@@ -99,7 +99,10 @@ class GyroPropagation:
     def add(
         self, stamp: float, force: Triple, rate: Triple, seconds: float, is_given: bool = False
     ) -> None:
-        """Take a force (g; less an acceleration that was measured if `is_given`) and a rate."""
+        """Take force (g) and rate so many seconds after the ones before.
+
+        With `is_given` the force is already less a linear acceleration that was measured.
+        """
         before, old = self._rate, self._force
         self._stamp, self._rate, self._force = stamp, rate, force
         if is_given is not self._is_given:

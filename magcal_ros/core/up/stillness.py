@@ -30,7 +30,10 @@ from magcal_ros.core.up.filter import CHECK, REST
 
 
 class FieldStillness:
-    """Compares the `mean` field of the last tenths of a second with that when a spell began."""
+    """Compares the field of the moment with that at the beginning of a spell.
+
+    `mean` is the field of the moment, averaged over some tenths of a second.
+    """
 
     def __init__(self) -> None:
         self._stamp = -math.inf
@@ -67,7 +70,10 @@ class FieldStillness:
         return abs(stamp - self._stamp) < REST.field_lasts
 
     def has_turned(self, rate: float) -> bool | None:
-        """Whether the robot turns at the gyro's unexplained rate, rad/s; None: cannot be told."""
+        """Whether the robot really turns at a rate; None while the field cannot tell.
+
+        `rate` is what the gyro reads about up beyond its known bias, rad/s.
+        """
         seconds = self._stamp - self._since
         if not seconds > 2.0 * REST.field_mean:
             return None
@@ -164,7 +170,10 @@ class ShakenRest:
         self._begin()
 
     def add(self, block: BlockMeans, field: Triple) -> tuple[FloatArray, FloatArray, float] | None:
-        """Take a block and its field; returns mean force, g, and rate, rad/s, with its variance."""
+        """Take a block and the raw field at its end, in any unit; None while nothing is shown.
+
+        Returns mean force (3,), g, and rate (3,), rad/s, with its variance per axis.
+        """
         self._count += 1
         self._seconds += block.seconds
         force, rate, total = self._sums
@@ -209,7 +218,11 @@ class GyroCheck:
         self._seconds = self._variance = 0.0
 
     def add(self, force: Triple, turn: Triple, seconds: float, variance: float = 0.0) -> None:
-        """Take a block's mean force (g), turn (rad), and the variance of the turn's parts, rad²."""
+        """Take a block of messages.
+
+        `force` is the mean over the block, g, `turn` the rotation vector over it, radians, and
+        `variance` that of each part of `turn` by the gyro's noise, rad².
+        """
         self._force = plus(self._force, scaled(force, seconds))
         self._turn = plus(self._turn, turn)
         self._seconds += seconds
@@ -249,7 +262,10 @@ class GyroCheck:
 
 
 class DeadAxes:
-    """Detects axes of a gyro that never change, though another one shows noise."""
+    """Detects axes of a gyro that never change, which hide that the robot leans.
+
+    A simulated gyro without noise may rest on two axes and be right.
+    """
 
     def __init__(self) -> None:
         self._last: list[Triple] = []
