@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class Model:
     speed: FloatArray
     """m/s per axis, ahead and sideways, that are usual for the kind of motion. Shape (2,)."""
     travels: bool  # whether the kind of motion leaves the spot
-    traffic: float  # m/s, as of the kind of motion
+    traffic: bool  # as of the kind of motion
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -174,10 +175,43 @@ def course_at(model: Model, state: State) -> Course:
     return Course.of(model.nodes, axes, bias, model.priors.lengths)
 
 
+def _measured(
+    model: Model,
+    point: Point,
+    name: str,
+    linear: Linear,
+    scale: FloatArray,
+    more: FloatArray | float = 0.0,
+) -> Weighted:
+    """Weigh residuals of a noise: its squared size times `scale` (k,) is the variance, and `more`.
+
+    An infinite scale leaves a residual out.
+    """
+    variance = point.sizes[name] ** 2 * scale + more
+    return Weighted(linear, variance, point.freedom(model, name), {name: np.isfinite(scale)})
+
+
+def _changing(
+    model: Model,
+    point: Point,
+    names: tuple[str, str],
+    linear: Linear,
+    scale: FloatArray,
+    at_rest: BoolArray,
+) -> Weighted:
+    """Weigh the residuals (k,) of a process that has one size at rest and another one else."""
+    rest, other = names
+    size = np.where(at_rest, point.sizes[rest], point.sizes[other])
+    freedom = np.where(at_rest, point.freedom(model, rest), point.freedom(model, other))
+    variance = size**2 * scale + LEAST_VARIANCE
+    return Weighted(linear, variance, freedom, {rest: at_rest, other: ~at_rest})
+
+
 def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     """Return all residuals with their variances."""
     nodes, lengths, sizes, state = model.nodes, model.priors.lengths, point.sizes, point.state
     seconds, places = nodes.seconds, point.places
+    measured, changing = partial(_measured, model, point), partial(_changing, model, point)
     per_node = np.median(nodes.count) / nodes.count
     per_node = per_node + nodes.noise**2 / nodes.count / sizes["field"] ** 2
     # The share of an edge's node in which motors run is uniform between zero and one.
@@ -185,35 +219,18 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     with np.errstate(divide="ignore"):
         per_link = np.median(nodes.samples[nodes.samples > 0]) / nodes.samples
 
-    def forgets(
-        name: str,
-        which: slice,
-        per_step: FloatArray,
-        level: float,
-        where: BoolArray | bool = True,
-    ) -> Weighted:
-        keeps = np.exp(-per_step)
-        variance = level**2 * (1.0 - keeps**2) + LEAST_VARIANCE
-        variance = np.where(where, variance, math.inf)
-        return Weighted(factors.process(state, which, keeps), variance, point.freedom(model, name))
-
-    def measured(name: str, linear: Linear, scale: FloatArray) -> Weighted:
-        return Weighted(linear, sizes[name] ** 2 * scale, point.freedom(model, name))
-
-    def turned(name: str, axes: slice) -> Weighted:
-        variance = sizes[name] ** 2 * seconds + nodes.unseen[:, axes].mean(axis=1)
-        return Weighted(gyro.part(axes), variance, point.freedom(model, name))
-
     course = point.course
-    steps = way_between(model, point) / places.length
     # What motors do while they run says nothing of the rest before or after.
     still = course.still
     fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
+    keeps = np.exp(-fades)
     found = {
         "field": measured("field", factors.magnetic(course, state, places), per_node),
-        "body_field": forgets("body_field", BODY_FIELD, fades, sizes["body_field"], still[1:]),
-        "motors_noise": forgets(
-            "motors_noise", BODY_FIELD, fades, sizes["motors_noise"], ~still[1:]
+        "body_field": changing(
+            ("body_field", "motors_noise"),
+            factors.process(state, BODY_FIELD, keeps),
+            1.0 - keeps**2,
+            still[1:],
         ),
     }
     if nodes.tied_to is not None:
@@ -221,13 +238,22 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     if nodes.speed is not None:
         known = np.where(np.isfinite(nodes.speed), 1.0, math.inf)
         found["speed"] = measured("speed", factors.speed(nodes.speed, state), known)
-    force, gyro = factors.force(course, state), factors.gyro(course, state)
+    force, gyro, unseen = factors.force(course, state), factors.gyro(course, state), nodes.unseen
+    stands = still[1:] & still[:-1] & model.traffic
+    keeps = np.where(stands, 1.0, np.exp(-way_between(model, point) / places.length))
     return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),
         "force_up": measured("force_up", force.part(UP_AXIS), per_link),
-        "gyro": turned("gyro", LEVEL_AXES),
-        "gyro_up": turned("gyro_up", UP_AXIS),
-        "street": forgets("street", STREET, steps, sizes["street"]),
+        "gyro": measured(
+            "gyro", gyro.part(LEVEL_AXES), seconds, unseen[:, LEVEL_AXES].mean(axis=1)
+        ),
+        "gyro_up": measured("gyro_up", gyro.part(UP_AXIS), seconds, unseen[:, 2]),
+        "street": changing(
+            ("traffic", "street"),
+            factors.process(state, STREET, keeps),
+            np.where(stands, seconds, 1.0 - keeps**2),
+            stands,
+        ),
         **_motion(model, point, 0),
         **_motion(model, point, 1),
     }
@@ -253,8 +279,9 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
     ):
         by = VELOCITY.start + axis, ACCELERATION.start + axis
         linear = factors.followed(point.state, column.start + axis, keeps, by)
+        sized = {kind: np.ones(len(seconds), dtype=bool)} if kind == name else {}
         found[kind] = Weighted(
-            linear, np.maximum(variance, 0.0) + LEAST_VARIANCE, point.freedom(model, name)
+            linear, np.maximum(variance, 0.0) + LEAST_VARIANCE, point.freedom(model, name), sized
         )
     return found
 
@@ -269,10 +296,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     # At starts and stops the motors turn the field, which looks like a turn of the robot.
     starts = course.still[1:] != course.still[:-1]
 
-    def sized(name: str, linear: Linear, scale: FloatArray) -> Weighted:
-        variance = point.sizes[name] ** 2 * scale + 1e-3 * LEAST_VARIANCE
-        return Weighted(linear, variance, point.freedom(model, name))
-
+    sized = partial(_measured, model, point, more=1e-3 * LEAST_VARIANCE)
     return {
         "force": sized("force", force.part(LEVEL_AXES), per_node),
         "force_up": sized("force_up", force.part(UP_AXIS), per_node),
@@ -292,7 +316,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
 
 
 def way_between(model: Model, point: Point) -> FloatArray:
-    """Return the path of the magnetometer, or of traffic beside it, between nodes, m, (n - 1,).
+    """Return the path of the magnetometer between nodes, m, (n - 1,).
 
     By the expected square of the velocity.
     """
@@ -301,8 +325,7 @@ def way_between(model: Model, point: Point) -> FloatArray:
     square = np.sum(mean**2, axis=1) + 0.5 * (point.doubt[1:] + point.doubt[:-1])
     around = model.priors.lengths.beside * np.linalg.norm(nodes.link_rate, axis=1)
     share = 0.5 * (moving[1:] + moving[:-1])
-    pace = np.sqrt(square + around**2) * share + model.traffic * (1.0 - share)
-    return np.asarray(nodes.seconds * pace + 1e-6)
+    return np.asarray(nodes.seconds * np.sqrt(square + around**2) * share + 1e-6)
 
 
 def prior_at(model: Model, point: Point) -> Prior:

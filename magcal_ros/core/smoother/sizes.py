@@ -36,19 +36,21 @@ def noise_sizes(
     spread = _Spread.of(solution)
     free = counted_unknowns(model, point.places)
     sizes, shown = {}, {}
-    for name, part in weighted.items():
-        if name not in point.sizes:
-            continue
-        counted, linear = np.isfinite(part.variance), part.linear
-        spent = part.weight * spread.of_prediction(linear, free)
+    for part in weighted.values():
+        linear, is_seen = part.linear, np.isfinite(part.variance)
+        spent = part.weight * spread.of_prediction(linear, free) if part.sized else is_seen
         square = part.weight * np.sum(linear.residual**2, axis=1)
-        total, taken = float(np.sum(square[counted])), float(np.sum(spent[counted]))
-        number = int(counted.sum()) * linear.residual.shape[1]
-        if name == "street" and len(point.places):
-            more, less = _by_centres(point, solution)
-            total, taken, number = total + more, taken + less, number + 3 * len(point.places)
-        shown[name] = max(number - taken, 0.0)
-        sizes[name] = _next_size(point.sizes[name], total, shown[name], model.priors.sizes[name])
+        for name, rows in part.sized.items():
+            counted = rows & is_seen
+            total, taken = float(np.sum(square[counted])), float(np.sum(spent[counted]))
+            number = int(counted.sum()) * linear.residual.shape[1]
+            if name == "street" and len(point.places):
+                more, less = _by_centres(point, solution)
+                total, taken, number = total + more, taken + less, number + 3 * len(point.places)
+            shown[name] = max(number - taken, 0.0)
+            sizes[name] = _next_size(
+                point.sizes[name], total, shown[name], model.priors.sizes[name]
+            )
     doubt = np.trace(spread.own[:, VELOCITY, VELOCITY], axis1=1, axis2=2)
     return sizes, shown, doubt
 

@@ -6,11 +6,12 @@ complement, whose inverse is their covariance. The time is linear in the nodes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.smoother.factors import Linear
 from magcal_ros.core.smoother.unknowns import LOCAL
 
@@ -21,7 +22,10 @@ class Weighted:
 
     linear: Linear
     variance: FloatArray  # per component; infinite where there was no measurement. Shape (k,).
-    freedom: float  # degrees of freedom of the Student distribution
+    freedom: float | FloatArray  # degrees of freedom of the Student distribution, one or (k,)
+    sized: Mapping[str, BoolArray] = field(default_factory=dict)
+    """The sizes of noise (`SIZES`) in proportion to which the deviations are, and of which
+    residuals. Shapes (k,)."""
     is_expected: bool = False
     """Whether the weights are the expected curvature of the cost, of which the inverse is the
     covariance; those of the steps bound the cost from above (Lange, Little and Taylor, JASA 84,

@@ -196,6 +196,9 @@ SIZES: dict[str, Size] = {
         0.001, 0.5, 3.0, "rad/√s", "the same about z", "MEMS: .0002 to .003", most=0.004
     ),
     "street": Size(1.0, 1.0, 6.0, "µT", "local disturbance per axis", "cars in cities: 2.5 to 5"),
+    "traffic": Size(
+        0.05, 1.5, 6.0, "µT/√s", "change of the local disturbance at rest", "none to .3 in traffic"
+    ),
     "body_field": Size(0.1, 1.0, 6.0, "µT", "coloured noise of the body at rest", "currents"),
     # It begins wide: else the local disturbance takes what motors do.
     "motors_noise": Size(
@@ -243,8 +246,8 @@ class KindOfMotion(NamedTuple):
     soft_iron: float = 1.0  # factor of the usual soft iron: a vehicle's body is of steel
     gradient: float = 1.0
     """Factor of the usual gradient of the field: a drive has local disturbances on its way."""
-    traffic: float = 0.0
-    """m/s at which what disturbs the field passes a robot that stands: other vehicles do."""
+    traffic: bool = False
+    """Whether the local disturbance changes where a robot stands, as other vehicles pass it."""
 
     @property
     def velocity(self) -> FloatArray:
@@ -263,8 +266,8 @@ DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08, 0.01),
     SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15, 0.01),
-    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0, 0.0, 1.0),
-    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0, 0.0, 1.0),
+    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0, 0.0, True),
+    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0, 0.0, True),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 LATE = f"{ON_THE_SPOT}, field late"
