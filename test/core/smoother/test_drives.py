@@ -253,6 +253,16 @@ def test_a_robot_that_creeps_along_a_street_says_no_more_than_it_may():
     assert said > 1.0
 
 
+def test_a_field_that_stays_at_rest_says_nothing_of_the_streets():
+    """Where nothing passes the robot, streets that change from place to place stay as large."""
+    drive = driven(12, 120.0)
+    found = fit_to(drive, speed=False)
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    assert error < 2.5 * math.degrees(found.posterior.heading_sigma)
+    assert found.street > 1.5e-6
+    assert found.fit.point.sizes["traffic"] < 0.02
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seconds", [120.0, 300.0])
