@@ -95,7 +95,7 @@ def test_fit_takes_a_whole_drive_without_a_turn(driven, tmp_path, capsys):
     )
     assert status == 0
     words = capsys.readouterr().out
-    assert "of ordinary driving" in words
+    assert "of movement" in words
     found, _ = read_calibration(tmp_path / "calibration.yaml")
     assert np.abs(1e6 * (found.correction.hard_iron - ROBOT.hard_iron)[:2]).max() < 3.0
     assert found.evidence.method == "smoother"

@@ -204,7 +204,7 @@ def test_a_window_that_was_a_drive_is_fitted_as_one(start_node, tmp_path):
     car.drive(drive.samples())
     answer = call("finish")
     assert answer.success, answer.message
-    assert "of ordinary driving" in answer.message
+    assert "of movement" in answer.message
     found, _ = read_calibration(path)
     assert found.evidence.method == "smoother"
     apart = 1e6 * (found.correction.hard_iron - VEHICLE.robot.hard_iron)

@@ -54,9 +54,6 @@ class VerdictTuning:
     rough: float = math.radians(5.0)
     """Radians of heading sigma from which a calibration is called rough. In a car full of steel it
     may be the best possible, and the first words of the summary should say so."""
-    weighed_acceleration_deg: float = 5.0
-    """Degrees of sideways acceleration without a warning, if the fit has estimated the acceleration
-    and the heading's sigma includes its uncertainty."""
     one_axis: float = 0.7
     """Share of the gyro's squared rates about one axis from which a turn has one axis. Of a sensor
     that is turned over by hand the median orientation counts."""
@@ -247,8 +244,9 @@ def _check(
         if not knowledge.reference.is_complete:
             bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
-        excellent, _, warn = bound.limits
-        bound = replace(bound, limits=(excellent, TUNING.weighed_acceleration_deg, warn))
+        # The fit has subtracted it, and what is left is in the sigma.
+        excellent, _, most = bound.limits
+        bound = replace(bound, limits=(excellent, most, most))
     if bound.figure in (Figure.RADIUS_MISFIT, Figure.LEVEL_SHARE):
         allowed = ALLOWED_SIGMAS * level_field_sigma(knowledge)
         note = f" ± {100.0 * allowed:.2g}% ({ALLOWED_SIGMAS:g}σ)" if allowed else ""
@@ -363,4 +361,4 @@ def _drive_in_words(figures: Mapping[Figure, float]) -> str:
     took = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
     way = "" if metres is None else f"{metres / 1000.0:.1f} km, "
     seen = f"{figures[Figure.HEADINGS_DRIVEN]:.0f} of 12 headings"
-    return f" from {took} of ordinary driving, {way}{seen}"
+    return f" from {took} of movement, {way}{seen}"

@@ -61,6 +61,9 @@ class Figure(str, Enum):
     MOTOR_FIELD = "motor_field"
     """Change of the field between rest and turn, or during the turn, tesla; zero if it is not
     significant, absent if it was not observed."""
+    IRON_DRIFT = "iron_drift"
+    """Change of the hard iron from the beginning to the end of a window, tesla; zero if it is not
+    significant."""
     ON_THE_SPOT = "on_the_spot"
     """Probability that the robot turned on the spot and did not drive, by the smoother."""
     LATENCY = "latency"

@@ -269,10 +269,22 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
         Figure.ITERATIONS: float(best.rounds),
         Figure.SOFT_IRON: float(best.model.priors.scale[AT["soft_iron"]].any()),
         **_where_seen(found, size if size > CLEAR * doubt else 0.0),
+        Figure.IRON_DRIFT: _iron_drift(best) / MICROTESLA,
         Figure.ON_THE_SPOT: sum(
             share for name, share in found.weights.items() if name.startswith(ON_THE_SPOT)
         ),
     }
+
+
+def _iron_drift(best: Fit) -> float:
+    """Return the drift of the hard iron over the window, µT; zero if it is no more than its sigma.
+
+    The prior draws it to zero, so that of sensors without drift it is far below its sigma.
+    """
+    drift, known = best.state.shared[AT["drift"]], best.covariance[AT["drift"], AT["drift"]]
+    if not known.any() or drift @ np.linalg.solve(known, drift) < len(drift):
+        return 0.0
+    return float(np.linalg.norm(drift))
 
 
 def _where_seen(found: Smoothed, motors: float) -> dict[Figure, float]:

@@ -56,6 +56,7 @@ WORST_IS_LARGEST = (
     Figure.STEADY_ACCELERATION,
     Figure.POSSIBLE_ACCELERATION,
     Figure.MOTOR_FIELD,
+    Figure.IRON_DRIFT,
 )
 WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
 """Figures of the turns' own fits of which the worst is reported."""

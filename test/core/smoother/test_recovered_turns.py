@@ -11,6 +11,7 @@ from long_form import first_of
 from simulated.turns import measure, turn
 from uneven_turns import ROBOT, collected, driven, evenly
 
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
@@ -61,6 +62,17 @@ def test_rests_tell_the_motors_field_from_hard_iron(size, by_rate):
     assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
     assert estimate.figures[Figure.ON_THE_SPOT] > 0.8
     assert estimate.figures[Figure.MOTOR_FIELD] == pytest.approx(size, rel=0.1)
+
+
+@pytest.mark.parametrize(("size", "grade"), [(0.0, Grade.EXCELLENT), (2e-6, Grade.WARN)])
+def test_hard_iron_that_drifts_is_named(size, grade):
+    _, window = driven(evenly, ROBOT, 3.0)
+    share = window.time / np.ptp(window.time)
+    added = size * np.outer(share - share.mean(), [0.6, -0.8, 0.0])
+    outcome = calibrate(collected(replace(window, field=window.field + added)), known(ROBOT))
+    checks = {check.figure: check for check in outcome.verdict.checks}
+    assert checks[Figure.IRON_DRIFT].grade is grade
+    assert outcome.estimate.figures[Figure.IRON_DRIFT] == pytest.approx(size, rel=0.25)
 
 
 def test_a_smooth_circle_leaves_a_doubt_that_sigma_holds():
