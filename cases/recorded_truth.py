@@ -21,7 +21,7 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.arrays import FloatArray, runs
 from magcal_ros.core.geometry.attitude import wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import minimal_rotation
-from magcal_ros.core.geometry.shapes import ConicFit, QuadricFit, fit_quadric
+from magcal_ros.core.geometry.shapes import QuadricFit, fit_circle, fit_quadric
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.rest import GyroAtRest
@@ -313,7 +313,7 @@ def _min_max_level(up: FloatArray, field: FloatArray) -> Heading:
 
 
 def _levelled_circle(up: FloatArray, field: FloatArray) -> Heading:
-    return _around(ConicFit.TAUBIN(levelled(up, field)).centre, np.ones(2))
+    return _around(fit_circle(levelled(up, field))[0], np.ones(2))
 
 
 def _min_max(_: FloatArray, field: FloatArray) -> Heading:

@@ -95,7 +95,6 @@ def progress_of(status: str) -> dict[str, Any] | None:
     Anybody in the graph may publish there: what is no status is ignored, and control characters are
     replaced.
     """
-    # Anybody in the graph may publish there.
     try:
         content = json.loads(status)
         if content["state"] not in BUSY:

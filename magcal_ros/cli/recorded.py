@@ -19,7 +19,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
+from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.units import TUNING
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.recorded import (
@@ -109,8 +109,8 @@ def add_knowledge_options(parser: argparse.ArgumentParser) -> None:
 
 def mounting_from(options: argparse.Namespace) -> Mounting:
     """Return how the sensor is built in, by the options."""
-    gains, angles = options.soft_iron_gains, options.mount_rpy_deg
-    return knowledge_of(soft_iron_gains=gains, mount_rpy_deg=angles).mounting
+    pose = rotation_from_rpy(*map(math.radians, options.mount_rpy_deg))
+    return Mounting(options.soft_iron_gains, pose)
 
 
 def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManager[Source]:

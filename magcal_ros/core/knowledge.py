@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, freeze
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
 STRENGTH_SIGMA_UT = 1.5
 INCLINATION_SIGMA_DEG = 1.0
@@ -148,14 +146,11 @@ def knowledge_of(
     inclination_deg: float = math.nan,
     inclination_sigma_deg: float = INCLINATION_SIGMA_DEG,
     declination_deg: float = math.nan,
-    soft_iron_gains: Sequence[float] = (1.0, 1.0, 1.0),
-    mount_rpy_deg: Sequence[float] = (0.0, 0.0, 0.0),
     declination_sigma_deg: float = DECLINATION_SIGMA_DEG,
 ) -> Knowledge:
-    """Return the knowledge in numbers with the suffixes' units; NaN where one is not known.
+    """Return what is known of the field, in the suffixes' units; NaN where a number is not known.
 
-    `soft_iron_gains` are the known gains of the magnetometer's axes, `mount_rpy_deg` is its nominal
-    roll, pitch and yaw in the IMU's frame.
+    The mounting is the nominal one.
     """
     strength, inclination = Belief.unknown(), Belief.unknown()
     if not math.isnan(strength_ut):
@@ -163,8 +158,5 @@ def knowledge_of(
     if not math.isnan(inclination_deg):
         inclination = Belief(math.radians(inclination_deg), math.radians(inclination_sigma_deg))
     declination = None if math.isnan(declination_deg) else math.radians(declination_deg)
-    roll, pitch, yaw = (math.radians(angle) for angle in mount_rpy_deg)
-    mounting = Mounting(np.array(soft_iron_gains), rotation_from_rpy(roll, pitch, yaw))
     declination_sigma = 0.0 if declination is None else math.radians(declination_sigma_deg)
-    reference = ReferenceField(strength, inclination, declination, declination_sigma)
-    return Knowledge(reference, mounting)
+    return Knowledge(ReferenceField(strength, inclination, declination, declination_sigma))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -19,7 +20,7 @@ from rclpy.parameter import Parameter
 from magcal_ros.core.earth_field.reference import Given
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits
 from magcal_ros.files.default_paths import chosen_path, lies_within, own_folder
@@ -81,7 +82,7 @@ class Settings:
             if not math.isnan(values[name][0])
         }
         given = Given.of({name.removeprefix("reference."): v for name, v in values.items()})
-        mounting = knowledge_of(soft_iron_gains=values["soft_iron_gains"]).mounting
+        mounting = Mounting(values["soft_iron_gains"], mounts.get(1, np.eye(3)))
         by_hand, sigma = values["vehicle_yaw_deg"], values["confidence.target_sigma_deg"]
         yaw, north = values["known_heading.yaw_deg"], values["known_heading.north"]
         known_heading = None
@@ -92,7 +93,7 @@ class Settings:
         limits = values["window.timeout_s"], values["window.silence_s"]
         return cls(
             **{each.name: values[each.name] for each in fields(cls) if each.name in values},
-            knowledge=Knowledge(given.field, replace(mounting, pose=mounts.get(1, mounting.pose))),
+            knowledge=Knowledge(given.field, mounting),
             limits=Limits(*limits, target_sigma=math.radians(sigma)),
             max_gap=values["window.max_gap_s"],
             patience=values["fused.patience_s"],

@@ -138,8 +138,6 @@ def sideways_acceleration(window: Window) -> float:
     rate = window.angular_rate
     if rate is None:
         return 0.0
-    # Over a full turn the true up averages to the axis: what is left is a steady acceleration, as
-    # of a car in a circle. The mean is over the angle, so a pause has no weight.
     # A turn there and back has no mean rate, and an axis all the same.
     along = np.linalg.svd(rate, full_matrices=False)[2][0]
     axis = unit(np.sign(rate @ along) @ rate)

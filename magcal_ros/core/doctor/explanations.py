@@ -149,7 +149,6 @@ class Explanations:
         In less than a quarter turn some axes of both sensors fit a field that changes from place to
         place, whatever the gyro's unit.
         """
-        # In less than a quarter turn some axes of both fit a field that changes with the place.
         axes_fit = bool(self.rms[self.plain] < WEIGHED.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
 

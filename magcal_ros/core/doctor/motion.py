@@ -23,7 +23,7 @@ from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
-from magcal_ros.core.samples.alignment import BIAS, NO_BIAS, SCALE, align
+from magcal_ros.core.samples.alignment import BIAS, NO_BIAS, SCALE
 from magcal_ros.core.samples.rest import LongestRest, longest_stand
 from magcal_ros.core.samples.units import slow_words
 from magcal_ros.core.samples.window import SensorLog, stretch_of_log
@@ -209,9 +209,6 @@ def _scale(way: Way, factor: float, restamped: bool) -> Finding:
         why = NO_BURSTS if restamped else f"within {off:.1%}; {FULL_TURN}"
         return not_shown("rate_scale", "gyro: scale", why)
     too_large = abs(scale) > max(TUNING.scale, CLEAR * off)
-    if too_large and not _gravity_agrees(way):
-        why = f"gravity and field show different scales; {FULL_TURN}"
-        return not_shown("rate_scale", "gyro: scale", why)
     evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
     # Motors and iron that move the field during one turn look like it.
     remedy = (
@@ -233,15 +230,6 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
     )
     too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, CLEAR * off)
     return looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large)
-
-
-def _gravity_agrees(way: Way) -> bool:
-    """Return whether the field alone gives the same scale of the gyro as with gravity."""
-    # Linear acceleration and a disturbed field change one of them.
-    alone = align(way.part, way.field[None], way.gyro[None], with_up=False)
-    gap = abs(float(alone.parameters[0, SCALE] - way.state[SCALE]))
-    sigma = math.sqrt(float(alone.covariance[0, SCALE, SCALE]))
-    return gap < CLEAR * max(sigma, float(way.sigma[SCALE]))
 
 
 def _latencies(log: SensorLog, way: Way) -> list[Finding]:

@@ -1,4 +1,4 @@
-"""Circles and ellipses in a plane, spheres and ellipsoids, planes and circles in space.
+"""Circles in a plane and in space, planes, spheres and ellipsoids.
 
 All fits first move the points to their centroid and scale them to unit size. The forms that fix
 the constant term at -1 are singular for a curve or surface through the origin; a centroid lies
@@ -20,51 +20,33 @@ from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
 
 THINNEST = 1e-6  # width over length of points below which they are a line, or in space a plane
 LARGEST_RADIUS = 1e4  # radii beyond this many times the points' own size are a line or a plane, too
-FLAT = {
-    2: (Reason.FIELD_ON_A_LINE, "The samples lie on a line or on one point. Turn further round."),
-    3: (
-        Reason.PLANAR,
-        "The samples lie on a plane: no ellipsoid can be fitted to them. Tumble the sensor through "
-        "all orientations, or use a method for turns about one axis.",
-    ),
-}
-OPEN = {
-    2: (
-        Reason.CIRCLE_TOO_SMALL,
-        "The samples fit a parabola or a hyperbola better than an ellipse. Turn further round, or "
-        "fit a circle instead.",
-    ),
-    3: (
-        Reason.NO_SOLUTION,
-        "The samples fit an open surface (a hyperboloid or a cylinder) better than an ellipsoid. "
-        "Tumble the sensor through all orientations, away from iron.",
-    ),
-}
-STRAIGHT = {
-    2: (
-        Reason.FIELD_ON_A_LINE,
-        "The samples bend too little to show a circle. Turn further round.",
-    ),
-    3: OPEN[3],
-}
-"""Why no curve (2) and no surface (3) goes through samples."""
+FIELD_ON_A_LINE = "The samples lie on a line or on one point. Turn further round."
+FLAT = (
+    "The samples lie on a plane: no ellipsoid can be fitted to them. Tumble the sensor through "
+    "all orientations, or use a method for turns about one axis."
+)
+OPEN = (
+    "The samples fit an open surface (a hyperboloid or a cylinder) better than an ellipsoid. "
+    "Tumble the sensor through all orientations, away from iron."
+)
+STRAIGHT = "The samples bend too little to show a circle. Turn further round."
 
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """An ellipse (d = 2) or an ellipsoid (d = 3)."""
+    """An ellipsoid."""
 
-    centre: FloatArray  # in the points' unit, shape (d,)
-    radii: FloatArray  # half axes, shape (d,)
+    centre: FloatArray  # in the points' unit, shape (3,)
+    radii: FloatArray  # half axes, shape (3,)
     axes: FloatArray
-    """Columns: directions of the half axes, as in `radii`; in space a rotation. Shape (d, d)."""
+    """Columns: directions of the half axes, as in `radii`; a rotation. Shape (3, 3)."""
 
     def __post_init__(self) -> None:
-        freeze(self, centre=(-1,), radii=(-1,), axes=(-1, -1))
+        freeze(self, centre=(3,), radii=(3,), axes=(3, 3))
 
     @property
     def radius(self) -> float:
-        """Geometric mean of the half axes: that of the circle or sphere of the same content."""
+        """Geometric mean of the half axes: that of the sphere of the same volume."""
         return float(np.exp(np.log(self.radii).mean()))
 
     @property
@@ -74,7 +56,7 @@ class Ellipsoid:
 
     @property
     def to_unit_sphere(self) -> FloatArray:
-        """The symmetric S that takes points from the centre onto the unit sphere, (d, d)."""
+        """The symmetric S that takes points from the centre onto the unit sphere, (3, 3)."""
         return np.asarray((self.axes / self.radii) @ self.axes.T)
 
 
@@ -87,38 +69,72 @@ class QuadricFit(str, Enum):
 
 
 def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> Ellipsoid:
-    """Fit an ellipse or an ellipsoid by linear least squares, pᵀQp + 2bᵀp = 1 (DT0103).
+    """Fit an ellipsoid by linear least squares, pᵀQp + 2bᵀp = 1 (DT0103).
 
     By `shape`, all elements of Q are free, or it is diagonal, or a multiple of the identity. Raises
-    `Refusal` for too few points (n, d), a line or a plane, numbers not finite, or another shape.
+    `Refusal` for too few points (n, 3), a plane, numbers not finite, or an open surface.
     """
-    size = points.shape[1]
-    pairs = list(itertools.combinations(range(size), 2))
-    free = np.eye(size + len(pairs), size if shape is QuadricFit.ALIGNED else None)
+    pairs = list(itertools.combinations(range(3), 2))
+    free = np.eye(6, 3 if shape is QuadricFit.ALIGNED else None)
     if shape is QuadricFit.SPHERE:
-        free = free[:, :size].sum(axis=1, keepdims=True)
-    cloud = _Cloud.of(points, free.shape[1] + size)
-    moved = cloud.points
+        free = free[:, :3].sum(axis=1, keepdims=True)
+    centroid, moved, size = _of_unit_size(points, free.shape[1] + 3, "surface")
     products = [moved**2, *(2.0 * moved[:, [i]] * moved[:, [j]] for i, j in pairs)]
     design = np.column_stack([np.column_stack(products) @ free, 2.0 * moved])
     solution, _, rank, _ = np.linalg.lstsq(design, np.ones(len(points)), rcond=1e-12)
     if rank < design.shape[1]:
-        raise Refusal(*(STRAIGHT[2] if size == 2 else FLAT[3]))
-    elements = free @ solution[:-size]
-    form = np.diag(elements[:size])
-    for (i, j), value in zip(pairs, elements[size:], strict=True):
+        raise Refusal(Reason.PLANAR, FLAT)
+    elements = free @ solution[:-3]
+    form = np.diag(elements[:3])
+    for (i, j), value in zip(pairs, elements[3:], strict=True):
         form[i, j] = form[j, i] = value
-    return cloud.ellipsoid(form, np.asarray(solution[-size:]), -1.0)
+    return _moved_back(form, np.asarray(solution[-3:]), centroid, size)
 
 
-def _fit_ellipse_halir_flusser(points: FloatArray) -> Ellipsoid:
-    """Fit any ellipse under the constraint that it is one (Halír and Flusser, 1998).
+def _moved_back(
+    form: FloatArray, linear: FloatArray, centroid: FloatArray, size: float
+) -> Ellipsoid:
+    """Return pᵀQp + 2bᵀp = 1 of points that were moved to their centroid; refuse what is open."""
+    values, axes = np.linalg.eigh(form)
+    if np.array_equal(form, np.diag(np.diag(form))):
+        values, axes = np.diag(form), np.eye(3)
+    if (values * values[0] <= 0.0).any():
+        raise Refusal(Reason.NO_SOLUTION, OPEN)
+    centre = -np.linalg.solve(form, linear)
+    squares = (1.0 - float(linear @ centre)) / values
+    if not ((squares > 0.0) & (squares <= LARGEST_RADIUS**2)).all():
+        raise Refusal(Reason.NO_SOLUTION, OPEN)
+    radii = size * np.sqrt(squares)
+    return Ellipsoid(centroid + size * centre, radii, axes * np.linalg.det(axes))
 
-    With the scatter of the quadratic terms S1, of the linear terms S3 and between them S2, the
-    quadratic coefficients are the eigenvector of C⁻¹ (S1 - S2 S3⁻¹ S2ᵀ) for which 4ac - b² > 0.
+
+def _of_unit_size(
+    points: FloatArray, least: int, shape: str
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the centroid of points (n, d), the points moved there and of unit size, their size.
+
+    Raises `Refusal` if they are too few, not finite, or a line (d = 2) or a plane (d = 3).
     """
-    cloud = _Cloud.of(points, least=5)
-    x, y = cloud.points.T
+    centroid, moved = centred(points, least, shape)
+    spread = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
+    if spread[-1] <= THINNEST * spread[0]:
+        if points.shape[1] == 2:
+            raise Refusal(Reason.FIELD_ON_A_LINE, FIELD_ON_A_LINE)
+        raise Refusal(Reason.PLANAR, FLAT)
+    size = float(np.linalg.norm(spread))
+    return centroid, moved / size, size
+
+
+def ellipse_ratio(points: FloatArray) -> float | None:
+    """Return longest over shortest half axis of the ellipse through points (n, 2), 1 or more.
+
+    It is fitted under the constraint that it is an ellipse (Halír and Flusser, 1998): with the
+    scatter of the quadratic terms S1, of the linear terms S3 and between them S2, the quadratic
+    coefficients are the eigenvector of C⁻¹ (S1 - S2 S3⁻¹ S2ᵀ) for which 4ac - b² > 0. None if no
+    eigenvector is an ellipse. Raises `Refusal` for fewer than five points, a line, or numbers not
+    finite.
+    """
+    x, y = _of_unit_size(points, 5, "curve")[1].T
     quadratic = np.column_stack([x * x, x * y, y * y])
     linear = np.column_stack([x, y, np.ones_like(x)])
     to_linear = -np.linalg.solve(linear.T @ linear, linear.T @ quadratic)
@@ -130,12 +146,22 @@ def _fit_ellipse_halir_flusser(points: FloatArray) -> Ellipsoid:
     columns = np.real(vectors)
     fulfilled = 4.0 * columns[0] * columns[2] - columns[1] ** 2 > 1e-12
     if not fulfilled.any():
-        raise Refusal(*OPEN[2])
-    best = columns[:, int(np.argmin(np.where(fulfilled, np.abs(values), np.inf)))]
-    a, b, c = best
-    d, e, f = to_linear @ best
-    form, half = np.array([[a, b / 2.0], [b / 2.0, c]]), np.array([d / 2.0, e / 2.0])
-    return cloud.ellipsoid(form, half, f)
+        return None
+    a, b, c = columns[:, int(np.argmin(np.where(fulfilled, np.abs(values), np.inf)))]
+    first, second = np.abs(np.linalg.eigvalsh(np.array([[a, b / 2.0], [b / 2.0, c]])))
+    return float(math.sqrt(max(first, second) / min(first, second)))
+
+
+def fit_circle(points: FloatArray) -> tuple[FloatArray, float]:
+    """Fit a circle by `taubin_circle` to points (n, 2) anywhere; returns its centre and radius.
+
+    Raises `Refusal` for fewer than three points, a line, one point, or numbers not finite.
+    """
+    centroid, moved, size = _of_unit_size(points, 3, "curve")
+    centre, radius = taubin_circle(moved, np.full(len(points), 1.0 / len(points)))
+    if radius > LARGEST_RADIUS:
+        raise Refusal(Reason.FIELD_ON_A_LINE, STRAIGHT)
+    return centroid + size * centre, size * radius
 
 
 def taubin_circle(points: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
@@ -154,69 +180,6 @@ def taubin_circle(points: FloatArray, weight: FloatArray) -> tuple[FloatArray, f
     a = math.copysign(max(abs(a), 1e-12), a) / (2.0 * math.sqrt(mean))
     centre = np.array([-b, -c]) / (2.0 * a)
     return centre, math.sqrt(float(centre @ centre) + mean)
-
-
-class ConicFit(str, Enum):
-    """The conic fits by name."""
-
-    TAUBIN = "taubin"
-    CIRCLE = "circle"
-    ELLIPSE = "ellipse"
-    ROTATED_ELLIPSE = "rotated_ellipse"
-    HALIR_FLUSSER = "halir_flusser"
-
-    def __call__(self, points: FloatArray) -> Ellipsoid:
-        """Fit a curve.
-
-        Of an ellipse along the axes the first half axis lies along x. Raises `Refusal` for fewer
-        points (n, 2) than the curve has parameters, a line, one point, a curve that is no ellipse,
-        or numbers that are not finite.
-        """
-        if self is ConicFit.TAUBIN:
-            cloud = _Cloud.of(points, least=3)
-            centre, radius = taubin_circle(cloud.points, np.full(len(points), 1.0 / len(points)))
-            if radius > LARGEST_RADIUS:
-                raise Refusal(*STRAIGHT[2])
-            radii = np.full(2, cloud.size * radius)
-            return Ellipsoid(cloud.centroid + cloud.size * centre, radii, np.eye(2))
-        if self is ConicFit.HALIR_FLUSSER:
-            return _fit_ellipse_halir_flusser(points)
-        linear = (ConicFit.ROTATED_ELLIPSE, ConicFit.ELLIPSE, ConicFit.CIRCLE)
-        return fit_quadric(points, list(QuadricFit)[linear.index(self)])
-
-
-@dataclass(frozen=True, eq=False)
-class _Cloud:
-    """Points brought to their centroid and unit size, and the way back."""
-
-    points: FloatArray
-    centroid: FloatArray
-    size: float
-
-    @classmethod
-    def of(cls, points: FloatArray, least: int) -> _Cloud:
-        centroid, moved = centred(points, least, "curve" if points.shape[1] == 2 else "surface")
-        spread = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
-        if spread[-1] <= THINNEST * spread[0]:
-            raise Refusal(*FLAT[points.shape[1]])
-        size = float(np.linalg.norm(spread))
-        return cls(moved / size, centroid, size)
-
-    def ellipsoid(self, form: FloatArray, linear: FloatArray, constant: float) -> Ellipsoid:
-        """Return pᵀQp + 2bᵀp + c = 0 of the moved points; refuse what is no ellipse."""
-        values, axes = np.linalg.eigh(form)
-        if np.array_equal(form, np.diag(np.diag(form))):
-            values, axes = np.diag(form), np.eye(len(form))
-        if (values * values[0] <= 0.0).any():
-            raise Refusal(*OPEN[len(form)])
-        centre = -np.linalg.solve(form, linear)
-        squares = -(constant + float(linear @ centre)) / values
-        if not (squares > 0.0).all():
-            raise Refusal(*OPEN[len(form)])
-        if squares.max() > LARGEST_RADIUS**2:
-            raise Refusal(*STRAIGHT[len(form)])
-        axes = axes * (np.linalg.det(axes) if len(form) == 3 else 1.0)
-        return Ellipsoid(self.centroid + self.size * centre, self.size * np.sqrt(squares), axes)
 
 
 ROBUST_ROUNDS = 4  # rounds of reweighting
@@ -339,35 +302,15 @@ class Plane:
         return float(1.0 / np.sqrt(middle)) if middle > 0.0 else np.inf
 
 
-class PlaneFit(str, Enum):
-    """The plane fits by name; the two by eigenvalues are the same here."""
+def fit_plane(points: FloatArray) -> Plane:
+    """Fit the plane of least squared distances.
 
-    LEAST_SQUARES = "least_squares"
-    EIGEN = "eigen"
-    EIGEN_SIMPLE = "eigen_simple"
-
-    def __call__(self, points: FloatArray) -> Plane:
-        """Fit a plane.
-
-        Raises `Refusal` if the points (n, 3) are not finite, or are one point or a line.
-        """
-        centre, moved = centred(points, 3, "plane")
-        values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
-        _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
-        scatter = moved.T @ moved / len(points)
-        normal = _regressed(scatter) if self is PlaneFit.LEAST_SQUARES else axes[2]
-        return Plane(normal, scatter, len(points))
-
-
-def _regressed(scatter: FloatArray) -> FloatArray:
-    """Return the normal by regression along the axis on which it is longest, unit, shape (3,)."""
-    # Noise along the other two biases it towards that axis in a thin cloud (regression dilution).
-    minors = [np.linalg.det(np.delete(np.delete(scatter, k, 0), k, 1)) for k in range(3)]
-    main = int(np.argmax(minors))
-    others = [k for k in range(3) if k != main]
-    normal = np.ones(3)
-    normal[others] = -np.linalg.solve(scatter[np.ix_(others, others)], scatter[others, main])
-    return normal / np.linalg.norm(normal)
+    Raises `Refusal` if the points (n, 3) are not finite, or are one point or a line.
+    """
+    centre, moved = centred(points, 3, "plane")
+    values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
+    _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
+    return Plane(axes[2], moved.T @ moved / len(points), len(points))
 
 
 def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:

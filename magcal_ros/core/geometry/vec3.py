@@ -64,7 +64,6 @@ def propagated(a: Triple, turn: Triple) -> Triple:
     `a` is in the body axes before, `turn` the rotation vector of the body in radians: Rodrigues'
     formula for exp(-[turn]x) a.
     """
-    # Rodrigues' formula for exp(-[turn]x) a.
     p, q, r = turn
     x, y, z = a
     square = p * p + q * q + r * r

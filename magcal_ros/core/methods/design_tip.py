@@ -21,7 +21,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
-from magcal_ros.core.geometry.shapes import SMALLEST, ConicFit
+from magcal_ros.core.geometry.shapes import SMALLEST, ellipse_ratio
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.checks import SCREENING, check_arc, check_radius, check_window
 from magcal_ros.core.methods.resampling import jackknife_covariance
@@ -29,7 +29,6 @@ from magcal_ros.core.methods.tip_steps import (
     TUNING,
     Candidate,
     FieldCircle,
-    Options,
     TipSamples,
     TurnAxis,
     derotation,
@@ -67,9 +66,7 @@ class TipSolution:
     installation: Installation
 
 
-def fit(
-    window: Window, knowledge: Knowledge = Knowledge(), *, options: Options = Options()
-) -> Estimate:
+def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     """Calibrate by the ST design tip DT0103, its known errors corrected.
 
     The turn is of at least 45° about one axis within 75° of the vertical. Of the knowledge,
@@ -78,16 +75,15 @@ def fit(
     the samples do not determine an answer.
     """
     check_window(window, knowledge)
-    solution = solve(window, knowledge, options)
+    solution = solve(window, knowledge)
     circle, assumed = solution.circle, solution.assumed
     arc = Coverage.of(np.angle(circle.phasor)).arc
     check_arc(arc, solved_by_knowledge=True)
     check_radius(circle.radius / assumed.strength, assumed.inclination, solution.axis.tilt)
     covariance = jackknife_covariance(
-        lambda part, known: solve(part, known, options).correction,
+        lambda part, known: solve(part, known).correction,
         window,
         knowledge,
-        blocks=options.jackknife_blocks,
         unknown=_axial_unknown(solution),
     )
     residual = solution.chosen.circle.model_error @ solution.samples.mounting.T
@@ -110,11 +106,11 @@ def fit(
     )
 
 
-def solve(window: Window, knowledge: Knowledge, options: Options) -> TipSolution:
+def solve(window: Window, knowledge: Knowledge) -> TipSolution:
     """Return the results of the tip's steps. Raises `Refusal` if a step has none."""
     samples = enter(window, knowledge.mounting)
-    circle = fit_field_circle(samples, options)
-    axis = find_axis(samples, circle, options)
+    circle = fit_field_circle(samples)
+    axis = find_axis(samples, circle)
     chosen, rival, assumed = _choose(samples, axis, circle, knowledge.reference)
     iron = chosen.circle.centre - assumed.axial * chosen.circle.normal
     # The tip's rotation is passive in forward-right-down axes: its pitch has the other sign.
@@ -180,11 +176,9 @@ def measure_figures(solution: TipSolution, noise_field: float) -> dict[Figure, f
     expected = assumed.strength**2 - assumed.axial**2
     if expected > 0.0:
         figures[Figure.RADIUS_RATIO] = circle.radius / math.sqrt(expected)
-    try:
-        flat = np.column_stack([circle.phasor.real, circle.phasor.imag])
-        figures[Figure.ELLIPSE_RATIO] = ConicFit.HALIR_FLUSSER(flat).ratio
-    except Refusal:
-        pass
+    ratio = ellipse_ratio(np.column_stack([circle.phasor.real, circle.phasor.imag]))
+    if ratio is not None:
+        figures[Figure.ELLIPSE_RATIO] = ratio
     if rival is not None:
         figures |= {
             Figure.RIVAL_ROLL: rival.roll,

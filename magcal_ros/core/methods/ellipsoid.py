@@ -19,7 +19,6 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.tumbling import (
     CLOUD,
     Shape,
-    TumblingOptions,
     finish,
     nominal_field,
     on_unit_sphere,
@@ -41,8 +40,8 @@ TUNING = EllipsoidTuning()
 
 
 @dataclass(frozen=True)
-class Options(TumblingOptions):
-    """Choices of the ellipsoid method, besides the common ones; ValueError for another shape."""
+class Options:
+    """Choices of the ellipsoid method; ValueError for another shape."""
 
     shape: QuadricFit = QuadricFit.ROTATED
     """"rotated" for any ellipsoid, "aligned" for one along the axes, "sphere" for no soft iron."""
@@ -66,7 +65,6 @@ def fit(
         lambda part, known: solve(part, known, options),
         window,
         knowledge,
-        options,
         method="ellipsoid",
         least_extent=TUNING.least_extent,
         remedy=remedy,

@@ -20,7 +20,6 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.tumbling import (
     CLOUD,
     Shape,
-    TumblingOptions,
     finish,
     nominal_field,
     on_unit_sphere,
@@ -45,8 +44,8 @@ TUNING = MinMaxTuning()
 
 
 @dataclass(frozen=True)
-class Options(TumblingOptions):
-    """Choices of the min/max method, besides those of `TumblingOptions`."""
+class Options:
+    """Choices of the min/max method."""
 
     robust: bool = False
     """Whether to leave out samples that are not on a common sphere. Quantiles of the samples would
@@ -71,7 +70,6 @@ def fit(
         lambda part, known: solve(part, known, options),
         window,
         knowledge,
-        options,
         method="min_max",
         least_extent=TUNING.least_extent,
         remedy=remedy,

@@ -14,7 +14,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.window import Window
 
-FEWEST_BLOCKS = 3
+BLOCKS, FEWEST_BLOCKS = 16, 3
 
 FitCorrection = Callable[[Window, Knowledge], Correction]
 
@@ -23,7 +23,6 @@ def jackknife_covariance(
     fit_correction: FitCorrection,
     window: Window,
     knowledge: Knowledge,
-    blocks: int = 16,
     unknown: FloatArray | None = None,
 ) -> FloatArray:
     """Return the covariance (12, 12) of a method's twelve numbers, A row by row, then h in tesla.
@@ -37,7 +36,7 @@ def jackknife_covariance(
     Raises `Refusal` if the whole window, a moved reference, or more than half of the shortened
     windows have no answer.
     """
-    covariance = _blocks_covariance(fit_correction, window, knowledge, blocks)
+    covariance = _blocks_covariance(fit_correction, window, knowledge)
     if unknown is not None:
         covariance += np.outer(unknown, unknown)
     reference = knowledge.reference
@@ -55,9 +54,9 @@ def jackknife_covariance(
 
 
 def _blocks_covariance(
-    fit_correction: FitCorrection, window: Window, knowledge: Knowledge, blocks: int
+    fit_correction: FitCorrection, window: Window, knowledge: Knowledge
 ) -> FloatArray:
-    pieces = np.array_split(np.arange(len(window)), min(max(blocks, FEWEST_BLOCKS), len(window)))
+    pieces = np.array_split(np.arange(len(window)), min(BLOCKS, len(window)))
     answers = []
     for piece in pieces:
         shortened = window.take(np.delete(np.arange(len(window)), piece))

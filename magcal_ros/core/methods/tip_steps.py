@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from magcal_ros.core.geometry.rotations import (
     rotation_angle,
     rotation_from_rpy,
 )
-from magcal_ros.core.geometry.shapes import SMALLEST, ConicFit, Plane, PlaneFit
+from magcal_ros.core.geometry.shapes import SMALLEST, Plane, fit_circle, fit_plane
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.window import Window
 
@@ -53,30 +52,6 @@ class TipTuning:
 
 
 TUNING = TipTuning()
-
-
-class AxisSource(str, Enum):
-    """Source of the turn's axis: mean of gravity, its plane, or both by their variances."""
-
-    AUTO = "auto"
-    MEAN = "mean"
-    PLANE = "plane"
-
-
-@dataclass(frozen=True)
-class Options:
-    """Choices of the design tip; ValueError for an unknown name."""
-
-    plane: PlaneFit = PlaneFit.EIGEN  # fit of the planes of gravity and field
-    conic: ConicFit = ConicFit.TAUBIN  # fit of the field's circle
-    axis: AxisSource = AxisSource.AUTO
-    """Centre of the accelerometer's circle, normal of its plane, or both by their variances."""
-    jackknife_blocks: int = 16  # pieces of time that the covariance leaves out one by one
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "plane", PlaneFit(self.plane))
-        object.__setattr__(self, "conic", ConicFit(self.conic))
-        object.__setattr__(self, "axis", AxisSource(self.axis))
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,23 +125,23 @@ class FieldCircle:
         return replace(self, basis=self.basis * flip, phasor=self.phasor.conj(), middle=middle)
 
 
-def fit_field_circle(samples: TipSamples, options: Options) -> FieldCircle:
+def fit_field_circle(samples: TipSamples) -> FieldCircle:
     """Fit the plane to the raw field, and the circle to the field without its gains.
 
     Raises `Refusal` if the field is constant, on a line, or not on a plane.
     """
-    plane = options.plane(samples.raw)
+    plane = fit_plane(samples.raw)
     # A normal belongs to the dual space: it maps by the inverse transpose of what maps points.
     normal = samples.mounting.T @ plane.normal
     normal /= np.linalg.norm(normal)
     basis = derotation(normal)
     flat = samples.field @ basis
-    conic = options.conic(flat[:, :2])
-    _refuse_unreliable(plane, conic.radius, samples.raw)
-    middle = np.append(conic.centre, flat[:, 2].mean())
+    centre, radius = fit_circle(flat[:, :2])
+    _refuse_unreliable(plane, radius, samples.raw)
+    middle = np.append(centre, flat[:, 2].mean())
     around = flat - middle
     phasor = around[:, 0] + 1j * around[:, 1]
-    return FieldCircle(basis, around @ basis.T, phasor, middle, conic.radius)
+    return FieldCircle(basis, around @ basis.T, phasor, middle, radius)
 
 
 def derotation(normal: FloatArray) -> FloatArray:
@@ -208,22 +183,22 @@ class TurnAxis:
         return float(np.arccos(min(1.0, self.axial_gravity)))
 
 
-def find_axis(samples: TipSamples, circle: FieldCircle, options: Options) -> TurnAxis:
+def find_axis(samples: TipSamples, circle: FieldCircle) -> TurnAxis:
     """Return the axis from the centre of gravity's circle and the normal of its plane.
 
     On a level turn gravity is constant, and only the centre shows the axis; on a tilted one the
     normal shows more. Each is weighted by its information. The centre is the constant part of
     gravity beside a sinusoid of the field's phase: on part of a turn the plain mean is not on the
-    axis. Raises `Refusal` if the axis is nearly horizontal, or the wanted source does not show it.
+    axis. Raises `Refusal` if the axis is nearly horizontal.
     """
     centre, centre_sigma, noise = _centre_of_gravity(samples.down, circle)
     if float(np.linalg.norm(centre)) < TUNING.smallest_axial_gravity:
         raise _horizontal()
     try:
-        plane = options.plane(samples.down)
+        plane = fit_plane(samples.down)
     except Refusal:
         plane = None
-    direction = _weighed(centre, centre_sigma, plane, options.axis)
+    direction = _weighed(centre, centre_sigma, plane)
     axial = samples.down @ direction
     axial_gravity = float(axial.mean())
     if axial_gravity < TUNING.smallest_axial_gravity:
@@ -246,21 +221,12 @@ def _centre_of_gravity(down: FloatArray, circle: FieldCircle) -> tuple[FloatArra
     return coefficients[0], max(noise, SMALLEST) * float(np.sqrt(covariance[0, 0])), noise
 
 
-def _weighed(
-    centre: FloatArray, centre_sigma: float, plane: Plane | None, source: AxisSource
-) -> FloatArray:
+def _weighed(centre: FloatArray, centre_sigma: float, plane: Plane | None) -> FloatArray:
+    """Return the axis from both; from the centre alone where gravity stood still."""
     from_centre = centre / np.linalg.norm(centre)
-    if source is AxisSource.MEAN or (plane is None and source is AxisSource.AUTO):
-        return np.asarray(from_centre)
     if plane is None:
-        raise Refusal(
-            Reason.NO_MOTION,
-            "Gravity stood still, as it does on level ground, so its plane does not show the axis. "
-            "Take the axis from its mean as well (axis = auto).",
-        )
+        return np.asarray(from_centre)
     from_plane = plane.normal * (1.0 if plane.normal @ centre >= 0.0 else -1.0)
-    if source is AxisSource.PLANE:
-        return np.asarray(from_plane)
     # The plane's information has no part along its normal, where the centre decides.
     of_centre = float(centre @ centre) / centre_sigma**2 * np.eye(3)
     of_plane = plane.normal_information(SMALLEST)

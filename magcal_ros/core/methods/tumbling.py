@@ -41,6 +41,8 @@ class CloudTuning:
     least_gate: float = 0.02  # share of the radius within which a sample is never an outlier
     rounds: int = 10  # most times that outliers are left out and the rest is fitted again
     least_level_share: float = 0.1  # least level share of the field by which the scatter is divided
+    installation_sigma: float = math.radians(3.0)
+    """Prior of the magnetometer's rotation against the IMU, radians per axis."""
 
 
 CLOUD = CloudTuning()
@@ -77,15 +79,6 @@ class Shape:
 Solve = Callable[[Window, Knowledge], Shape]
 
 
-@dataclass(frozen=True, kw_only=True)
-class TumblingOptions:
-    """Choices that all methods for tumbled sensors have."""
-
-    installation_sigma: float = math.radians(3.0)
-    """Prior of the magnetometer's rotation against the IMU, radians per axis; zero if it is known
-    to be aligned."""
-
-
 @dataclass(frozen=True, eq=False)
 class MountingRotation:
     """A rotation of the corrected field against the IMU, as far as gravity shows it."""
@@ -111,19 +104,16 @@ class MountingRotation:
         return covariance
 
 
-def estimate_mounting(direction: FloatArray, up: FloatArray, sigma: float) -> MountingRotation:
+def estimate_mounting(direction: FloatArray, up: FloatArray) -> MountingRotation:
     """Estimate the rotation of the magnetometer against the IMU from the angle between two vectors.
 
     Field and gravity keep one angle in the world. A correction turned by a small rotation d changes
     it: u·m = c - d·(m x u), for unit vectors u up and m of the corrected field, both (n, 3) in the
-    order of time. Tumbling shows all three components of d. `sigma` is their prior, radians.
+    order of time. Tumbling shows all three components of d, beside their prior.
     """
     cosines = np.sum(direction * up, axis=1)
     design = np.column_stack([np.ones(len(up)), -np.cross(direction, up)])
-    if sigma == 0.0:
-        scatter = float(np.std(cosines))
-        return MountingRotation(float(cosines.mean()), np.zeros(3), np.zeros((3, 3)), scatter)
-    prior = np.diag([0.0, *np.full(3, sigma**-2)])
+    prior = np.diag([0.0, *np.full(3, CLOUD.installation_sigma**-2)])
     answer = np.linalg.lstsq(design, cosines, rcond=None)[0]
     residual = cosines - design @ answer
     # Noise-free samples need a floor.
@@ -187,7 +177,6 @@ def finish(
     solve: Solve,
     window: Window,
     knowledge: Knowledge,
-    options: TumblingOptions,
     *,
     method: str,
     least_extent: float,
@@ -211,7 +200,7 @@ def finish(
         lambda part, known: solve(part, known).correction(known), window, knowledge
     )
     up = unit(window.specific_force[inliers])
-    mounting = estimate_mounting(unit(points[inliers]), up, options.installation_sigma)
+    mounting = estimate_mounting(unit(points[inliers]), up)
     strength = strength_of(shape, knowledge)
     inclination = -math.asin(max(-1.0, min(1.0, mounting.cosine)))
     residual = window.field - correction.undo(strength * unit(points))
@@ -230,22 +219,17 @@ def finish(
         noise_up=mounting.scatter / max(math.cos(inclination), CLOUD.least_level_share),
         inliers=inliers,
         residual=residual,
-        figures=_figures(shape, extent, mounting, knowledge, options),
+        figures=_figures(shape, extent, mounting, knowledge),
         message="closed form; the magnetometer's axes were taken for the IMU's",
     )
 
 
 def _figures(
-    shape: Shape,
-    extent: float,
-    mounting: MountingRotation,
-    knowledge: Knowledge,
-    options: TumblingOptions,
+    shape: Shape, extent: float, mounting: MountingRotation, knowledge: Knowledge
 ) -> dict[Figure, float]:
     """Return the method's figures, the extent seen, and deviations from reference and gravity."""
     figures = {**shape.figures, Figure.SPHERE_EXTENT: 0.5 * extent}
-    if options.installation_sigma > 0.0:
-        figures[Figure.MISALIGNMENT] = mounting.angle
+    figures[Figure.MISALIGNMENT] = mounting.angle
     if not knowledge.reference.strength.is_unknown:
         figures[Figure.RADIUS_RATIO] = shape.radius / strength_of(shape, knowledge)
     return figures

@@ -14,7 +14,6 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.rest import GyroAtRest, apart_from_rests
@@ -40,7 +39,6 @@ class SessionTuning:
     once_more: float = 1.2  # full turns at which it ends, unless a whole one was beyond `near`
     stands_still: float = 3.0  # seconds at rest, after a complete turn, that end it
     slowest_turn: float = math.radians(3.0)  # rad/s. Slower than this the robot stands.
-    turned_over: float = 0.3  # rad/s about other axes than up, more than ground and wheels do
     preview_arc: float = math.radians(120.0)  # radians of arc for a first prediction
     preview_share: float = 0.25  # share of one core that predictions may take
 
@@ -230,7 +228,7 @@ class Session:
         angle = self._angle(rows)
         if angle is None:
             return np.arange(len(rows))
-        return np.union1d(thin_to_equal_angles(angle), _turned_over(rows))
+        return thin_to_equal_angles(angle)
 
     def _angle(self, rows: FloatArray) -> FloatArray | None:
         field = rows[:, 1:4] @ self._to_body.T
@@ -280,15 +278,6 @@ def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
     first = int(np.searchsorted(stamps, stamps[-1] - 2.0))
     span = float(stamps[-1] - stamps[first])
     return float(angle[-1] - angle[first]) / span if span > 0.2 else 0.0
-
-
-def _turned_over(rows: FloatArray) -> IntArray:
-    """Return the rows of turns about other axes than up: the gyro's path through them counts."""
-    rate = _rate_if_any(rows)
-    if rate is None:
-        return np.zeros(0, dtype=np.intp)
-    across = np.cross(rate, unit(rows[:, 4:7]))
-    return np.flatnonzero(np.linalg.norm(across, axis=1) > TUNING.turned_over)
 
 
 def _rate_if_any(rows: FloatArray) -> FloatArray | None:

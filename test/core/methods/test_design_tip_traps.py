@@ -14,8 +14,8 @@ from tip_bridge import knowledge_of, ours, window_of, worst_difference
 from tip_turns import QUIET, distance, ramp_turn, refusal, rms_deg, rms_of
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.shapes import ConicFit, PlaneFit
-from magcal_ros.core.methods.design_tip import Options, fit
+from magcal_ros.core.geometry.shapes import ellipse_ratio, fit_plane
+from magcal_ros.core.methods.design_tip import fit
 from magcal_ros.core.simulation import DEGREE, Robot, heading_errors
 
 VERTICAL = {"axis": (0, 0, 1), "gains": (1, 1, 1), "hard_iron": (0.6, -0.4, 0.5)}
@@ -39,7 +39,7 @@ class TestD3NormalsKeepTheirSense:
             for pitch in range(-80, 81, 40):
                 example = printed_tip.simulate(installation_deg=(roll, pitch))
                 wrong["printed"] += worst_difference(example, printed_tip.run(example)) > 1e-6
-                wrong["ours"] += worst_difference(example, ours(example, jackknife_blocks=3)) > 1e-9
+                wrong["ours"] += worst_difference(example, ours(example)) > 1e-9
         assert wrong["printed"] >= 6
         assert wrong["ours"] == 0
 
@@ -143,20 +143,14 @@ class TestD7NoCliff:
         assert printed_tip.heading_error_deg(example, printed) > 45.0
         assert worst_difference(example, ours(example)) < 1e-9
 
-    @pytest.mark.parametrize(
-        ("ramp", "source"),
-        [(0.0, "mean"), (0.3, "mean"), (1.0, "mean"), (3.0, "plane"), (10.0, "plane")],
-    )
-    def test_both_sources_are_never_worse_than_one(self, ramp, source):
+    @pytest.mark.parametrize("ramp", [0.0, 0.3, 1.0, 3.0, 10.0])
+    def test_the_heading_is_as_good_on_every_ramp(self, ramp):
         robot = Robot()
-        errors = {"auto": [], source: []}
+        errors = []
         for seed in range(12):
-            window = ramp_turn(robot, seed, ramp * DEGREE)
-            for axis, found in errors.items():
-                options = Options(axis=axis, jackknife_blocks=3)
-                correction = fit(window, robot.knowledge(), options=options).correction
-                found.append(heading_errors(correction, robot))
-        assert rms_deg(errors["auto"]) < 1.05 * rms_deg(errors[source])
+            correction = fit(ramp_turn(robot, seed, ramp * DEGREE), robot.knowledge()).correction
+            errors.append(heading_errors(correction, robot))
+        assert rms_deg(errors) < 0.13
 
 
 class TestD10DegenerateTurns:
@@ -198,8 +192,7 @@ class TestD11EigenvectorsInAnyOrder:
         parabola = np.column_stack([x, x * x])
         with pytest.raises(ValueError, match="unpack"):
             printed_tip.centre_robust(parabola)
-        with pytest.raises(Refusal):
-            ConicFit.HALIR_FLUSSER(parabola)
+        assert ellipse_ratio(parabola) is None or ellipse_ratio(parabola) > 10.0
 
     def test_the_printed_normal_trusts_the_order(self):
         angle = np.linspace(0.0, 5.0, 50)
@@ -211,6 +204,6 @@ class TestD11EigenvectorsInAnyOrder:
             cloud = np.column_stack([np.cos(angle), np.sin(angle)]) @ in_plane
             printed = printed_tip.normal_eigen(cloud, np.linalg.eig)
             wrong["printed"] += abs(printed @ normal) < 0.99
-            wrong["ours"] += abs(PlaneFit.EIGEN_SIMPLE(cloud).normal @ normal) < 1.0 - 1e-12
+            wrong["ours"] += abs(fit_plane(cloud).normal @ normal) < 1.0 - 1e-12
         assert wrong["printed"] > 3
         assert wrong["ours"] == 0

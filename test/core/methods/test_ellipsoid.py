@@ -114,14 +114,6 @@ def test_a_turned_mounting_is_not_corrected_but_told(motion):
     assert "turned against the IMU" in verdict.summary
 
 
-def test_a_mounting_known_to_be_square_adds_nothing():
-    window = tumble()
-    square = fit(window, SQUARE.knowledge(), options=Options(installation_sigma=0.0))
-    unsure = fit(window, SQUARE.knowledge())
-    assert "misalignment" not in square.figures
-    assert predicted_heading_sigma(square, 0.0) < predicted_heading_sigma(unsure, 0.0)
-
-
 def test_the_verdict_says_what_was_not_looked_at():
     outcome = calibrate(tumble(), SQUARE.knowledge(), "ellipsoid")
     assert outcome.verdict.accepted

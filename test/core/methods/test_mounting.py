@@ -27,7 +27,7 @@ def test_a_rotation_is_seen_by_tumbling_with_an_honest_covariance():
     scores = []
     for seed in range(30):
         rng = np.random.default_rng(seed)
-        found = estimate_mounting(*seen(tumbling(rng), rng), SIGMA)
+        found = estimate_mounting(*seen(tumbling(rng), rng))
         off = found.rotation - TURNED
         scores.append(off @ np.linalg.solve(found.covariance, off) / 3.0)
         np.testing.assert_allclose(found.rotation, TURNED, atol=0.005)
@@ -38,28 +38,22 @@ def test_noise_that_lasts_counts_once():
     rng = np.random.default_rng(0)
     motion = hand_tumbling(rng)
     direction, up = seen(motion, rng)
-    single = estimate_mounting(direction, up, SIGMA)
-    repeated = estimate_mounting(np.repeat(direction, 10, axis=0), np.repeat(up, 10, axis=0), SIGMA)
+    single = estimate_mounting(direction, up)
+    repeated = estimate_mounting(np.repeat(direction, 10, axis=0), np.repeat(up, 10, axis=0))
     ratio = np.trace(repeated.covariance) / np.trace(single.covariance)
     assert 0.5 < ratio < 2.0
 
 
 def test_a_level_turn_says_nothing_about_the_yaw():
     rng = np.random.default_rng(0)
-    found = estimate_mounting(*seen(turn(), rng), SIGMA)
+    found = estimate_mounting(*seen(turn(), rng))
     assert np.sqrt(found.covariance[2, 2]) > 0.7 * SIGMA
     assert np.sqrt(found.covariance[0, 0]) < 0.1 * SIGMA
 
 
-def test_a_known_mounting_is_left_alone():
-    rng = np.random.default_rng(0)
-    found = estimate_mounting(*seen(tumbling(rng), rng), 0.0)
-    assert not found.covariance_of(np.eye(3)).any()
-
-
 def test_the_covariance_of_the_twelve_numbers_is_that_of_turned_matrices():
     rng = np.random.default_rng(0)
-    found = estimate_mounting(*seen(tumbling(rng), rng), SIGMA)
+    found = estimate_mounting(*seen(tumbling(rng), rng))
     matrix = np.diag([0.8, 1.0, 1.3])
     drawn = rng.multivariate_normal(found.rotation, found.covariance, 4000)
     changes = np.array([(exp_rotation(d) @ matrix - matrix).ravel() for d in drawn])

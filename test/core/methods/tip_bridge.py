@@ -21,10 +21,8 @@ def knowledge_of(turn: Turn) -> Knowledge:
     return Knowledge(reference, Mounting(gains=turn.gains))
 
 
-def ours(turn: Turn, **options) -> Answer:
-    estimate = design_tip.fit(
-        window_of(turn), knowledge_of(turn), options=design_tip.Options(**options)
-    )
+def ours(turn: Turn) -> Answer:
+    estimate = design_tip.fit(window_of(turn), knowledge_of(turn))
     rotation = FRD_FROM_FLU @ estimate.installation.pose.T @ FRD_FROM_FLU
     iron = FRD_FROM_FLU @ estimate.correction.hard_iron
     return Answer(rotation, iron, -FRD_FROM_FLU @ estimate.axis)

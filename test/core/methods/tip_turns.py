@@ -9,7 +9,7 @@ import pytest
 from simulated.turns import measure, turn
 
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.methods.design_tip import Options, fit
+from magcal_ros.core.methods.design_tip import fit
 from magcal_ros.core.simulation import DEGREE, Robot
 
 QUIET = Robot(noise_field=0.0, noise_force=0.0)
@@ -43,7 +43,7 @@ def rms_of(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def refusal(window, knowledge, **options):
+def refusal(window, knowledge):
     with pytest.raises(Refusal) as caught:
-        fit(window, knowledge, options=Options(**options))
+        fit(window, knowledge)
     return caught.value

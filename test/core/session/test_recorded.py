@@ -10,7 +10,8 @@ from simulated.turns import measure, turn
 
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
 from magcal_ros.core.session.session import TUNING, Limits
@@ -206,7 +207,8 @@ def test_bad_samples_are_dropped_and_said():
 
 
 def test_a_mounting_upside_down_is_taken_into_account():
-    knowledge = knowledge_of(50.0, 1.5, 60.0, 1.0, mount_rpy_deg=(180.0, 0.0, 30.0))
+    mounting = Mounting(pose=rotation_from_rpy(math.pi, 0.0, math.radians(30.0)))
+    knowledge = dataclasses.replace(knowledge_of(50.0, 1.5, 60.0, 1.0), mounting=mounting)
     robot = Robot(mounting=knowledge.mounting)
     gathering = gathered(drive(400.0, robot), knowledge.mounting)
     outcome = fit_gathered(gathering, knowledge)
