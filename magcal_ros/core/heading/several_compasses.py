@@ -337,16 +337,18 @@ class SeveralCompasses:
         if heading is None:
             return moment._replace(heading=None)
         by_tilt = heading.yaw_variance - heading.lasting_variance - heading.noise_variance
-        lasting = between = noise = 0.0
+        lasting = between = noise = bent = 0.0
         for share, each in zip(shares, kept, strict=True):
             own = self._members[each.number].heading
             lasting += share**2 * own.lasting_variance
             between += share**2 * self._apart.variance
             noise += share**2 * own.noise_variance
+            # Where all fields are bent, but not alike, their mean may look right.
+            bent += share**2 * self._members[each.number].doubt_variance
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return moment._replace(
             heading=heading._replace(
-                yaw_variance=by_tilt + lasting + between + noise,
+                yaw_variance=by_tilt + lasting + between + noise + bent,
                 lasting_variance=lasting + between,
                 noise_variance=noise,
                 lasting=(*(scale * each for each in heading.lasting[:-1]), math.sqrt(between)),
