@@ -344,7 +344,7 @@ class SeveralCompasses:
             between += share**2 * self._apart.variance
             noise += share**2 * own.noise_variance
             # Where all fields are bent, but not alike, their mean may look right.
-            bent += share**2 * self._members[each.number].doubt_variance
+            bent += share**2 * self._members[each.number].doubt_variance * (len(kept) > 1)
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return moment._replace(
             heading=heading._replace(
