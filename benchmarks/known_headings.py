@@ -45,7 +45,7 @@ from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.at_known_heading import HeadingLog, fit_log
-from magcal_ros.core.session.external_heading import ExternalHeading
+from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
 from magcal_ros.core.simulation import DEGREE, Robot
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.up.follower import UpFollower
@@ -181,6 +181,7 @@ class Follower:
         self._drive, self._knowledge, self._rng = drive, knowledge, rng
         self._forward = drive.vehicle.imu_pose[0]
         self._log, self._up = HeadingLog(self._forward), UpFollower()
+        self._turn, self._heard = GyroTurn(), math.nan
         self._fused: FusedYaw | None = None
         self._compass: Compass | None = None
         self._gyros: list[FusedYaw] = []
@@ -225,6 +226,10 @@ class Follower:
         self._up.add(sample)
         follower = self._up
         up = follower.at(sample.stamp, 0.0)
+        seconds, self._heard = sample.stamp - self._heard, sample.stamp
+        if up is not None:
+            by = up.direction, follower.mean_rate, follower.gyro_bias.variance
+            self._turn = self._turn.after(seconds, *by)
         if up is None or self._fused is None:
             return
         rate, known = follower.mean_rate, follower.gyro_bias
@@ -241,8 +246,8 @@ class Follower:
             return
         if since < HEARD:
             told, shift = self._told(k), self._knowledge.reference.declination or 0.0
-            heard = sample, up.direction, self._up.rate, told, shift
-            if self._log.add(*heard, self._up.is_at_rest):
+            heard = sample, up.direction, self._up.rate, told, shift, self._up.is_at_rest
+            if self._log.add(*heard, self._turn):
                 self._calibrate()
         if self._compass is not None and self._fused is not None:
             field = self._compass.correct(sample.field)

@@ -1,12 +1,12 @@
 """One heading from two magnetometers while one of them fails: `python benchmarks/two_compasses.py`.
 
-A number as argument is how many drives each row is over (10 unless given). A robot drives through
-streets at walking pace with two magnetometers, each with a calibration of its own that is wrong by
-as much as its covariance says; after a minute something happens to the first, the better one.
-Failover is the time until the failed one takes no part, or (dead) until headings come again; the
-step is the change of the published heading beyond the robot's own turning in the two seconds after
-it, in sigmas. "Better alone" is the
-fused yaw of whichever magnetometer does better alone. NEES is the squared error over the variance.
+A number as argument is how many drives each row is over (10 unless given), a second one the first
+seed. A robot drives through streets at walking pace with two magnetometers, each with a calibration
+of its own that is wrong by as much as its covariance says; after a minute something happens to the
+first, the better one. Failover is the time until the failed one takes no part, or (dead) until
+headings come again; the step is the change of the published heading beyond the robot's own turning
+in the two seconds after it, in sigmas. "Better alone" is the fused yaw of whichever magnetometer
+does better alone. NEES is the squared error over the variance.
 """
 
 from __future__ import annotations
@@ -266,9 +266,9 @@ def _still_heard(listener: Listener, begins: float) -> float:
     return math.inf
 
 
-def run(drives: int) -> Iterator[tuple[str, list[Score], list[list[Score]]]]:
+def run(drives: int, first: int = 0) -> Iterator[tuple[str, list[Score], list[list[Score]]]]:
     """Return for each case the scores of both together and of each alone."""
-    worlds = [world_of(seed) for seed in range(drives)]
+    worlds = [world_of(seed) for seed in range(first, first + drives)]
     readings = [(w.reading(0, ROBOTS[0]), w.reading(1, ROBOTS[1])) for w in worlds]
     alone: dict[tuple[int, int], tuple[FloatArray, Score]] = {}
 
@@ -297,10 +297,10 @@ def mean(scores: list[Score], key: str) -> float:
 
 def main() -> None:
     """Print a row for each case."""
-    drives = int(sys.argv[1]) if len(sys.argv) > 1 else 10
+    drives, first = (int(each) for each in (sys.argv[1:] + ["10", "0"][len(sys.argv) - 1 :])[:2])
     print("the first fails after 60 s  both  better alone  ratio   NEES  alone", end="")
     print("  each message  alone  failover  step")
-    for name, both, each in run(drives):
+    for name, both, each in run(drives, first):
         better = min(each, key=lambda scores: mean(scores, "square"))
         ours, theirs = (math.degrees(math.sqrt(mean(s, "square"))) for s in (both, better))
         failover, step = (max(getattr(s, key) for s in both) for key in ("failover", "step"))

@@ -95,7 +95,8 @@ class Magnetometers:
         # What disturbs all of them alike is no fault of one.
         if not all(share.why for share in shares.values()):
             for number, share in shares.items():
-                part = f"has {share.weight:.0%} of the heading" if share.weight else "takes no part"
+                percent = round(100.0 * share.weight)
+                part = f"has {percent}% of the heading" if percent else "takes no part"
                 found += [f"{topics[number]} {part}: {share.why}"] if share.why else []
         apart = math.degrees(self._several.disagreement)
         if apart:

@@ -191,28 +191,47 @@ class FieldDoubt:
     """By how much a field that contradicts the calibration makes the compass's yaw less certain.
 
     Strength and dip show two of three parts of what is wrong with the field; the third, across
-    north, turns the yaw and is taken to be as large. A wrong calibration shows it at some
-    headings and hides it at others, so what was seen before counts as well.
+    north, turns the yaw. Where no gyro shows it, it is taken to be as large. A wrong calibration
+    shows the first two at some headings and hides them at others, so what was seen before counts
+    as well.
     """
 
     def __init__(self, calibration: Calibration) -> None:
         strength, dip = calibration.strength, calibration.inclination
         self._level, self._rise = strength * math.cos(dip), -strength * math.sin(dip)
         places = DISTURBANCE.strength**2 + DISTURBANCE.dip**2 + 2.0 * DISTURBANCE.amplitude**2
-        self._usual = strength**2 * places + 2.0 * _own_variance(calibration)
+        own = _own_variance(calibration)
+        self._usual = strength**2 * places + 2.0 * own
+        places = DISTURBANCE.dip**2 + DISTURBANCE.amplitude**2
+        self._usual_across = strength**2 * places + own
         self._seen = self._seconds = 0.0
         self._stamp = math.nan
+        self.is_turned = False  # whether most of what is wrong turns the yaw
 
-    def add(self, stamp: float, field: Triple, up: Triple, tilt_variance: float) -> float:
+    def add(
+        self,
+        stamp: float,
+        field: Triple,
+        up: Triple,
+        tilt_variance: float,
+        turned: tuple[float, float] = (0.0, math.inf),
+    ) -> float:
         """Take a field; returns the variance of the yaw by disturbances, beside its own.
 
         `field` is corrected, tesla, `up` a unit vector, both in body axes; `tilt_variance` is that
-        of up, rad².
+        of up, rad². `turned` is how far its yaw is ahead of the gyro's, radians, and the variance
+        of the latter, rad², infinite without a gyro.
         """
         rise, square = dot(field, up), dot(field, field)
         level = math.sqrt(max(square - rise * rise, 0.0))
         off = (level - self._level) ** 2 + (rise - self._rise) ** 2
-        excess = max(0.0, off - self._usual - tilt_variance * square)
+        usual = self._usual + tilt_variance * square
+        across = 2.0 * level * self._level * (1.0 - math.cos(turned[0]))
+        usual_across = self._usual_across + turned[1] * level * self._level
+        self.is_turned = across - usual_across > off - usual
+        if math.isfinite(usual_across):
+            off, usual = off + across, usual + usual_across
+        excess = max(0.0, off - usual)
         # After a jump of time the next sample counts as one of usual distance.
         seconds = stamp - self._stamp
         seconds = seconds if 0.0 < seconds < 1.0 else 1.0

@@ -33,6 +33,9 @@ class RunningTuning:
     settles: float = 0.7  # seconds at rest after which the current is that of rest
     idle: float = 5.0  # seconds over which that is averaged
     body_length: float = 4.0  # seconds over which what no input shows is alike
+    unseen: float = 0.25
+    """Share of what an input shows by which the motors' field differs from it, along its direction:
+    at an even speed the currents of wheels vary by a fifth to a third, with the floor and bends."""
     late_share: float = 0.03  # of the time in which motors run unseen, or do not
     longest: float = 0.5  # seconds that this lasts at most
     latency: float = 0.2  # seconds by which a speed or a current may be late
@@ -244,7 +247,8 @@ class MotorsNow:
     def _level(self, running: Running, values: FloatArray) -> FloatArray:
         """Return the covariance of what motors add beside K u, µT²."""
         by_gains = (self._by_gains @ values) @ values
-        return np.asarray(running.moving * self._ripple * EYE + by_gains)
+        known = RUNNING.unseen * (values @ self._gains)
+        return np.asarray(running.moving * self._ripple * EYE + by_gains + known[:, None] * known)
 
     def _late(self, stamp: float, odds: float) -> float | None:
         """Return the probability that motors run otherwise than is seen; None if that lasts."""

@@ -20,8 +20,13 @@ from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up.follower import Up
 
-LASTING = 3.0
-"""Seconds over which a disagreement without a reason is averaged, for when only one is left."""
+LASTING = 3.0  # seconds over which a disagreement is looked at: its errors are alike meanwhile
+
+WRONG_BY = tuple(math.radians(5.0 * 2.0**k) for k in range(-1, 5))
+WRONG_ODDS = tuple(0.01 * each for each in (0.26, 0.32, 0.26, 0.12, 0.03, 0.01))
+"""Sizes of an error of yaw that no calibration's covariance holds, radians, and their prior odds.
+On one robot in a hundred a compass was mounted or calibrated wrongly, log-normally by 5° (a sigma
+of the logarithm of 1): a board fixed by hand is off by some degrees, one mounted anew by more."""
 
 SMALLEST_VARIANCE = 1e-10  # rad², the smallest that is believed
 
@@ -42,6 +47,41 @@ class Share(NamedTuple):
     why: str = ""  # what is wrong with it, in words; empty if nothing is
 
 
+class Disagreement:
+    """By how much compasses disagree that have no reason to.
+
+    Each has, beside what its calibration's covariance says, an error of yaw of an unknown size
+    common to all. `variance` is its mean by the posterior, rad², and `chance` that there is one.
+    """
+
+    def __init__(self) -> None:
+        self.variance = self.chance = 0.0
+        self._likely: tuple[float, ...] | None = None
+
+    def add(self, yaws: list[CompassYaw], part: float, seconds: float) -> None:
+        """Take the yaws of two or more, `seconds` after those before.
+
+        `part` of what sound ones would show is seen: of a bent field less.
+        """
+        seen = tuple(_log_likelihood(yaws, size**2) for size in (0.0, *WRONG_BY))
+        old = self._likely or seen
+        share = part * (1.0 - math.exp(-max(seconds, 0.0) / LASTING))
+        self._likely = tuple(was + share * (now - was) for was, now in zip(old, seen, strict=True))
+        none, *wrong = (each - max(self._likely) for each in self._likely)
+        odds = [each * math.exp(now) for each, now in zip(WRONG_ODDS, wrong, strict=True)]
+        whole = math.exp(none) + sum(odds)
+        self.chance = sum(odds) / whole
+        self.variance = sum(o * size**2 for o, size in zip(odds, WRONG_BY, strict=True)) / whole
+
+
+def _log_likelihood(yaws: list[CompassYaw], more: float) -> float:
+    """Return that of the differences between yaws, if each has so much more variance, rad²."""
+    wider = [each._replace(variance=each.variance + more) for each in yaws]
+    norm = sum(math.log(each.variance) for each in wider)
+    norm += math.log(sum(1.0 / each.variance for each in wider))
+    return -0.5 * (norm + misfit(wider))
+
+
 @dataclass
 class _Member:
     """A magnetometer with its calibration, and what came of it last."""
@@ -55,7 +95,6 @@ class _Member:
     off: float = math.nan  # smoothed yaw ahead of the origin of all, radians
     offset: Triple = (0.0, 0.0, 0.0)  # its field less the mean of all, body axes, tesla
     learnt: float = 0.0  # seconds over which that was learnt
-    has_agreed: bool = False  # with others, since it sends
     share: Share = field(default_factory=lambda: Share(0.0))
 
     def take(self, moment: Moment, now: float) -> None:
@@ -63,11 +102,17 @@ class _Member:
         if self.moment is None or moment.field != self.moment.field:
             self.changed = now
         self.moment, self.arrived = moment, now
-        if moment.up is not None and moment.heading is not None:
-            up = moment.up
-            self.doubt_variance = self.doubt.add(
-                moment.stamp, moment.field, up.direction, up.variance
-            )
+
+    def learn_doubt(self, stamp: float, known: float) -> None:
+        """Learn how far its field is from what its calibration and the gyro expect.
+
+        `known` is the variance of the gyro's yaw, rad²; infinite without one.
+        """
+        assert self.moment is not None
+        assert self.moment.up is not None
+        field, up = self.moment.field, self.moment.up
+        turned = (self.off, known)
+        self.doubt_variance = self.doubt.add(stamp, field, up.direction, up.variance, turned)
 
     @property
     def heading(self) -> Heading:
@@ -140,9 +185,7 @@ class SeveralCompasses:
     def _forget(self) -> None:
         self._now = self._stamp = -math.inf
         self._is_by_gyro = False
-        self._left_out: frozenset[int] = frozenset()
-        self._gate = DISTURBANCE.gate**2  # squared sigmas
-        self._between = self._lasting = 0.0
+        self._apart = Disagreement()
         # Radians between those that disagree while none of them is known to be wrong.
         self.disagreement = 0.0
         self._members = {
@@ -158,10 +201,9 @@ class SeveralCompasses:
         yaws = self._compass_yaws(moment, up.direction, fused, seconds)
         if not yaws:
             return moment
-        known = fused.yaw_variance if fused is not None and self._is_by_gyro else math.inf
-        kept = self._believed(yaws, known)
-        self._note_disagreement(yaws, kept, seconds)
-        weights = [1.0 / (each.variance + self._between) for each in kept]
+        kept = believed(yaws)
+        self._note_disagreement(kept, seconds)
+        weights = [1.0 / (each.variance + self._apart.variance) for each in kept]
         shares = [weight / sum(weights) for weight in weights]
         self._note_shares(yaws, kept, shares)
         joined = _mean([minus(w.field, self._members[w.number].offset) for w in kept], shares)
@@ -180,7 +222,7 @@ class SeveralCompasses:
             seen = self._seen(member, moment, up) if is_heard else None
             if seen is None:
                 member.share = Share(0.0, self._silence(member))
-                member.off, member.has_agreed = math.nan, False
+                member.off = math.nan
             else:
                 turned[number] = seen
         if not turned:
@@ -193,8 +235,11 @@ class SeveralCompasses:
         north = levelled(next(iter(turned.values())), up) if origin is None else origin
         assert north is not None
         share = 1.0 - math.exp(-max(seconds, 0.0) / DISTURBANCE.memory)
+        # The gyro shows which one has changed, so it is no help where none has agreed with another.
+        shows = origin is not None and any(self._members[k].learnt for k in turned)
+        known = fused.yaw_variance if fused is not None and shows else math.inf
         return [
-            self._compass_yaw(k, seen, yaw_ahead(north, seen, up), share)
+            self._compass_yaw(k, seen, yaw_ahead(north, seen, up), share, known)
             for k, seen in turned.items()
         ]
 
@@ -220,14 +265,16 @@ class SeveralCompasses:
         higher -= common.strength * math.sin(common.inclination)
         return plus(seen, plus(scaled(level, further), scaled(up, higher)))
 
-    def _compass_yaw(self, number: int, seen: Triple, ahead: float, share: float) -> CompassYaw:
+    def _compass_yaw(
+        self, number: int, seen: Triple, ahead: float, share: float, known: float
+    ) -> CompassYaw:
         member = self._members[number]
-        variance = member.own_variance + member.doubt_variance
         change = wrapped(ahead - member.off)
         # A step that is too large for noise need not be averaged.
         is_noise = abs(change) <= DISTURBANCE.gate * math.sqrt(member.heading.noise_variance)
         member.off = wrapped(member.off + share * change) if is_noise else ahead
-        return CompassYaw(number, seen, member.off, variance)
+        member.learn_doubt(self._stamp, known)
+        return CompassYaw(number, seen, member.off, member.own_variance + member.doubt_variance)
 
     def _silence(self, member: _Member) -> str:
         if not self._is_new(member.arrived):
@@ -236,42 +283,15 @@ class SeveralCompasses:
             return "it says the same values again and again"
         return "its stamps are far from the others', or its field shows no direction"
 
-    def _believed(self, yaws: list[CompassYaw], known: float) -> list[CompassYaw]:
-        """Leave out those that are wrong; `known` is the variance of the gyro's yaw, rad².
-
-        The gyro shows which one has changed, so it is no help where none has agreed with another.
-        """
-        if not any(self._members[each.number].has_agreed for each in yaws):
-            known = math.inf
-        kept = believed(yaws, known, self._gate)
-        # With large doubts all yaws agree.
-        if len(kept) > 1 and self._are_sound(kept) and misfit(kept) <= self._gate:
-            for each in kept:
-                self._members[each.number].has_agreed = True
-        self._left_out = frozenset(each.number for each in yaws if each not in kept)
-        # Those that were left out must agree better.
-        self._gate = (DISTURBANCE.believed_below if self._left_out else DISTURBANCE.gate) ** 2
-        return kept
-
-    def _are_sound(self, yaws: list[CompassYaw]) -> bool:
-        return not any(self._members[each.number].is_doubted for each in yaws)
-
-    def _note_disagreement(
-        self, yaws: list[CompassYaw], kept: list[CompassYaw], seconds: float
-    ) -> None:
-        """Learn by which variance they disagree for no reason; kept while others say nothing."""
+    def _note_disagreement(self, yaws: list[CompassYaw], seconds: float) -> None:
         self.disagreement = 0.0
-        # A field that is seen to be bent is a reason as far as its doubt explains the difference.
-        is_explained = misfit(kept) <= self._gate
-        sound = [each for each in kept if not is_explained or self._are_sound([each])]
-        excess = excess_variance(sound or kept)
-        if sound and len(yaws) > 1:
-            share = 1.0 - math.exp(-max(seconds, 0.0) / LASTING)
-            self._lasting += share * (excess - self._lasting)
-        self._between = max(excess, self._lasting)
-        if len(sound) > 1 and misfit(sound) > self._gate:
-            first = sound[0].ahead
-            self.disagreement = max(abs(wrapped(each.ahead - first)) for each in sound)
+        if len(yaws) < 2:
+            return
+        own = sum(self._members[each.number].own_variance for each in yaws)
+        self._apart.add(yaws, own / sum(each.variance for each in yaws), seconds)
+        if self._apart.chance > 0.5:
+            first = yaws[0].ahead
+            self.disagreement = max(abs(wrapped(each.ahead - first)) for each in yaws)
 
     def _learn_offsets(self, kept: list[CompassYaw], shares: list[float], seconds: float) -> None:
         """Learn how each field differs from the mean, while nothing seems wrong with any.
@@ -279,7 +299,8 @@ class SeveralCompasses:
         A difference of hard iron stays in the axes of the body. With it taken off, those that are
         left go on where all of them were.
         """
-        if len(kept) < 2 or self.disagreement or not self._are_sound(kept) or seconds <= 0.0:
+        is_bent = any(self._members[each.number].is_doubted for each in kept)
+        if len(kept) < 2 or self.disagreement or is_bent or seconds <= 0.0:
             return
         mean = _mean([each.field for each in kept], shares)
         for each in kept:
@@ -293,11 +314,10 @@ class SeveralCompasses:
         self, yaws: list[CompassYaw], kept: list[CompassYaw], shares: list[float]
     ) -> None:
         weights = {each.number: share for each, share in zip(kept, shares, strict=True)}
-        first = kept[0].ahead
+        first = 0.0 if self._is_by_gyro else kept[0].ahead
         for each in yaws:
-            member = self._members[each.number]
-            why = ""
-            if each.number in self._left_out:
+            member, why = self._members[each.number], ""
+            if each not in kept or (member.is_doubted and member.doubt.is_turned):
                 off = math.degrees(wrapped(each.ahead - first))
                 why = f"its yaw is {off:+.0f}° from what the others and the gyro say"
             elif member.is_doubted:
@@ -317,16 +337,18 @@ class SeveralCompasses:
         if heading is None:
             return moment._replace(heading=None)
         by_tilt = heading.yaw_variance - heading.lasting_variance - heading.noise_variance
-        lasting = between = noise = 0.0
+        lasting = between = noise = bent = 0.0
         for share, each in zip(shares, kept, strict=True):
             own = self._members[each.number].heading
             lasting += share**2 * own.lasting_variance
-            between += share**2 * self._between
+            between += share**2 * self._apart.variance
             noise += share**2 * own.noise_variance
+            # Where all fields are bent, but not alike, their mean may look right.
+            bent += share**2 * self._members[each.number].doubt_variance * (len(kept) > 1)
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return moment._replace(
             heading=heading._replace(
-                yaw_variance=by_tilt + lasting + between + noise,
+                yaw_variance=by_tilt + lasting + between + noise + bent,
                 lasting_variance=lasting + between,
                 noise_variance=noise,
                 lasting=(*(scale * each for each in heading.lasting[:-1]), math.sqrt(between)),
@@ -340,45 +362,28 @@ def _mean(vectors: list[Triple], shares: list[float]) -> Triple:
     return (x, y, z)
 
 
-def believed(yaws: list[CompassYaw], known: float, gate: float) -> list[CompassYaw]:
-    """Return the yaws without those that are wrong.
+def believed(yaws: list[CompassYaw]) -> list[CompassYaw]:
+    """Return the yaws without those that are wrong, as far as the yaws alone show it.
 
-    One is left out if the others and the origin agree far better without it, and far better than
-    without any other.
-
-    `known` is the variance of the origin's yaw, rad², infinite if it is unknown; `gate` are the
-    squared sigmas that count as far.
+    One is left out if the others agree far better without it, and far better than without any
+    other.
     """
-    kept = yaws
+    kept, gate = yaws, DISTURBANCE.gate**2
     while len(kept) > 1 and misfit(kept) > gate:
         rests = [kept[:k] + kept[k + 1 :] for k in range(len(kept))]
-        rests.sort(key=lambda rest: misfit(rest, known))
-        best, second = (misfit(rest, known) for rest in rests[:2])
-        if min(misfit(kept, known), second) - best <= gate:
+        best, second = sorted(rests, key=misfit)[:2]
+        if min(misfit(kept), misfit(second)) - misfit(best) <= gate:
             break
-        kept = rests[0]
+        kept = best
     return kept
 
 
-def misfit(yaws: list[CompassYaw], known: float = math.inf) -> float:
-    """Return the squared sigmas by which the yaws miss the one that suits best; as `believed`."""
-    first = yaws[0].ahead if math.isinf(known) else 0.0
-    whole, moment, square = 1.0 / max(known, SMALLEST_VARIANCE), 0.0, 0.0
+def misfit(yaws: list[CompassYaw]) -> float:
+    """Return the squared sigmas by which the yaws miss the one that suits best."""
+    whole = moment = square = 0.0
     for each in yaws:
-        ahead, weight = wrapped(each.ahead - first), 1.0 / each.variance
+        ahead, weight = wrapped(each.ahead - yaws[0].ahead), 1.0 / each.variance
         whole += weight
         moment += weight * ahead
         square += weight * ahead * ahead
     return square - moment * moment / whole
-
-
-def excess_variance(yaws: list[CompassYaw]) -> float:
-    """Return the variance that each must have beside its own for all to agree, rad².
-
-    The estimate of DerSimonian and Laird for the variance between the studies of a meta-analysis.
-    """
-    weights = [1.0 / each.variance for each in yaws]
-    spread = sum(weights) - sum(weight**2 for weight in weights) / sum(weights)
-    if spread <= 0.0:
-        return 0.0
-    return max(0.0, misfit(yaws) - (len(yaws) - 1)) / spread

@@ -19,7 +19,7 @@ from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit, next_heading
 from magcal_ros.core.samples.rest import mean_and_sigma
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, HeadingSample, Pair
+from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import DEGREES, LOG, TUNING, ExternalHeading
 from magcal_ros.core.smoother.standings import Standing
@@ -221,7 +221,7 @@ class HeadingLog:
         self._newest, self._fresh = -math.inf, 0
         self._rested = False
         self._heard, self._metres = math.nan, 0.0
-        self._block: list[tuple[float, ...]] = []  # stamp, field, up, and heading as a direction
+        self._block: list[tuple[float, ...]] = []  # stamp, field, up, heading as a direction, turn
 
     def add(
         self,
@@ -231,11 +231,13 @@ class HeadingLog:
         given: ExternalHeading,
         shift: float,
         is_at_rest: bool,
+        turn: external_heading.GyroTurn,
     ) -> bool:
         """Take a field sample and the heading of this moment; returns whether to fit again.
 
         `up` is unit and `rate` in rad/s less the bias, body axes; `shift` (rad) makes the heading
-        one to magnetic north. A robot at rest gives one mean only: more show nothing new.
+        one to magnetic north. A robot at rest gives one mean only: more show nothing new. `turn` is
+        the gyro's since the log began: it shows headings that drift.
         """
         stamp = sample.stamp
         since, self._heard = stamp - self._heard, stamp
@@ -249,7 +251,8 @@ class HeadingLog:
             return False
         if self._block and not 0.0 <= stamp - self._block[0][0] < 2.0 * LOG.block:
             self._block = []
-        self._block.append((stamp, *sample.field, *up, math.cos(given.yaw), math.sin(given.yaw)))
+        told = math.cos(given.yaw), math.sin(given.yaw)
+        self._block.append((stamp, *sample.field, *up, *told, turn.angle))
         if stamp - self._block[0][0] < LOG.block or len(self._block) < LOG.fewest:
             return False
         mean = np.mean(self._block, axis=0)
@@ -261,8 +264,12 @@ class HeadingLog:
             math.hypot(given.sigma, LOG.sigma),
             by_declination=given.is_true,
             forward=self.forward,
+            turned=float(mean[9]),
+            turned_sigma=math.sqrt(turn.variance),
             force_sigma=LOG.force,
             way=self._metres,
+            seconds=stamp,
+            common_sigma=LOG.common,
         )
         self._block, self._rested = [], is_at_rest
         return self._keep(stamp, heading, standing)
@@ -282,15 +289,25 @@ class HeadingLog:
         """What is kept, in the order of time."""
         found = [each for sector in self._kept for each in sector]
         kept = [standing for _, standing in sorted(found, key=lambda each: each[0])]
-        before = [-math.inf, *(each.way for each in kept)]
-        return tuple(
-            replace(each, way=each.way - last) for each, last in zip(kept, before, strict=False)
-        )
+        return tuple(_since(each, kept[k - 1] if k else None) for k, each in enumerate(kept))
 
     def take(self) -> tuple[Standing, ...]:
         """Return what is kept, for a fit; what comes after is new."""
         self._fresh = 0
         return self.standings
+
+
+def _since(each: Standing, before: Standing | None) -> Standing:
+    """Return a standing whose way, time and turn count from the one before, if there is one."""
+    if before is None:
+        return replace(each, way=math.inf, seconds=0.0, turned_sigma=math.inf)
+    return replace(
+        each,
+        way=each.way - before.way,
+        seconds=each.seconds - before.seconds,
+        turned=each.turned - before.turned,
+        turned_sigma=math.sqrt(max(each.turned_sigma**2 - before.turned_sigma**2, 0.0)),
+    )
 
 
 def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outcome, str]:
@@ -313,19 +330,20 @@ class HeadingCollector:
         self.check = external_heading.HeadingAgainstGyro()
         self.log: HeadingLog | None = None
         self.newest = HeadingSample(-math.inf, 0.0, 1.0)
-        self._imu_stamp, self._turned = math.nan, 0.0
+        self._imu_stamp, self._turn = math.nan, external_heading.GyroTurn()
 
     def on_imu(self, stamp: float) -> None:
         """Take the turn up to an IMU message, seconds, that `up` has received already."""
         seconds, self._imu_stamp = stamp - self._imu_stamp, stamp
         up = self._up.newest
-        if up is not None and 0.0 < seconds <= STREAMS.longest_gyro_step:
-            self._turned += dot(self._up.mean_rate, up) * seconds
+        if up is not None:
+            known = self._up.gyro_bias.variance
+            self._turn = self._turn.after(seconds, up, self._up.mean_rate, known)
 
     def on_heading(self, sample: HeadingSample) -> None:
         """Take a heading."""
         self.newest = sample
-        self.check.add(sample.stamp, sample.yaw, self._turned)
+        self.check.add(sample.stamp, sample.yaw, self._turn.angle)
 
     def on_field(
         self,
@@ -349,5 +367,5 @@ class HeadingCollector:
             return False
         if self.log is None or not np.array_equal(self.log.forward, forward):
             self.log = HeadingLog(forward)
-        is_at_rest = self._up.is_at_rest
-        return self.log.add(sample, up.direction, self._up.rate, given, shift, is_at_rest)
+        seen = sample, up.direction, self._up.rate, given, shift, self._up.is_at_rest
+        return self.log.add(*seen, self._turn)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
-from magcal_ros.core.heading.yaw_filter import FUSION
+from magcal_ros.core.heading.yaw_filter import FUSION, UNKNOWN_YAW
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, HeadingSample
 
@@ -49,6 +50,8 @@ class LogTuning:
     fewest: int = 4  # samples of a mean
     rate: float = 0.1  # rad/s of turning from which heading and field are not of one moment
     sigma: float = math.radians(0.7)  # radians of heading, for being apart in time
+    common: float = math.radians(0.5)
+    """Radians by which a device is mounted askew: two antennas a metre apart by a centimetre."""
     force: float = 0.15  # m/s² per axis by which up is wrong on the way
     speed: float = 5.0  # m/s of a robot that moves: nobody tells how far it goes
     first: int = 8  # new means after which it is worth while to fit
@@ -130,6 +133,23 @@ class TurnSince:
         if math.isnan(self._stamp):
             return math.inf
         return math.sqrt(self._variance) + self._bias_sigma * self._seconds
+
+
+class GyroTurn(NamedTuple):
+    """How far the gyro has turned to the left since some moment, radians."""
+
+    angle: float = 0.0
+    variance: float = 0.0  # of all but the bias that is common to the whole way
+
+    def after(self, seconds: float, up: Triple, rate: Triple, bias_variance: float) -> GyroTurn:
+        """Return it after an IMU message; parameters as of `TurnSince.add`."""
+        if not 0.0 < seconds <= STREAMS.longest_gyro_step:
+            return self._replace(variance=self.variance + UNKNOWN_YAW)
+        turn = dot(rate, up)
+        lost = FUSION.angle_walk**2 + FUSION.turn_error**2 * abs(turn)
+        # The bias is known to so much at all times; before the first rest it may be another.
+        lost += max(0.0, bias_variance - FUSION.bias_sigma**2) * FUSION.noise_tau
+        return GyroTurn(self.angle + turn * seconds, self.variance + lost * seconds)
 
 
 class HeadingAgainstGyro:

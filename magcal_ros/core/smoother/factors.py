@@ -6,6 +6,7 @@ R <- exp(phi) R; all derivatives are of the prediction.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +26,10 @@ from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
     ATTITUDE,
+    BIAS_UP,
     BODY_FIELD,
     EARTH,
+    HEADING_DRIFT,
     LOCAL,
     ROLL_PITCH,
     SHARED,
@@ -36,6 +39,8 @@ from magcal_ros.core.smoother.unknowns import (
     VELOCITY,
     YAW,
 )
+
+DEGREE = math.radians(1.0)
 
 ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Rows and columns of the numbers of soft iron."""
@@ -242,16 +247,25 @@ def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Lin
     off, by_attitude = _heading_less(heading, forward, state)
     here = np.zeros((len(heading), 1, LOCAL))
     here[:, 0, ATTITUDE] = by_attitude
-    return Linear(off[:, None], here)
+    here[:, :, HEADING_DRIFT] = DEGREE
+    return Linear(wrap_angle(off[:, None] - DEGREE * state.local[:, HEADING_DRIFT]), here)
 
 
-def known_turn(turned: FloatArray, forward: FloatArray, state: State) -> Linear:
-    """Return the residuals of known turns between nodes, (n - 1,) radians to the left."""
+def known_turn(
+    turned: FloatArray, seconds: FloatArray, forward: FloatArray, state: State
+) -> Linear:
+    """Return the residuals of turns between nodes by the gyro, (n - 1,) radians to the left.
+
+    The gyro's bias counts over so many `seconds`, (n - 1,).
+    """
     ahead, by_attitude = _heading_less(np.zeros(len(forward)), forward, state)
     here, there = (np.zeros((len(turned), 1, LOCAL)) for _ in range(2))
     here[:, 0, ATTITUDE], there[:, 0, ATTITUDE] = -by_attitude[:-1], by_attitude[1:]
+    by = np.zeros((len(turned), 1, SHARED))
+    by[:, 0, BIAS_UP] = seconds
     # `ahead` is minus the heading.
-    return Linear(wrap_angle(turned + ahead[1:] - ahead[:-1])[:, None], here, there)
+    off = turned - seconds * state.shared[BIAS_UP] + ahead[1:] - ahead[:-1]
+    return Linear(wrap_angle(off)[:, None], here, there, by)
 
 
 def _heading_less(

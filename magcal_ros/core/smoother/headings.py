@@ -13,6 +13,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother.posterior import Posterior, posterior_at
 from magcal_ros.core.smoother.standings import (
+    DRIFTS,
     Standing,
     StandingOptimum,
     Standings,
@@ -37,7 +38,8 @@ class HeadingAgreement:
     misfit: float
     """Squared deviations over their variances at the usual size of the local disturbance."""
     least: float  # the same at the largest plausible size
-    freedom: int  # how many deviations that adds up: those of the field but for the hard iron
+    freedom: int
+    """How many deviations that adds up: those of the field but for the hard iron, and of turns."""
 
     @property
     def chance(self) -> float:
@@ -74,10 +76,7 @@ def fit_headings(
     `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     model = Standings.of(standings, knowledge)
-    middle = model.optimum(rms_size(place))
-    sizes = place.usual * np.exp(place.spread * SPREADS)
-    found = [model.optimum(float(size), middle.state) for size in sizes]
-    costs = np.array([each.cost for each in found]) + SPREADS**2
+    found, costs, agreement = _optima(model, place)
     weights = np.exp(-0.5 * (costs - costs.min()))
     weights = weights / weights.sum()
     shared = np.einsum("k,ks->s", weights, [each.state.shared for each in found])
@@ -91,8 +90,33 @@ def fit_headings(
     posterior = posterior_at(state, covariance, knowledge.mounting.matrix)
     residual = model.field_of(state).residual @ knowledge.mounting.matrix.T / MICROTESLA
     yaw_sigma = math.sqrt(covariance[YAW, YAW])
-    agreement = _agreement(middle, found[BELIEVED], len(standings))
     return HeadingFit(state, covariance, posterior, agreement, residual, yaw_sigma)
+
+
+def _optima(
+    model: Standings, place: Size
+) -> tuple[list[StandingOptimum], FloatArray, HeadingAgreement]:
+    """Return the optima at sizes of the local disturbance and of a drift, costs, and agreement."""
+    middle = model.optimum(rms_size(place))
+    sizes = place.usual * np.exp(place.spread * SPREADS)
+    found = [model.optimum(float(size), middle.state) for size in sizes]
+    costs = np.array([each.cost for each in found]) + SPREADS**2
+    usual, large = middle, found[BELIEVED]
+    if model.seconds.any():
+        best = int(np.argmin(costs))
+        size, start = float(sizes[best]), found[best].state
+        drifting = [model.optimum(size, start, drift) for drift in DRIFTS]
+        # Other sizes of the disturbance are taken to be as likely beside a drift as without one.
+        others = 2.0 * math.log(np.exp(-0.5 * (costs - costs[best])).sum()) - SPREADS[best] ** 2
+        odds = 2.0 * np.log(list(DRIFTS.values()))
+        costs = np.append(costs, [each.cost for each in drifting] - odds - others)
+        found += drifting
+        k = int(np.argmin(costs)) - len(SPREADS)
+        if k >= 0:
+            drift, start = list(DRIFTS)[k], drifting[k].state
+            usual = model.optimum(rms_size(place), start, drift)
+            large = model.optimum(float(sizes[BELIEVED]), start, drift)
+    return found, costs, _agreement(model, usual, large)
 
 
 def agreement_of(
@@ -102,11 +126,14 @@ def agreement_of(
     model = Standings.of(standings, knowledge)
     middle = model.optimum(rms_size(place))
     size = place.usual * math.exp(place.spread * SPREADS[BELIEVED])
-    return _agreement(middle, model.optimum(size, middle.state), len(standings))
+    return _agreement(model, middle, model.optimum(size, middle.state))
 
 
-def _agreement(usual: StandingOptimum, large: StandingOptimum, count: int) -> HeadingAgreement:
-    return HeadingAgreement(usual.cost, usual.misfit, large.misfit, 3 * count - 3)
+def _agreement(
+    model: Standings, usual: StandingOptimum, large: StandingOptimum
+) -> HeadingAgreement:
+    freedom = 3 * len(model.heading) - 3 + int(np.isfinite(model.turned_sigma).sum())
+    return HeadingAgreement(usual.cost, usual.misfit, large.misfit, freedom)
 
 
 def sigma_with(

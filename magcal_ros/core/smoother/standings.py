@@ -10,11 +10,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from dataclasses import field as member
+from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray, freeze
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part, unit
+from magcal_ros.core.heading.yaw_filter import FUSION
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother.model import GAUSSIAN, LEAST_VARIANCE
@@ -25,8 +27,10 @@ from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
+    BIAS_UP,
     BODY_FIELD,
     EARTH,
+    HEADING_DRIFT,
     LOCAL,
     MICROTESLA,
     SHARED,
@@ -44,6 +48,23 @@ BY_MOTION = (
     *("motors_moving", "motors_rate", "drift", "force_moving", "gradient"),
 )
 """Unknowns that standing does not ask for."""
+
+
+class Drift(NamedTuple):
+    """The part of a device's headings that drifts."""
+
+    sigma: float  # degrees
+    lasts: float  # seconds over which it is correlated
+
+
+NO_DRIFT = Drift(1e-3, FUSION.wander_lasts)
+DRIFTS: dict[Drift, float] = {
+    Drift(0.7, 0.3 * FUSION.wander_lasts): 0.3,
+    Drift(2.0, FUSION.wander_lasts): 0.3,
+    Drift(6.0, 3.0 * FUSION.wander_lasts): 0.3,
+}
+"""Drifts with their prior odds against none. Reflections by walls and trees turn antennas a metre
+apart by some degrees for minutes, on every second robot; what is larger lasts longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +86,9 @@ class Standing:
     way: float = math.inf
     """Metres from the standing before, for the correlation of the local disturbance; infinite if it
     is another place."""
+    seconds: float = 0.0
+    """Since the standing before, of headings of a device, whose error may drift meanwhile."""
+    common_sigma: float = 0.0  # of the error that all headings share, radians
     noise_field: float = 0.3e-6
     noise_up: float = 0.003
     """Standard deviations of single samples: tesla per axis, radians of tilt per axis."""
@@ -103,6 +127,7 @@ class Standings:
     forward: FloatArray
     turned: FloatArray
     turned_sigma: FloatArray
+    seconds: FloatArray
     keeps: FloatArray
     """Correlation of the local disturbance with that of the standing before. Shape (n - 1,)."""
     common: FloatArray
@@ -117,9 +142,11 @@ class Standings:
         heading = np.array([each.heading for each in standings])
         forward = np.array([each.forward for each in standings])
         course = course_of(field_ * MICROTESLA)
-        priors = _priors(knowledge)
+        seconds = np.array([each.seconds for each in standings[1:]])
+        priors = _priors(knowledge, bool(seconds.any()))
         state = _start(course.nodes, force, heading, forward, priors)
         by = np.array([each.by_declination for each in standings], dtype=float)
+        common = np.array([each.common_sigma for each in standings])
         return cls(
             course,
             force,
@@ -129,8 +156,9 @@ class Standings:
             forward,
             np.array([each.turned for each in standings[1:]]),
             np.array([each.turned_sigma for each in standings[1:]]),
+            seconds,
             np.exp(-np.array([each.way for each in standings[1:]]) / priors.lengths.street),
-            by * knowledge.reference.declination_sigma,
+            np.hypot(by * knowledge.reference.declination_sigma, common),
             replace(priors, mean=_about(priors, state)),
             state,
         )
@@ -139,8 +167,11 @@ class Standings:
         """Return the residuals of the field at a state."""
         return factors.magnetic(self.course, state, Places.none(len(self.heading), 1.0))
 
-    def weighed(self, state: State, size: float) -> dict[str, Weighted]:
-        """Return all residuals with their variances, for a size of the local disturbance."""
+    def weighed(self, state: State, size: float, drift: Drift) -> dict[str, Weighted]:
+        """Return all residuals with their variances.
+
+        `size` is that of the local disturbance, and `drift` is that of the headings.
+        """
         ones = np.ones(len(self.heading))
 
         def known(linear: factors.Linear, variance: FloatArray) -> Weighted:
@@ -154,17 +185,20 @@ class Standings:
             ),
         }
         if len(ones) > 1:
-            turn = factors.known_turn(self.turned, self.forward, state)
+            turn = factors.known_turn(self.turned, self.seconds, self.forward, state)
             found["turn"] = known(turn, self.turned_sigma**2)
+            keeps = np.exp(-self.seconds / drift.lasts)
+            variance = drift.sigma**2 * (1.0 - keeps**2) + LEAST_VARIANCE
+            found["drift"] = known(factors.process(state, HEADING_DRIFT, keeps), variance)
             variance = size**2 * (1.0 - self.keeps**2) + LEAST_VARIANCE
             found["street"] = known(factors.process(state, STREET, self.keeps), variance)
         return found
 
-    def prior(self, state: State, size: float) -> Prior:
-        """Return the priors for a size of the local disturbance."""
+    def prior(self, state: State, size: float, drift: Drift) -> Prior:
+        """Return the priors for sizes as of `weighed`."""
         local = np.full_like(state.local, 1.0)
         local[:, : LOCAL - 8] = LEAST_VARIANCE
-        local[0, STREET] = size**-2.0
+        local[0, HEADING_DRIFT], local[0, STREET] = drift.sigma**-2.0, size**-2.0
         local[1:, STREET] = LEAST_VARIANCE
         local[:, BODY_FIELD] = rms_size(SIZES["body_field"]) ** -2.0
         free = self.free
@@ -179,11 +213,13 @@ class Standings:
         """The indices of the estimated shared unknowns."""
         return np.flatnonzero(self.priors.scale > 0.0)
 
-    def optimum(self, size: float, start: State | None = None) -> StandingOptimum:
-        """Return the optimum at a size of the local disturbance."""
+    def optimum(
+        self, size: float, start: State | None = None, drift: Drift = NO_DRIFT
+    ) -> StandingOptimum:
+        """Return the optimum for sizes as of `weighed`."""
         state, free = start or self.start, self.free
         for _ in range(STEPS):
-            weighted, prior = self.weighed(state, size), self.prior(state, size)
+            weighted, prior = self.weighed(state, size, drift), self.prior(state, size, drift)
             solution = solve(list(weighted.values()), prior, free)
             if float(np.max(np.abs(solution.shared) / _sigmas(solution))) < CLOSE:
                 break
@@ -193,8 +229,9 @@ class Standings:
         covariance = solution.covariance + self._by_declination(weighted, prior, solution)
         whole = np.zeros((SHARED, SHARED))
         whole[np.ix_(free, free)] = covariance
-        misfit, count = self._misfit(weighted, prior), len(self.heading)
-        cost = misfit + 6.0 * count * math.log(size) + solution.log_determinant
+        misfit = self._misfit(weighted, prior)
+        cost = misfit + solution.log_determinant + _log_steps(self.keeps, size, 3)
+        cost += _log_steps(np.exp(-self.seconds / drift.lasts), drift.sigma, 1)
         return StandingOptimum(state, whole, cost, misfit)
 
     def _misfit(self, weighted: dict[str, Weighted], prior: Prior) -> float:
@@ -206,7 +243,7 @@ class Standings:
     def _by_declination(
         self, weighted: dict[str, Weighted], prior: Prior, solution: Solution
     ) -> FloatArray:
-        """Return the covariance by the common error of all headings to true north."""
+        """Return the covariance by what all headings share: the north, or how antennas sit."""
         if not self.common.any():
             return np.zeros_like(solution.covariance)
         still = {name: _with_residual(part, 0.0) for name, part in weighted.items()}
@@ -215,6 +252,12 @@ class Standings:
         at_rest = replace(prior, offset=offset, local_offset=local)
         step = solve(list(still.values()), at_rest, self.free).shared
         return np.outer(step, step)
+
+
+def _log_steps(keeps: FloatArray, size: float, width: int) -> float:
+    """Return the logarithm of the determinant of a process's steps and start, as of `weighed`."""
+    steps = np.log(size**2 * (1.0 - keeps**2) + LEAST_VARIANCE).sum()
+    return width * (2.0 * math.log(size) + float(steps))
 
 
 def _with_residual(part: Weighted, residual: FloatArray | float) -> Weighted:
@@ -231,7 +274,7 @@ def rms_size(size: Size) -> float:
     return size.usual * math.exp(size.spread**2)
 
 
-def _priors(knowledge: Knowledge) -> Priors:
+def _priors(knowledge: Knowledge, by_device: bool) -> Priors:
     """Return the priors of standings; uncertain sigmas count by their mean squares."""
     priors = priors_of(knowledge)
     scale = priors.scale.copy()
@@ -239,6 +282,8 @@ def _priors(knowledge: Knowledge) -> Priors:
         scale[at] *= 0.0 if name in BY_MOTION else _mean_factor(name, priors)
     # Nothing but known headings shows how the magnetometer is turned about up.
     scale[YAW] = math.hypot(scale[YAW], knowledge.mounting.yaw_sigma)
+    if by_device:
+        scale[BIAS_UP] = FUSION.bias_sigma
     return replace(priors, scale=scale)
 
 

@@ -22,6 +22,8 @@ ACCELERATION = slice(11, 13)
 local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT),
 lasting change of the velocity (m/s², level axes of the body)."""
 LOCAL = 13
+HEADING_DRIFT = slice(3, 4)
+"""At standings, in place of the velocity: the part of a device's heading that drifts, degrees."""
 RATE, CLIMB = slice(5, 6), 6
 """Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s,
 and the accelerometer's velocity upward, m/s."""
@@ -300,6 +302,7 @@ def _slices() -> tuple[dict[str, slice], int]:
 
 
 AT, SHARED = _slices()  # the slice of each group of shared unknowns, and their number
+BIAS_UP = AT["gyro_bias"].start + 2
 ROLL_PITCH, YAW = AT["installation"], AT["axes"].start
 SHIELDING = AT["shielding"].start
 TURNED = AT["turned"].start

@@ -25,6 +25,7 @@ from magcal_ros.core.geometry.attitude import (
 )
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.heading.compass import Compass, quaternion_from_rpy
+from magcal_ros.core.heading.motors_now import RUNNING
 
 angle = st.floats(-math.pi, math.pi)
 tilt = st.floats(-1.4, 1.4)
@@ -259,6 +260,7 @@ class TestMotors:
         drawn = rng.multivariate_normal(np.zeros(18), joint, 4000)
         matrix = found.correction.matrix + drawn[:, :9].reshape(-1, 3, 3)
         moved = drawn[:, 9:12] + np.einsum("k,nkj->nj", u, drawn[:, 12:].reshape(-1, 2, 3))
+        moved += np.outer(RUNNING.unseen * rng.standard_normal(4000), u @ found.motors.gain)
         fields = np.einsum("nij,nj->ni", matrix, raw - found.correction.hard_iron - moved)
         yaws = yaw_from_up_and_field(up, fields)
         args = tuple(field.tolist()), tuple(up.tolist())
@@ -290,5 +292,7 @@ class TestMotors:
         known = replace(found.motors, covariance=np.zeros((6, 6)))
         seen_so = self.heading(replace(found, motors=known), raw + told, up, doubt)
         apart = seen_so.yaw_variance - seen_so.lasting_variance
-        assert apart - seen_so.noise_variance == pytest.approx(turned**2, rel=1e-6)
+        unseen = RUNNING.unseen * float(east @ found.correction.matrix @ told / (east @ east))
+        expected = turned**2 + unseen**2
+        assert apart - seen_so.noise_variance == pytest.approx(expected, rel=1e-6)
         assert seen_so.yaw == pytest.approx(sure.yaw)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from long_form import first_of
 
 from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.geometry.rotations import exp_rotation
@@ -61,6 +62,23 @@ def test_a_current_that_ripples_and_comes_late_is_made_up_for():
     plain = np.outer(current - late, BY_CURRENT)
     assert np.sqrt(np.mean(off**2)) < 0.5 * np.sqrt(np.mean(plain**2))
     assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
+
+
+@pytest.mark.parametrize("seed", first_of(range(6)))
+def test_a_current_that_nobody_reports_differs_from_what_the_speed_shows(seed):
+    rng = np.random.default_rng(seed)
+    inputs, gain = (MotorInput.ABS_SPEED,), 2.0 * STEP[None]
+    known = MotorField(inputs, gain, 1e-14 * np.eye(3), np.zeros((12, 3)), 0.3e-6, (1.0,))
+    stamps = np.arange(1000) * PERIOD
+    speed = np.where(stamps > 2.0, 1.0 + 0.3 * np.sin(stamps), 0.0)
+    varies = np.convolve(rng.standard_normal(1020), np.ones(12) / np.sqrt(12.0))[:1000]
+    told = [Running(float(each > 0.0), 0.4, each, np.nan, 1.0) for each in speed]
+    off, sigma = errors(
+        known, told, np.outer((1.0 + 0.2 * varies) * speed, gain), stamps > 2.0, seed
+    )
+    plain = np.outer(0.2 * varies * speed, gain)
+    assert np.sqrt(np.mean(off**2)) < 0.5 * np.sqrt(np.mean(plain**2))
+    assert np.mean((off[60:] / sigma[60:]) ** 2) < 1.5
 
 
 def test_another_place_is_not_taken_for_motors_for_long():

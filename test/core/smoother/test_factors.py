@@ -88,7 +88,8 @@ def known_heading(_: Course, state: State) -> Linear:
 
 def known_turn(_: Course, state: State) -> Linear:
     count = len(state.local)
-    return factors.known_turn(np.linspace(0.0, 0.1, count - 1), forward(count), state)
+    turned, seconds = np.linspace([0.0, 3.0], [0.1, 7.0], count - 1).T
+    return factors.known_turn(turned, seconds, forward(count), state)
 
 
 def force_at_rest(_: Course, state: State) -> Linear:
@@ -107,8 +108,9 @@ def lean(course: Course, state: State) -> Linear:
 BY_SHARED = (
     *(magnetic, factors.force, factors.gyro, force_at_rest),
     *(factors_by_field.force_at_nodes, factors_by_field.sway, turning, lean),
+    known_turn,
 )
-FACTORS = (*BY_SHARED, process, followed, known_heading, known_turn)
+FACTORS = (*BY_SHARED, process, followed, known_heading)
 
 
 def change(factor, course: Course, state: State, local, shared) -> np.ndarray:

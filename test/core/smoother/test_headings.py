@@ -109,6 +109,44 @@ def test_a_street_passed_once_counts_as_one_place(seeds):
     assert 0.3 < np.mean(ratios) < 1.5
 
 
+def by_antennas(seed, drift):
+    """What a device's headings show along a street, by a gyro that is off by .03°/s."""
+    rng = np.random.default_rng(seed)
+    robot = replace(ROBOT, yaw=2.0 * DEGREE * rng.standard_normal())
+    bias = 0.03 * DEGREE * rng.standard_normal()
+    yaws = np.cumsum(rng.choice([0.0, 0.0, 0.5 * math.pi, -0.5 * math.pi], 40))
+    off, here, kept = drift * DEGREE * rng.standard_normal(), 1e-6 * rng.standard_normal(3), []
+    for k, yaw in enumerate(yaws):
+        (told,) = standings([yaw], rng, 0.0, robot)
+        here = math.exp(-1.0) * here + 1e-6 * 0.93 * rng.standard_normal(3)
+        off = math.exp(-0.05) * off + drift * DEGREE * 0.31 * rng.standard_normal()
+        bent = told.field + robot.distortion @ rotation_from_rpy(0.0, 0.0, yaw).T @ here
+        turned = yaw - yaws[k - 1] + 5.0 * bias + 0.2 * DEGREE * rng.standard_normal()
+        by_gyro = {"turned": turned, "turned_sigma": 0.3 * DEGREE} if k else {}
+        kept.append(
+            replace(told, field=bent, heading=wrapped(told.heading + off), way=30.0, **by_gyro)
+        )
+        kept[-1] = replace(kept[-1], seconds=5.0 if k else 0.0)
+    return robot, kept
+
+
+LONG = [pytest.param(drift, 30, marks=pytest.mark.nightly) for drift in (0.0, 2.0, 4.0)]
+
+
+@pytest.mark.parametrize(("drift", "seeds"), [(4.0, 3), *LONG])
+def test_headings_of_a_device_that_drift_are_in_sigma_and_right_ones_cost_little(drift, seeds):
+    squares = []
+    for seed in range(seeds):
+        robot, kept = by_antennas(50_000 + seed, drift)
+        found = fit_headings(kept, knowledge(), SIZES["street"]).posterior
+        squares.append((np.mean(off(found.correction, robot) ** 2), found.heading_sigma**2))
+    # Whether one drifts is certain in few runs: all of them together are held against sigma.
+    off_by, said = np.mean(squares, axis=0)
+    assert off_by < 1.5 * said
+    if not drift:
+        assert said < (0.9 * DEGREE) ** 2
+
+
 @pytest.mark.parametrize(
     ("read", "named"),
     [
