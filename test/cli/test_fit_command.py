@@ -216,7 +216,7 @@ class TestRecordings:
         status, out, _ = fit(folder, *place, "--json")
         document = json.loads(out)
         assert status == 0
-        assert document["numbers"]["hard_iron_y_ut"] == pytest.approx(-50.0, abs=3.0)
+        assert document["numbers"]["hard_iron_y_ut"] == pytest.approx(-50.0, abs=5.0)
         assert "imu.csv and mag.csv: the stamps come in bursts, 0.90 s" in str(document)
         assert "spread evenly" in str(document)
 

@@ -142,7 +142,7 @@ class GyroTurn(NamedTuple):
     variance: float = 0.0  # of all but the bias that is common to the whole way
 
     def after(self, seconds: float, up: Triple, rate: Triple, bias_variance: float) -> GyroTurn:
-        """Return it after an IMU message; parameters as of `TurnSince.add`."""
+        """Return the turn after one more IMU message; parameters as of `TurnSince.add`."""
         if not 0.0 < seconds <= STREAMS.longest_gyro_step:
             return self._replace(variance=self.variance + UNKNOWN_YAW)
         turn = dot(rate, up)
