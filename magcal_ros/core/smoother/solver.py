@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import cholesky_banded
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.smoother.factors import Linear
@@ -234,25 +233,13 @@ class Chain:
 
 
 def block_chain(diagonal: FloatArray, upper: FloatArray) -> Chain:
-    """Eliminate the nodes of a block tridiagonal matrix, shapes (n, k, k) and (n - 1, k, k).
-
-    By the Cholesky factor of the matrix in the banded form of LAPACK. Raises
-    `numpy.linalg.LinAlgError` if it is not positive definite.
-    """
-    nodes, size = diagonal.shape[:2]
-    band = np.zeros((2 * size, nodes, size))
-    row, column = np.tril_indices(size)
-    band[row - column, :, column] = diagonal[:, row, column].T
-    to_row, to_column = np.indices((size, size)).reshape(2, -1)
-    beside = size + to_row - to_column
-    band[beside, :-1, to_column] = upper[:, to_column, to_row].T
-    flat = band.reshape(2 * size, -1)
-    factor = cholesky_banded(flat, lower=True, overwrite_ab=True, check_finite=False)
-    factor = factor.reshape(band.shape)
-    own, below = np.zeros_like(diagonal), np.zeros_like(upper)
-    own[:, row, column] = factor[row - column, :, column].T
-    below[:, to_row, to_column] = factor[beside, :-1, to_column].T
-    back = np.swapaxes(np.linalg.inv(own), 1, 2)
-    log_determinant = 2.0 * float(np.log(factor[0]).sum())
-    inverse = back @ np.swapaxes(back, 1, 2)
-    return Chain(inverse, back[:-1] @ np.swapaxes(below, 1, 2), log_determinant)
+    """Eliminate the nodes of a block tridiagonal matrix, shapes (n, k, k) and (n - 1, k, k)."""
+    pivot, inverse, gain = diagonal.copy(), np.empty_like(diagonal), np.empty_like(upper)
+    for k, beside in enumerate(upper):
+        inverse[k] = np.linalg.inv(pivot[k])
+        gain[k] = inverse[k] @ beside
+        pivot[k + 1] -= beside.T @ gain[k]
+    inverse[-1] = np.linalg.inv(pivot[-1])
+    factor = np.linalg.cholesky(pivot)
+    log_determinant = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
+    return Chain(inverse, gain, float(log_determinant))
