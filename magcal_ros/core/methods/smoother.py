@@ -279,7 +279,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
 def _iron_drift(best: Fit) -> float:
     """Return the drift of the hard iron over the window, µT; zero if it is no more than its sigma.
 
-    The prior draws it to zero, so that of sensors without drift it is far below its sigma.
+    Its prior is about zero. Without a drift, the estimate therefore stays well within its sigma.
     """
     drift, known = best.state.shared[AT["drift"]], best.covariance[AT["drift"], AT["drift"]]
     if not known.any() or drift @ np.linalg.solve(known, drift) < len(drift):
