@@ -103,15 +103,15 @@ class _Member:
             self.changed = now
         self.moment, self.arrived = moment, now
 
-    def learn_doubt(self, stamp: float, known: float) -> None:
+    def learn_doubt(self, stamp: float, turned: tuple[float, float]) -> None:
         """Learn how far its field is from what its calibration and the gyro expect.
 
-        `known` is the variance of the gyro's yaw, rad²; infinite without one.
+        `turned` is how far its yaw is ahead, radians, and the variance of the gyro's yaw, rad²;
+        infinite without one.
         """
         assert self.moment is not None
         assert self.moment.up is not None
         field, up = self.moment.field, self.moment.up
-        turned = (self.off, known)
         self.doubt_variance = self.doubt.add(stamp, field, up.direction, up.variance, turned)
 
     @property
@@ -238,10 +238,11 @@ class SeveralCompasses:
         # The gyro shows which one has changed, so it is no help where none has agreed with another.
         shows = origin is not None and any(self._members[k].learnt for k in turned)
         known = fused.yaw_variance if fused is not None and shows else math.inf
-        return [
-            self._compass_yaw(k, seen, yaw_ahead(north, seen, up), share, known)
-            for k, seen in turned.items()
-        ]
+        ahead = {
+            number: self._ahead(number, yaw_ahead(north, seen, up), share)
+            for number, seen in turned.items()
+        }
+        return [self._compass_yaw(number, seen, ahead, known) for number, seen in turned.items()]
 
     def _seen(self, member: _Member, moment: Moment, up: Triple) -> Triple | None:
         """Return a member's field at a moment, in the lead's terms; None if it has none."""
@@ -265,16 +266,23 @@ class SeveralCompasses:
         higher -= common.strength * math.sin(common.inclination)
         return plus(seen, plus(scaled(level, further), scaled(up, higher)))
 
-    def _compass_yaw(
-        self, number: int, seen: Triple, ahead: float, share: float, known: float
-    ) -> CompassYaw:
+    def _ahead(self, number: int, ahead: float, share: float) -> float:
+        """Average by how far a member's yaw is ahead of the origin, radians."""
         member = self._members[number]
         change = wrapped(ahead - member.off)
         # A step that is too large for noise need not be averaged.
         is_noise = abs(change) <= DISTURBANCE.gate * math.sqrt(member.heading.noise_variance)
         member.off = wrapped(member.off + share * change) if is_noise else ahead
-        member.learn_doubt(self._stamp, known)
-        return CompassYaw(number, seen, member.off, member.own_variance + member.doubt_variance)
+        return member.off
+
+    def _compass_yaw(
+        self, number: int, seen: Triple, ahead: dict[int, float], known: float
+    ) -> CompassYaw:
+        member, own = self._members[number], ahead[number]
+        # Where another one has turned alike, it may be the gyro's yaw that is wrong.
+        others = (wrapped(own - each) for other, each in ahead.items() if other != number)
+        member.learn_doubt(self._stamp, (min([own, *others], key=abs), known))
+        return CompassYaw(number, seen, own, member.own_variance + member.doubt_variance)
 
     def _silence(self, member: _Member) -> str:
         if not self._is_new(member.arrived):
