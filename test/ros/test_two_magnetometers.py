@@ -111,6 +111,7 @@ def test_one_turn_calibrates_both_and_one_heading_outlives_either(start_node, ac
             PATIENCE,
             stop=lambda topics=topics: (
                 {topic for topic, entry in entries(robot).items() if entry["weight"] < 0.1}
+                == {topic for topic, entry in entries(robot).items() if "silent" in entry["why"]}
                 == topics
             ),
         )

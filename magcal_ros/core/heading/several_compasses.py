@@ -279,9 +279,11 @@ class SeveralCompasses:
         self, number: int, seen: Triple, ahead: dict[int, float], known: float
     ) -> CompassYaw:
         member, own = self._members[number], ahead[number]
-        # Where another one has turned alike, it may be the gyro's yaw that is wrong.
-        others = (wrapped(own - each) for other, each in ahead.items() if other != number)
-        member.learn_doubt(self._stamp, (min([own, *others], key=abs), known))
+        # One alone, or one that has turned as another did, may be right and the gyro's yaw wrong.
+        others = [wrapped(own - each) for other, each in ahead.items() if other != number]
+        member.learn_doubt(
+            self._stamp, (min([own, *others], key=abs), known if others else math.inf)
+        )
         return CompassYaw(number, seen, own, member.own_variance + member.doubt_variance)
 
     def _silence(self, member: _Member) -> str:
