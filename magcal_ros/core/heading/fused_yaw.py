@@ -120,7 +120,7 @@ class FusedYaw:
             return
         self._north = level
         self._path.append(_Moment(stamp, level, self._shift))
-        lost = (FUSION.angle_walk**2 + FUSION.turn_error**2 * length(rate)) * seconds
+        lost = FUSION.lost(length(rate)) * seconds
         self._filter.propagate(seconds, self._loss.share * lost, self._loss.walked * seconds)
         self._drift += (bias + dot(self._known.rate, up.direction)) * seconds
         self._lost += lost

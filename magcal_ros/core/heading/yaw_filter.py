@@ -59,6 +59,13 @@ class FusionTuning:
     unknown: float = 0.5  # radians of uncertainty of a start in a field that is not expected
     start: float = 5.0  # seconds from the start in which that may be found out
 
+    def lost(self, rate: float) -> float:
+        """Return the variance that the gyro's angle gains at a turn rate in rad/s, rad²/s.
+
+        Its bias is not part of it.
+        """
+        return self.angle_walk**2 + self.turn_error**2 * abs(rate)
+
 
 FUSION = FusionTuning()
 UNKNOWN_YAW = math.pi**2 / 3.0

@@ -123,7 +123,7 @@ class TurnSince:
             return
         turn = dot(rate, up)
         self.angle += turn * seconds
-        self._variance += (FUSION.angle_walk**2 + FUSION.turn_error**2 * abs(turn)) * seconds
+        self._variance += FUSION.lost(turn) * seconds
         self._seconds += seconds
         self._bias_sigma = max(self._bias_sigma, math.sqrt(bias_variance), FUSION.bias_sigma)
 
@@ -146,9 +146,10 @@ class GyroTurn(NamedTuple):
         if not 0.0 < seconds <= STREAMS.longest_gyro_step:
             return self._replace(variance=self.variance + UNKNOWN_YAW)
         turn = dot(rate, up)
-        lost = FUSION.angle_walk**2 + FUSION.turn_error**2 * abs(turn)
-        # The bias is known to so much at all times; before the first rest it may be another.
-        lost += max(0.0, bias_variance - FUSION.bias_sigma**2) * FUSION.noise_tau
+        # A bias with its usual sigma is an unknown of the fit. Before a rest shows it, it may be
+        # larger.
+        more = max(0.0, bias_variance - FUSION.bias_sigma**2) * FUSION.noise_tau
+        lost = FUSION.lost(turn) + more
         return GyroTurn(self.angle + turn * seconds, self.variance + lost * seconds)
 
 

@@ -37,8 +37,10 @@ def noise_sizes(
     free = counted_unknowns(model, point.places)
     sizes, shown = {}, {}
     for part in weighted.values():
+        if not part.sized:
+            continue
         linear, is_seen = part.linear, np.isfinite(part.variance)
-        spent = part.weight * spread.of_prediction(linear, free) if part.sized else is_seen
+        spent = part.weight * spread.of_prediction(linear, free)
         square = part.weight * np.sum(linear.residual**2, axis=1)
         for name, rows in part.sized.items():
             counted = rows & is_seen

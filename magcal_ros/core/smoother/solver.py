@@ -24,8 +24,8 @@ class Weighted:
     variance: FloatArray  # per component; infinite where there was no measurement. Shape (k,).
     freedom: float | FloatArray  # degrees of freedom of the Student distribution, one or (k,)
     sized: Mapping[str, BoolArray] = field(default_factory=dict)
-    """The sizes of noise (`SIZES`) in proportion to which the deviations are, and of which
-    residuals. Shapes (k,)."""
+    """By size of noise (`SIZES`), the residuals whose standard deviation is proportional to it.
+    Shapes (k,)."""
     is_expected: bool = False
     """Whether the weights are the expected curvature of the cost, of which the inverse is the
     covariance; those of the steps bound the cost from above (Lange, Little and Taylor, JASA 84,
