@@ -42,7 +42,7 @@ from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, ImuSpan
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import DriveFit, drive_nodes, fit_drive
 
@@ -74,10 +74,16 @@ class Heard(SelfCalibration):
 
     def __init__(self) -> None:
         super().__init__(Mode.OFF)
-        self.rows: list[tuple[FieldSample, ImuSample | None, float]] = []
+        self.rows: list[tuple[FieldSample, ImuSample | None, float, ImuSpan | None]] = []
 
-    def add(self, sample: FieldSample, imu: ImuSample | None, speed: float = math.nan) -> bool:
-        self.rows.append((sample, imu, speed))
+    def add(
+        self,
+        sample: FieldSample,
+        imu: ImuSample | None,
+        speed: float = math.nan,
+        span: ImuSpan | None = None,
+    ) -> bool:
+        self.rows.append((sample, imu, speed, span))
         return False
 
     def decide(self, begun: Calibration) -> tuple[list[tuple[float, Decision]], Calibration]:

@@ -19,7 +19,8 @@ from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.frame_tree import FrameTrouble
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, bursts_in_words
+from magcal_ros.core.samples.bursts import bursts_in_words
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.disk import plain

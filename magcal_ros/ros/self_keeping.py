@@ -17,7 +17,7 @@ from magcal_ros.core.errors import in_words
 from magcal_ros.core.keeping.jobs import DriveJob, Findings, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.samples.drive_log import DriveLog
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Spans
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
@@ -38,6 +38,7 @@ class SelfKeeping:
     def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
         self._magnetometer, self._say = magnetometer, node.get_logger().info
         self.machine = SelfCalibration()
+        self._spans = Spans(magnetometer.inputs.streams)
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
         self._idle = 0
@@ -47,7 +48,9 @@ class SelfKeeping:
 
     def on_field(self, sample: FieldSample, imu: ImuSample | None, travel: Travel) -> None:
         """Take a field sample with the newest IMU sample and what the vehicle does."""
-        if self.machine.add(sample, imu, travel.travelling.speed):
+        if imu is None or self.machine.mode is Mode.OFF:
+            return
+        if self.machine.add(sample, imu, travel.travelling.speed, self._spans.to(imu)):
             self._look()
 
     def follow(self, mode: str, reports: str) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
-from magcal_ros.core.samples.streams import SWAY, bursts_in_words
+from magcal_ros.core.samples.bursts import bursts_in_words
+from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit, slow_words
 from magcal_ros.core.samples.window import SensorLog, white_noise
 

@@ -39,7 +39,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, UP
-from magcal_ros.core.samples.streams import bursts_in_words
+from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
 

@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.doctor import health
 from magcal_ros.core.doctor.health import TUNING, Finding
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
-from magcal_ros.core.samples.streams import bursts_in_words, evenly
+from magcal_ros.core.samples.bursts import bursts_in_words, evenly
 from magcal_ros.core.samples.window import SensorLog
 
 

@@ -26,6 +26,7 @@ from magcal_ros.core.samples.streams import (
     FieldSample,
     ImuSample,
     PositionSample,
+    Spans,
     Streams,
     TravelSample,
 )
@@ -69,7 +70,7 @@ def replayed(
     Readings are in their order, travel by stamp; `calibration` is in force at the beginning.
     """
     streams, ways = Streams(STREAMS.max_gap), list(travel)
-    replay, now = TravelReplay(ways, streams), calibration
+    replay, now, spans = TravelReplay(ways, streams), calibration, Spans(streams)
     machine = SelfCalibration(Mode.APPLY) if machine is None else machine
     machine.put_in_force(calibration)
     decisions: list[tuple[float, Decision]] = []
@@ -85,7 +86,7 @@ def replayed(
         if up is not None and not last < due:
             points.append((last, speed, *sample.field, *up))
             due = last + KEEPING.map_every
-        if machine.add(sample, imu, speed):
+        if machine.add(sample, imu, speed, spans.to(imu)):
             for decision in machine.note(answer(machine.job(knowledge))):
                 decisions.append((last - first, decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):

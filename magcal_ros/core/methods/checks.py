@@ -53,7 +53,8 @@ def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
     """Return the refusal of a turn whose gyro samples come too slowly; None if they do not."""
     if window.angular_rate is None or len(window) < 2 or knowledge.exact_sensors:
         return None
-    step = float(np.median(np.diff(window.time)))
+    between = 1.0 if window.path is None else np.diff(window.path.intervals)
+    step = float(np.median(np.diff(window.time) / between))
     if step <= SWAY:
         return None
     return Refusal(

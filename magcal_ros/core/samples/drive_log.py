@@ -5,15 +5,29 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from operator import add
+from operator import add, sub
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, block_means, interpolated
-from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.rest import sigma_later
-from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    accumulated,
+    block_means,
+    interpolated,
+)
+from magcal_ros.core.geometry.vec3 import plus, scaled
+from magcal_ros.core.samples.rest import (
+    ANGLE,
+    COLUMNS,
+    FIELD,
+    FORCE,
+    INTERVALS,
+    RATE,
+    sigma_later,
+)
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, ImuSpan
+from magcal_ros.core.samples.window import ImuPath, Window, path_of
 
 
 @dataclass(frozen=True)
@@ -52,6 +66,8 @@ class DriveLog:
     and it was taken off; infinite where none has."""
     rested: BoolArray | None = None
     """Where a recorder saw the robot stand; None where nobody has looked. Shape (m,)."""
+    path: ImuPath | None = None
+    """By all samples of the IMU, between the mean moments of the rows."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -60,14 +76,16 @@ class DriveLog:
     def window(self) -> Window:
         """The same rows as samples."""
         rows = (self.time, self.field, self.force, self.rate)
-        return Window(*rows, sigma_before=self.bias_sigma)
+        return Window(*rows, self.path, sigma_before=self.bias_sigma)
 
     def between(self, start: float, end: float) -> DriveLog:
         """Return the rows of a span of stamps, both ends included, seconds."""
         rows = slice(*np.searchsorted(self.time, [start, np.nextafter(end, np.inf)]))
         columns = ("time", "field", "force", "rate", "speed", "rested")
         found = {name: getattr(self, name) for name in columns}
-        return replace(self, **{n: each[rows] for n, each in found.items() if each is not None})
+        path = None if self.path is None else self.path.take(np.arange(len(self))[rows])
+        found = {name: each[rows] for name, each in found.items() if each is not None}
+        return replace(self, path=path, **found)
 
 
 def log_of(window: Window) -> DriveLog:
@@ -75,6 +93,11 @@ def log_of(window: Window) -> DriveLog:
     assert window.angular_rate is not None
     block = ((window.time - window.time[0]) / TUNING.row).astype(int)
     first = np.flatnonzero(np.diff(block, prepend=-1))
+    path = window.path
+    if path is not None:
+        angle, _, _ = path.steps
+        sums = accumulated(angle), path.velocity, path.intervals
+        path = ImuPath.of_steps(*(np.diff(block_means(each, first), axis=0) for each in sums))
     return DriveLog(
         block_means(window.time, first),
         block_means(window.field, first),
@@ -82,11 +105,13 @@ def log_of(window: Window) -> DriveLog:
         block_means(window.angular_rate, first),
         np.full(len(first), np.nan),
         window.bias_sigma,
+        path=path,
     )
 
 
-COLUMNS = 12
-FIELD, FORCE, RATE, SPEED, RESTED = slice(1, 4), slice(4, 7), slice(7, 10), 10, 11
+SPEED, RESTED, WIDTH = COLUMNS, COLUMNS + 1, COLUMNS + 2
+"""Of the rows of a drive, beside the columns of any samples in rows."""
+IMU_PATH = slice(ANGLE.start, INTERVALS + 1)
 
 CHUNKS_OF_REST = 5  # chunks over which a rest is looked for
 
@@ -140,10 +165,12 @@ class DriveRecorder:
         self._begin_piece()
 
     def _begin_piece(self) -> None:
-        self._rows: list[tuple[float, ...]] = []
+        self._rows: list[list[float]] = []
         self._recent.clear()
         self._held.clear()
-        self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
+        self._sums, self._count, self._row = [0.0] * WIDTH, 0, -math.inf
+        self._imu: ImuSample | None = None
+        self._path, self._path_of_row = [0.0] * 7, [math.nan] * 7
         self.rests = False
 
     @property
@@ -162,24 +189,30 @@ class DriveRecorder:
         return self.clock - self.begun if self._chunks else 0.0
 
     def add(
-        self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
+        self,
+        sample: FieldSample,
+        imu: ImuSample,
+        speed: float = math.nan,
+        span: ImuSpan | None = None,
     ) -> bool:
-        """Take a field sample with what else was measured at its stamp.
+        """Take a field sample with what else was measured.
 
         Parameters
         ----------
-        stamp : float
-            Seconds.
-        field, force, rate : tuple of float
-            Raw field (tesla); specific force (m/s²); rad/s.
+        sample : FieldSample
+        imu : ImuSample
+            The newest at its stamp, or interpolated there; with a rate.
         speed : float
             m/s; NaN where nobody measures it.
+        span : ImuSpan, optional
+            From the `imu` of the sample before to this one, by all IMU samples.
 
         Returns
         -------
         bool
             Whether more of the drive is known than before.
         """
+        stamp = sample.stamp
         if not 0.0 <= stamp - self._newest <= self._longest_silence:
             self._end_piece()
             # The gyro's path does not reach across the hole that is left.
@@ -191,8 +224,24 @@ class DriveRecorder:
             grown = self._close()
             self._row = stamp
         self._count += 1
-        self._sums = list(map(add, self._sums, (stamp, *field, *force, *rate, speed, 0.0)))
+        path = self._path_at(stamp, imu, span)
+        row = (stamp, *sample.field, *imu.force, *imu.rate, *path, speed, 0.0)
+        self._sums = list(map(add, self._sums, row))
         return grown
+
+    def _path_at(self, stamp: float, imu: ImuSample, span: ImuSpan | None) -> tuple[float, ...]:
+        """Return the integrals of the IMU up to a stamp, from the beginning of the piece."""
+        last, self._imu = self._imu, imu
+        if span is None and last is not None:
+            half = 0.5 * (imu.stamp - last.stamp)
+            angle = scaled(plus(last.rate, imu.rate), half)
+            span = ImuSpan(angle, scaled(plus(last.force, imu.force), half), 1)
+        if span is not None:
+            step = (*span.angle, *span.velocity, float(span.intervals))
+            self._path = list(map(add, self._path, step))
+        since = stamp - imu.stamp
+        more = (*scaled(imu.rate, since), *scaled(imu.force, since), 0.0)
+        return tuple(map(add, self._path, more))
 
     def _end_piece(self) -> None:
         # A piece that was too short to show a rest is dropped.
@@ -209,7 +258,7 @@ class DriveRecorder:
         The gyro's bias is taken off the rates where rests have shown it, between two of them as it
         changes from one to the other.
         """
-        rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
+        rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, WIDTH))
         time, rate, sigma = rows[:, 0], rows[:, RATE], math.inf
         if self._rested:
             # A rest before any movement was when that began.
@@ -218,14 +267,28 @@ class DriveRecorder:
             biases = np.array([rest.rate for rest in self._rested])
             rate = rate - interpolated(time, clocks, biases)
             sigma = sigma_later(biases[-1].tolist(), self._rested[-1].sigma)
-        rested = rows[:, RESTED] > 0.0
-        return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma, rested)
+            step = np.diff(time, prepend=first)[:, None]
+            rows[:, ANGLE] -= (rows[:, RATE] - rate) * step
+            rows[:, RATE] = rate
+        return DriveLog(
+            time,
+            rows[:, FIELD],
+            rows[:, FORCE],
+            rows[:, RATE],
+            rows[:, SPEED],
+            sigma,
+            rows[:, RESTED] > 0.0,
+            path_of(rows) if len(rows) else None,
+        )
 
     def _close(self) -> bool:
         """End a row, and a chunk of them now and then."""
         if self._count:
-            self._rows.append(tuple(value / self._count for value in self._sums))
-            self._sums, self._count = [0.0] * COLUMNS, 0
+            row = [value / self._count for value in self._sums]
+            path, before = row[IMU_PATH], self._path_of_row
+            row[IMU_PATH], self._path_of_row = list(map(sub, path, before)), path
+            self._rows.append(row)
+            self._sums, self._count = [0.0] * WIDTH, 0
         if len(self._rows) < TUNING.chunk:
             return False
         chunk = np.array(self._rows)
@@ -255,6 +318,7 @@ class DriveRecorder:
         self._held.append(chunk)
         if len(self._held) >= CHUNKS_OF_REST:
             gone = self._held.popleft()
+            self._held[0][0, IMU_PATH] = math.nan
             self._pause += float(gone[-1, 0] - gone[0, 0]) + TUNING.row
 
     def _keep(self, chunk: FloatArray) -> None:

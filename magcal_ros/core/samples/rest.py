@@ -25,6 +25,11 @@ from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
 
+FIELD, FORCE, RATE = slice(1, 4), slice(4, 7), slice(7, 10)
+ANGLE, VELOCITY, INTERVALS = slice(10, 13), slice(13, 16), 16
+COLUMNS = 17
+"""Of samples in rows: the first one is the stamp, those from `ANGLE` on are the `ImuSpan` from the
+row before, NaN where that is not known."""
 CHANGES_BY = 0.03
 """Share by which a bias changes from rest to rest: 3.38 and 3.55 °/s within 40 s in a car."""
 
@@ -100,12 +105,11 @@ def apart_from_rests(
 ) -> tuple[FloatArray, tuple[RestBeside, ...], float]:
     """Subtract the gyro's bias, and separate the rests before and after the turn.
 
-    The rows (n, 10) hold stamp, field, specific force and angular rate; the rates are all finite,
-    or none is. `known` is from a rest before all of them; a rest among them has priority. Returns
-    the rows of the turn, the rests, and the sigma (rad/s) of the known bias if it was subtracted;
-    else infinity.
+    The rows (n, COLUMNS) hold samples; the rates are all finite, or none is. `known` is from a rest
+    before all of them; a rest among them has priority. Returns the rows of the turn, the rests, and
+    the sigma (rad/s) of the known bias if it was subtracted; else infinity.
     """
-    time, field, rate = rows[:, 0], rows[:, 1:4], rows[:, 7:10]
+    time, field, rate = rows[:, 0], rows[:, FIELD], rows[:, RATE]
     has_gyro = bool(np.isfinite(rate).all())
     first, end, bias = rests_around(time, field, rate if has_gyro else None)
     if end - first < TUNING.fewest:
@@ -121,7 +125,8 @@ def apart_from_rests(
         bias, sigma = np.array(known.rate), known.later_sigma
     turn = rows[first:end].copy()
     if bias is not None:
-        turn[:, 7:10] -= bias
+        turn[:, RATE] -= bias
+        turn[1:, ANGLE] -= bias * np.diff(turn[:, :1], axis=0)
     return turn, tuple(rests), sigma
 
 
@@ -130,11 +135,11 @@ def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool
     time = rows[:, 0]
     rate, rate_sigma, step = np.zeros(3), math.inf, np.zeros(3)
     if has_gyro:
-        rate, rate_sigma = mean_and_sigma(time, rows[:, 7:10])
+        rate, rate_sigma = mean_and_sigma(time, rows[:, RATE])
         # Turned back by what the gyro read over the step between them, which may run either way.
-        step = (0.5 * (last[7:10] + beside[7:10]) - rate) * (last[0] - beside[0])
+        step = (0.5 * (last[RATE] + beside[RATE]) - rate) * (last[0] - beside[0])
     seconds, stamp, turned = float(time[-1] - time[0]), float(beside[0]), exp_rotation(-step)
-    field, force = rows[:, 1:4].mean(axis=0), rows[:, 4:7].mean(axis=0)
+    field, force = rows[:, FIELD].mean(axis=0), rows[:, FORCE].mean(axis=0)
     return RestBeside(seconds, field, force, rate, rate_sigma, stamp, turned)
 
 

@@ -1,4 +1,4 @@
-"""Cleans the two raw streams, pairs them by stamp, and watches for stamps that come in bursts.
+"""Cleans the two raw streams, and pairs them by stamp.
 
 What is dropped is counted by its reason.
 """
@@ -12,107 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, TypeVar
 
-import numpy as np
-
-from magcal_ros.core.geometry.arrays import FloatArray, accumulated
 from magcal_ros.core.geometry.vec3 import Triple, between, length
-
-
-@dataclass(frozen=True)
-class BurstTuning:
-    """When stamps come in bursts."""
-
-    share: float = 0.5  # of the time that passes in gaps
-    longer: float = 5.0  # how many usual gaps such a one lasts
-    fewest: int = 10  # gaps from which they are more than pauses
-    alike: float = 0.4
-    apart: float = 0.25
-    """Share within this relative distance of the usual one: buffers are read by the clock."""
-    each: float = 3.0
-    """Samples that a burst has at least; pairs are rather messages that come twice."""
-    straight: float = 1.5
-    """How many usual gaps the stamps may be off an even rate, from the earliest to the latest;
-    whole bursts are missing beyond."""
-    harmful: float = 0.1  # seconds between bursts from which a running robot's user is told
-    watched: int = 3000  # gaps that are looked at while samples come
-
-
-BURSTS = BurstTuning()
-
-
-def long_gaps(time: FloatArray) -> FloatArray:
-    """Return the gaps between bursts, seconds; empty where most of the time passes otherwise.
-
-    A few long gaps are pauses of a recording, and no bursts. Pauses are thinned out of a turn
-    before it is fitted, which leaves gaps of all lengths. `time` (n,) holds the stamps in their
-    order.
-    """
-    gaps = np.diff(time)
-    if len(gaps) < BURSTS.fewest:
-        return gaps[:0]
-    # Stamps of one buffer may be equal but for rounding: then the median alone parts nothing.
-    long = gaps[gaps > max(BURSTS.longer * float(np.median(gaps)), float(np.mean(gaps)))]
-    if len(long) < BURSTS.fewest or long.sum() <= BURSTS.share * float(time[-1] - time[0]):
-        return gaps[:0]
-    usual = float(np.median(long))
-    alike = float(np.mean(np.abs(long - usual) < BURSTS.apart * usual))
-    return long if alike > BURSTS.alike else gaps[:0]
-
-
-def bursts_in_words(time: FloatArray) -> str:
-    """Say that stamps (n,) come in bursts, and what to do about it; empty where they do not."""
-    long = long_gaps(time)
-    if not len(long):
-        return ""
-    return (
-        f"the stamps come in bursts, {float(np.median(long)):.2f} s apart: stamp each sample when "
-        "it is measured, not when a buffer is read"
-    )
-
-
-def evenly(time: FloatArray) -> FloatArray:
-    """Return stamps (n,) spread evenly in the order in which they came, by a line through them."""
-    rank = np.arange(len(time), dtype=np.float64)
-    return np.asarray(np.polyval(np.polyfit(rank, time, 1), rank))
-
-
-def spread_bursts(time: FloatArray) -> FloatArray | None:
-    """Return stamps that came in bursts as they would have been; None where that is not known.
-
-    The sensor is taken to have measured at one rate all along. No sample was measured after its
-    stamp, and the newest of a buffer just before it was read.
-
-    `time` (n,) are the stamps of a whole recording, in the order in which they came, seconds. None
-    as well if samples are missing, or time was set back.
-    """
-    long = long_gaps(time)
-    if not len(long) or len(time) < BURSTS.each * len(long):
-        return None
-    even = evenly(time - time[0])
-    late = time - time[0] - even
-    if np.ptp(late) > BURSTS.straight * float(np.median(long)):
-        return None
-    return np.asarray(time[0] + even + late.min())
-
-
-class BurstWatch:
-    """Watches whether stamps come in bursts, gap after gap."""
-
-    def __init__(self) -> None:
-        self._gaps: deque[float] = deque(maxlen=BURSTS.watched)
-
-    def add(self, gap: float) -> None:
-        """Take the seconds from the stamp before."""
-        self._gaps.append(gap)
-
-    @property
-    def words(self) -> str:
-        """Say that they do, and what to do about it; empty where it does no harm."""
-        time = accumulated(np.array(self._gaps))
-        long = long_gaps(time)
-        is_harmful = len(long) > 0 and float(np.median(long)) > BURSTS.harmful
-        return bursts_in_words(time) if is_harmful else ""
-
+from magcal_ros.core.samples.bursts import BurstWatch
 
 Stamped = TypeVar("Stamped", bound=tuple[object, ...])
 SWAY = 0.22
@@ -173,11 +74,21 @@ class FieldSample(NamedTuple):
     field: Triple
 
 
+class ImuSpan(NamedTuple):
+    """Integrals over all IMU samples from one pair to the next."""
+
+    angle: Triple  # rotation vector in body axes, rad; NaN without a gyro
+    velocity: Triple  # of the specific force in body axes, m/s
+    intervals: int  # between the samples, both ends included
+
+
 class Pair(NamedTuple):
     """A field sample with the IMU interpolated at its stamp."""
 
     field: FieldSample
     imu: ImuSample
+    span: ImuSpan | None = None
+    """From the pair before; None for the first one, and where IMU samples are missing."""
 
 
 class StampGuard:
@@ -284,6 +195,37 @@ class Streams:
         force = between(before.force, after.force, share)
         return ImuSample(stamp, force, between(before.rate, after.rate, share))
 
+    def imu_between(self, start: ImuSample, end: ImuSample) -> ImuSpan | None:
+        """Integrate the IMU between two samples; None if samples are missing there.
+
+        By the trapezoidal rule, with coning to the second order (the classical one-sample
+        algorithm of strapdown navigation).
+        """
+        if start.stamp == end.stamp:
+            return ImuSpan((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0)
+        samples = [end]
+        for sample in reversed(self._imu):
+            if sample.stamp <= start.stamp:
+                break
+            if sample.stamp < end.stamp:
+                samples.append(sample)
+        samples.append(start)
+        ax = ay = az = bx = by = bz = vx = vy = vz = 0.0
+        for later, earlier in zip(samples[-2::-1], samples[:0:-1], strict=True):
+            half = 0.5 * (later.stamp - earlier.stamp)
+            if not 0.0 < 2.0 * half <= self.max_gap:
+                return None
+            (px, py, pz), (qx, qy, qz) = earlier.rate, later.rate
+            dx, dy, dz = half * (px + qx), half * (py + qy), half * (pz + qz)
+            bx += ay * dz - az * dy
+            by += az * dx - ax * dz
+            bz += ax * dy - ay * dx
+            ax, ay, az = ax + dx, ay + dy, az + dz
+            (px, py, pz), (qx, qy, qz) = earlier.force, later.force
+            vx, vy, vz = vx + half * (px + qx), vy + half * (py + qy), vz + half * (pz + qz)
+        angle = ax + 0.5 * bx, ay + 0.5 * by, az + 0.5 * bz
+        return ImuSpan(angle, (vx, vy, vz), len(samples) - 1)
+
     @property
     def newest_imu(self) -> ImuSample | None:
         """The newest IMU sample; None before the first."""
@@ -323,12 +265,26 @@ def _fault(vector: Triple, largest: float) -> Drop | None:
     return Drop.TOO_LARGE if square > largest * largest else None
 
 
+class Spans:
+    """Integrates the IMU from one of its moments to the next that is asked for."""
+
+    def __init__(self, streams: Streams) -> None:
+        self._streams = streams
+        self._last: ImuSample | None = None
+
+    def to(self, imu: ImuSample) -> ImuSpan | None:
+        """Return the integrals since the moment before; None where they are not known."""
+        last, self._last = self._last, imu
+        return None if last is None else self._streams.imu_between(last, imu)
+
+
 class Pairer:
     """Holds field samples until the IMU samples around them have come."""
 
     def __init__(self, streams: Streams) -> None:
         self._streams = streams
         self._waiting: deque[FieldSample] = deque()
+        self._spans = Spans(streams)
 
     def offer(self, sample: FieldSample) -> None:
         """Take a field sample; an unchanged repetition of the one before should not come here.
@@ -352,7 +308,7 @@ class Pairer:
             if imu is None:
                 self._count_unpaired()
             else:
-                pairs.append(Pair(sample, imu))
+                pairs.append(Pair(sample, imu, self._spans.to(imu)))
         return pairs
 
     def _count_unpaired(self) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.samples.streams import STREAMS, Drop, Streams, bursts_in_words
+from magcal_ros.core.samples.bursts import bursts_in_words
+from magcal_ros.core.samples.streams import STREAMS, Drop, Streams
 from magcal_ros.core.samples.window import Window
 
 OF_ITS_OWN = "the field's strength there (tesla)"

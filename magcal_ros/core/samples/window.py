@@ -12,18 +12,71 @@ from magcal_ros.core.geometry.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    accumulated,
     block_means,
     freeze,
     integral,
     interpolated,
 )
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.samples.rest import RestBeside
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
+from magcal_ros.core.samples.rest import ANGLE, COLUMNS, FORCE, RATE, RestBeside
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
 NO_ORIENTATION = (math.nan,) * 4
 NEIGHBOURS, SPIKE = 9, 4.5
 """A spike is so many robust sigmas from the median of so many samples, itself among them."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImuPath:
+    """Integrals of the IMU from the first sample of a window to each, by all IMU samples.
+
+    A field that comes slowly leaves most of the IMU's samples out, and with them how a robot shook.
+    """
+
+    attitude: FloatArray  # rotations from the first sample's body axes. Shape (n, 3, 3).
+    velocity: FloatArray  # of the specific force in body axes, m/s. Shape (n, 3).
+    intervals: FloatArray  # between IMU samples, as many as were integrated. Shape (n,).
+
+    def __post_init__(self) -> None:
+        rows = len(self.intervals)
+        freeze(self, attitude=(rows, 3, 3), velocity=(rows, 3), intervals=(rows,))
+
+    @classmethod
+    def of_steps(cls, angle: FloatArray, velocity: FloatArray, intervals: FloatArray) -> ImuPath:
+        """Chain what was integrated between neighbours: (n - 1, 3), (n - 1, 3) and (n - 1,)."""
+        attitude = chained(exp_rotations(-angle)[None])[0]
+        return cls(attitude, accumulated(velocity), accumulated(intervals))
+
+    @property
+    def steps(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Rotation vectors, velocity and intervals from each sample to the next."""
+        between = self.attitude[1:] @ np.swapaxes(self.attitude[:-1], 1, 2)
+        return (
+            -rotation_vectors(between),
+            np.diff(self.velocity, axis=0),
+            np.diff(self.intervals),
+        )
+
+    def take(self, rows: BoolArray | IntArray) -> ImuPath:
+        """Return the path at the chosen samples, a mask or increasing indices."""
+        return ImuPath(self.attitude[rows], self.velocity[rows], self.intervals[rows])
+
+
+def path_of(rows: FloatArray) -> ImuPath:
+    """Return the path of samples in rows (n, COLUMNS or more).
+
+    Where the span from the row before is not known, it is that of a straight line; without a gyro
+    nothing turns.
+    """
+    span = rows[1:, ANGLE.start : COLUMNS].copy()
+    lost = np.flatnonzero(~np.isfinite(span).all(axis=1))
+    ends = np.hstack([rows[:, RATE], rows[:, FORCE]])
+    seconds = np.diff(rows[:, 0])[lost, None]
+    span[lost, :6] = 0.5 * seconds * (ends[lost] + ends[lost + 1])
+    span[lost, 6] = 1.0
+    return ImuPath.of_steps(np.nan_to_num(span[:, :3]), span[:, 3:6], span[:, 6])
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +95,8 @@ class Window:
     """m/s² in body axes at the same moments, +9.81 upwards at rest. Shape (n, 3)."""
     angular_rate: FloatArray | None = None
     """rad/s in body axes at the same moments; None without a gyro. Shape (n, 3)."""
-    turned: FloatArray | None = None
-    """Rotations from the body axes at one moment to those of each sample, by all samples of the
-    gyro, where samples between those of the window were left out. Shape (n, 3, 3)."""
+    path: ImuPath | None = None
+    """By all samples of an IMU with a gyro, where they are known beside those of the window."""
     rests: tuple[RestBeside, ...] = ()
     """What was seen right before and after the turn, where the robot stood there; the gyro's bias
     that they show is taken off `angular_rate`."""
@@ -54,7 +106,7 @@ class Window:
     def __post_init__(self) -> None:
         freeze(self, time=(-1,))
         rows = (len(self.time), 3)
-        freeze(self, field=rows, specific_force=rows, angular_rate=rows, turned=(*rows, 3))
+        freeze(self, field=rows, specific_force=rows, angular_rate=rows)
         if (np.diff(self.time) <= 0.0).any():
             raise ValueError("the stamps of a window must increase")
 
@@ -71,9 +123,15 @@ class Window:
 
     def take(self, rows: BoolArray | IntArray) -> Window:
         """Return the window of the chosen rows, a mask or increasing indices."""
-        columns = ("time", "field", "specific_force", "angular_rate", "turned")
-        found = {name: getattr(self, name) for name in columns}
-        return replace(self, **{n: each[rows] for n, each in found.items() if each is not None})
+        rate, path = self.angular_rate, self.path
+        return replace(
+            self,
+            time=self.time[rows],
+            field=self.field[rows],
+            specific_force=self.specific_force[rows],
+            angular_rate=None if rate is None else rate[rows],
+            path=None if path is None else path.take(rows),
+        )
 
 
 def white_noise(values: FloatArray) -> FloatArray:
@@ -127,10 +185,24 @@ class SensorLog:
 
     @classmethod
     def of_window(cls, window: Window) -> SensorLog:
-        """Return the samples of a window as two streams; drivers without a gyro send zeros."""
-        rate = window.angular_rate
-        rate = np.full((len(window), 3), np.nan) if rate is None or not rate.any() else rate
-        return cls(window.time, window.specific_force, rate, window.time, window.field)
+        """Return the samples of a window as two streams; drivers without a gyro send zeros.
+
+        Where the window left IMU samples out, one is inserted, so that by the trapezoidal rule the
+        integrals are those over all of them.
+        """
+        time, rate = window.time, window.angular_rate
+        if rate is None or not rate.any():
+            rate = np.full((len(window), 3), np.nan)
+            return cls(time, window.specific_force, rate, time, window.field)
+        imu = np.column_stack([time, window.specific_force, rate])
+        if window.path is not None:
+            angle, velocity, intervals = window.path.steps
+            left_out = np.flatnonzero(intervals > 1.0)
+            between = 0.5 * (imu[1:] + imu[:-1])[left_out]
+            means = np.hstack([velocity, angle]) / np.diff(time)[:, None]
+            between[:, 1:] = 2.0 * means[left_out] - between[:, 1:]
+            imu = np.insert(imu, left_out + 1, between, axis=0)
+        return cls(imu[:, 0], imu[:, 1:4], imu[:, 4:], time, window.field)
 
     @property
     def has_gyro(self) -> bool:
@@ -148,6 +220,7 @@ class StretchTuning:
     fewest: int = 120
     most: int = 240
     """Averages."""
+    least: int = 25  # averages there are at least: a fit of the axes has 23 unknowns
 
 
 TUNING = StretchTuning()
@@ -189,7 +262,7 @@ def stretch_of_log(
     stamps, field = field_time[inside], log.field[inside]
     block = np.minimum(((stamps - span[0]) / (span[1] - span[0]) * count).astype(int), count - 1)
     _, first = np.unique(block, return_index=True)
-    if len(first) < 20:
+    if len(first) < tuning.least:
         return None
     moment, field = block_means(stamps, first), block_means(field, first)
     width = (span[1] - span[0]) / count

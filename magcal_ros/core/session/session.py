@@ -16,10 +16,19 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage, thin_to_equal_angles, yaw_progress
-from magcal_ros.core.samples.rest import GyroAtRest, apart_from_rests
+from magcal_ros.core.samples.rest import (
+    ANGLE,
+    COLUMNS,
+    FIELD,
+    FORCE,
+    INTERVALS,
+    RATE,
+    VELOCITY,
+    GyroAtRest,
+    apart_from_rests,
+)
 from magcal_ros.core.samples.streams import STREAMS, Pair
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.up.follower import relative_attitudes
+from magcal_ros.core.samples.window import Window, path_of
 
 
 @dataclass(frozen=True)
@@ -45,7 +54,7 @@ class SessionTuning:
 
 TUNING = SessionTuning()
 
-ROWS = 10  # columns of the buffer: stamp, field, specific force, angular rate
+NO_SPAN = (math.nan,) * 7
 
 
 UNSEEN = (
@@ -137,7 +146,7 @@ class Session:
         self.limits, self._gyro, self._longer = limits, gyro, longer
         self._to_body = mounting.to_body
         self._started = self._last_pair = self._last_turning = now
-        self._buffer = np.empty((1024, ROWS))
+        self._buffer = np.empty((1024, COLUMNS))
         self._size = 0
         self._turned = self._looked_at = 0.0
         self._sigma, self._seen = math.inf, 0.0
@@ -169,7 +178,9 @@ class Session:
             self.was_set_back = True
         if self._size == len(self._buffer):
             self._thin_out()
-        self._buffer[self._size] = (stamp, *pair.field.field, *pair.imu.force, *pair.imu.rate)
+        imu, span = pair.imu, pair.span
+        since = NO_SPAN if span is None else (*span.angle, *span.velocity, span.intervals)
+        self._buffer[self._size] = (stamp, *pair.field.field, *imu.force, *imu.rate, *since)
         self._size += 1
         self._last_pair = now
 
@@ -212,16 +223,17 @@ class Session:
         if _rate_if_any(rows) is None:
             rows, rests, _ = apart_from_rests(rows)
             rows = rows[self._kept(rows)]
-            return Window(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rests=rests)
-        rows = rows[np.isfinite(rows[:, 7:10]).all(axis=1)]
+            return Window(rows[:, 0], rows[:, FIELD], rows[:, FORCE], rests=rests)
+        rows = rows[np.isfinite(rows[:, RATE]).all(axis=1)]
         rows, rests, sigma = apart_from_rests(rows, self._gyro)
-        turned, kept = relative_attitudes(rows[:, 0], rows[:, 7:10]), self._kept(rows)
+        path, kept = path_of(rows), self._kept(rows)
         gaps = [np.diff(rows[each, 0]).max(initial=0.0) for each in (kept, slice(None))]
         if gaps[0] > max(STREAMS.longest_gyro_step, 2.0 * gaps[1]):
             # A drive is straight for long: of the force there, nothing may be left out.
             kept = np.arange(len(rows))
-        time, field, force, rate = np.split(rows[kept], [1, 4, 7], axis=1)
-        return Window(time[:, 0], field, force, rate, turned[kept], rests, sigma)
+        path, rows = path.take(kept), rows[kept]
+        sensors = rows[:, FIELD], rows[:, FORCE], rows[:, RATE]
+        return Window(rows[:, 0], *sensors, path, rests, sigma)
 
     def _kept(self, rows: FloatArray) -> IntArray:
         """Return which rows stay when they are thinned to equal angles."""
@@ -231,8 +243,8 @@ class Session:
         return thin_to_equal_angles(angle)
 
     def _angle(self, rows: FloatArray) -> FloatArray | None:
-        field = rows[:, 1:4] @ self._to_body.T
-        return yaw_progress(rows[:, 0], field, rows[:, 4:7], _rate_if_any(rows))
+        field = rows[:, FIELD] @ self._to_body.T
+        return yaw_progress(rows[:, 0], field, rows[:, FORCE], _rate_if_any(rows))
 
     def _stage(self, coverage: Coverage, now: float) -> Stage:
         if coverage.is_complete and self._is_enough(coverage, now):
@@ -257,7 +269,7 @@ class Session:
     def _thin_out(self) -> None:
         largest = self._longer * TUNING.largest_buffer
         if self._size < largest:
-            more = np.empty((min(self._size, largest - self._size), ROWS))
+            more = np.empty((min(self._size, largest - self._size), COLUMNS))
             self._buffer = np.concatenate([self._buffer, more])
             return
         most = largest // 2
@@ -269,6 +281,8 @@ class Session:
         else:
             kept = thin_to_equal_angles(angle, most=most)
         rows = self._buffer[kept]
+        angle, velocity, intervals = path_of(self._buffer).take(kept).steps
+        rows[1:, ANGLE], rows[1:, VELOCITY], rows[1:, INTERVALS] = angle, velocity, intervals
         self._buffer[: len(rows)] = rows
         self._size = len(rows)
 
@@ -282,7 +296,7 @@ def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
 
 def _rate_if_any(rows: FloatArray) -> FloatArray | None:
     """Return the angular rates, zero where missing; None without a gyro, absent or unfilled."""
-    rate = rows[:, 7:10]
+    rate = rows[:, RATE]
     finite = np.asarray(np.isfinite(rate).all(axis=1))
     if not len(rate) or finite.mean() < 0.9 or not rate[finite].any():
         return None

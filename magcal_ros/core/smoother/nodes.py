@@ -153,7 +153,7 @@ def nodes_of(
     rate, time = window.angular_rate, window.time
     assert rate is not None
     field = window.field @ to_body.T * MICROTESLA
-    steps, unseen = _turned(time, rate)
+    steps, unseen, velocity, intervals = _steps(window)
     attitude = chained(exp_rotations(-steps)[None])[0]
     lost = np.diff(time) > longest_step
     first = _first_rows(time, steps, unseen, spacing, lost)
@@ -162,7 +162,7 @@ def nodes_of(
     count = (last - first).astype(float)
     from_middle = attitude @ np.swapaxes(np.repeat(attitude[middle], last - first, axis=0), 1, 2)
     mean_rate = block_means(rate, first)
-    links = _Links.of(window, attitude, middle, steps, unseen)
+    links = _Links.of(time, attitude, middle, steps, unseen, velocity)
     nodes = Nodes(
         time[middle],
         block_means(field, first),
@@ -176,7 +176,7 @@ def nodes_of(
         links.force,
         links.along,
         np.diff(mean_rate, axis=0) / np.diff(time[middle])[:, None],
-        np.diff(middle).astype(float),
+        np.add.reduceat(np.append(intervals, 0.0), middle)[:-1],
         links.unseen,
         float(np.median(white_noise(field))),
         block_means(window.specific_force, first),
@@ -201,6 +201,29 @@ def _untied(nodes: Nodes, lost: BoolArray) -> Nodes:
         samples=np.where(lost, 0.0, nodes.samples),
         unseen=np.where(rows, UNTIED, nodes.unseen),
     )
+
+
+def _steps(window: Window) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what the IMU shows from each sample to the next, (n - 1, ...).
+
+    Angles, radians; the variances of their errors; the velocity by the specific force in body axes,
+    m/s; and over how many intervals between IMU samples these were integrated.
+
+    By the trapezoidal rule the error of an angle falls with the square of those intervals
+    (Euler-Maclaurin), and the variance of what they miss with their number to the fifth: they are
+    so much shorter, and as many errors are added.
+    """
+    time, rate = window.time, window.angular_rate
+    assert rate is not None
+    turned, unseen = _turned(time, rate)
+    seconds = np.diff(time)[:, None]
+    force = window.specific_force
+    plain, velocity = (0.5 * seconds * (each[:-1] + each[1:]) for each in (rate, force))
+    if window.path is None:
+        return turned, unseen, velocity, np.ones(len(seconds))
+    angle, velocity, intervals = window.path.steps
+    many = intervals[:, None]
+    return angle + (turned - plain) / many**2, unseen / many**5, velocity, intervals
 
 
 def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -287,30 +310,25 @@ class _Links:
     @classmethod
     def of(
         cls,
-        window: Window,
+        time: FloatArray,
         attitude: FloatArray,
         middle: IntArray,
         steps: FloatArray,
         unseen: FloatArray,
+        velocity: FloatArray,
     ) -> _Links:
-        seconds = np.diff(window.time[middle])
+        seconds = np.diff(time[middle])
         ends = np.diff(middle)
         start = np.repeat(middle[:-1], ends)
         rows = np.arange(middle[0], middle[-1])
-        step = np.diff(window.time)[rows]
+        share = np.diff(time)[rows] / np.repeat(seconds, ends)
         back = np.swapaxes(attitude[start], 1, 2)
+        along = 0.5 * share[:, None, None] * (attitude[rows] + attitude[rows + 1]) @ back
         begin = middle[:-1] - middle[0]
-
-        def mean(left: FloatArray, right: FloatArray) -> FloatArray:
-            shape = (-1, *([1] * (left.ndim - 1)))
-            inside = 0.5 * (left + right) * step.reshape(shape)
-            return np.asarray(np.add.reduceat(inside, begin, axis=0) / seconds.reshape(shape))
-
-        force = window.specific_force
         return cls(
             np.add.reduceat(steps[rows], begin, axis=0),
-            mean(force[rows], force[rows + 1]),
-            mean(attitude[rows] @ back, attitude[rows + 1] @ back),
+            np.add.reduceat(velocity[rows], begin, axis=0) / seconds[:, None],
+            np.add.reduceat(along, begin, axis=0),
             np.add.reduceat(unseen[rows], begin, axis=0),
         )
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
-from magcal_ros.core.geometry.rotations import chained, exp_rotations
 from magcal_ros.core.geometry.vec3 import (
     Triple,
     between,
@@ -43,22 +42,6 @@ def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
     square[1:-1] = np.diff(rate, 2, axis=0) ** 2
     share = np.minimum(step / SWAY, 1.0) ** 4
     return np.asarray(share * step**2 * (square[:-1] + square[1:]) / 24.0)
-
-
-def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return rotations from the first sample's body axes to each sample's, shape (n, 3, 3).
-
-    Products of steps `exp(-[w]x dt)` with the mean rate between both ends. The trapezoidal rule
-    with its end correction (Euler-Maclaurin): a wobble of 2 Hz at 30 samples a second would lose a
-    hundredth by the plain rule.
-
-    `time` (n,) is in seconds, `rate` (n, 3) in rad/s, body axes.
-    """
-    step = np.diff(time)[:, None]
-    turned = 0.5 * step * (rate[1:] + rate[:-1])
-    if len(time) > 2:
-        turned -= step**2 / 12.0 * np.diff(np.gradient(rate, time, axis=0), axis=0)
-    return np.asarray(chained(exp_rotations(-turned)[None])[0])
 
 
 def propagated_up(window: Window) -> FloatArray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
 BIAS = np.radians([3.5, -2.0, 1.9])
 STEP = 0.02
@@ -30,7 +30,8 @@ class Ride:
             field += self.switching * self.rng.normal(0.0, 1.0, 3)
             force = np.array([0.0, 0.0, 9.81]) + self.rng.normal(0.0, 0.02, 3)
             spin = bias + np.array([0.0, 0.0, rate]) + self.rng.normal(0.0, self.noise, 3)
-            self.recorder.add(self.stamp, tuple(field), tuple(force), tuple(spin))
+            imu = ImuSample(self.stamp, tuple(force), tuple(spin))
+            self.recorder.add(FieldSample(self.stamp, tuple(field)), imu)
 
 
 @pytest.fixture

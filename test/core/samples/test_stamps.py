@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.samples.streams import BurstWatch, bursts_in_words, spread_bursts
+from magcal_ros.core.samples.bursts import BurstWatch, bursts_in_words, spread_bursts
 from magcal_ros.core.samples.units import explained
 from magcal_ros.core.samples.window import Window
 

@@ -1,23 +1,17 @@
 from dataclasses import replace
 
 import numpy as np
-from simulated.turns import Motion, measure, smooth_wobble, turn
+from simulated.turns import Motion, measure, turn
 
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, UP_ENU, Robot
-from magcal_ros.core.up.follower import propagated_up, relative_attitudes
+from magcal_ros.core.up.follower import propagated_up
 
 
 def away_deg(found, motion):
     true = motion.attitude @ UP_ENU
     sine = np.linalg.norm(np.cross(found, true), axis=1)
     return np.degrees(np.sqrt(np.mean(sine**2)))
-
-
-def test_relative_attitudes_follow_the_motion():
-    motion = turn(wobble=smooth_wobble(np.random.default_rng(1), 500, 15.0, 10 * DEGREE))
-    found = relative_attitudes(motion.time, motion.angular_rate) @ motion.attitude[0]
-    np.testing.assert_allclose(found, motion.attitude, atol=3e-3)
 
 
 def test_a_steady_sideways_pull_is_averaged_out():

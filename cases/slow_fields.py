@@ -1,0 +1,71 @@
+"""Turns of a shaking robot whose field comes more slowly than its IMU."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from realistic_robots import Scene
+from simulated.turns import Motion, measure, slope_rpy, smooth_wobble
+
+from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about, rotation_from_rpy
+from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Pairer, Streams
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.session import Limits, Session
+from magcal_ros.core.simulation import DEGREE, UP_ENU, Robot
+
+IMU_HZ = 100.0
+SECONDS, REST = 25.0, 2.0
+BEGUN = 100.0  # seconds of the first stamp
+
+
+def drawn(rng: np.random.Generator, shake: float) -> tuple[Scene, Knowledge]:
+    """Draw a robot that rests, turns once and rests, its sensors as fast as the IMU.
+
+    `shake` is the share by which the turn rate varies at 1 to 8 Hz, as where wheels slip sideways;
+    the body sways with it.
+    """
+    robot = Robot(
+        inclination=rng.uniform(50.0, 70.0) * DEGREE,
+        roll=rng.normal(0.0, 3.0) * DEGREE,
+        pitch=rng.normal(0.0, 3.0) * DEGREE,
+        hard_iron=rng.normal(0.0, 20e-6, 3),
+        noise_field=0.3e-6,
+        noise_force=0.05,
+        noise_rate=2e-3,
+        gyro_bias=rng.normal(0.0, 0.002, 3),
+    )
+    count = round(SECONDS * IMU_HZ)
+    time = np.arange(count) / IMU_HZ
+    turns = (time > REST) & (time < SECONDS - REST)
+    rate = turns * math.tau / (SECONDS - 2.0 * REST) * rng.choice([-1.0, 1.0])
+    jerks = smooth_wobble(rng, count, SECONDS, shake, (1.0, 8.0))[:, 0]
+    yaw = np.cumsum(rate * (1.0 + jerks)) / IMU_HZ
+    slope = slope_rpy(abs(rng.normal(0.0, 2.0)) * DEGREE, *rng.uniform(0.0, math.tau, 2))
+    sway = smooth_wobble(rng, count, SECONDS, 0.5 * DEGREE, (0.2, 2.0))
+    sway += smooth_wobble(rng, count, SECONDS, 0.3 * shake * DEGREE, (2.0, 8.0))
+    standing = rotation_about(UP_ENU, -yaw) @ rotation_from_rpy(*slope).T
+    motion = Motion(time, exp_rotations(sway * turns[:, None]) @ standing)
+    strength = Belief(robot.strength + rng.normal(0.0, 1.5e-6), 1.5e-6)
+    dip = Belief(robot.inclination + rng.normal(0.0, 1.0) * DEGREE, 1.0 * DEGREE)
+    scene = Scene(robot, motion, measure(robot, motion, rng, gyro=True))
+    return scene, Knowledge(ReferenceField(strength, dip))
+
+
+def collected_at(window: Window, field_hz: float) -> Window:
+    """Return what a session makes of all IMU samples, and of the field so many times a second."""
+    streams, session = Streams(STREAMS.max_gap), Session(Limits(), Mounting(), 0.0)
+    pairer, every = Pairer(streams), round(IMU_HZ / field_hz)
+    assert window.angular_rate is not None
+    rows = zip(
+        BEGUN + window.time, window.field, window.specific_force, window.angular_rate, strict=True
+    )
+    for row, (stamp, field, force, rate) in enumerate(rows):
+        streams.add_imu(ImuSample(stamp, tuple(force.tolist()), tuple(rate.tolist())))
+        sample = FieldSample(stamp, tuple(field.tolist()))
+        if row % every == 0 and streams.add_field(sample):
+            pairer.offer(sample)
+        for pair in pairer.take():
+            session.add(pair, pair.field.stamp)
+    return session.window()
