@@ -77,7 +77,7 @@ class FieldSample(NamedTuple):
 class ImuSpan(NamedTuple):
     """Integrals over all IMU samples from one pair to the next."""
 
-    angle: Triple  # rotation vector in body axes, rad; NaN without a gyro
+    angle: Triple  # rotation vector in body axes, rad
     velocity: Triple  # of the specific force in body axes, m/s
     intervals: int  # between the samples, both ends included
 
@@ -196,7 +196,7 @@ class Streams:
         return ImuSample(stamp, force, between(before.rate, after.rate, share))
 
     def imu_between(self, start: ImuSample, end: ImuSample) -> ImuSpan | None:
-        """Integrate the IMU between two samples; None if samples are missing there.
+        """Integrate the IMU between two samples; None if samples or rates are missing there.
 
         By the trapezoidal rule, with coning to the second order (the classical one-sample
         algorithm of strapdown navigation).
@@ -224,6 +224,8 @@ class Streams:
             (px, py, pz), (qx, qy, qz) = earlier.force, later.force
             vx, vy, vz = vx + half * (px + qx), vy + half * (py + qy), vz + half * (pz + qz)
         angle = ax + 0.5 * bx, ay + 0.5 * by, az + 0.5 * bz
+        if not math.isfinite(sum(angle)):
+            return None
         return ImuSpan(angle, (vx, vy, vz), len(samples) - 1)
 
     @property

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Spans, Streams
 
 BIAS = np.radians([3.5, -2.0, 1.9])
 STEP = 0.02
@@ -191,3 +192,33 @@ def test_movement_counts_when_it_is_no_longer_kept():
         ride.go(60.0, rate=0.4)
     assert short.recorder.seconds < 25.0
     assert short.recorder.moved == long.recorder.moved == long.recorder.seconds
+
+
+def test_the_path_holds_every_sample_of_the_imu():
+    """Once a field sample comes, the gyro has turned by more than its last rate shows."""
+    recorder, streams = DriveRecorder(600.0), Streams(STREAMS.max_gap)
+    spans, stamps = Spans(streams), 1.0 + 0.01 * np.arange(6000)
+    rates = 0.3 + 2.0 * np.cos(math.tau * 7.3 * stamps)
+    angles = integral(stamps, rates)
+    for row, (stamp, rate, angle) in enumerate(zip(stamps, rates, angles, strict=True)):
+        imu = ImuSample(stamp, (0.0, 0.0, 9.81), (0.0, 0.0, rate))
+        streams.add_imu(imu)
+        if row % 11 == 0:
+            field = 20e-6 * math.cos(angle), -20e-6 * math.sin(angle), -40e-6
+            recorder.add(FieldSample(stamp, field), imu, span=spans.to(imu))
+    log = recorder.log()
+    turned = np.unwrap(np.arctan2(log.path.attitude[:, 0, 1], log.path.attitude[:, 0, 0]))
+    truth = np.interp(log.time, stamps, angles)
+    np.testing.assert_allclose(turned, truth - truth[0], atol=1e-6)
+    np.testing.assert_allclose(np.diff(log.path.velocity[:, 2]), 1.0791, atol=1e-9)
+    half = log.between(20.0, 40.0)
+    np.testing.assert_array_equal(half.path.velocity, half.window.path.velocity)
+
+
+def test_across_a_pause_that_is_cut_out_the_path_is_a_straight_line(ride):
+    ride.go(20.0, rate=0.4)
+    ride.go(120.0)
+    ride.go(20.0, rate=0.4)
+    log = ride.recorder.log()
+    turned = np.unwrap(np.arctan2(log.path.attitude[:, 0, 1], log.path.attitude[:, 0, 0]))
+    assert turned[-1] == pytest.approx(16.0, abs=0.3)

@@ -1,10 +1,13 @@
+import itertools
 import math
 
+import numpy as np
 import pytest
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
+from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.samples.streams import (
     STREAMS,
     Drop,
@@ -294,6 +297,42 @@ class TestPairs:
             truth = line(pair.field.stamp)
             assert pair.imu.force == pytest.approx(truth.force)
             assert pair.imu.rate == pytest.approx(truth.rate)
+
+    @pytest.mark.parametrize("imu_rate", [97.0, 11.0])
+    def test_pairs_carry_the_integrals_since_the_one_before(self, imu_rate):
+        pairs = Walk().feed_all(by_stamp(*drive(1.0, 3.0, imu_rate, 23.0)))
+        assert pairs[0].span is None
+        for before, pair in itertools.pairwise(pairs):
+            start, end = before.field.stamp, pair.field.stamp
+            middle = line(0.5 * (start + end))
+            assert pair.span.velocity == pytest.approx(np.multiply(middle.force, end - start))
+            # Of a rate that keeps its direction nearly, the vector is the integral.
+            assert pair.span.angle == pytest.approx(np.multiply(middle.rate, end - start), abs=1e-4)
+            assert pair.span.intervals >= 1
+
+    def test_coning_turns_the_body_on_the_whole(self):
+        """Tilts a quarter of a period apart add up to a turn about the third axis."""
+        walk, tilt, way = Walk(), 0.05, math.tau * 4.0
+        for row in range(1001):
+            stamp = 1.0 + row / 1000.0
+            spin = tilt * way * math.cos(way * stamp), tilt * way * math.sin(way * stamp), 0.0
+            walk.feed(imu(stamp, rate=spin))
+            if row % 50 == 0:
+                walk.feed(FieldSample(stamp, (2e-5, 1e-8 * row, 0.0)))
+        turned = np.eye(3)
+        for pair in walk.pairs[1:]:
+            turned = exp_rotation(-np.array(pair.span.angle)) @ turned
+        half_solid_angle = 0.5 * tilt**2 * way
+        assert turned[0, 1] == pytest.approx(half_solid_angle, rel=0.02)
+
+    def test_there_are_none_over_a_gap_or_without_a_gyro(self):
+        imus, fields = drive(1.0, 3.0)
+        holed = [sample for sample in imus if not 1.8 < sample.stamp < 2.3]
+        pairs = Walk().feed_all(by_stamp(holed, fields))
+        lost = [pair.field.stamp for pair in pairs if pair.span is None]
+        assert lost == [pairs[0].field.stamp, pytest.approx(2.303)]
+        blind = [sample._replace(rate=(math.nan,) * 3) for sample in imus]
+        assert all(pair.span is None for pair in Walk().feed_all(by_stamp(blind, fields)))
 
     def test_a_field_in_a_gap_of_the_imu_is_counted_as_unpaired(self):
         imus, fields = drive(1.0, 3.0)
