@@ -19,6 +19,7 @@ from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept, Several
+from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window
 
 if TYPE_CHECKING:
@@ -123,10 +124,12 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
     from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
 
     # The search for wrong axes takes time: it is left out for a good result of the smoother, and
-    # for a z axis that points down, which explains the rest.
+    # for a z axis that points down, which explains the rest. Nor can it tell axes from a sway that
+    # is faster than the samples.
     outcome = judged(estimate, knowledge, window)
     explains = outcome.verdict.accepted and estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
-    if explains and outcome.verdict.is_good and estimate.method in (JOINS, DRIVES):
+    is_slow = float(np.median(np.diff(window.time))) > SWAY
+    if explains and (outcome.verdict.is_good or is_slow) and estimate.method in (JOINS, DRIVES):
         return outcome
     refused = {each.figure for each in outcome.verdict.checks if each.grade is Grade.REFUSED}
     if Figure.AXIS_LEAN in refused:

@@ -109,7 +109,7 @@ def apart_from_rests(
     before all of them; a rest among them has priority. Returns the rows of the turn, the rests, and
     the sigma (rad/s) of the known bias if it was subtracted; else infinity.
     """
-    time, field, rate = rows[:, 0], rows[:, FIELD], rows[:, RATE]
+    time, field, rate = rows[:, 0], rows[:, FIELD], _mean_rates(rows)
     has_gyro = bool(np.isfinite(rate).all())
     first, end, bias = rests_around(time, field, rate if has_gyro else None)
     if end - first < TUNING.fewest:
@@ -130,14 +130,29 @@ def apart_from_rests(
     return turn, tuple(rests), sigma
 
 
+def _mean_rates(rows: FloatArray) -> FloatArray:
+    """Return the rates since the row before, where the IMU has samples between, shape (n, 3).
+
+    Single rates of a robot that shakes may look like those of a rest.
+    """
+    rate = rows[:, RATE].copy()
+    seen = np.flatnonzero(rows[1:, INTERVALS] > 1.0) + 1
+    rate[seen] = rows[seen, ANGLE] / (rows[seen, :1] - rows[seen - 1, :1])
+    return rate
+
+
 def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool) -> RestBeside:
     """Return what rows at rest show; `last` is the one of them next to the turn's row `beside`."""
     time = rows[:, 0]
     rate, rate_sigma, step = np.zeros(3), math.inf, np.zeros(3)
     if has_gyro:
-        rate, rate_sigma = mean_and_sigma(time, rows[:, RATE])
+        rate, rate_sigma = mean_and_sigma(time, _mean_rates(rows))
         # Turned back by what the gyro read over the step between them, which may run either way.
-        step = (0.5 * (last[RATE] + beside[RATE]) - rate) * (last[0] - beside[0])
+        way, later = last[0] - beside[0], max(last, beside, key=lambda row: float(row[0]))
+        gained = 0.5 * (last[RATE] + beside[RATE]) * way
+        if np.isfinite(later[ANGLE]).all():
+            gained = math.copysign(1.0, way) * later[ANGLE]
+        step = gained - rate * way
     seconds, stamp, turned = float(time[-1] - time[0]), float(beside[0]), exp_rotation(-step)
     field, force = rows[:, FIELD].mean(axis=0), rows[:, FORCE].mean(axis=0)
     return RestBeside(seconds, field, force, rate, rate_sigma, stamp, turned)

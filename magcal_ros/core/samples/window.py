@@ -220,7 +220,6 @@ class StretchTuning:
     fewest: int = 120
     most: int = 240
     """Averages."""
-    least: int = 25  # averages there are at least: a fit of the axes has 23 unknowns
 
 
 TUNING = StretchTuning()
@@ -262,7 +261,7 @@ def stretch_of_log(
     stamps, field = field_time[inside], log.field[inside]
     block = np.minimum(((stamps - span[0]) / (span[1] - span[0]) * count).astype(int), count - 1)
     _, first = np.unique(block, return_index=True)
-    if len(first) < tuning.least:
+    if len(first) < 20:
         return None
     moment, field = block_means(stamps, first), block_means(field, first)
     width = (span[1] - span[0]) / count

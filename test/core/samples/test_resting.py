@@ -8,7 +8,7 @@ import pytest
 from uneven_turns import DEGREE, REST, ROBOT, SECONDS, collected, driven, evenly, stop_and_go
 
 from magcal_ros.core.samples import rest
-from magcal_ros.core.samples.rest import GyroAtRest
+from magcal_ros.core.samples.rest import COLUMNS, GyroAtRest
 
 BIAS = np.array([0.3, -0.2, 0.1]) * DEGREE
 
@@ -31,7 +31,8 @@ def test_a_rest_that_ended_long_before_the_turn_is_no_rest_beside_it(monkeypatch
     """A long recording is thinned, which may leave a minute between the two."""
     _, window = driven(evenly)
     time = np.where(np.arange(len(window)) < 30, window.time - 60.0, window.time)
-    rows = np.column_stack([time, window.field, window.specific_force, window.angular_rate])
+    sensors = window.field, window.specific_force, window.angular_rate
+    rows = np.column_stack([time, *sensors, np.full((len(time), COLUMNS - 10), np.nan)])
     monkeypatch.setattr(rest, "rests_around", lambda *_: (30, len(rows) - 30, None))
     turn, rests, _ = rest.apart_from_rests(rows)
     assert len(turn) == len(rows) - 60
