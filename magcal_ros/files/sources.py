@@ -216,4 +216,5 @@ def _between(last: ImuSample, sample: ImuSample, longest: float) -> Iterator[Imu
     for part in range(1, parts):
         share = part / parts
         force = between(last.force, sample.force, share)
-        yield ImuSample(last.stamp + share * gap, force, between(last.rate, sample.rate, share))
+        rate = between(last.rate, sample.rate, share)
+        yield ImuSample(last.stamp + share * gap, force, rate, is_measured=False)

@@ -180,7 +180,10 @@ class TestASlowImu:
         for (kind, _), several in kinds.items():
             stamp = float(np.mean([s.stamp for s in several]))
             parts = zip(*(s[1:] for s in several), strict=True)
-            means = (None if part[0] is None else tuple(np.mean(part, axis=0)) for part in parts)
+            means = (
+                tuple(np.mean(part, axis=0)) if isinstance(part[0], tuple) else part[0]
+                for part in parts
+            )
             out.append(kind(stamp, *means))
         return sorted(out, key=lambda s: s.stamp)
 

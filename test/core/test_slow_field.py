@@ -1,5 +1,7 @@
 """A field that comes more slowly than the IMU: all of the IMU's samples count."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from long_form import first_of
@@ -28,10 +30,10 @@ def test_the_path_follows_every_sample_of_the_gyro():
     window = collected_at(scene.window, 10.0)
     rows = np.round((window.time - BEGUN) * IMU_HZ).astype(int)
     truth = scene.motion.attitude[rows] @ scene.motion.attitude[rows[0]].T
-    away = window.path.attitude @ np.swapaxes(truth, 1, 2)
+    away = window.steps.attitude @ np.swapaxes(truth, 1, 2)
     assert np.abs(away - np.eye(3)).max() < 0.5 * DEGREE
     fewer = window.take(np.arange(0, len(window), 7))
-    np.testing.assert_array_equal(fewer.path.attitude, window.path.attitude[::7])
+    np.testing.assert_allclose(fewer.steps.attitude, window.steps.attitude[::7], atol=1e-9)
 
 
 def test_two_streams_of_it_have_the_same_integrals():
@@ -40,13 +42,22 @@ def test_two_streams_of_it_have_the_same_integrals():
     log = SensorLog.of_window(window)
     step = np.diff(log.imu_time)[:, None]
     velocity = np.cumsum(0.5 * step * (log.force[1:] + log.force[:-1]), axis=0)[1::2]
-    np.testing.assert_allclose(velocity, window.path.velocity[1:], atol=1e-9)
+    np.testing.assert_allclose(velocity, np.cumsum(window.steps.velocity, axis=0), atol=1e-9)
     assert len(log.imu_time) == 2 * len(window) - 1
 
 
 def test_nothing_is_inserted_where_no_imu_sample_was_left_out():
     scene, _ = drawn(np.random.default_rng(3), 0.3)
     window = collected_at(scene.window, IMU_HZ)
-    left_out = int((np.diff(window.path.intervals) > 1.0).sum())
+    left_out = int((window.missed.intervals > 1.0).sum())
     assert len(SensorLog.of_window(window).imu_time) == len(window) + left_out
     assert len(SensorLog.of_window(scene.window).imu_time) == len(scene.window)
+
+
+def test_what_is_changed_of_a_window_counts():
+    scene, _ = drawn(np.random.default_rng(3), 0.3)
+    window = collected_at(scene.window, 10.0)
+    bias = np.array([0.01, -0.02, 0.03])
+    biased = replace(window, angular_rate=window.angular_rate + bias).steps.angle
+    gained = np.diff(window.time)[:, None] * bias
+    np.testing.assert_allclose(biased, window.steps.angle + gained, atol=1e-12)

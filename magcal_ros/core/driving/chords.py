@@ -70,7 +70,7 @@ class GyroFrame:
 
     def add(self, sample: ImuSample, bias: Triple) -> Tick | None:
         """Take an IMU sample and the gyro's bias (rad/s); returns a tick whenever one is full."""
-        stamp, (fx, fy, fz), (p, q, r), _ = sample
+        stamp, (fx, fy, fz), (p, q, r) = sample[:3]
         if not 0.0 < fx * fx + fy * fy + fz * fz < math.inf or not math.isfinite(p + q + r):
             return None
         last, self._last = self._last, sample

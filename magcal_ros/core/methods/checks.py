@@ -51,17 +51,13 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
 
 def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
     """Return the refusal of a turn whose gyro samples come too slowly; None if they do not."""
-    if window.angular_rate is None or len(window) < 2 or knowledge.exact_sensors:
-        return None
-    between = 1.0 if window.path is None else np.diff(window.path.intervals)
-    step = float(np.median(np.diff(window.time) / between))
-    if step <= SWAY:
+    if window.angular_rate is None or knowledge.exact_sensors or window.imu_gap <= SWAY:
         return None
     return Refusal(
         Reason.TOO_SLOW,
-        f"The samples of field and IMU come at {1.0 / step:.2g} Hz, and what the gyro measures "
-        "does not say how the robot turned and swayed between them. Publish or record both at 10 "
-        "Hz or more, or let the driver average its readings and turn more slowly.",
+        f"The samples of field and IMU come at {1.0 / window.imu_gap:.2g} Hz, and what the gyro "
+        "measures does not say how the robot turned and swayed between them. Publish or record "
+        "both at 10 Hz or more, or let the driver average its readings and turn more slowly.",
     )
 
 

@@ -27,7 +27,7 @@ from magcal_ros.core.samples.rest import (
     sigma_later,
 )
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, ImuSpan
-from magcal_ros.core.samples.window import ImuPath, Window, path_of
+from magcal_ros.core.samples.window import Steps, Window, steps_of
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class DriveLog:
     and it was taken off; infinite where none has."""
     rested: BoolArray | None = None
     """Where a recorder saw the robot stand; None where nobody has looked. Shape (m,)."""
-    path: ImuPath | None = None
-    """By all samples of the IMU, between the mean moments of the rows."""
+    missed: Steps | None = None
+    """What straight lines between the rows miss, by all samples of the IMU."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -76,16 +76,17 @@ class DriveLog:
     def window(self) -> Window:
         """The same rows as samples."""
         rows = (self.time, self.field, self.force, self.rate)
-        return Window(*rows, self.path, sigma_before=self.bias_sigma)
+        return Window(*rows, self.missed, sigma_before=self.bias_sigma)
 
     def between(self, start: float, end: float) -> DriveLog:
         """Return the rows of a span of stamps, both ends included, seconds."""
-        rows = slice(*np.searchsorted(self.time, [start, np.nextafter(end, np.inf)]))
+        first, last = np.searchsorted(self.time, [start, np.nextafter(end, np.inf)])
+        rows, steps = slice(first, last), slice(first, max(last - 1, first))
         columns = ("time", "field", "force", "rate", "speed", "rested")
         found = {name: getattr(self, name) for name in columns}
-        path = None if self.path is None else self.path.take(np.arange(len(self))[rows])
         found = {name: each[rows] for name, each in found.items() if each is not None}
-        return replace(self, path=path, **found)
+        missed = None if self.missed is None else Steps(*(each[steps] for each in self.missed))
+        return replace(self, missed=missed, **found)
 
 
 def log_of(window: Window) -> DriveLog:
@@ -93,19 +94,20 @@ def log_of(window: Window) -> DriveLog:
     assert window.angular_rate is not None
     block = ((window.time - window.time[0]) / TUNING.row).astype(int)
     first = np.flatnonzero(np.diff(block, prepend=-1))
-    path = window.path
-    if path is not None:
-        angle, _, _ = path.steps
-        sums = accumulated(angle), path.velocity, path.intervals
-        path = ImuPath.of_steps(*(np.diff(block_means(each, first), axis=0) for each in sums))
+    time, rate = block_means(window.time, first), block_means(window.angular_rate, first)
+    force, missed = block_means(window.specific_force, first), None
+    if window.missed is not None:
+        sums = (block_means(accumulated(each), first) for each in window.steps)
+        steps = Steps(*(np.diff(each, axis=0) for each in sums))
+        missed = steps.beyond(Steps.straight(time, force, rate))
     return DriveLog(
-        block_means(window.time, first),
+        time,
         block_means(window.field, first),
-        block_means(window.specific_force, first),
-        block_means(window.angular_rate, first),
+        force,
+        rate,
         np.full(len(first), np.nan),
         window.bias_sigma,
-        path=path,
+        missed=missed,
     )
 
 
@@ -270,15 +272,16 @@ class DriveRecorder:
             step = np.diff(time, prepend=first)[:, None]
             rows[:, ANGLE] -= (rows[:, RATE] - rate) * step
             rows[:, RATE] = rate
+        force, rate = rows[:, FORCE], rows[:, RATE]
         return DriveLog(
             time,
             rows[:, FIELD],
-            rows[:, FORCE],
-            rows[:, RATE],
+            force,
+            rate,
             rows[:, SPEED],
             sigma,
             rows[:, RESTED] > 0.0,
-            path_of(rows) if len(rows) else None,
+            steps_of(rows).beyond(Steps.straight(time, force, rate)) if len(rows) else None,
         )
 
     def _close(self) -> bool:

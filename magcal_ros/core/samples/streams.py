@@ -65,6 +65,8 @@ class ImuSample(NamedTuple):
     rate: Triple
     orientation: tuple[float, float, float, float] | None = None
     """The driver's own, a quaternion x, y, z, w; only `magcal doctor` looks at it."""
+    is_measured: bool = True
+    """False of one that a reader has interpolated: it shows nothing of how the robot moved."""
 
 
 class FieldSample(NamedTuple):
@@ -207,7 +209,7 @@ class Streams:
         for sample in reversed(self._imu):
             if sample.stamp <= start.stamp:
                 break
-            if sample.stamp < end.stamp:
+            if sample.stamp < end.stamp and sample.is_measured:
                 samples.append(sample)
         samples.append(start)
         ax = ay = az = bx = by = bz = vx = vy = vz = 0.0

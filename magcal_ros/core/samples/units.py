@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
-from magcal_ros.core.samples.streams import STREAMS, Drop, Streams
+from magcal_ros.core.samples.streams import STREAMS, SWAY, Drop, Streams
 from magcal_ros.core.samples.window import Window
 
 OF_ITS_OWN = "the field's strength there (tesla)"
@@ -99,9 +99,9 @@ LEAST_UPRIGHT = 0.5
 
 
 def explained(refusal: Refusal, window: Window) -> Refusal:
-    """Add the field's likely unit, axes that point down, or stamps in bursts, to a refusal.
+    """Add to a refusal what upsets every check before it shows by itself.
 
-    Either upsets every check before it shows by itself.
+    The field's likely unit, axes that point down, stamps in bursts, or an IMU that is too slow.
     """
     if len(window) == 0:
         return refusal
@@ -109,8 +109,20 @@ def explained(refusal: Refusal, window: Window) -> Refusal:
     if not hint and refusal.reason in MISLED_BY_AXES:
         force = window.specific_force.mean(axis=0)
         hint = Z_NOT_UP if force[2] < LEAST_UPRIGHT * float(np.linalg.norm(force)) else ""
-        hint = hint or bursts_in_words(window.time)
+        hint = hint or bursts_in_words(window.time) or _slow_gyro_in_words(window)
     return Refusal(refusal.reason, f"{str(refusal).rstrip('.')}; {hint}") if hint else refusal
+
+
+def _slow_gyro_in_words(window: Window) -> str:
+    """Say that a gyro is too slow for a robot that shakes; empty where it is not."""
+    gap = window.imu_gap
+    # From two samples in each half of a period on, a sway is followed.
+    if window.angular_rate is None or gap <= 0.5 * SWAY:
+        return ""
+    return (
+        f"or the robot shakes too fast for an IMU of {1.0 / gap:.2g} Hz: publish or record it at "
+        "10 Hz or more, at best at 50 Hz"
+    )
 
 
 @dataclass(frozen=True)

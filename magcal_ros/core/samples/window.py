@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,55 +29,48 @@ NEIGHBOURS, SPIKE = 9, 4.5
 """A spike is so many robust sigmas from the median of so many samples, itself among them."""
 
 
-@dataclass(frozen=True, eq=False)
-class ImuPath:
-    """Integrals of the IMU from the first sample of a window to each, by all IMU samples.
+class Steps(NamedTuple):
+    """Integrals of the IMU from each of some samples to the next."""
 
-    A field that comes slowly leaves most of the IMU's samples out, and with them how a robot shook.
-    """
-
-    attitude: FloatArray  # rotations from the first sample's body axes. Shape (n, 3, 3).
-    velocity: FloatArray  # of the specific force in body axes, m/s. Shape (n, 3).
-    intervals: FloatArray  # between IMU samples, as many as were integrated. Shape (n,).
-
-    def __post_init__(self) -> None:
-        rows = len(self.intervals)
-        freeze(self, attitude=(rows, 3, 3), velocity=(rows, 3), intervals=(rows,))
+    angle: FloatArray  # rotation vectors in body axes, rad. Shape (n - 1, 3).
+    velocity: FloatArray  # of the specific force in body axes, m/s. Shape (n - 1, 3).
+    intervals: FloatArray  # between IMU samples, as many as were integrated. Shape (n - 1,).
 
     @classmethod
-    def of_steps(cls, angle: FloatArray, velocity: FloatArray, intervals: FloatArray) -> ImuPath:
-        """Chain what was integrated between neighbours: (n - 1, 3), (n - 1, 3) and (n - 1,)."""
-        attitude = chained(exp_rotations(-angle)[None])[0]
-        return cls(attitude, accumulated(velocity), accumulated(intervals))
+    def straight(cls, time: FloatArray, force: FloatArray, rate: FloatArray) -> Steps:
+        """Integrate straight lines between samples: (n,), (n, 3) in m/s² and (n, 3) in rad/s."""
+        half = 0.5 * np.diff(time)[:, None]
+        angle, velocity = (half * (each[1:] + each[:-1]) for each in (rate, force))
+        return cls(angle, velocity, np.ones(len(half)))
 
     @property
-    def steps(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Rotation vectors, velocity and intervals from each sample to the next."""
-        between = self.attitude[1:] @ np.swapaxes(self.attitude[:-1], 1, 2)
-        return (
-            -rotation_vectors(between),
-            np.diff(self.velocity, axis=0),
-            np.diff(self.intervals),
-        )
+    def attitude(self) -> FloatArray:
+        """Rotations from the first sample's body axes to those of each, shape (n, 3, 3)."""
+        return np.asarray(chained(exp_rotations(-self.angle)[None])[0])
 
-    def take(self, rows: BoolArray | IntArray) -> ImuPath:
-        """Return the path at the chosen samples, a mask or increasing indices."""
-        return ImuPath(self.attitude[rows], self.velocity[rows], self.intervals[rows])
+    def over(self, rows: IntArray) -> Steps:
+        """Return the steps between the chosen samples, by increasing indices."""
+        attitude = self.attitude[rows]
+        turned = attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2)
+        sums = (np.diff(accumulated(each)[rows], axis=0) for each in self[1:])
+        return Steps(-rotation_vectors(turned), *sums)
+
+    def beyond(self, line: Steps) -> Steps:
+        """Return what is missed by straight lines; their intervals stay."""
+        return Steps(self.angle - line.angle, self.velocity - line.velocity, self.intervals)
 
 
-def path_of(rows: FloatArray) -> ImuPath:
-    """Return the path of samples in rows (n, COLUMNS or more).
+def steps_of(rows: FloatArray) -> Steps:
+    """Return the steps of samples in rows (n, COLUMNS or more).
 
     Where the span from the row before is not known, it is that of a straight line; without a gyro
     nothing turns.
     """
     span = rows[1:, ANGLE.start : COLUMNS].copy()
-    lost = np.flatnonzero(~np.isfinite(span).all(axis=1))
-    ends = np.hstack([rows[:, RATE], rows[:, FORCE]])
-    seconds = np.diff(rows[:, 0])[lost, None]
-    span[lost, :6] = 0.5 * seconds * (ends[lost] + ends[lost + 1])
-    span[lost, 6] = 1.0
-    return ImuPath.of_steps(np.nan_to_num(span[:, :3]), span[:, 3:6], span[:, 6])
+    lost = ~np.isfinite(span).all(axis=1)
+    line = Steps.straight(rows[:, 0], rows[:, FORCE], rows[:, RATE])
+    span[lost] = np.column_stack(line)[lost]
+    return Steps(np.nan_to_num(span[:, :3]), span[:, 3:6], span[:, 6])
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +89,8 @@ class Window:
     """m/s² in body axes at the same moments, +9.81 upwards at rest. Shape (n, 3)."""
     angular_rate: FloatArray | None = None
     """rad/s in body axes at the same moments; None without a gyro. Shape (n, 3)."""
-    path: ImuPath | None = None
-    """By all samples of an IMU with a gyro, where they are known beside those of the window."""
+    missed: Steps | None = None
+    """What straight lines between the samples miss, by all samples of an IMU with a gyro."""
     rests: tuple[RestBeside, ...] = ()
     """What was seen right before and after the turn, where the robot stood there; the gyro's bias
     that they show is taken off `angular_rate`."""
@@ -121,17 +115,43 @@ class Window:
     def __len__(self) -> int:
         return len(self.time)
 
+    @property
+    def imu_gap(self) -> float:
+        """Usual seconds between two samples of the IMU; zero of less than two samples."""
+        if len(self) < 2:
+            return 0.0
+        intervals = 1.0 if self.missed is None else self.missed.intervals
+        return float(np.median(np.diff(self.time) / intervals))
+
+    @property
+    def steps(self) -> Steps:
+        """By all samples of the IMU that are known; without a gyro nothing turns."""
+        rate = np.zeros((len(self), 3)) if self.angular_rate is None else self.angular_rate
+        line, missed = Steps.straight(self.time, self.specific_force, rate), self.missed
+        if missed is None:
+            return line
+        return Steps(line.angle + missed.angle, line.velocity + missed.velocity, missed.intervals)
+
     def take(self, rows: BoolArray | IntArray) -> Window:
         """Return the window of the chosen rows, a mask or increasing indices."""
-        rate, path = self.angular_rate, self.path
-        return replace(
+        rate = self.angular_rate
+        taken = replace(
             self,
             time=self.time[rows],
             field=self.field[rows],
             specific_force=self.specific_force[rows],
             angular_rate=None if rate is None else rate[rows],
-            path=None if path is None else path.take(rows),
+            missed=None,
         )
+        return taken if self.missed is None else taken.with_steps(self.steps.over(_indices(rows)))
+
+    def with_steps(self, steps: Steps) -> Window:
+        """Return the window with the steps that all samples of an IMU with a gyro show."""
+        return replace(self, missed=steps.beyond(replace(self, missed=None).steps))
+
+
+def _indices(rows: BoolArray | IntArray) -> IntArray:
+    return np.flatnonzero(rows) if rows.dtype == np.bool_ else rows.astype(np.int64)
 
 
 def white_noise(values: FloatArray) -> FloatArray:
@@ -195,13 +215,12 @@ class SensorLog:
             rate = np.full((len(window), 3), np.nan)
             return cls(time, window.specific_force, rate, time, window.field)
         imu = np.column_stack([time, window.specific_force, rate])
-        if window.path is not None:
-            angle, velocity, intervals = window.path.steps
+        if window.missed is not None:
+            angle, velocity, intervals = window.missed
             left_out = np.flatnonzero(intervals > 1.0)
-            between = 0.5 * (imu[1:] + imu[:-1])[left_out]
-            means = np.hstack([velocity, angle]) / np.diff(time)[:, None]
-            between[:, 1:] = 2.0 * means[left_out] - between[:, 1:]
-            imu = np.insert(imu, left_out + 1, between, axis=0)
+            between = 0.5 * (imu[1:] + imu[:-1])
+            between[:, 1:] += 2.0 * np.hstack([velocity, angle]) / np.diff(time)[:, None]
+            imu = np.insert(imu, left_out + 1, between[left_out], axis=0)
         return cls(imu[:, 0], imu[:, 1:4], imu[:, 4:], time, window.field)
 
     @property

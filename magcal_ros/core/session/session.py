@@ -21,14 +21,12 @@ from magcal_ros.core.samples.rest import (
     COLUMNS,
     FIELD,
     FORCE,
-    INTERVALS,
     RATE,
-    VELOCITY,
     GyroAtRest,
     apart_from_rests,
 )
 from magcal_ros.core.samples.streams import STREAMS, Pair
-from magcal_ros.core.samples.window import Window, path_of
+from magcal_ros.core.samples.window import Window, steps_of
 
 
 @dataclass(frozen=True)
@@ -226,14 +224,15 @@ class Session:
             return Window(rows[:, 0], rows[:, FIELD], rows[:, FORCE], rests=rests)
         rows = rows[np.isfinite(rows[:, RATE]).all(axis=1)]
         rows, rests, sigma = apart_from_rests(rows, self._gyro)
-        path, kept = path_of(rows), self._kept(rows)
+        steps, kept = steps_of(rows), self._kept(rows)
         gaps = [np.diff(rows[each, 0]).max(initial=0.0) for each in (kept, slice(None))]
         if gaps[0] > max(STREAMS.longest_gyro_step, 2.0 * gaps[1]):
             # A drive is straight for long: of the force there, nothing may be left out.
             kept = np.arange(len(rows))
-        path, rows = path.take(kept), rows[kept]
+        rows = rows[kept]
         sensors = rows[:, FIELD], rows[:, FORCE], rows[:, RATE]
-        return Window(rows[:, 0], *sensors, path, rests, sigma)
+        window = Window(rows[:, 0], *sensors, rests=rests, sigma_before=sigma)
+        return window.with_steps(steps.over(kept))
 
     def _kept(self, rows: FloatArray) -> IntArray:
         """Return which rows stay when they are thinned to equal angles."""
@@ -281,8 +280,7 @@ class Session:
         else:
             kept = thin_to_equal_angles(angle, most=most)
         rows = self._buffer[kept]
-        angle, velocity, intervals = path_of(self._buffer).take(kept).steps
-        rows[1:, ANGLE], rows[1:, VELOCITY], rows[1:, INTERVALS] = angle, velocity, intervals
+        rows[1:, ANGLE.start :] = np.column_stack(steps_of(self._buffer).over(kept))
         self._buffer[: len(rows)] = rows
         self._size = len(rows)
 

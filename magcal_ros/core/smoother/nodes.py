@@ -216,12 +216,8 @@ def _steps(window: Window) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
     time, rate = window.time, window.angular_rate
     assert rate is not None
     turned, unseen = _turned(time, rate)
-    seconds = np.diff(time)[:, None]
-    force = window.specific_force
-    plain, velocity = (0.5 * seconds * (each[:-1] + each[1:]) for each in (rate, force))
-    if window.path is None:
-        return turned, unseen, velocity, np.ones(len(seconds))
-    angle, velocity, intervals = window.path.steps
+    plain = 0.5 * np.diff(time)[:, None] * (rate[:-1] + rate[1:])
+    angle, velocity, intervals = window.steps
     many = intervals[:, None]
     return angle + (turned - plain) / many**2, unseen / many**5, velocity, intervals
 

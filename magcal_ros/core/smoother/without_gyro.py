@@ -83,7 +83,7 @@ def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
     axis = circle.normal * math.copysign(1.0, float(circle.normal @ usual))
     turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
     rate = np.gradient(-_smooth(window.time, turn[:, None]), window.time, axis=0) * axis
-    made = replace(window, angular_rate=rate)
+    made = replace(window, angular_rate=rate, missed=None)
     nodes = nodes_of(made, to_body, Spacing(longest=NODE))
     return replace(nodes, tied_to=minimal_rotation(Z, axis))
 

@@ -51,7 +51,7 @@ def test_stops_on_the_way_do_not_spoil_the_gyros_path():
     turned = collected(window)
     rows = np.isin(motion.time, turned.time)
     truth = motion.attitude[rows] @ motion.attitude[rows][0].T
-    attitude = turned.path.attitude
+    attitude = turned.steps.attitude
     away = attitude @ attitude[0].T @ np.swapaxes(truth, 1, 2)
     assert np.abs(away - np.eye(3)).max() < 0.3 * DEGREE
 

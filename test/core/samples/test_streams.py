@@ -331,6 +331,9 @@ class TestPairs:
         pairs = Walk().feed_all(by_stamp(holed, fields))
         lost = [pair.field.stamp for pair in pairs if pair.span is None]
         assert lost == [pairs[0].field.stamp, pytest.approx(2.303)]
+        guessed = [sample._replace(is_measured=sample.stamp % 0.25 < 0.005) for sample in imus]
+        spans = [pair.span for pair in Walk().feed_all(by_stamp(guessed, fields))]
+        assert all(span is None or span.intervals <= 2 for span in spans)
         blind = [sample._replace(rate=(math.nan,) * 3) for sample in imus]
         assert all(pair.span is None for pair in Walk().feed_all(by_stamp(blind, fields)))
 
