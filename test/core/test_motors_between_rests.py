@@ -104,7 +104,7 @@ def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
     knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     outcome = calibrate(collected(replace(window, field=field)), knowledge)
     assert outcome.verdict.accepted
-    assert "subtracted while the robot moves" in outcome.verdict.summary
+    assert "subtracts this field while the robot moves" in outcome.verdict.summary
     gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
     assert math.sqrt(np.mean(gap**2)) < 3.0 * predicted_heading_sigma(outcome.estimate)
 

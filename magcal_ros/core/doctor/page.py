@@ -275,10 +275,12 @@ def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
 
 
 def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose gyro has dead axes or another unit; None of others."""
+    """Return the refusal of a turn whose gyro is frozen, dead in an axis, or in another unit."""
     rate = window.angular_rate
     if rate is None or len(window) < 3:
         return None
+    if rate.any() and not np.ptp(rate, axis=0).any():
+        return _by_the_page(window, knowledge, ("frozen",))
     if dead_axes(rate):
         # What the robot leans by is hidden, and the gyro's turn cannot be followed in space.
         return Refusal(
