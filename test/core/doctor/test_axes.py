@@ -58,7 +58,7 @@ def test_a_turn_and_a_lift_decide_nearly_every_time_and_never_wrongly():
         found, *_ = of(axes, "lift", number)
         assert named(found, axes) or found.right, f"lift {number}: {found.words}"
         decided.append(len(found.candidates) == 1 and np.array_equal(found.meant, axes))
-    assert np.mean(decided) > 0.99
+    assert np.mean(decided) > 0.95
 
 
 @pytest.mark.parametrize("seed", first_of(range(4)))
