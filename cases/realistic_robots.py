@@ -109,13 +109,9 @@ def collected(window: Window) -> Window:
     return session.window()
 
 
-def drawn(
-    rng: np.random.Generator,
-    course: Course | None = None,
-    turns: tuple[float, float] = FULL_TURN,
-) -> tuple[Scene, Knowledge]:
-    """Draw a robot, its turn (of so many turns), and what is known of the field."""
-    robot = Robot(
+def drawn_robot(rng: np.random.Generator) -> Robot:
+    """Draw a robot with usual noise."""
+    return Robot(
         inclination=rng.uniform(50.0, 70.0) * DEGREE,
         roll=rng.normal(0.0, 3.0) * DEGREE,
         pitch=rng.normal(0.0, 3.0) * DEGREE,
@@ -125,6 +121,22 @@ def drawn(
         noise_rate=2e-3,
         gyro_bias=rng.normal(0.0, 0.002, 3),
     )
+
+
+def drawn_knowledge(rng: np.random.Generator, robot: Robot) -> Knowledge:
+    """Draw what is known of the field at the robot's place."""
+    strength = Belief(robot.strength + rng.normal(0.0, 1.5e-6), 1.5e-6)
+    dip = Belief(robot.inclination + rng.normal(0.0, 1.0) * DEGREE, 1.0 * DEGREE)
+    return Knowledge(ReferenceField(strength, dip))
+
+
+def drawn(
+    rng: np.random.Generator,
+    course: Course | None = None,
+    turns: tuple[float, float] = FULL_TURN,
+) -> tuple[Scene, Knowledge]:
+    """Draw a robot, its turn (of so many turns), and what is known of the field."""
+    robot = drawn_robot(rng)
     slope = slope_rpy(abs(rng.normal(0.0, 2.0)) * DEGREE, *rng.uniform(0.0, math.tau, 2))
     sway = smooth_wobble(rng, SAMPLES, SECONDS, 1.0 * DEGREE, (0.2, 2.0))
     arc = rng.choice([-1.0, 1.0]) * rng.uniform(*turns) * math.tau
@@ -132,10 +144,8 @@ def drawn(
         motion = turn(arc=arc, samples=SAMPLES, duration=SECONDS, start_rpy=slope, wobble=sway)
     else:
         motion = driven(course, arc, slope, sway)
-    strength = Belief(robot.strength + rng.normal(0.0, 1.5e-6), 1.5e-6)
-    dip = Belief(robot.inclination + rng.normal(0.0, 1.0) * DEGREE, 1.0 * DEGREE)
-    scene = Scene(robot, motion, measure(robot, motion, rng, gyro=True))
-    return scene, Knowledge(ReferenceField(strength, dip))
+    knowledge = drawn_knowledge(rng, robot)
+    return Scene(robot, motion, measure(robot, motion, rng, gyro=True)), knowledge
 
 
 def direction(rng: np.random.Generator) -> FloatArray:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from realistic_robots import Scene
+from realistic_robots import Scene, drawn_knowledge, drawn_robot
 from simulated.turns import Motion, measure, slope_rpy, smooth_wobble
 
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about, rotation_from_rpy
-from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
+from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session
-from magcal_ros.core.simulation import DEGREE, UP_ENU, Robot
+from magcal_ros.core.simulation import DEGREE, UP_ENU
 
 IMU_HZ = 100.0
 SECONDS, REST = 25.0, 2.0
@@ -26,16 +26,7 @@ def drawn(rng: np.random.Generator, shake: float) -> tuple[Scene, Knowledge]:
     `shake` is the share by which the turn rate varies at 1 to 8 Hz, as where wheels slip sideways;
     the body sways with it.
     """
-    robot = Robot(
-        inclination=rng.uniform(50.0, 70.0) * DEGREE,
-        roll=rng.normal(0.0, 3.0) * DEGREE,
-        pitch=rng.normal(0.0, 3.0) * DEGREE,
-        hard_iron=rng.normal(0.0, 20e-6, 3),
-        noise_field=0.3e-6,
-        noise_force=0.05,
-        noise_rate=2e-3,
-        gyro_bias=rng.normal(0.0, 0.002, 3),
-    )
+    robot = drawn_robot(rng)
     count = round(SECONDS * IMU_HZ)
     time = np.arange(count) / IMU_HZ
     turns = (time > REST) & (time < SECONDS - REST)
@@ -47,10 +38,8 @@ def drawn(rng: np.random.Generator, shake: float) -> tuple[Scene, Knowledge]:
     sway += smooth_wobble(rng, count, SECONDS, 0.3 * shake * DEGREE, (2.0, 8.0))
     standing = rotation_about(UP_ENU, -yaw) @ rotation_from_rpy(*slope).T
     motion = Motion(time, exp_rotations(sway * turns[:, None]) @ standing)
-    strength = Belief(robot.strength + rng.normal(0.0, 1.5e-6), 1.5e-6)
-    dip = Belief(robot.inclination + rng.normal(0.0, 1.0) * DEGREE, 1.0 * DEGREE)
-    scene = Scene(robot, motion, measure(robot, motion, rng, gyro=True))
-    return scene, Knowledge(ReferenceField(strength, dip))
+    knowledge = drawn_knowledge(rng, robot)
+    return Scene(robot, motion, measure(robot, motion, rng, gyro=True)), knowledge
 
 
 def collected_at(window: Window, field_hz: float) -> Window:
