@@ -109,7 +109,7 @@ def collected(window: Window) -> Window:
     return session.window()
 
 
-def drawn_robot(rng: np.random.Generator) -> Robot:
+def usual_robot(rng: np.random.Generator) -> Robot:
     """Draw a robot with usual noise."""
     return Robot(
         inclination=rng.uniform(50.0, 70.0) * DEGREE,
@@ -136,7 +136,7 @@ def drawn(
     turns: tuple[float, float] = FULL_TURN,
 ) -> tuple[Scene, Knowledge]:
     """Draw a robot, its turn (of so many turns), and what is known of the field."""
-    robot = drawn_robot(rng)
+    robot = usual_robot(rng)
     slope = slope_rpy(abs(rng.normal(0.0, 2.0)) * DEGREE, *rng.uniform(0.0, math.tau, 2))
     sway = smooth_wobble(rng, SAMPLES, SECONDS, 1.0 * DEGREE, (0.2, 2.0))
     arc = rng.choice([-1.0, 1.0]) * rng.uniform(*turns) * math.tau

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from realistic_robots import Scene, drawn_knowledge, drawn_robot
+from realistic_robots import Scene, drawn_knowledge, usual_robot
 from simulated.turns import Motion, measure, slope_rpy, smooth_wobble
 
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about, rotation_from_rpy
@@ -26,7 +26,7 @@ def drawn(rng: np.random.Generator, shake: float) -> tuple[Scene, Knowledge]:
     `shake` is the share by which the turn rate varies at 1 to 8 Hz, as where wheels slip sideways;
     the body sways with it.
     """
-    robot = drawn_robot(rng)
+    robot = usual_robot(rng)
     count = round(SECONDS * IMU_HZ)
     time = np.arange(count) / IMU_HZ
     turns = (time > REST) & (time < SECONDS - REST)
