@@ -140,7 +140,10 @@ class Verdict:
         )
 
 
-NO_YAW = "the yaw of the installation: mount the sensor square, or compare with a known heading"
+NO_YAW = (
+    "the yaw of the installation: mount the sensor square to the robot, or compare with a known "
+    "heading"
+)
 NO_MOUNTING = (
     "the mounting of the magnetometer against the IMU: this method assumes aligned axes and does "
     "not correct it"

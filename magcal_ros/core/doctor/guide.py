@@ -28,7 +28,7 @@ class GuideStep(str, Enum):
 
 ASKED = {
     GuideStep.STAND: "stand still",
-    GuideStep.TURN: "turn left a quarter at least, at best once round, and stop",
+    GuideStep.TURN: "turn left, a full circle or at least a quarter, and stop",
     GuideStep.LIFT: "lift the nose by 20°, or drive over a kerb, and stop",
 }
 """In words."""

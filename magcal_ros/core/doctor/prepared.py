@@ -145,8 +145,8 @@ def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
 
 
 ONE_CLOCK = (
-    "the stamps of IMU and field come from two clocks: stamp both with the time at which they were "
-    "measured by the ROS clock, and synchronise the clocks of all computers and boards"
+    "the stamps of IMU and field come from two clocks: stamp both by the ROS clock when they are "
+    "measured, and synchronise the clocks of all computers and boards"
 )
 
 

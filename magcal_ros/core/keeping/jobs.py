@@ -195,8 +195,8 @@ class Proof:
         if not (is_clear and is_elsewhere and is_unopposed):
             return ""
         return (
-            f"it explains {self.seconds:.0f} s of road driven since better, by"
-            f" {self.likelihood:.0f} units of log likelihood and in both halves"
+            f"it explains {self.seconds:.0f} s of road driven since then better: by "
+            f"{self.likelihood:.0f} units of log likelihood, and in both halves"
         )
 
 

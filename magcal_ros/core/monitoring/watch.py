@@ -44,14 +44,14 @@ WATCH_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.HARD_IRON_CHANGE,
         (None, 3.5, 10.0),
-        "the level hard iron has changed, in the field's strength, by",
+        "the level hard iron has changed, relative to the field's strength, by",
         f"something magnetic was added to the robot, taken off or moved; {AGAIN}",
         unit="%",
     ),
     Bound(
         Figure.SOFT_IRON_CHANGE,
         (None, 4.0, 10.0),
-        "the field's strength swings twice a turn, as soft iron makes it, by",
+        "the field's strength swings twice per turn, as soft iron causes it, by",
         f"iron near the sensor or a gain of the sensor has changed; {AGAIN}",
         unit="%",
     ),

@@ -198,7 +198,7 @@ class TestJudge:
         }
         summary = judge(estimate(figures=figures), KNOWN).summary
         assert "gyro against compass around the turn 20°" in summary
-        assert "field and gyro are stamped apart by 2000 ms" in summary
+        assert "the stamps of field and gyro differ by 2000 ms" in summary
         assert "ellipse" not in summary
         assert "Calibrated" not in summary
 

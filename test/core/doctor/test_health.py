@@ -96,7 +96,7 @@ def dead(field):
     [
         (repeated, "repeats", "publishes faster"),
         (lambda field: np.round(field / 0.6e-6) * 0.6e-6, "resolution", "finer range"),
-        (shifted, "saturation", "x stops at one value"),
+        (shifted, "saturation", "x reached the end of the range"),
         (dead, "frozen", "y never changes"),
         (lambda field: field * 1e6, "field_unit", "microtesla"),
         (lambda field: field * 1e4, "field_unit", "gauss"),
