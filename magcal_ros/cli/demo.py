@@ -90,9 +90,9 @@ def run_demo(options: argparse.Namespace) -> int:
     keep_traffic_here()
     print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
     seconds = TAKES / options.speed
-    print(f"The robot turns once and is looked at afterwards: about {seconds:.0f} s.")
+    print(f"The robot turns once, and then its heading is checked: about {seconds:.0f} s.")
     if options.speed != 1.0:
-        print(f"All of it goes {options.speed:g} times as fast as real.")
+        print(f"Everything runs {options.speed:g} times as fast as in real time.")
     print()
     process = _start_node(options.output)
     try:
@@ -236,5 +236,5 @@ def _frame(text: str) -> str:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
-        raise argparse.ArgumentTypeError(f"{plain(text)!r} is no UTF-8 text") from None
+        raise argparse.ArgumentTypeError(f"{plain(text)!r} is not UTF-8 text") from None
     return text

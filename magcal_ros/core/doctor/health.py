@@ -155,7 +155,7 @@ def field_findings(field: FloatArray) -> list[Finding]:
     words = f"usually {size * 1e6:.3g} µT, hard iron included"
     found = [line("field_unit", "field: unit", words, unit)]
     step = max(_step(field[:, axis]) for axis in range(3))
-    words = "choose a range of the sensor with finer steps, or average in the driver"
+    words = "choose a finer range of the sensor, or average in the driver"
     evidence = f"steps of {step * 1e6:.2g} µT" if step else "no steps seen"
     found.append(
         looked_at("resolution", "field: resolution", evidence, words * (step > TUNING.coarse))

@@ -118,7 +118,7 @@ class Shown:
         """Say what a turn brought, from what was shown before it."""
         said = self.changes(before)
         if not said:
-            return "the same tilt as before: it steadies the noise but shows nothing new"
+            return "the same tilt as before: this reduces noise, but shows nothing new"
         return "brought " + ", ".join(said)
 
     def changes(self, before: Shown) -> list[str]:

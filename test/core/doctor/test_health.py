@@ -66,7 +66,7 @@ def test_stamps_in_bursts_are_named(period):
 def test_a_field_that_comes_slowly_is_named():
     found = stamps_finding("field", np.arange(60.0))
     assert found.key == "slow"
-    assert "it comes at 1 Hz" in found.remedy
+    assert "the field comes at 1 Hz" in found.remedy
     assert not stamps_finding("field", 0.2 * np.arange(60.0)).remedy
 
 
