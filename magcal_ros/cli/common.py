@@ -43,7 +43,7 @@ class Exit(IntEnum):
 def command(
     commands: Any, name: str, run: Callable[[argparse.Namespace], int], words: str
 ) -> argparse.ArgumentParser:
-    """Add a command; its description is what the function that runs it says of itself."""
+    """Add a command; its description is the docstring of the function that runs it."""
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=words, description=inspect.getdoc(run)
     )

@@ -127,7 +127,7 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
     tell(f"\n{answer.message}\n")
     if not answer.success:
         return Exit.REFUSED
-    print("The robot now stands at 24 headings, on the level and on four slopes.\n", flush=True)
+    print("The robot now stands at 24 headings, on level ground and on four slopes.\n", flush=True)
     calibration, _ = read_calibration(output)
     slopes = [(8.0, 0.0), (0.0, 8.0), (-8.0, 0.0), (0.0, -8.0)]
     after = tuple(_rms(rehearsal.published_errors(each)) for each in ([(0.0, 0.0)], slopes))

@@ -123,7 +123,7 @@ class TestDamage:
         file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
         content = file.read_bytes()
         file.write_bytes(content[: int(share * len(content))])
-        with pytest.raises(FileTrouble, match=r"Record again; .* saves what is whole") as caught:
+        with pytest.raises(FileTrouble, match=r"Record again; .* saves the intact part") as caught:
             read(path)
         assert str(caught.value).isprintable()
 
@@ -162,7 +162,7 @@ class TestDamage:
         with pytest.raises(FileTrouble, match=r"is no recording.*metadata\.yaml"):
             read(tmp_path)
         (tmp_path / "notes.txt").write_text("hello")
-        with pytest.raises(FileTrouble, match="is no recording: name a bag"):
+        with pytest.raises(FileTrouble, match="is not a recording: name a bag"):
             read(tmp_path / "notes.txt")
 
 

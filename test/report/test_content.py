@@ -109,8 +109,8 @@ def test_a_drive_is_called_a_drive_and_its_figures_have_units(tmp_path):
         "headings driven 12 of 12",
         "length of the drive 93.7 s",
         "disturbance that changes with the place (1σ per axis) 1.4 µT",
-        "heading error by the calibration, on the level (1σ) ±",
-        "heading error along the way, on the level (1σ) ±",
+        "heading error by the calibration, on level ground (1σ) ±",
+        "heading error along the way, on level ground (1σ) ±",
         "What this drive could not show",
         "The drive was measured by the gyro",
     ):

@@ -48,7 +48,7 @@ def test_a_description_latched_before_the_node_came_is_heard_and_a_damaged_one_s
     assert description.tree.pose("imu_link", "base_link") == pytest.approx(turned)
     out.publish(String(data="<robot>" + LARGEST * " "))
     wait_for(3)
-    assert description.trouble.startswith("robot_description brings more than 4000000 bytes")
+    assert description.trouble.startswith("robot_description has messages above 4000000 bytes")
     out.publish(String(data=ROBOT))
     wait_for(4)
     assert description.trouble == ""

@@ -42,7 +42,7 @@ AGAINST_REFERENCE: tuple[Bound, ...] = (
 SIGMA = Bound(
     Figure.HEADING_SIGMA,
     (0.7, 2.0, 12.0),
-    "predicted heading error on the level (1σ)",
+    "predicted heading error on level ground (1σ)",
     "turn the full circle, or through all orientations, more slowly",
     aspect=Aspect.CONFIDENCE,
     after_full="turn once more, more slowly or on other ground",
@@ -199,7 +199,7 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
     UPRIGHT,
     replace(
         SIGMA,
-        words="predicted heading error on the level by the calibration (1σ)",
+        words="predicted heading error on level ground by the calibration (1σ)",
         remedy=ALL_HEADINGS,
         after_full=DRIVE_LONGER,
     ),
@@ -226,7 +226,7 @@ ONE_MORE = "stand at another known heading"
 HEADING_BOUNDS: tuple[Bound, ...] = (
     replace(
         SIGMA,
-        words="predicted heading error on the level, over all headings (1σ)",
+        words="predicted heading error on level ground, over all headings (1σ)",
         remedy=ONE_MORE,
         after_full="",
         when_refused=f"{ONE_MORE}, and give the reference field",

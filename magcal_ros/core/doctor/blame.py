@@ -1,4 +1,4 @@
-"""Which sensor errs (two of three agree), which axes it has, and whether it stands upright."""
+"""Find the sensor with wrong axes (two of three agree), its axes, and whether it is upright."""
 
 from __future__ import annotations
 
@@ -191,13 +191,13 @@ def parameter_line(rpy_deg: tuple[int, int, int]) -> str:
 
 
 class Blame(NamedTuple):
-    """Which sensors err."""
+    """Which sensors have wrong axes."""
 
     findings: tuple[Finding, ...]
-    """One for each sensor whose axes err or may err, or one that all agree."""
+    """One for each sensor whose axes are or may be wrong, or one that all agree."""
     chosen: int | None = None  # the way that is taken; None where none explains the movement
     axes: AxesFound | None = None
-    """Of the magnetometer, if it is the one that errs; None where it is not known."""
+    """Of the magnetometer, if its axes are the wrong ones; None where that is not known."""
 
 
 def blame(
@@ -206,7 +206,7 @@ def blame(
     turned_left: bool | None,
     gyro_is_half_dead: bool = False,
 ) -> Blame:
-    """Name the sensors whose axes err or may; a gyro with dead axes judges no others."""
+    """Name the sensors whose axes are or may be wrong; with dead axes of the gyro, no others."""
     misfit, given = explanations.misfit, explanations.plain
     if explanations.rms[explanations.best] > WEIGHED.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
@@ -273,7 +273,7 @@ def _accused(
     rank: dict[int, tuple[str, ...]],
     knowledge: Knowledge,
 ) -> Blame:
-    """Name the sensor that errs; where another may err instead, or two must, ask."""
+    """Name the sensor with wrong axes; if it may be another one, or is two, ask for a movement."""
     culprits = list(dict.fromkeys(rank[k] for k in fewest))
     if len(culprits[0]) > 1:
         names = " and ".join(culprits[0])
@@ -331,4 +331,4 @@ SAID: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
         lambda axes: spoken(axes.T),
     ),
 }
-"""What is said of a sensor that errs, and of one way in which its axes may lie."""
+"""What is said of a sensor with wrong axes, and of one way in which its axes may lie."""

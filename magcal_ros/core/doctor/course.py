@@ -1,4 +1,4 @@
-"""Which of four yaws the magnetometer has, by the course: no turn on the spot can show it."""
+"""Which of four yaws the magnetometer has, by the course; a turn on the spot cannot show it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The guided half minute: what a person is asked to do, and how it is seen to be done.
+"""The guided half minute: what the user is asked to do, and how samples show that it was done.
 
 A state machine without a clock: samples and the time go in, and what is asked comes out. The
 sensors may be faulty, so each step is seen by whichever of them answers: no unit, sign or axis of

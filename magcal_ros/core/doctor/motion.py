@@ -1,4 +1,4 @@
-"""What the sensors show of one another while the robot moves."""
+"""Compare accelerometer, gyro and field while the robot moves."""
 
 from __future__ import annotations
 
@@ -76,11 +76,11 @@ class MotionFound:
 
     findings: tuple[Finding, ...]  # the lines
     axes: AxesFound | None = None
-    """Of the magnetometer, where it is the one that errs; None where nothing was shown."""
+    """Of the magnetometer, where its axes are the wrong ones; None where nothing was shown."""
     way: Way | None = None  # that is taken; None where none explains the movement
     factor: float = 1.0  # what makes rad/s of the gyro's numbers
     up_is_down: bool | None = False
-    """Whether gravity's sign is what errs; None where that is not decided."""
+    """Whether gravity's sign is wrong; None where that is not decided."""
     body: SensorLog | None = None
     """The log in rad/s and in body axes; None where nothing was compared."""
 

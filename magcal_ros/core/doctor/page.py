@@ -1,4 +1,4 @@
-"""The page: everything that is wrong with the sensors, graded, with what corrects it.
+"""The page of the doctor: every fault of the sensors, graded, with its remedy.
 
 And the refusal of a turn where the sensors are behind it, in the words of the page.
 """

@@ -1,4 +1,4 @@
-"""A log made fit for comparing its sensors."""
+"""Prepare a log for the comparison of its sensors."""
 
 from __future__ import annotations
 

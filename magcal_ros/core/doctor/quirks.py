@@ -1,4 +1,4 @@
-"""Habits of drivers that are known: how they show in a log, and what corrects them."""
+"""Known faults of drivers: how they show in a log, and what corrects them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FIELD_POINTS_UP = (
 
 @dataclass(frozen=True)
 class Quirk:
-    """A habit of a driver."""
+    """A known fault of a driver."""
 
     driver: str  # which drivers have it
     habit: str  # what it publishes

@@ -79,7 +79,7 @@ class FrameTree:
             frame = joint.parent
             if frame in seen:
                 raise FrameTrouble(
-                    f"the robot's description goes in a circle through the frame {frame!r}"
+                    f"the robot's description has a loop of joints through the frame {frame!r}"
                 )
             seen.add(frame)
         return joints

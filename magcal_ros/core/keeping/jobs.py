@@ -174,7 +174,7 @@ def is_same(one: Calibration | None, other: Calibration | None) -> bool:
 
 @dataclass(frozen=True)
 class Proof:
-    """What the road after a fit says of a new calibration against an old one."""
+    """How well a new and an old calibration explain the road driven after the fit."""
 
     seconds: float = 0.0  # of road
     likelihood: float = 0.0  # fall of minus log likelihood on all of the road, independent units

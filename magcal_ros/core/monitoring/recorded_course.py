@@ -1,4 +1,4 @@
-"""A calibration against course, or against an autopilot's own yaw, on a recorded drive."""
+"""Compare a calibration with the course, or with an autopilot's yaw, on a recorded drive."""
 
 from __future__ import annotations
 

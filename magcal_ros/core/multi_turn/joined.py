@@ -341,7 +341,7 @@ def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Adv
         turned = minimal_rotation(axis, body), minimal_rotation(world, up)
         return shown_by(information + imagined_information(fit, *turned), fit, mounting)
 
-    imagined = [Advice("on the level once more", after(Z, Z))]
+    imagined = [Advice("on level ground once more", after(Z, Z))]
     for slope, leaning, (roll, pitch) in SIDES:
         axis_there = rotation_from_rpy(roll, pitch).T @ Z
         imagined += [

@@ -89,7 +89,7 @@ class Shown:
         iron = 100.0 * max(self.soft_iron)
         return (
             f"installation yaw ±{_degrees(self.installation_yaw)}, "
-            f"absolute heading ±{_degrees(self.absolute_level)} on the level and "
+            f"absolute heading ±{_degrees(self.absolute_level)} on level ground and "
             f"±{_degrees(self.absolute_tilted)} at 10° of tilt, "
             f"inclination ±{_degrees(self.inclination)}, "
             f"axial hard iron ±{self.axial_hard_iron * 1e6:.2f} µT, "
