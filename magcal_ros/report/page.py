@@ -271,10 +271,7 @@ FIGURES: dict[Figure, tuple[str, str]] = {
     Figure.LOCAL_FIELD: ("all disturbance along the drive (1σ per axis)", " µT"),
     Figure.AXIAL_IRON: ("hard iron along the turn's axis, by the reference field", " µT"),
     Figure.STEADY_ACCELERATION: ("tilt by a steady acceleration, subtracted", "°"),
-    Figure.POSSIBLE_ACCELERATION: (
-        "heading error by an acceleration that was not measured (1σ)",
-        "°",
-    ),
+    Figure.POSSIBLE_ACCELERATION: ("heading error by an unmeasured acceleration (1σ)", "°"),
     Figure.CIRCLE_RADIUS: ("radius of the field's circle", " µT"),
     Figure.RADIUS_RATIO: ("circle radius over the reference's", ""),
     Figure.ELLIPSE_RATIO: ("ellipse in the turn's plane, longer axis over shorter", ""),

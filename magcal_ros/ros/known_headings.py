@@ -187,8 +187,8 @@ NO_HEADING = (
     "sensor_msgs/Imu with an orientation on "
 )
 NO_NORTH = (
-    "known_heading.yaw_deg needs a north: set known_heading.north to true_north (maps, walls in "
-    "plans, two antennas) or magnetic_north (a compass)"
+    "the north of known_heading.yaw_deg is not given: set known_heading.north to true_north "
+    "(maps, walls in plans, two antennas) or magnetic_north (a compass)"
 )
 NO_POSE = (
     "the pose of the IMU in base_frame is not known, so its heading does not give the IMU's: "

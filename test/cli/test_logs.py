@@ -190,7 +190,7 @@ class TestASlowImu:
         main(["fit", str(path), "--output", str(tmp_path / "f"), *REFERENCE, "--json"])
         told = json.loads(capsys.readouterr().out)
         assert told["numbers"]["samples"] > 50
-        assert any("the field comes at 1 Hz" in words for words in told["recording"]["complaints"])
+        assert any("the IMU comes at 1 Hz" in words for words in told["recording"]["complaints"])
         iron = [told["numbers"][f"hard_iron_{axis}_ut"] for axis in "xy"]
         assert iron == pytest.approx(1e6 * ROBOT.hard_iron[:2], abs=2.0)
 
@@ -200,7 +200,7 @@ class TestASlowImu:
         path = write_sensor_logger(tmp_path / "phone", slow)
         assert main([command, str(path), "--output", str(tmp_path / "f")]) == 3
         err = capsys.readouterr().err
-        assert "the field comes at 0.33 Hz" in err
+        assert "comes at 0.33 Hz" in err
         assert "Hz or more" in err
 
     def test_a_drive_needs_a_faster_field_and_says_so_before_the_work(self, tmp_path, capsys):

@@ -159,7 +159,7 @@ class TestDamage:
     def test_other_files_and_folders_are_no_recording(self, tmp_path):
         with pytest.raises(FileTrouble, match="no such file"):
             read(tmp_path / "nothing.mcap")
-        with pytest.raises(FileTrouble, match=r"is no recording.*metadata\.yaml"):
+        with pytest.raises(FileTrouble, match=r"is not a recording.*metadata\.yaml"):
             read(tmp_path)
         (tmp_path / "notes.txt").write_text("hello")
         with pytest.raises(FileTrouble, match="is not a recording: name a bag"):
