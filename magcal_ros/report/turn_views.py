@@ -209,8 +209,8 @@ def _draw_solid(axes: Any, turn: Turn, clouds: Clouds, strength: float, limit: f
 
 
 RAW_FIELD = (
-    "Below, the raw field. On a turn two of its lines swing up and down like waves; flat lines "
-    "mean that the robot did not turn, or that the sensor does not measure the field; jumps mean "
+    "Below, the raw field. On a turn two of its lines swing up and down like waves. Flat lines "
+    "mean that the robot did not turn, or that the sensor does not measure the field. Jumps mean "
     "that something magnetic was switched on or off."
 )
 """What its picture shows, for someone who is no expert."""

@@ -197,8 +197,8 @@ def check_reference(
         words += (
             f", but {_microtesla(other)} if the inclination had the other sign: check the sign of "
             "reference.inclination_deg (positive where the field points down, as in the north), "
-            "or turn on ramps; a simulator may publish the field in north-east-down axes (NED; "
-            "Gazebo: use_earth_frame_ned false)"
+            "or turn on ramps; a simulator may publish the field in NED axes (Gazebo: "
+            "use_earth_frame_ned false)"
         )
     elif own > estimate.strength and as_much < TUNING.unusual:
         found = Grade.WARN

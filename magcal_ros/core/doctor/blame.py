@@ -28,13 +28,12 @@ from magcal_ros.core.samples.window import SensorLog
 LIFT = "lift the nose by 20° while the robot turns"
 DRIVE = "; or drive straight, where a receiver's course shows the yaw"
 SIGN = (
-    "gravity has the wrong sign: REP-145 wants +9.81 on z at rest, so negate linear_acceleration "
-    "in the driver"
+    "gravity has the wrong sign: REP-145 requires +9.81 on z at rest, so negate "
+    "linear_acceleration in the driver"
 )
 UPSIDE_DOWN = (
-    "the IMU's z points down: REP-103 wants x forward, y left, z up, so turn all of the IMU's axes "
-    "in the driver, by 180° about x if they are x forward, y right, z down (NED), or mount it "
-    "upright"
+    "the IMU's z points down, but REP-103 requires x forward, y left, z up: turn the IMU's axes "
+    "in the driver (by 180° about x if they are x forward, y right, z down), or mount it upright"
 )
 WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is positive"
 

@@ -168,7 +168,7 @@ def what_lacks(records: FloatArray) -> str:
         return "the robot has not driven yet"
     gap = Coverage.of(records[:, 1]).gap
     if gap > CHANGE.widest_hole:
-        return f"not enough headings: {math.degrees(gap):.0f}° of heading were not driven"
+        return f"not enough headings ({math.degrees(gap):.0f}° of heading were not driven)"
     return "" if np.ptp(records[:, 0]) >= WATCH.shortest_span else "not enough driving yet"
 
 

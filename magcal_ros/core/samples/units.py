@@ -63,9 +63,9 @@ def slow_field_words(gap: float) -> str:
 
 
 Z_NOT_UP = (
-    "z points down or sideways at rest, REP-103 wants z up; stand the robot upright or turn the "
-    "axes in the driver, and check that acceleration is not published as gravity (+9.81 upwards at "
-    "rest)"
+    "z points down or sideways at rest, but REP-103 requires z up; stand the robot upright or turn "
+    "the axes in the driver, and check that acceleration is not published as gravity (+9.81 "
+    "upwards at rest)"
 )
 
 ACCELERATION_UNITS: tuple[tuple[float, float, str, str], ...] = (

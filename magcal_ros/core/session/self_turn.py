@@ -33,9 +33,9 @@ TUNING = SelfTurnTuning()
 
 
 UNGUARDED = (
-    "the robot does not start to turn: the guard, a second process that would stop it if this "
-    f"node could not, was not ready within {TUNING.guarded_within:g} s; see the log, and end other "
-    "programs that keep the machine busy"
+    "the robot does not start to turn: its guard, a second process that can stop it, was not "
+    f"ready within {TUNING.guarded_within:g} s; end other programs that keep the machine busy, and "
+    "see the log"
 )
 GUARD_GONE = (
     "its guard has ended, does not answer, or has stopped it because this node was silent for too "
