@@ -37,7 +37,7 @@ NAMES = logs.Names(
     logs.Name("IMU", "let LOG_BITMASK log IMU, and record again"),
     logs.Name(
         "MAG",
-        "look at COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
+        "check COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
     ),
 )
 TELEMETRY_NAMES = logs.Names(
@@ -46,7 +46,7 @@ TELEMETRY_NAMES = logs.Names(
         "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's "
         "card",
     ),
-    logs.Name("MAG", "look at COMPASS_ENABLE and the wiring, and record again"),
+    logs.Name("MAG", "check COMPASS_ENABLE and the wiring, and record again"),
 )
 REPEATED = -1
 RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU3": 2}

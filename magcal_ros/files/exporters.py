@@ -325,7 +325,7 @@ def px4(calibration: Calibration, frame: str = "") -> str:
     driver = (
         "For the first magnetometer and CAL_MAG0_ROT = 0 or -1.",
         "DEPENDS ON CAL_MAG0_ID being the device that was calibrated: PX4 finds a sensor's numbers",
-        "by it (param show CAL_MAG*_ID); where another slot has it, put that number for the 0.",
+        "by it (param show CAL_MAG*_ID); if another slot has it, put that number for the 0.",
     )
     header = commented(
         calibration,

@@ -50,7 +50,7 @@ Topic = Mapping[str, FloatArray]
 Topics = Mapping[tuple[str, int], Topic]
 NAMES = logs.Names(
     logs.Name("sensor_combined", "set SDLOG_PROFILE to its default and record again"),
-    logs.Name("sensor_mag", "look at SYS_HAS_MAG and the wiring, and record again"),
+    logs.Name("sensor_mag", "check SYS_HAS_MAG and the wiring, and record again"),
 )
 RIGHT_ANGLES = (
     *((0, 0, 45 * k) for k in range(8)),

@@ -82,8 +82,8 @@ def _joint_of(read: dict[str, str]) -> FrameJoint:
     parent, child = read.get("parent", ""), read.get("child", "")
     if kind not in KINDS:
         raise DescriptionTrouble(
-            f"the joint {name!r} of the robot description has the type {kind!r}; "
-            f"URDF knows {', '.join(KINDS)}"
+            f"the joint {name!r} of the robot description has the type {kind!r}; URDF allows "
+            f"{', '.join(KINDS)}"
         )
     if not (parent and child):
         raise DescriptionTrouble(

@@ -124,7 +124,7 @@ def caption_of_gyro(turn: Turn) -> str:
         judged = f" ({math.degrees(swing.rms):.1f}° rms beyond noise, which is judged)"
     return (
         "A gyro is not affected by magnetic fields, so it shows an error that the circle does "
-        "not: where steel near by distorts the field, the compass error swings once or twice per "
+        "not: where steel nearby distorts the field, the compass error swings once or twice per "
         f"turn. A flat blue line is good; here it swings by up to {worst:.1f}°{judged}. Each mark "
         "is the mean over 15° of heading; the gyro's own bias and scale are subtracted."
     )
@@ -194,7 +194,7 @@ GYRO = ("gyro", "Gyro against compass", draw_gyro, caption_of_gyro)
 
 NO_GYRO = Picture(
     *GYRO[:2],
-    "Only a gyro shows whether steel near by distorts the field: the compass error then swings "
+    "Only a gyro shows whether steel nearby distorts the field: the compass error then swings "
     "over the turn, although the circle looks right.",
     missing="Not checked: there was no gyro in these samples.",
 )

@@ -222,19 +222,19 @@ PARAMETERS: tuple[Spec, ...] = (
         "Strength of the Earth's field here; .nan to take it from the World Magnetic Model"
     ),
     Spec("reference.strength_sigma_ut", STRENGTH_SIGMA_UT, Span(0.0, 100.0, "µT")).means(
-        "Local deviation of the strength, by crust and iron near by (1 σ); indoors about 7"
+        "Local deviation of the strength, by crust and iron nearby (1 σ); indoors about 7"
     ),
     Spec("reference.inclination_deg", UNSET, Span(-90.0, 90.0, "°")).means(
         "Inclination (dip) of the Earth's field here, positive down; .nan for the model's"
     ),
     Spec("reference.inclination_sigma_deg", INCLINATION_SIGMA_DEG, Span(0.0, 90.0, "°")).means(
-        "Local deviation of the inclination, by crust and iron near by (1 σ); indoors about 5"
+        "Local deviation of the inclination, by crust and iron nearby (1 σ); indoors about 5"
     ),
     Spec("reference.declination_deg", UNSET, Span(-180.0, 180.0, "°")).means(
         "Declination here, positive east; .nan for the model's"
     ),
     Spec("reference.declination_sigma_deg", DECLINATION_SIGMA_DEG, Span(0.0, 90.0, "°")).means(
-        "Local deviation of the declination, by crust and iron near by (1 σ); indoors about 5"
+        "Local deviation of the declination, by crust and iron nearby (1 σ); indoors about 5"
     ),
     Spec("reference.latitude_deg", UNSET, Span(-90.0, 90.0, "°")).means(
         "Where the robot is, for the model, positive north; .nan to take it from gps/fix"

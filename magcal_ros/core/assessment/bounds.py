@@ -25,7 +25,7 @@ AGAINST_REFERENCE: tuple[Bound, ...] = (
         Figure.RADIUS_MISFIT,
         (3.0, 10.0, 25.0),
         "radius of the field against the reference",
-        "check reference.strength_ut and inclination_deg, or look for soft iron and steel near by",
+        "check reference.strength_ut and inclination_deg, or look for soft iron and steel nearby",
         unit="%",
     ),
     Bound(

@@ -300,7 +300,7 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
     if log.has_gyro:
         rate = factor * float(white_noise(log.rate).max())
         force = float(white_noise(log.force).max())
-        words = "the gyro is noisy: look at its range, its low-pass filter and how it is mounted"
+        words = "the gyro is noisy: check its range, its low-pass filter and its mounting"
         evidence = f"gyro {math.degrees(rate):.2f} °/s, accelerometer {force:.3f} m/s² per sample"
         found.append(
             looked_at("imu_noise", "IMU: noise", evidence, words * (rate > TUNING.rate_noise))

@@ -60,7 +60,9 @@ LOST_GYRO = (
 )
 NO_YAW = "an error of the yaw that is the same at every heading"
 MOVED = "the hard iron has changed, or the field is distorted here"
-OTHER_ROBOT = f"{GYRO_BOUND.remedy}; does the calibration belong to this robot and this sensor?"
+OTHER_ROBOT = (
+    f"{GYRO_BOUND.remedy}; check that the calibration was made for this robot and this sensor"
+)
 ELSEWHERE = "another place, or the hard iron along the turn's axis has changed"
 
 RECHECK_BOUNDS: tuple[Bound, ...] = (

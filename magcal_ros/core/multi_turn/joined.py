@@ -61,8 +61,8 @@ WORST_IS_LARGEST = (
 WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
 """Figures of the turns' own fits of which the worst is reported."""
 CONTRADICTS = (
-    "it contradicts {}: they are {:.0f} times as far apart as noise explains. Turn where the field "
-    "is undisturbed and the same, with the same load; if the robot itself has changed, start afresh"
+    "it contradicts {}: they differ by {:.0f} times what noise explains. Turn where the field is "
+    "undisturbed and the same, with the same load; if the robot itself has changed, start anew"
 )
 Z: FloatArray = np.array([0.0, 0.0, 1.0])
 SIDES = (

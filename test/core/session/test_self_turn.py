@@ -72,7 +72,7 @@ def test_without_a_guard_it_does_not_set_off_and_says_so():
     scene = robot()
     scene.is_guarded = False
     words = scene.until_concluded(20.0).message
-    assert words.startswith("the robot does not start to turn: the guard")
+    assert words.startswith("the robot does not start to turn: its guard")
     assert not scene.said
 
 
