@@ -198,7 +198,7 @@ def test_a_calibration_from_another_field_is_told(known):
     words = made_elsewhere(calibration, there)
     assert "if it was made elsewhere" in words
     assert "inclination 64" in words
-    assert "dip -64" in words
+    assert "inclination -64" in words
     assert made_elsewhere(calibration, ReferenceField()) == ""
     assert made_elsewhere(calibration, dataclasses.replace(there, strength=Belief(5e-5))) == ""
 

@@ -202,7 +202,7 @@ def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
     with pytest.raises(FileTrouble, match=r"no working magnetometer.*COMPASS_ENABLE"):
         read(dead)
     without = write_bin(tmp_path / "b.bin", SAMPLES, compasses=lambda _: {})
-    with pytest.raises(FileTrouble, match="no MAG data: look at COMPASS_ENABLE"):
+    with pytest.raises(FileTrouble, match="no MAG data: check COMPASS_ENABLE"):
         read(without)
 
 
