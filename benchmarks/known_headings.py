@@ -165,7 +165,7 @@ def told_wrongly(robots: int, count: int, declination: float) -> None:
                 hint = declination_hint(estimate, told, scene.knowledge)
                 came["named" if hint else "taken"] += 1
             except Refusal as refusal:
-                came["named" if "Read so" in str(refusal) else "refused"] += 1
+                came["named" if "Corrected so" in str(refusal) else "refused"] += 1
         print(f"| {name} | {came['taken']} | {came['named']} | {came['refused']} |")
 
 

@@ -27,7 +27,7 @@ def node_name(text: str) -> str:
     """Return the full name of a node as typed on the command line, with its first slash."""
     if not NAME.fullmatch(text) or len(text) > LONGEST_NAME:
         raise argparse.ArgumentTypeError(
-            f"{plain(text, 60)!r} is no name of a node: letters, digits and _, as in "
+            f"{plain(text, 60)!r} is not the name of a node: use letters, digits and _, as in "
             "/robot1/calibrator"
         )
     return "/" + text.lstrip("/")
@@ -53,18 +53,18 @@ def find_calibrator(node: Any, wanted: str | None) -> str:
         time.sleep(0.1)
     listed = ", ".join(map(plain, seen))
     if wanted is not None:
-        others = f"calibrators that are seen: {listed}" if seen else "no calibrator is seen"
+        others = f"calibrators found: {listed}" if seen else "no calibrator was found"
         raise MagcalError(
-            f"the node {wanted} is not there; {others}. Start it with "
-            "`ros2 run magcal_ros calibrator`, or name another with --node"
+            f"the node {wanted} was not found; {others}. Start it with `ros2 run magcal_ros "
+            "calibrator`, or name another with --node"
         )
     if len(seen) == 1:
         return seen[0]
     if seen:
-        raise Misuse(f"{len(seen)} calibrators are seen: {listed}; choose one with --node")
+        raise Misuse(f"{len(seen)} calibrators were found: {listed}; choose one with --node")
     raise MagcalError(
-        "no calibrator is seen: start it with `ros2 run magcal_ros calibrator`. If it runs, look "
-        "at ROS_DOMAIN_ID and at the discovery range on both sides"
+        "no calibrator was found: start it with `ros2 run magcal_ros calibrator`. If it runs, "
+        "check that ROS_DOMAIN_ID and the discovery range are the same on both sides"
     )
 
 
@@ -94,7 +94,7 @@ def add_calibrate(commands: Any) -> None:
     parser.add_argument(
         "--node",
         type=node_name,
-        help="full name of the node (default: the only calibrator that is seen)",
+        help="full name of the node (default: the only calibrator that is found)",
     )
     parser.add_argument(
         "--skip-preflight", action="store_true", help="do not check the sensors first"
@@ -102,7 +102,7 @@ def add_calibrate(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Look at the sensors, call ~/calibrate of a running calibrator node and show the turn.
+    """Check the sensors, call ~/calibrate of a running calibrator node and show the turn.
 
     Ctrl-C cancels.
     """

@@ -27,7 +27,7 @@ from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 
 def add_check(commands: Any) -> None:
     """Add the command's arguments."""
-    words = "say whether a calibration still holds on a fresh recording"
+    words = "check with a new recording whether a calibration still holds"
     parser = common.command(commands, "check", run_check, words)
     recorded.add_recording_options(parser)
     parser.add_argument(
@@ -38,9 +38,9 @@ def add_check(commands: Any) -> None:
 
 
 def run_check(options: argparse.Namespace) -> int:
-    """Say whether a calibration still holds on a fresh recording in which the robot turns.
+    """Check whether a calibration still holds, with a new recording in which the robot turns.
 
-    Exit status: 0 it holds or is doubtful (the words tell), 2 usage, 3 too little data or nothing
+    Exit status: 0 it holds or is doubtful (see the output), 2 usage, 3 too little data or nothing
     that can be judged, 4 stale, 5 file trouble.
     """
     calibration, origin = read_calibration(options.calibration)
@@ -103,7 +103,7 @@ def _words(result: Recheck, notes: list[str]) -> str:
     rows = [("", "raw", "corrected", "want", "stale", ""), *found]
     text = f"{title}\n\n{common.table(rows)}\n"
     text += common.bullets("What contradicts it:", [f.words for f in against if f.is_judged])
-    text += common.bullets("Beyond what is wanted:", [f.words for f in by_chance])
+    text += common.bullets("Outside the wanted range:", [f.words for f in by_chance])
     text += common.bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
     text += common.bullets("Not shown by this recording:", result.verdict.not_shown)
     text += common.bullets("About the recording:", notes)
@@ -146,7 +146,7 @@ def _facts(result: Recheck, notes: list[str]) -> dict[str, Any]:
 
 def add_drive(commands: Any) -> None:
     """Add the command's arguments."""
-    words = "say what a recorded drive shows of the compass"
+    words = "evaluate the compass on a recorded drive"
     parser = common.command(commands, "drive", run_drive, words)
     recorded.add_recording_options(parser)
     parser.add_argument(
@@ -157,15 +157,15 @@ def add_drive(commands: Any) -> None:
 
 
 NO_GYRO = (
-    "the recording has no gyro, and `drive` needs one to know how the robot turns in a field that "
-    "changes along the way; `fit` takes a turn without a gyro"
+    "the recording has no gyro, but `drive` needs one, because the field changes along the way; "
+    "`fit` takes a turn without a gyro"
 )
 
 
 def run_drive(options: argparse.Namespace) -> int:
-    """Replay a recorded drive: what self-calibration would have decided and why.
+    """Replay a recorded drive, and show what self-calibration would have decided and why.
 
-    And a map of where the field is disturbed. Exit status: 0 a calibration is in force at the end,
+    A map shows where the field is disturbed. Exit status: 0 a calibration is in force at the end,
     2 usage, 3 none is, 5 file trouble.
     """
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
@@ -233,7 +233,7 @@ def add_export(commands: Any) -> None:
 def run_export(options: argparse.Namespace) -> int:
     """Write a calibration in the form another program reads.
 
-    What that program cannot hold is said in a comment; what would make its heading wrong is
+    What that program cannot store is named in a comment; what would make its heading wrong is
     refused.
     """
     calibration, origin = read_calibration(options.calibration)

@@ -43,7 +43,7 @@ class Exit(IntEnum):
 def command(
     commands: Any, name: str, run: Callable[[argparse.Namespace], int], words: str
 ) -> argparse.ArgumentParser:
-    """Add a command; its description is what the function that runs it says of itself."""
+    """Add a command; its description is the docstring of the function that runs it."""
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=words, description=inspect.getdoc(run)
     )
@@ -172,8 +172,8 @@ def _finite(value: Any) -> Any:
 def add_reference_options(parser: argparse.ArgumentParser) -> None:
     """Add what may be known of the Earth's field; ranges and defaults are the node's."""
     group = parser.add_argument_group(
-        "reference field (numbers given win; the rest comes from the World Magnetic Model for the "
-        "place, else for the first fix in a bag)"
+        "reference field (numbers given here have priority; the rest comes from the World "
+        "Magnetic Model for the place, else for the first fix in a bag)"
     )
     specs = {spec.name: spec for spec in PARAMETERS}
 
@@ -184,11 +184,11 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
         group.add_argument(option, dest=name, help=words, **about)
 
     add("--reference-strength-ut", "strength_ut", "strength of the Earth's field, µT")
-    add("--reference-strength-sigma-ut", "strength_sigma_ut", "local part (1 σ), µT")
+    add("--reference-strength-sigma-ut", "strength_sigma_ut", "local deviation (1 σ), µT")
     add("--reference-inclination-deg", "inclination_deg", "inclination, positive down, °")
-    add("--reference-inclination-sigma-deg", "inclination_sigma_deg", "local part, °")
+    add("--reference-inclination-sigma-deg", "inclination_sigma_deg", "local deviation (1 σ), °")
     add("--reference-declination-deg", "declination_deg", "declination, positive east, °")
-    add("--reference-declination-sigma-deg", "declination_sigma_deg", "local part, °")
+    add("--reference-declination-sigma-deg", "declination_sigma_deg", "local deviation (1 σ), °")
     add("--latitude", "latitude_deg", "where it was recorded, positive north, °")
     add("--longitude", "longitude_deg", "the same, positive east, °")
     add("--altitude", "altitude_m", "the same, m")
@@ -224,4 +224,4 @@ def _year(text: str) -> float:
         year = math.nan
     if 1900.0 <= year <= 2200.0:
         return year
-    raise argparse.ArgumentTypeError(f"{text!r} is no date: write 2026-11-21 or 2026.9")
+    raise argparse.ArgumentTypeError(f"{text!r} is not a date: write 2026-11-21 or 2026.9")

@@ -90,9 +90,9 @@ def run_demo(options: argparse.Namespace) -> int:
     keep_traffic_here()
     print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
     seconds = TAKES / options.speed
-    print(f"The robot turns once and is looked at afterwards: about {seconds:.0f} s.")
+    print(f"The robot turns once, and then its heading is checked: about {seconds:.0f} s.")
     if options.speed != 1.0:
-        print(f"All of it goes {options.speed:g} times as fast as real.")
+        print(f"Everything runs {options.speed:g} times as fast as in real time.")
     print()
     process = _start_node(options.output)
     try:
@@ -127,7 +127,7 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
     tell(f"\n{answer.message}\n")
     if not answer.success:
         return Exit.REFUSED
-    print("The robot now stands at 24 headings, on the level and on four slopes.\n", flush=True)
+    print("The robot now stands at 24 headings, on level ground and on four slopes.\n", flush=True)
     calibration, _ = read_calibration(output)
     slopes = [(8.0, 0.0), (0.0, 8.0), (-8.0, 0.0), (0.0, -8.0)]
     after = tuple(_rms(rehearsal.published_errors(each)) for each in ([(0.0, 0.0)], slopes))
@@ -236,5 +236,5 @@ def _frame(text: str) -> str:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
-        raise argparse.ArgumentTypeError(f"{plain(text)!r} is no UTF-8 text") from None
+        raise argparse.ArgumentTypeError(f"{plain(text)!r} is not UTF-8 text") from None
     return text

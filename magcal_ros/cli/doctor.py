@@ -43,7 +43,7 @@ MOST = 500_000  # samples kept of each stream: more than an hour at 100 Hz
 
 def add_doctor(commands: Any) -> None:
     """Add the command's arguments."""
-    words = "say what is wrong with the sensors, live or of a recording"
+    words = "find what is wrong with the sensors, live or in a recording"
     parser = command(commands, "doctor", run, words)
     recorded.add_recording_options(parser, optional=True)
     parser.add_argument(
@@ -52,7 +52,10 @@ def add_doctor(commands: Any) -> None:
     parser.add_argument(
         "--turned",
         choices=("left", "right"),
-        help="to which side the robot of a recording turned; separates what turns alike",
+        help=(
+            "to which side the robot of a recording turned; shows whether all sensors are upside "
+            "down"
+        ),
     )
     parser.add_argument(
         "--write", type=Path, metavar="FILE", help="write what was found as a parameter file"
@@ -91,7 +94,7 @@ class Heard:
             return wrong(
                 "description",
                 "description",
-                f"{described}, measured otherwise",
+                f"{described}, but measured differently",
                 f'set rpy="{radians}" in the URDF joint between IMU and magnetometer',
             )
         if any(f.key in MISLEADING and f.is_wrong for f in page.findings):
@@ -101,11 +104,11 @@ class Heard:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Say what is wrong with the sensors, and what to change.
+    """Find what is wrong with the sensors, and what to change.
 
-    Stamps, latency, units, gravity, repeats, resolution, range, noise and axes are looked at.
+    It checks stamps, latency, units, gravity, repeats, resolution, range, noise and axes.
     Without a recording it listens to the running sensors for a guided half minute: stand still,
-    turn left, lift the nose. Exit status: 0 nothing is wrong (but lines may be worth a look),
+    turn left, lift the nose. Exit status: 0 nothing is wrong (but some lines may need a look),
     2 usage, 3 too little data, 4 something is wrong, 5 file trouble.
     """
     if options.write is not None and options.write.exists():
@@ -119,7 +122,9 @@ def run(options: argparse.Namespace) -> int:
     facts = page_as_facts(Page(heard.more), None, Exit.TOO_LITTLE_DATA)
     streams = (("IMU", log.imu_time), ("field", log.field_time))
     counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
-    words = f"Too little data: {counts}. It takes {TUNING.fewest} of each: record for longer"
+    words = (
+        f"Too little data: {counts}. At least {TUNING.fewest} of each are needed: record for longer"
+    )
     tell_result(facts, f"{words}, or at a higher rate.", as_json=options.json)
     return Exit.TOO_LITTLE_DATA
 
@@ -246,8 +251,8 @@ MISLEADING = (
 """Lines with which nothing can be said of the description."""
 
 CROWD = (
-    "only one node can be the sensor: stop the others, or give one of them a name of its own; two "
-    "that take turns look like a field that jumps"
+    "only one node can be the sensor: stop the others, or give one of them another topic; "
+    "messages from two sensors in turn look like a field that jumps"
 )
 
 
@@ -288,8 +293,8 @@ def listen(options: argparse.Namespace) -> Heard:
                 silent = [each.topic for each in listener.sensors if not each.messages]
                 if silent and now - begin > SILENT_AFTER:
                     raise MagcalError(
-                        f"nothing arrives on {' and '.join(silent)}: is the driver running, is "
-                        "the clock paused? Choose other topics with --imu and --mag"
+                        f"nothing arrives on {' and '.join(silent)}: check that the driver runs "
+                        "and the clock is not paused, or choose other topics with --imu and --mag"
                     )
         if interrupted.is_set():
             raise KeyboardInterrupt

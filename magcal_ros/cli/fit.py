@@ -170,8 +170,8 @@ GIVE_PLACE = (
     "give --latitude and --longitude, or --reference-strength-ut and --reference-inclination-deg"
 )
 APART = (
-    "here soft iron is taken as unknown, and absolute headings include the yaw of the "
-    "installation; the numbers above leave both out"
+    "here soft iron is unknown, and absolute headings include the yaw of the installation; the "
+    "numbers above include neither"
 )
 
 

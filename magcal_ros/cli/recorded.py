@@ -192,7 +192,7 @@ def add_heading_options(parser: Any) -> None:
         type=number(0.01, 45.0),
         default=2.0,
         metavar="SIGMA",
-        help="how well it is known (default 2)",
+        help="standard deviation of the heading, ° (default 2)",
     )
     known.add_argument(
         "--heading-topic",
@@ -212,7 +212,9 @@ def check_heading_options(options: argparse.Namespace) -> None:
     angles, topic = options.heading_deg or (), options.heading_topic
     if not (angles or topic):
         if options.north:
-            raise Misuse("--north says what headings are to: give --heading-deg or --heading-topic")
+            raise Misuse(
+                "--north is the reference of headings: give --heading-deg or --heading-topic"
+            )
         return
     if options.north is None:
         raise Misuse("say which north the headings are to: --north true or --north magnetic")
@@ -226,7 +228,7 @@ def check_heading_options(options: argparse.Namespace) -> None:
     if topic and len(options.recordings) > 1:
         raise Misuse("--heading-topic takes one recording")
     if options.compare:
-        raise Misuse("--compare is about turns: known headings have one method")
+        raise Misuse("--compare is for turns only: known headings have one method")
 
 
 def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | None:

@@ -44,8 +44,8 @@ JOINS, DRIVES, *_ = METHODS
 """The method that joins turns, and the one that takes a drive without a turn."""
 ONE_SMOOTHER = JOINS, METHODS[2]  # two names of one method (doc/smoother.md)
 METHOD_WORDS = (
-    f"How a turn is turned into a calibration. {JOINS}, also named {METHODS[2]}, is right for turns"
-    f" and drives; {DRIVES} takes a turn for a drive; the others are for comparison"
+    f"Method that makes a calibration from the samples. {JOINS}, also named {METHODS[2]}, is right "
+    f"for turns and drives; {DRIVES} treats a turn as a drive; the others are for comparison"
 )
 POOL = ("ellipsoid", "min_max")
 """Methods that take all samples for one tumble."""
@@ -151,7 +151,7 @@ def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
     from magcal_ros.core.methods.smoother import fit_log
 
     if not len(log):
-        words = "nothing was driven: no samples with a gyro in which the robot moved"
+        words = "no drive was found: there are no samples with a gyro in which the robot moved"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
     window = log.window
     wrong = wrong_reading(window, knowledge)
@@ -258,7 +258,7 @@ def _refused(outcome: Outcome, kept: Kept) -> Outcome:
     count = len(kept.windows)
     words = (
         f"{kept.next_name} does not join the {'turn' if count == 1 else f'{count} turns'} before "
-        f"it: {why.rstrip('.')}; those before stay"
+        f"it: {why.rstrip('.')}; the turns before are kept"
     )
     refusal = Refusal(outcome.reason or Reason.TURNS_DISAGREE, words)
     return replace(Outcome.refused(refusal), several=outcome.several)

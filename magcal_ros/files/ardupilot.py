@@ -37,7 +37,7 @@ NAMES = logs.Names(
     logs.Name("IMU", "let LOG_BITMASK log IMU, and record again"),
     logs.Name(
         "MAG",
-        "look at COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
+        "check COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
     ),
 )
 TELEMETRY_NAMES = logs.Names(
@@ -46,7 +46,7 @@ TELEMETRY_NAMES = logs.Names(
         "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's "
         "card",
     ),
-    logs.Name("MAG", "look at COMPASS_ENABLE and the wiring, and record again"),
+    logs.Name("MAG", "check COMPASS_ENABLE and the wiring, and record again"),
 )
 REPEATED = -1
 RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
@@ -76,7 +76,9 @@ def read_ardupilot(
     telemetry = path.suffix.lower() == ".tlog"
     is_text = path.suffix.lower() == ".log" and b"FMT," in begun
     if not (telemetry or is_text or begun[:2] == BINARY):
-        raise FileTrouble(f"{plain(str(path))} is no DataFlash log: it does not begin as one")
+        raise FileTrouble(
+            f"{plain(str(path))} is not a DataFlash log: its first bytes are not those of one"
+        )
     deadline = logs.Deadline(path, progress)
     with logs.quietly(path, deadline):
         if telemetry:
@@ -278,12 +280,14 @@ def _take_field(
     tables.frames[number] = f"ardupilot_compass{SLOTS[slot]}"
     notes = tables.field_notes.setdefault(number, [])
     if is_turned.any():
-        notes.append(f"{orientation} was changed on the way: the field is taken from then on only")
+        notes.append(
+            f"{orientation} was changed during the log: the field is used only from then on"
+        )
     motors = np.linalg.norm(np.nan_to_num(table[:, 7:10]), axis=1).max()
     if motors > 0.0:
         notes.append(
-            f"the field has the compensation of the motors in it (COMPASS_MOT, up to "
-            f"{1e6 * TESLA * motors:.1f} µT): leave it as it is, the result rests on it"
+            "the field includes the compensation of the motors (COMPASS_MOT, up to "
+            f"{1e6 * TESLA * motors:.1f} µT): do not change it, the result depends on it"
         )
 
 

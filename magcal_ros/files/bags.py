@@ -46,9 +46,9 @@ body's. A bag without fixes has no receiver."""
 LATEST = 2**63 - 1  # nanoseconds: after every message
 
 REMEDIES = {
-    ".mcap": "`mcap recover IN -o OUT` saves what is whole",
-    ".db3": "`sqlite3 IN .recover | sqlite3 OUT` with `ros2 bag reindex` saves what is whole",
-    ".bag": "`rosbag reindex` saves what is whole",
+    ".mcap": "`mcap recover IN -o OUT` saves the intact part",
+    ".db3": "`sqlite3 IN .recover | sqlite3 OUT` with `ros2 bag reindex` saves the intact part",
+    ".bag": "`rosbag reindex` saves the intact part",
 }
 
 
@@ -221,14 +221,14 @@ def _refuse_other_files(path: Path) -> None:
     if path.is_dir():
         if not (path / "metadata.yaml").exists():
             raise FileTrouble(
-                f"{plain(str(path))} is no recording: a CSV folder has imu.csv and mag.csv, a "
-                "phone's folder accelerometer, gyroscope and magnetometer as CSV, a bag "
-                "has metadata.yaml (`ros2 bag reindex` writes it; a single .mcap or .db3 may be "
-                "named itself)"
+                f"{plain(str(path))} is not a recording: a CSV folder has imu.csv and mag.csv, a "
+                "phone's folder accelerometer, gyroscope and magnetometer as CSV, a bag has "
+                "metadata.yaml (`ros2 bag reindex` writes it; a single .mcap or .db3 may be named "
+                "itself)"
             )
     elif path.suffix not in REMEDIES:
         raise FileTrouble(
-            f"{plain(str(path))} is no recording: name a bag (folder, .mcap, .db3, .bag), a "
+            f"{plain(str(path))} is not a recording: name a bag (folder, .mcap, .db3, .bag), a "
             "folder with imu.csv and mag.csv, a log of ArduPilot (.BIN, .log, .tlog) or PX4 "
             "(.ulg), or the unpacked folder of a phone's Sensor Logger or phyphox"
         )

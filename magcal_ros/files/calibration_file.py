@@ -124,7 +124,7 @@ def require_ours(path: Path) -> None:
     """Raise a FileTrouble if `path` is neither free nor ours."""
     if not is_free_or_ours(path):
         raise FileTrouble(
-            f"{path} is not a calibration of magcal_ros, and stays as it is; choose another name"
+            f"{path} is not a calibration of magcal_ros, and was not changed; choose another name"
         )
 
 

@@ -206,7 +206,7 @@ def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE)
         raise failed[0]
     if not done:
         raise FileTrouble(
-            f"{path} does not answer within {patience:g} s: is it on a disk or a network share "
-            "that is gone? Name another place with the parameter calibration_file"
+            f"{path} does not answer within {patience:g} s: check its disk or network share, or "
+            "name another place with the parameter calibration_file"
         )
     return done[0]

@@ -68,7 +68,7 @@ def without_rotation(correction: Correction, consumer: str) -> tuple[Correction,
         )
     comments = [
         f"LOST: a rotation of {math.degrees(angle):.2f} degrees, {turned}.",
-        f"{consumer} holds a symmetric matrix only; the heading errs by up to that rotation,",
+        f"{consumer} holds a symmetric matrix only; the heading error is up to that rotation,",
         "times the tangent of the field's inclination where it is about a level axis.",
     ]
     held = in_forward_right_down(Correction(symmetric, correction.hard_iron))
@@ -194,7 +194,7 @@ def imu_filter_madgwick(calibration: Calibration) -> str:
         angle = math.degrees(rotation_angle(left @ right))
         comments += [
             f"LOST: installation of {angle:.2f} degrees and soft iron with gains from "
-            f"{sizes.min():.4f} to {sizes.max():.4f}; this filter knows the hard iron only.",
+            f"{sizes.min():.4f} to {sizes.max():.4f}; this filter corrects the hard iron only.",
             "To lose nothing, let it subscribe to imu/mag_unbiased of the calibrator, with zeros "
             "here.",
         ]
@@ -269,13 +269,13 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
     of_log = re.fullmatch(rf"{ARDUPILOT_FRAME}([23]?)", frame)
     slot = of_log[1] if of_log else ""
     origin = (
-        f"From a log, whose own OFS, DIA, ODI and SCALE were taken off: compass {slot or 1}.",
-        "These numbers replace those in force; COMPASS_MOT stays, and COMPASS_ORIENT. Where DIA or",
+        f"From a log, whose own OFS, DIA, ODI and SCALE were removed: compass {slot or 1}.",
+        "These numbers replace those in force; COMPASS_MOT and COMPASS_ORIENT stay. Where DIA or",
         "SCALE change by more than a few percent, run CompassMot again: it is added after them.",
     )
     driver = (
-        "RESTS ON readings without COMPASS_OFS in them. MAVLink's RAW_IMU, and so imu/mag of",
-        "MAVROS, has them in: calibrate with OFS and ODI at 0, DIA and SCALE at 1, or add these",
+        "DEPENDS ON readings without COMPASS_OFS in them. MAVLink's RAW_IMU, and so imu/mag of",
+        "MAVROS, includes them: calibrate with OFS and ODI at 0, DIA and SCALE at 1, or add these",
         "OFS to those in force.",
     )
     header = commented(
@@ -319,13 +319,13 @@ def px4(calibration: Calibration, frame: str = "") -> str:
             "driver, and calibrate again."
         )
     origin = (
-        f"From a log, whose own calibration was taken off: CAL_MAG{slot}, mounted as {name}.",
+        f"From a log, whose own calibration was removed: CAL_MAG{slot}, mounted as {name}.",
         "These numbers replace those in force; the compensation for the power stays.",
     )
     driver = (
         "For the first magnetometer and CAL_MAG0_ROT = 0 or -1.",
-        "RESTS ON CAL_MAG0_ID being the device that was calibrated: PX4 finds a sensor's numbers",
-        "by it (param show CAL_MAG*_ID); where another slot has it, put that number for the 0.",
+        "DEPENDS ON CAL_MAG0_ID being the device that was calibrated: PX4 finds a sensor's numbers",
+        "by it (param show CAL_MAG*_ID); if another slot has it, put that number for the 0.",
     )
     header = commented(
         calibration,

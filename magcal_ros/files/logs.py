@@ -164,8 +164,8 @@ def _chosen(
         told = f" ({', '.join(dead)} never changes)" if dead else ""
         reason = f", {order.reason}" if order.reason and working[0] == order.numbers[0] else ""
         notes.append(
-            f"the log has {every}{told}: {name}[{working[0]}] is taken{reason}; choose another "
-            f"with {option}"
+            f"the log has {every}{told}: {name}[{working[0]}] is used{reason}; choose another with "
+            f"{option}"
         )
     return working[0]
 

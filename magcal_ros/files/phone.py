@@ -127,8 +127,8 @@ def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str])
     if field is None:
         field = read("Magnetometer")
         notes.append(
-            "the phone's own calibration is in its field, which may jump while it learns: record "
-            "the uncalibrated magnetometer"
+            "the field includes the phone's own calibration, which may jump when the phone "
+            "updates it: record the uncalibrated magnetometer"
         )
     return force, rate if rate is not None else read("GyroscopeUncalibrated"), field
 

@@ -40,13 +40,13 @@ def require_possible(calibration: Calibration) -> None:
     least, most = float(gains.min()), float(gains.max())
     if not BOUNDS.smallest_gain <= least <= most <= BOUNDS.largest_gain:
         raise ValueError(
-            f"correction_matrix multiplies the field by {least:.3g} to {most:.3g}, and sensors "
+            f"correction_matrix multiplies the field by {least:.3g} to {most:.3g}, but sensors "
             f"need {BOUNDS.smallest_gain:g} to {BOUNDS.largest_gain:g}"
         )
     if not BOUNDS.weakest_field <= calibration.strength <= BOUNDS.strongest_field:
         raise ValueError(
-            f"the reference strength is {calibration.strength * 1e6:.3g} µT, and the Earth's "
-            "field has 22 to 67 µT"
+            f"the reference strength is {calibration.strength * 1e6:.3g} µT, but the Earth's field "
+            "has 22 to 67 µT"
         )
     _require_sizes(calibration, least)
     if abs(calibration.inclination) > math.pi / 2.0:
@@ -87,11 +87,9 @@ def _require_covariance(covariance: FloatArray) -> None:
     scale = np.where(sigmas > 0.0, sigmas, 1.0)
     correlations = covariance / np.outer(scale, scale)
     if (np.abs(covariance[sigmas == 0.0]) > 0.0).any():
-        raise ValueError("covariance ties a number to others that it calls exact")
+        raise ValueError("covariance links a number to others although its variance is zero")
     if np.abs(correlations - correlations.T).max() > BOUNDS.asymmetry:
         raise ValueError("covariance is not symmetric")
     smallest = float(np.linalg.eigvalsh((correlations + correlations.T) / 2.0)[0])
     if smallest < -BOUNDS.negative:
-        raise ValueError(
-            "covariance is not that of any numbers: some direction would have a negative variance"
-        )
+        raise ValueError("covariance is not possible: it has a negative eigenvalue")

@@ -50,7 +50,7 @@ Topic = Mapping[str, FloatArray]
 Topics = Mapping[tuple[str, int], Topic]
 NAMES = logs.Names(
     logs.Name("sensor_combined", "set SDLOG_PROFILE to its default and record again"),
-    logs.Name("sensor_mag", "look at SYS_HAS_MAG and the wiring, and record again"),
+    logs.Name("sensor_mag", "check SYS_HAS_MAG and the wiring, and record again"),
 )
 RIGHT_ANGLES = (
     *((0, 0, 45 * k) for k in range(8)),
@@ -73,7 +73,7 @@ def read_px4(
 ) -> Recording:
     """Read a ULog; arguments and errors as of `open_recording`."""
     if logs.begun_with(path, len(MAGIC)) != MAGIC:
-        raise FileTrouble(f"{plain(str(path))} is no ULog: it does not begin as one")
+        raise FileTrouble(f"{plain(str(path))} is not a ULog: its first bytes are not those of one")
     ulog = logs.library(path, "pyulog", "px4").ULog
     deadline = logs.Deadline(path, progress)
     with logs.quietly(path, deadline), _Watched(path, deadline) as handle:
@@ -213,11 +213,13 @@ def _take_field(
     tables.frames[number] = f"px4_mag{0 if slot is None else slot}_{name}"
     if has_power:
         tables.field_notes[number] = [
-            "PX4 compensates for the power (CAL_MAG_COMP_TYP), and the log has the raw field only: "
-            "set it to 0 with what is exported, or log vehicle_magnetometer"
+            "PX4 compensates for the power (CAL_MAG_COMP_TYP), and the log has the raw field "
+            "only: set it to 0 together with the exported numbers, or log vehicle_magnetometer"
             if topic is raw
-            else "the field has the compensation for the power in it (CAL_MAG_COMP_TYP): leave it "
-            "as it is, the result rests on it"
+            else (
+                "the field includes the compensation for the power (CAL_MAG_COMP_TYP): do not "
+                "change it, the result depends on it"
+            )
         ]
     return ""
 

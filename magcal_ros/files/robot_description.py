@@ -37,16 +37,16 @@ def joints_of(text: str) -> tuple[FrameJoint, ...]:
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        raise DescriptionTrouble(f"the robot description is no XML: {error}") from None
+        raise DescriptionTrouble(f"the robot description is not XML: {error}") from None
     if not reader.is_robot:
-        raise DescriptionTrouble("the robot description is no URDF: its root is not <robot>")
+        raise DescriptionTrouble("the robot description is not a URDF: its root is not <robot>")
     return tuple(reader.joints)
 
 
 def _refuse_doctype(*_: object) -> None:
     raise DescriptionTrouble(
-        "the robot description declares a document type, which a URDF has no need of and which "
-        "could blow up while it is read; take the <!DOCTYPE ...> out"
+        "the robot description declares a document type, which a URDF does not need and which "
+        "could use all memory while it is read; remove the <!DOCTYPE ...>"
     )
 
 
@@ -82,8 +82,8 @@ def _joint_of(read: dict[str, str]) -> FrameJoint:
     parent, child = read.get("parent", ""), read.get("child", "")
     if kind not in KINDS:
         raise DescriptionTrouble(
-            f"the joint {name!r} of the robot description has the type {kind!r}; "
-            f"URDF knows {', '.join(KINDS)}"
+            f"the joint {name!r} of the robot description has the type {kind!r}; URDF allows "
+            f"{', '.join(KINDS)}"
         )
     if not (parent and child):
         raise DescriptionTrouble(

@@ -31,12 +31,13 @@ HALO = 'paint-order="stroke" stroke="#fff" stroke-width="5"'
 """Of a name: it is read on top of the way."""
 TALLEST = "75vh"  # of the map: with its legend it fits on a screen, whichever way was driven
 RULES = (
-    "A calibration that is found while driving is on probation first: only road that is driven "
-    "after it was found can prove it better than the one in force. Where nothing is in force, a "
-    "second one that agrees is enough; where that is known to no better than 3°, one that agrees "
-    "and is known much better. What is put in force stays on trial against the one before. "
-    "Headings are counted in twelve sectors of 30°. ± is one standard deviation of the heading by "
-    "the calibration alone; along the way, streets and cars add to it."
+    "A calibration that is found while driving is first put on probation: only the road driven "
+    "after that can prove it better than the one in force. If no calibration is in force, a "
+    "second one that agrees is enough. If the one in force is known to no better than 3°, one "
+    "that agrees and is known much better is enough. A calibration that was put in force is still "
+    "compared with the one before. Headings are counted in twelve sectors of 30°. ± is one "
+    "standard deviation of the heading by the calibration alone; along the way, local magnetic "
+    "disturbances such as streets and cars add to it."
 )
 VERBS = {
     Verb.NOTICED: "noticed",
@@ -63,7 +64,7 @@ def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
 def render_drive(story: DriveStory, source: str) -> str:
     """Return the whole page; it loads nothing."""
     summary = f'<p id="summary">{escape(summary_of(story))}</p>'
-    title = "A drive, and what it shows of the compass"
+    title = "The compass on a drive"
     return "\n".join(
         [
             page_head(title, datetime.now(timezone.utc), source),
@@ -87,7 +88,7 @@ def summary_of(story: DriveStory) -> str:
             said = f"{len(changed)} calibrations from driving were put in force"
         said += f", and {back} taken back" if back else ""
     elif story.begun is None:
-        said = "nothing was in force, and the drive did not show enough to change that"
+        said = "no calibration was in force, and the drive did not show enough for one"
         waits = any(made.verb is Verb.PROBATION for _, made in story.decisions)
         said += (
             " (a second calibration that agrees with the first was still missing)"
@@ -95,7 +96,7 @@ def summary_of(story: DriveStory) -> str:
             else " (that takes some minutes of driving, over half of all headings)"
         )
     else:
-        said = "the calibration in force stayed: nothing was proved better"
+        said = "the calibration in force stayed: no other was proved better"
     words = f"{drove}: {said}. At the end: {story.doing}."
     if story.ended is not None:
         # A decision gives the first of these, and the grade is of it; `magcal fit` gives both.
@@ -194,7 +195,7 @@ def _map(path: DrivePath | None) -> str:
         f"<p>{legend}</p>"
         f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" '
         f'style="max-height:{TALLEST}">'
-        f"<title>The way that was driven, coloured by the disturbance of the field</title>"
+        f"<title>The route of the drive, coloured by the disturbance of the field</title>"
         f"{dots}{_ends(x, y)}"
         f"{_bar(span, scale, height)}</svg></figure>"
     )
@@ -221,7 +222,8 @@ def _how(path: DrivePath) -> str:
         return "North is up; places by the receiver."
     guess = "" if path.has_speed else " and a guessed speed of 5 m/s"
     return (
-        f"North is up; no fixes: places reckoned from the compass{guess}, so take the shape only."
+        f"North is up; no fixes: positions computed from the compass{guess}, so only the shape is "
+        "right."
     )
 
 

@@ -123,10 +123,10 @@ def caption_of_gyro(turn: Turn) -> str:
     if swing is not None:
         judged = f" ({math.degrees(swing.rms):.1f}° rms beyond noise, which is judged)"
     return (
-        "A gyro is not affected by magnetic fields, so it shows what a clean circle hides: where "
-        "steel near by bends the field, the compass swings once or twice around the circle. A flat "
-        f"blue line is good; here it swings by up to {worst:.1f}°{judged}. Each mark is the mean "
-        "over 15° of heading; the gyro's own bias and scale are taken off."
+        "A gyro is not affected by magnetic fields, so it shows an error that the circle does "
+        "not: where steel nearby distorts the field, the compass error swings once or twice per "
+        f"turn. A flat blue line is good; here it swings by up to {worst:.1f}°{judged}. Each mark "
+        "is the mean over 15° of heading; the gyro's own bias and scale are subtracted."
     )
 
 
@@ -194,8 +194,8 @@ GYRO = ("gyro", "Gyro against compass", draw_gyro, caption_of_gyro)
 
 NO_GYRO = Picture(
     *GYRO[:2],
-    "Only a gyro shows whether steel near by bends the field: the compass then swings around the "
-    "turn although the circle looks clean.",
+    "Only a gyro shows whether steel nearby distorts the field: the compass error then swings "
+    "over the turn, although the circle looks right.",
     missing="Not checked: there was no gyro in these samples.",
 )
 

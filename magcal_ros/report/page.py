@@ -144,7 +144,7 @@ def _missing(why: str) -> str:
 def _not_shown(verdict: Verdict, kind: str, found: bool) -> str:
     title = f"<h2>What this {kind} could not show</h2>"
     if not found:
-        return f"{title}<p>No calibration came of these samples; the reason stands above.</p>"
+        return f"{title}<p>These samples gave no calibration; the reason is given above.</p>"
     lines = "".join(f"<li>{escape(item)}</li>" for item in verdict.not_shown)
     return f"{title}<ul>{lines}</ul>"
 
@@ -210,8 +210,8 @@ def _repeat(subject: Subject) -> str:
     joins = " alone; <code>magcal fit</code> joins several recordings"
     note, alone = (" of the newest turn", joins) if newest else ("", "")
     return (
-        f"<h2>Repeat the fit</h2><p>Beside this page lies <code>samples.csv</code> with every "
-        f"sample{note} in SI units; these lines fit it again{alone}.</p>"
+        "<h2>Repeat the fit</h2><p>The folder of this page also has <code>samples.csv</code> with "
+        f"every sample{note} in SI units; these lines repeat the fit{alone}.</p>"
         f"<pre><code>{escape(recipe(subject.knowledge, subject.answered_by))}</code></pre>"
     )
 
@@ -266,12 +266,12 @@ FIGURES: dict[Figure, tuple[str, str]] = {
     Figure.HEADING_SIGMA_TILTED: ("predicted heading error at 10° of tilt (1σ)", "°"),
     Figure.LOCAL_SIGMA: ("heading error by local magnetic disturbances (1σ)", "°"),
     Figure.DRIVING_TIME: ("length of the drive", " s"),
-    Figure.METRES: ("way that was driven", " m"),
+    Figure.METRES: ("distance driven", " m"),
     Figure.STREET: ("disturbance that changes with the place (1σ per axis)", " µT"),
     Figure.LOCAL_FIELD: ("all disturbance along the drive (1σ per axis)", " µT"),
     Figure.AXIAL_IRON: ("hard iron along the turn's axis, by the reference field", " µT"),
-    Figure.STEADY_ACCELERATION: ("tilt by a steady acceleration, taken off", "°"),
-    Figure.POSSIBLE_ACCELERATION: ("heading error by an acceleration that nothing shows (1σ)", "°"),
+    Figure.STEADY_ACCELERATION: ("tilt by a steady acceleration, subtracted", "°"),
+    Figure.POSSIBLE_ACCELERATION: ("heading error by an unmeasured acceleration (1σ)", "°"),
     Figure.CIRCLE_RADIUS: ("radius of the field's circle", " µT"),
     Figure.RADIUS_RATIO: ("circle radius over the reference's", ""),
     Figure.ELLIPSE_RATIO: ("ellipse in the turn's plane, longer axis over shorter", ""),
@@ -290,7 +290,7 @@ FIGURES: dict[Figure, tuple[str, str]] = {
     Figure.ITERATIONS: ("steps of the optimisation", ""),
     Figure.ON_THE_SPOT: ("probability that the robot turned on the spot", ""),
     Figure.TURNS: ("turns that were joined", ""),
-    Figure.TURN_MISFIT: ("worst turn off the others, as many times as noise explains", ""),
+    Figure.TURN_MISFIT: ("largest difference of a turn from the others, over that by noise", ""),
     **{
         Figure(f"{sensor}_range_{axis}"): (f"{sensor}'s range along {axis}, de-rotated", unit)
         for sensor, unit in (("accelerometer", " g"), ("field", " µT"))
@@ -306,7 +306,7 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
     sigma = np.sqrt(np.maximum(np.diag(estimate.covariance)[9:], 0.0))
     iron, sigma = estimate.correction.hard_iron * MICRO, sigma * MICRO
     level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
-    where = (" on the level (1σ)", " at 10° of tilt (1σ)")
+    where = (" on level ground (1σ)", " at 10° of tilt (1σ)")
     said = [("heading error", level, tilted)]
     if Figure.LOCAL_SIGMA in figures:
         own, own_tilted = (calibration_sigma(estimate, tilt) for tilt in (0.0, CHECKED_TILT))

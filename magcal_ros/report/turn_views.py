@@ -137,12 +137,12 @@ def caption(turn: Turn) -> str:
     if turn.corrected is None:
         return (
             "Each orange mark is one raw field sample. On one turn they should draw a circle; "
-            "green is up as the accelerometer saw it, drawn as long as the field."
+            "green is up by the accelerometer, drawn as long as the field."
         )
     return (
-        "Turning the robot moves the field around a circle. Orange: as measured, pushed away from "
-        "the origin by the robot's own magnetism and tilted by the mounting. Blue: corrected; it "
-        "should lie on the black circle that was fitted. Green: up, drawn as long as the field."
+        "Turning the robot moves the field around a circle. Orange: as measured, shifted from the "
+        "origin by the hard iron and tilted by the mounting. Blue: corrected; it should lie on "
+        "the black circle that was fitted. Green: up, drawn as long as the field."
     )
 
 
@@ -209,9 +209,9 @@ def _draw_solid(axes: Any, turn: Turn, clouds: Clouds, strength: float, limit: f
 
 
 RAW_FIELD = (
-    "Below, the raw field. On a turn two of its lines swing up and down like waves; flat lines "
-    "mean that the robot stood, or that the sensor does not measure the field; jumps mean that "
-    "something magnetic was switched."
+    "Below, the raw field. On a turn two of its lines swing up and down like waves. Flat lines "
+    "mean that the robot did not turn, or that the sensor does not measure the field. Jumps mean "
+    "that something magnetic was switched on or off."
 )
 """What its picture shows, for someone who is no expert."""
 
@@ -235,8 +235,8 @@ def caption_of_residuals(turn: Turn) -> str:
     if turn.corrected is None:
         return f"{ring} {RAW_FIELD}"
     return (
-        f"{ring} Below, what the model leaves unexplained: a cloud without a pattern inside the "
-        "grey band is sensor noise; waves show iron that turns with the robot, and bumps show "
+        f"{ring} Below are the residuals of the model: a cloud without a pattern inside the grey "
+        "band is sensor noise; waves show iron that turns with the robot, and bumps show "
         "something that passed by."
     )
 

@@ -132,11 +132,11 @@ class CallbackErrors:
         said = f"an error in a callback, {kind[0].__name__} in {place}"
         # What rclpy does with a message on /clock.
         if any(frame.f_globals.get("__name__") == "rclpy.time_source" for frame, _ in calls):
-            said = "the simulated time on /clock jumped to a time that ROS does not have"
+            said = "the simulated time on /clock jumped to a time that ROS cannot represent"
         if kind not in self._known:
             self._known.add(kind)
             self._log(
-                f"{said}: {words}. The node continues; from now on this kind is only counted, in "
-                "Inputs of /diagnostics"
+                f"{said}: {words}. The node continues; further errors of this kind are only "
+                "counted, in Inputs of /diagnostics"
             )
         return said

@@ -91,7 +91,7 @@ class Sensor:
     def complaint(self) -> str:
         """Say that nothing comes, and what to look at; empty if messages flow."""
         if self.last_heard is None:
-            why = "is the driver running, and the topic remapped to it?"
+            why = "check that the driver runs and the topic is remapped to it"
             return f"nothing has arrived on {self.topic}: {why}"
         silent = self.age()
         if silent > SILENT_AFTER:

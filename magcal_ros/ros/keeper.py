@@ -109,7 +109,7 @@ class Keeper:
                 try:
                     keep_backup(path, calibration)
                 except (FileTrouble, OSError, ValueError) as error:
-                    lost = f" What it held before is not kept: {error}"
+                    lost = f" Its previous content could not be kept: {error}"
 
             try:
                 path = self._path(frame)
@@ -157,8 +157,8 @@ class Keeper:
             if chosen in ("", self._given):
                 raise
             raise FileTrouble(
-                f"{plain(chosen)} cannot be loaded: it is missing, cannot be read, is no usable "
-                "calibration or was made for another sensor. Calibrate, or name another file in "
+                f"{plain(chosen)} cannot be loaded: it is missing, cannot be read, is not a usable "
+                "calibration, or was made for another sensor. Calibrate, or name another file in "
                 "calibration_file"
             ) from None
         return loaded

@@ -73,7 +73,7 @@ class Antenna:
             return ""
         if self._fault:
             return f"{self.topic} (it sends, but {self._fault})"
-        return f"{self.topic}{' (its last heading came too long ago)' * bool(self._collector)}"
+        return f"{self.topic}{' (its last heading is too old)' * bool(self._collector)}"
 
     @property
     def complaints(self) -> list[str]:
@@ -84,10 +84,10 @@ class Antenna:
         if self.is_heard and self._missed >= MISSED:
             words.append(
                 f"it differs from the fused yaw by {math.degrees(self._gap):.0f}°, far more than "
-                "the variances of both allow, and is not used: check which north it is to "
-                "(known_heading.topic_north), that its zero is to the east, and that the yaw of "
-                "the antennas in the vehicle is part of it; or the calibration is out of date "
-                "(~/reset)"
+                "both variances allow, and is not used; check its north "
+                "(known_heading.topic_north), its zero (east), and that the yaw of the antennas "
+                "in the vehicle is included. If it is right, the calibration is out of date: call "
+                "~/reset"
             )
         return [f"{self.topic}: {each}" for each in words if each]
 
@@ -187,12 +187,12 @@ NO_HEADING = (
     "sensor_msgs/Imu with an orientation on "
 )
 NO_NORTH = (
-    "say which north known_heading.yaw_deg is to: set known_heading.north to true_north (maps, "
-    "walls in plans, two antennas) or magnetic_north (a compass)"
+    "the north of known_heading.yaw_deg is not given: set known_heading.north to true_north "
+    "(maps, walls in plans, two antennas) or magnetic_north (a compass)"
 )
 NO_POSE = (
-    "the pose of the IMU in base_frame is not known, so that a heading of that frame says nothing "
-    "of the IMU's: publish robot_description, or leave base_frame empty and give the IMU's heading"
+    "the pose of the IMU in base_frame is not known, so its heading does not give the IMU's: "
+    "publish robot_description, or leave base_frame empty and give the IMU's heading"
 )
 
 
@@ -296,7 +296,7 @@ class KnownHeadings:
         given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)
         view = self._pipeline.frames.view
         if given is None or view is None:
-            self._conclude(Conclusion(False, f"{self.antenna.topic} fell silent meanwhile"))
+            self._conclude(Conclusion(False, f"{self.antenna.topic} stopped sending meanwhile"))
             return
         bias = follower.gyro_bias.rate if follower.is_propagated else (0.0, 0.0, 0.0)
         known = given, settings.knowledge, view.pose[0], self._since, bias
@@ -317,12 +317,17 @@ class KnownHeadings:
         self._pipeline.fits.run(work, lambda result: self._note(result, epoch), self._lost)
 
     def _lost(self, error: Exception) -> None:
-        why = "the node ends" if isinstance(error, Stopped) else in_words(error)
+        why = "the node is shutting down" if isinstance(error, Stopped) else in_words(error)
         self._conclude(Conclusion(False, f"nothing was found: {why}"))
 
     def _note(self, result: HeadingResult, epoch: int) -> None:
         if epoch != self._epoch:
-            self._conclude(Conclusion(False, "~/reset, or another sensor, meanwhile: call again"))
+            self._conclude(
+                Conclusion(
+                    False,
+                    "~/reset was called, or the sensor changed, meanwhile: call this service again",
+                )
+            )
             return
         calibration = result.outcome.calibration
         if calibration is not None:

@@ -186,7 +186,7 @@ T = TypeVar("T")
 
 
 def _broken_off(error: Exception) -> str:
-    return f"the turn was broken off by an error ({error}); the node's log says where"
+    return f"the turn was stopped by an error ({error}); see the node's log"
 
 
 class Control:

@@ -96,15 +96,19 @@ class Magnetometers:
         if not all(share.why for share in shares.values()):
             for number, share in shares.items():
                 percent = round(100.0 * share.weight)
-                part = f"has {percent}% of the heading" if percent else "takes no part"
+                part = (
+                    f"has a weight of {percent}% in the heading"
+                    if percent
+                    else "is not used for the heading"
+                )
                 found += [f"{topics[number]} {part}: {share.why}"] if share.why else []
         apart = math.degrees(self._several.disagreement)
         if apart:
             names = " and ".join(topics[number] for number in shares)
             found.append(
                 f"the headings of {names} are {apart:.0f}° apart, and the samples do not show "
-                "which is wrong: the published sigma includes it. Calibrate all in one turn, and "
-                "check that each is mounted as mount_rpy_deg and mount_2_rpy_deg say"
+                "which is wrong: the published sigma includes this difference. Calibrate all in "
+                "one turn, and check that each is mounted as mount_rpy_deg and mount_2_rpy_deg say"
             )
         return found
 
@@ -128,7 +132,7 @@ class Magnetometers:
             return []
         complaints = [each.keeper.trouble for each in self.further if each.keeper.trouble]
         complaints += self.complaints()
-        words = "all take part in the heading"
+        words = "all are used for the heading"
         if not self.are_calibrated:
             words = "only one of them is calibrated: ~/calibrate calibrates all in one turn"
         level = DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK
@@ -270,7 +274,7 @@ class Services:
                 conclusion = found if isinstance(found, Conclusion) else await found
             except Exception as error:  # whatever it is, the caller is answered
                 self._note(error)
-                words = f"an error in the node: {error}; its log says where"
+                words = f"an error in the node: {error}; see its log"
                 conclusion = Conclusion(False, words)
             response.success, response.message = conclusion.success, conclusion.message
             return response

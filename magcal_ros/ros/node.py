@@ -184,7 +184,8 @@ class Calibrator(Node):
         if not any(were_in_force):
             return Conclusion(True, "there was no calibration in force")
         return Conclusion(
-            True, "no calibration is in force any more; its file stays and is used at next start"
+            True,
+            "no calibration is in force any more; its file stays and is used at the next start",
         )
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:

@@ -107,8 +107,8 @@ class AttitudeOutput:
 
 
 NO_DECLINATION = (
-    "something subscribes to compass/true/enu/imu, where nothing is published: the declination is"
-    " not known. Give reference.latitude_deg and reference.longitude_deg, or a fix on gps/fix"
+    "compass/true/enu/imu has a subscriber, but nothing is published there: the declination is "
+    "not known. Give reference.latitude_deg and reference.longitude_deg, or a fix on gps/fix"
 )
 
 
@@ -148,9 +148,9 @@ class HeadingOutput:
         own = self._node.get_fully_qualified_name()
         others = {plain(name) for name in names if name != own} or {"a node of the same name"}
         return (
-            f"{topic} is published by {' and '.join(sorted(others))} too, and the headings of both "
-            "are mixed there. For two magnetometers start one node and remap imu/mag_2 to the "
-            "second (-r imu/mag_2:=...); for two robots give each a namespace (-r __ns:=/robot2)"
+            f"{topic} is also published by {' and '.join(sorted(others))}, so two headings are "
+            "mixed there. For two magnetometers start one node and remap imu/mag_2 to the second "
+            "(-r imu/mag_2:=...); for two robots give each a namespace (-r __ns:=/robot2)"
         )
 
     def begin_anew(self, calibration: Calibration | None) -> None:
@@ -283,11 +283,11 @@ class FusedOutput:
             return f"nothing subscribes to {TOPIC}"
         if not self._follower.gyro_is_believed:
             why = (
-                ": the gyro turns against the accelerometer; its axes or its sign are wrong in the "
-                "driver"
+                ": gyro and accelerometer contradict each other; correct the gyro's axes or signs "
+                "in the driver"
             )
         elif not self._follower.gyro_is_whole:
-            why = ": axes of the gyro never change; the driver does not read them"
+            why = ": some axes of the gyro never change; the driver does not read them"
         elif not self._follower.is_propagated:
             why = ": the IMU has no gyro"
         else:

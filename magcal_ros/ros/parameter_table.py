@@ -192,26 +192,26 @@ MAY_BE_ENABLED = "rotate.may_be_enabled"
 PARAMETERS: tuple[Spec, ...] = (
     Spec("calibration_file", "", later=Later.FILE).means(
         "Where the calibration is stored and loaded from. Empty: "
-        "$ROS_HOME/magcal/<namespace>/<node>.<frame of the magnetometer>.yaml. While the node runs "
-        "only what lies below $ROS_HOME/magcal, or what it was at start"
+        "$ROS_HOME/magcal/<namespace>/<node>.<frame of the magnetometer>.yaml. While the node "
+        "runs, only a path below $ROS_HOME/magcal or the one given at start can be set"
     ),
     Spec("report_folder", "", later=Later.FOLDER, words=("", "none")).means(
         "Where a dated folder with report.html and samples.csv is made for each turn. Empty: "
-        "$ROS_HOME/magcal/reports; none: no reports. While the node runs only what lies below "
-        "$ROS_HOME/magcal, or below what it was at start"
+        "$ROS_HOME/magcal/reports; none: no reports. While the node runs, only a path below "
+        "$ROS_HOME/magcal or below the one given at start can be set"
     ),
     Spec("reports_kept", 50, Span(1, 100_000)).means(
         "How many reports are kept beside those of turns that were put in force; older ones are "
         "removed"
     ),
     Spec("memory_limit_mb", 1024, Span(256, 1_000_000, "MB"), later=Later.NOTHING).means(
-        "How much more memory than at its start the node may take; a request that claims to hold "
-        "millions of values ends there. Read when the node starts; fits are not bounded"
+        "How much more memory than at its start the node may use, so that a false request for "
+        "millions of values fails. Read when the node starts; fits are not limited"
     ),
     Spec("method", METHODS[0], choices=METHODS).means(METHOD_WORDS),
     Spec("accumulate", False).means(
         "Join the next turns, made on different tilts, into one estimate of the full correction, "
-        "installation yaw included; false: each turn starts afresh"
+        "installation yaw included; false: each turn stands alone"
     ),
     Spec("self_calibration", "propose", choices=tuple(mode.value for mode in Mode)).means(
         "What is done with a calibration from ordinary driving that has proved better: propose it "
@@ -222,19 +222,19 @@ PARAMETERS: tuple[Spec, ...] = (
         "Strength of the Earth's field here; .nan to take it from the World Magnetic Model"
     ),
     Spec("reference.strength_sigma_ut", STRENGTH_SIGMA_UT, Span(0.0, 100.0, "µT")).means(
-        "Local deviation of the strength, by crust and iron near by (1 σ); indoors about 7"
+        "Local deviation of the strength, by crust and iron nearby (1 σ); indoors about 7"
     ),
     Spec("reference.inclination_deg", UNSET, Span(-90.0, 90.0, "°")).means(
         "Inclination (dip) of the Earth's field here, positive down; .nan for the model's"
     ),
     Spec("reference.inclination_sigma_deg", INCLINATION_SIGMA_DEG, Span(0.0, 90.0, "°")).means(
-        "Local deviation of the inclination, by crust and iron near by (1 σ); indoors about 5"
+        "Local deviation of the inclination, by crust and iron nearby (1 σ); indoors about 5"
     ),
     Spec("reference.declination_deg", UNSET, Span(-180.0, 180.0, "°")).means(
         "Declination here, positive east; .nan for the model's"
     ),
     Spec("reference.declination_sigma_deg", DECLINATION_SIGMA_DEG, Span(0.0, 90.0, "°")).means(
-        "Local deviation of the declination, by crust and iron near by (1 σ); indoors about 5"
+        "Local deviation of the declination, by crust and iron nearby (1 σ); indoors about 5"
     ),
     Spec("reference.latitude_deg", UNSET, Span(-90.0, 90.0, "°")).means(
         "Where the robot is, for the model, positive north; .nan to take it from gps/fix"
@@ -261,15 +261,15 @@ PARAMETERS: tuple[Spec, ...] = (
         "what the robot's description says if base_frame is set, else zero"
     ),
     Spec("mount_2_rpy_deg", (UNSET, UNSET, UNSET), Span(-360.0, 360.0, "°")).means(
-        "The same of the magnetometer on imu/mag_2"
+        "The same for the magnetometer on imu/mag_2"
     ),
     Spec("magnetometers", 2, Span(1, 8), later=Later.NOTHING).means(
         "How many magnetometers are listened to: imu/mag, imu/mag_2, imu/mag_3 and so on. One that "
         "is silent from the start does not count. Read when the node starts"
     ),
     Spec("confidence.target_sigma_deg", 0.5, Span(0.01, 10.0, "°")).means(
-        "Predicted heading error (1 σ, on the level) at which a complete turn is enough; after 1.2 "
-        "turns, up to twice as much is"
+        "Predicted heading error (1 σ, on level ground) at which a complete turn is enough; after "
+        "1.2 turns, up to twice as much is accepted"
     ),
     Spec("known_heading.yaw_deg", UNSET, Span(-360.0, 360.0, "°")).means(
         "Heading at which the robot stands when ~/calibrate_at_heading is called: ENU yaw, 0 to "
@@ -297,14 +297,16 @@ PARAMETERS: tuple[Spec, ...] = (
         "A field that differs from the calibrated one for this long is taken as the new one"
     ),
     Spec("rotate.enabled", False, later=Later.SWITCH_OFF).means(
-        "Whether the robot turns itself, by velocities on cmd_vel, when a turn is asked for. While "
-        "the node runs it may be switched off, and on only with rotate.may_be_enabled"
+        "Whether the robot turns itself, by velocities on cmd_vel, when a turn is asked for. "
+        "While the node runs, it can be switched off; on only with rotate.may_be_enabled"
     ),
     Spec(MAY_BE_ENABLED, False, later=Later.NOTHING).means(
-        "Whether rotate.enabled may be switched on while the node runs, by whoever reaches it. "
+        "Whether rotate.enabled may be switched on while the node runs, by anyone on its network. "
         "Read when the node starts"
     ),
-    Spec("rotate.speed_rad_s", 0.4, Span(0.1, 1.0, "rad/s")).means("How fast it turns"),
+    Spec("rotate.speed_rad_s", 0.4, Span(0.1, 1.0, "rad/s")).means(
+        "How fast the robot turns itself"
+    ),
     Spec("rotate.stamped", False).means("Whether cmd_vel is a TwistStamped instead of a Twist"),
     Spec("rotate.frame_id", "base_link").means("Frame of the TwistStamped"),
 )

@@ -170,7 +170,9 @@ class Parameters:
         if value == spec.parse(self._node.get_parameter(spec.name).value):
             return
         if spec.later is Later.NOTHING:
-            raise ValueError(f"{spec.name} is read when the node starts: start it with another")
+            raise ValueError(
+                f"{spec.name} is read when the node starts: restart the node with the new value"
+            )
         if spec.later is Later.SWITCH_OFF and value and not self._given[MAY_BE_ENABLED]:
             raise ValueError(
                 f"{spec.name} can be switched on when the node starts; later only if it was "
@@ -189,8 +191,8 @@ class Parameters:
         if value != given and not lies_within(chosen_path(value), within):
             named = " or ".join(str(place) for place in places)
             raise ValueError(
-                f"{spec.name} may name only what lies within {named} while the node runs: start "
-                "it with another place"
+                f"{spec.name} must lie within {named} while the node runs: to use another place, "
+                "restart the node with it"
             )
 
     def _put_in_effect(self, changes: list[Parameter]) -> None:

@@ -160,12 +160,14 @@ def _judge(heard: Heard, duration: float, publishers: int) -> list[str]:
 def _explain_silence(heard: Heard, publishers: int, elsewhere: Sequence[str]) -> list[str]:
     lines = [f"{heard.topic}: nothing arrives ({publishers} publishers)"]
     if publishers:
-        lines.append("  it is advertised: is the driver running, is the clock paused?")
+        lines.append("  it is advertised: check that the driver runs and the clock is not paused")
     if elsewhere:
         names = ", ".join(sorted(elsewhere))
         lines.append(f"  the same type is published on {names}: remap to it with -r")
     elif not publishers:
-        lines.append("  nothing publishes this type: is the driver running, on this domain?")
+        lines.append(
+            "  nothing publishes this type: check that the driver runs, with the same ROS_DOMAIN_ID"
+        )
     return lines
 
 
@@ -197,8 +199,8 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
         listed = ", ".join(plain(topic) for topic in sorted(found))
         raise Misuse(f"{len(found)} topics carry {kind}: {listed}; choose one with {option}")
     raise MagcalError(
-        f"no topic carries {kind}: is the driver running? Look at ROS_DOMAIN_ID and at the "
-        "discovery range on both sides"
+        f"no topic carries {kind}: check that the driver runs, and that ROS_DOMAIN_ID and the "
+        "discovery range are the same on both sides"
     )
 
 

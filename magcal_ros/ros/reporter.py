@@ -107,8 +107,9 @@ class Reporter:
             self._worker.run_once(write_to_the_end, folder, subject)
         except Stopped:
             raise MagcalError(
-                f"its process was not done after {LONGEST:g} s, and the node has ended it; "
-                "see whether the disk of report_folder answers, and what keeps the machine busy"
+                f"its process took more than {LONGEST:g} s, and the node has ended it; check that "
+                "the disk of report_folder answers, and end other programs that keep the machine "
+                "busy"
             ) from None
         finally:
             watchdog.cancel()

@@ -83,7 +83,7 @@ class Description:
         self, topic: str, kind: type, joints_in: Callable[[Any], Iterable[FrameJoint]], data: bytes
     ) -> None:
         if self._unread + len(data) > LARGEST:
-            self._complain(f"{topic} brings more than {LARGEST} bytes at a time, and is not read")
+            self._complain(f"{topic} has messages above {LARGEST} bytes, and is not read")
             return
         self._unread += len(data)
 

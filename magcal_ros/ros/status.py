@@ -172,7 +172,7 @@ def field_diagnostic(
         message = f"{shown}, calibrated {calibrated}"
         if not 0.7 < strength / max(calibration.strength, 1e-9) < 1.4:
             level = DiagnosticStatus.WARN
-            message += ": something magnetic is near, or the calibration is another sensor's"
+            message += ": something magnetic is near, or the calibration belongs to another sensor"
     values["reference"] = reference.words
     if reference.complaints:
         level = max(level, DiagnosticStatus.WARN)

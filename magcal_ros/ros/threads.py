@@ -198,8 +198,8 @@ class Spinner:
     def _hand_back(self, error: Exception) -> None:
         self._group.is_open = True
         self._node.get_logger().warning(
-            f"this rclpy is unlike those known ({type(error).__name__}: {error}): rclpy's own "
-            "executor serves the sensors from now on, at more CPU"
+            f"this version of rclpy is not known ({type(error).__name__}: {error}): rclpy's own "
+            "executor serves the sensors from now on, with more CPU load"
         )
         self._wake()
 

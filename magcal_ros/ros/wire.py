@@ -74,7 +74,7 @@ def _reader(kind: type, parse: Callable[[bytes], T]) -> Callable[[bytes], T]:
         try:
             return parse(serialize_message(by_rclpy(data, kind)))
         except struct.error as error:
-            raise Unreadable(f"a {kind.__name__} that is laid out in an unknown way") from error
+            raise Unreadable(f"a {kind.__name__} with an unknown layout") from error
 
     return read
 

@@ -37,7 +37,7 @@ class Stopped(Lost):
     """The node itself has ended the worker process."""
 
     def __init__(self) -> None:
-        super().__init__("the node has ended the process that fits")
+        super().__init__("the node has ended the fitting process")
 
 
 class WorkerProcess:
@@ -72,8 +72,8 @@ class WorkerProcess:
                     )
                 except OSError as error:
                     raise Lost(
-                        f"the process that fits cannot be started: {error.strerror or error}; "
-                        "see which of the machine's resources are used up"
+                        f"the fitting process cannot be started: {error.strerror or error}; check "
+                        "the memory and other resources of the machine"
                     ) from error
             return self._process
 
@@ -175,16 +175,16 @@ def _how_it_ended(process: subprocess.Popen[bytes]) -> str:
 
     if _is_stopped(process):
         process.kill()
-        return "the process that fits was stopped (SIGSTOP), and the node has ended it"
+        return "the fitting process was stopped (SIGSTOP), and the node has ended it"
     try:
         status = process.wait(ENDING)
     except subprocess.TimeoutExpired:
         process.kill()
-        return "the process that fits has closed its line, and the node has ended it"
+        return "the fitting process has closed its connection, and the node has ended it"
     if status == -signal.SIGKILL:
-        return "the process that fits was killed (SIGKILL), as the system does without memory"
+        return "the fitting process was killed (SIGKILL), as the system does when memory runs out"
     name = signal.Signals(-status).name if status < 0 else f"status {status}"
-    return f"the process that fits has ended ({name})"
+    return f"the fitting process has ended ({name})"
 
 
 def main() -> int:

@@ -118,7 +118,7 @@ def test_stamps_that_no_message_holds_are_not_replayed(call, folder, stamp):
 def test_a_frame_that_is_no_text_is_misuse(call, folder, option):
     done = call("replay", str(folder), option, b"\xff\xfe")
     assert done.returncode == Exit.USAGE
-    assert b"is no UTF-8 text" in done.stderr
+    assert b"is not UTF-8 text" in done.stderr
 
 
 @pytest.mark.parametrize("rate", ["nan", "inf", "0", "-1", "fast"])
@@ -260,5 +260,5 @@ def test_a_name_that_no_node_can_have_is_said(name, capsys):
     with pytest.raises(SystemExit, match=f"{Exit.USAGE:d}"):
         main(["calibrate", "--node", name])
     said = capsys.readouterr().err
-    assert "is no name of a node" in said
+    assert "is not the name of a node" in said
     assert "\x1b" not in said

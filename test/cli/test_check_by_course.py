@@ -38,7 +38,7 @@ def test_the_offset_is_told_and_a_bent_calibration_accused(seconds, tmp_path, ca
     told = json.loads(capsys.readouterr().out)
     course = told["course"]
     assert course["declination_deg"] is not None
-    said = [words for words in told["about"] if words.startswith("compass less course")]
+    said = [words for words in told["about"] if words.startswith("compass minus course")]
     assert f"{course['declination_deg']:+.1f}° of it is declination" in said[0]
     assert course["metres"] > 300
     found = {each["figure"]: each["state"] for each in course["findings"]}
@@ -46,6 +46,6 @@ def test_the_offset_is_told_and_a_bent_calibration_accused(seconds, tmp_path, ca
         return
     assert found["course_swing_once"] in ("warn", "refused")
     main(["drive", str(bag), "--calibration", str(path), "--output", str(tmp_path / "d")])
-    said = [line for line in capsys.readouterr().out.splitlines() if "less course" in line]
+    said = [line for line in capsys.readouterr().out.splitlines() if "minus course" in line]
     assert "declination" in said[0]
-    assert 'id="course">After: compass less course' in (tmp_path / "d" / "report.html").read_text()
+    assert 'id="course">After: compass minus course' in (tmp_path / "d" / "report.html").read_text()

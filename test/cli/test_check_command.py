@@ -59,7 +59,7 @@ def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
     contradicts = out.partition("What contradicts it:")[2].partition("\n\n")[0]
     assert "the level field makes the heading swing by " in contradicts
     assert "° (want 7° or less): the hard iron" in contradicts
-    assert "does the calibration belong to this robot" in contradicts
+    assert "check that the calibration was made for this robot" in contradicts
 
 
 @pytest.mark.nightly

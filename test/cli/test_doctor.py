@@ -95,7 +95,7 @@ def test_how_the_robot_turned_is_heard(tmp_path, capsys):
     said = []
     for side in ("left", "right"):
         assert main(["doctor", *arguments, "--json", "--turned", side]) == 0
-        said.append("z pointing down" in capsys.readouterr().out)
+        said.append("z of all sensors points down" in capsys.readouterr().out)
     assert sorted(said) == [False, True]
 
 

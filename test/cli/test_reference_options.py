@@ -102,7 +102,7 @@ def test_the_words_tell_the_reference_and_check_that_it_is_another(drive_of_2021
         assert main(["check", str(recording), *calibration, *output, *place]) == 0
         document = json.loads(capsys.readouterr().out)
         assert document["reference"]["source"].startswith("World Magnetic Model 2020")
-        assert ("made elsewhere?" in " ".join(document["about"])) is is_said
+        assert ("if it was made elsewhere" in " ".join(document["about"])) is is_said
 
 
 @pytest.mark.parametrize(

@@ -121,4 +121,4 @@ def test_without_a_gyro_the_part_of_the_motors_that_does_not_show_is_doubted(by_
     outcome = calibrate(blind, knowledge)
     gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
     assert math.sqrt(np.mean(gap**2)) < 3.0 * predicted_heading_sigma(outcome.estimate)
-    assert "without a gyro a part of it does not show" in "; ".join(outcome.verdict.reasons)
+    assert "without a gyro, a part of it cannot be measured" in "; ".join(outcome.verdict.reasons)

@@ -156,4 +156,4 @@ def test_a_drive_with_swapped_axes_of_the_magnetometer_is_no_small_circle(case):
     window = Window(drive.time, drive.field[:, [1, 0, 2]], drive.force, drive.rate)
     outcome = calibrate(window, BOSTON)
     assert not outcome.verdict.accepted
-    assert "check that the axes of both sensors belong together" in outcome.verdict.summary
+    assert "check that the axes of both sensors match" in outcome.verdict.summary

@@ -123,7 +123,7 @@ class TestDamage:
         file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
         content = file.read_bytes()
         file.write_bytes(content[: int(share * len(content))])
-        with pytest.raises(FileTrouble, match=r"Record again; .* saves what is whole") as caught:
+        with pytest.raises(FileTrouble, match=r"Record again; .* saves the intact part") as caught:
             read(path)
         assert str(caught.value).isprintable()
 
@@ -159,10 +159,10 @@ class TestDamage:
     def test_other_files_and_folders_are_no_recording(self, tmp_path):
         with pytest.raises(FileTrouble, match="no such file"):
             read(tmp_path / "nothing.mcap")
-        with pytest.raises(FileTrouble, match=r"is no recording.*metadata\.yaml"):
+        with pytest.raises(FileTrouble, match=r"is not a recording.*metadata\.yaml"):
             read(tmp_path)
         (tmp_path / "notes.txt").write_text("hello")
-        with pytest.raises(FileTrouble, match="is no recording: name a bag"):
+        with pytest.raises(FileTrouble, match="is not a recording: name a bag"):
             read(tmp_path / "notes.txt")
 
 

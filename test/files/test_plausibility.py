@@ -64,9 +64,9 @@ def test_what_a_turn_finds_is_possible(strength, known):
     ("change", "words"),
     [
         (uneven, "not symmetric"),
-        (flipped_variance, "negative variance"),
-        (smaller_diagonal, "negative variance"),
-        (exact_but_tied, "ties a number"),
+        (flipped_variance, "negative eigenvalue"),
+        (smaller_diagonal, "negative eigenvalue"),
+        (exact_but_tied, "links a number"),
         (lambda covariance: covariance.fill(0.0), "hard iron known to 0.0e.00"),
         (lambda covariance: covariance.__imul__(1e-12), "no turn shows it better"),
     ],

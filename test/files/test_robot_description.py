@@ -46,10 +46,10 @@ def test_the_joints_of_a_robot_are_read_and_nothing_else():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no XML"),
-        ("<robot>", "no XML"),
-        ("<sdf/>", "no URDF"),
-        ("<a><robot><joint name='x' type='fixed'/></robot></a>", "no URDF"),
+        ("", "not XML"),
+        ("<robot>", "not XML"),
+        ("<sdf/>", "not a URDF"),
+        ("<a><robot><joint name='x' type='fixed'/></robot></a>", "not a URDF"),
         ("<robot><joint name='x' type='fixed'/></robot>", "'x' .* names no parent"),
         ("<robot><joint name='x' type='bolted'/></robot>", "'x' .* type 'bolted'"),
         (ROBOT.replace("0 0 1.5707963", "0 0"), "'imu' .* not three"),

@@ -109,8 +109,8 @@ def test_a_drive_is_called_a_drive_and_its_figures_have_units(tmp_path):
         "headings driven 12 of 12",
         "length of the drive 93.7 s",
         "disturbance that changes with the place (1σ per axis) 1.4 µT",
-        "heading error by the calibration, on the level (1σ) ±",
-        "heading error along the way, on the level (1σ) ±",
+        "heading error by the calibration, on level ground (1σ) ±",
+        "heading error along the way, on level ground (1σ) ±",
         "What this drive could not show",
         "The drive was measured by the gyro",
     ):
@@ -323,6 +323,6 @@ def test_turns_that_were_put_together_have_a_section(tmp_path):
 
 
 def test_how_the_imu_sits_in_the_vehicle_is_told_where_driving_showed_it(tmp_path):
-    words = "the IMU looks 4.1° ± 0.6° to the left of the vehicle's front, by course"
+    words = "the IMU's x points 4.1° ± 0.6° to the left of the vehicle's front, by course"
     assert words in words_of(text_of(tmp_path / "told", replace(good(), vehicle=words)))
     assert "in the vehicle" not in words_of(text_of(tmp_path / "untold", good()))

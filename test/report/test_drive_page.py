@@ -57,8 +57,8 @@ def test_no_name_is_written_over_the_scale():
 
 
 def test_the_offset_against_course_stands_on_the_page():
-    told = replace(story([[k, 0] for k in range(5)]), course="compass less course +3.0° ±1.0°")
-    assert 'id="course">After: compass less course +3.0°' in render_drive(told, "a drive")
+    told = replace(story([[k, 0] for k in range(5)]), course="compass minus course +3.0° ±1.0°")
+    assert 'id="course">After: compass minus course +3.0°' in render_drive(told, "a drive")
 
 
 def test_a_disturbance_across_the_level_field_may_turn_the_heading_by_its_angle():

@@ -164,7 +164,7 @@ def test_no_room_for_looking_at_the_turn(monkeypatch, what):
     assert control.turn.state is TurnState.IDLE
     (answer,) = told
     assert not answer.success
-    assert "broken off by an error ([Errno 24] Too many open files)" in answer.message
+    assert "stopped by an error ([Errno 24] Too many open files)" in answer.message
     monkeypatch.undo()
     assert control.start(settings_of_a_turn()).success
     control.shut_down()

@@ -49,7 +49,7 @@ def check(printed, folder):
         for name in ("roll", "pitch")
     ]
     assert tuple(row[1] for row in rows) == said
-    assert "8 times as fast as real" in printed
+    assert "8 times as fast as in real time" in printed
     assert f"-p calibration_file:={folder / 'calibration.yaml'}" in printed
     calibration, _ = read_calibration(folder / "calibration.yaml")
     assert abs(calibration.correction.hard_iron[0] - 15e-6) < 0.3e-6

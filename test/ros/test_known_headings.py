@@ -56,7 +56,7 @@ def test_three_known_headings_calibrate_a_robot_that_never_turns(stage, ros_home
     tell(actor, yaw_deg=0.0)
     unsaid = actor.answer(actor.call("calibrate_at_heading"))
     assert not unsaid.success
-    assert "which north" in unsaid.message
+    assert "north of known_heading.yaw_deg is not given" in unsaid.message
     first = dock(actor, DOCKS[0])
     assert first.success, first.message
     assert "roughly from one known heading" in first.message

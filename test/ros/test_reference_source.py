@@ -197,7 +197,7 @@ def test_a_changed_place_reaches_the_next_turn_and_outdates_the_last(receive):
     assert np.isclose(strength, expected, atol=1.5)
     assert not receiver.reference(lambda _: True)["complaints"]
     move(node, Place(-33.87, 151.21))
-    assert receiver.reference(complains("made elsewhere? Calibrate again here"))["complaints"]
+    assert receiver.reference(complains("if it was made elsewhere, calibrate"))["complaints"]
 
 
 def move(node, place):

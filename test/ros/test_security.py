@@ -59,7 +59,7 @@ def test_places_are_chosen_at_start(asked, ros_home, tmp_path, name):
     # A folder with the file's name would be in its way.
     is_allowed = name == "report_folder"
     assert (change(name, f"{given}/below.yaml") == "") is is_allowed
-    assert "start it with another place" in change(name, "/etc/cron.d/job")
+    assert "restart the node with it" in change(name, "/etc/cron.d/job")
     assert not (ros_home / "magcal").exists()
     assert not given.exists()
 

@@ -58,17 +58,17 @@ def test_of_several_calibrators_none_is_guessed(start_node):
     start_node(arguments=in_namespace("two"))
     done = run()
     assert done.returncode == 2
-    assert "2 calibrators are seen: /one/calibrator, /two/calibrator" in done.stderr
+    assert "2 calibrators were found: /one/calibrator, /two/calibrator" in done.stderr
     done = run("--node", "/calibrator")
     assert done.returncode == 1
-    assert "calibrators that are seen: /one/calibrator, /two/calibrator" in done.stderr
+    assert "calibrators found: /one/calibrator, /two/calibrator" in done.stderr
 
 
 @pytest.mark.nightly
 def test_where_there_is_none_it_says_what_to_do():
     done = run()
     assert done.returncode == 1
-    assert "no calibrator is seen" in done.stderr
+    assert "no calibrator was found" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 

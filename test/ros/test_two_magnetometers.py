@@ -151,7 +151,7 @@ def test_a_node_by_another_name_is_told_that_headings_are_mixed(start_node, acto
 
     def told():
         inputs = heard.get("left: Inputs")
-        return inputs is not None and "/compass/yaw is published by /right too" in inputs.message
+        return inputs is not None and "/compass/yaw is also published by /right" in inputs.message
 
     robot.run(PATIENCE, stop=told)
     assert told()

@@ -25,7 +25,7 @@ AGAINST_REFERENCE: tuple[Bound, ...] = (
         Figure.RADIUS_MISFIT,
         (3.0, 10.0, 25.0),
         "radius of the field against the reference",
-        "check reference.strength_ut and inclination_deg, or look for soft iron and steel near by",
+        "check reference.strength_ut and inclination_deg, or look for soft iron and steel nearby",
         unit="%",
     ),
     Bound(
@@ -42,7 +42,7 @@ AGAINST_REFERENCE: tuple[Bound, ...] = (
 SIGMA = Bound(
     Figure.HEADING_SIGMA,
     (0.7, 2.0, 12.0),
-    "predicted heading error on the level (1σ)",
+    "predicted heading error on level ground (1σ)",
     "turn the full circle, or through all orientations, more slowly",
     aspect=Aspect.CONFIDENCE,
     after_full="turn once more, more slowly or on other ground",
@@ -60,7 +60,7 @@ OUTLIERS = Bound(
     Figure.OUTLIER_SHARE,
     (5.0, 25.0, 50.0),
     "samples left out as outliers",
-    "something magnetic passed by or switched; turn again elsewhere",
+    "something magnetic passed by or was switched; turn again elsewhere",
     unit="%",
 )
 TURN_BOUNDS: tuple[Bound, ...] = (
@@ -85,8 +85,9 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         Figure.MOTOR_FIELD,
         (0.3, 1.0, 20.0),
         "between rest and turn the field changes by",
-        "if the robot stood where it turned, its motors are the cause: route the power wires "
-        "away, or calibrate with them on; if it stood elsewhere, leave that rest out",
+        "if the robot rested at the place of the turn, its motors are the cause: route their "
+        "wires away from the sensor, or calibrate with the motors on; if it rested elsewhere, "
+        "leave that rest out",
         unit=" µT",
     ),
     Bound(
@@ -99,8 +100,8 @@ TURN_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.LATENCY,
         (20.0, 100.0, 1000.0),
-        "field and gyro are stamped apart by",
-        "stamp both when they are measured",
+        "the stamps of field and gyro differ by",
+        "stamp both in the driver when they are measured",
         unit=" ms",
     ),
     Bound(
@@ -108,8 +109,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         (1.0, 2.0, 10.0),
         "gyro against compass around the turn",
         "the field is distorted here; turn elsewhere",
-        when_refused="the field is distorted here, or the sensors' axes do not belong together;"
-        " turn elsewhere",
+        when_refused="the field is distorted here, or the axes do not match; turn elsewhere",
     ),
     STRENGTH,
     replace(
@@ -129,7 +129,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.MISALIGNMENT,
         (0.5, 1.5, 5.0),
-        "the corrected field is turned against the IMU, as gravity shows, by",
+        "compared with gravity, the corrected field is rotated against the IMU by",
         "this method does not correct it; give mount_rpy_deg, or use a method that does",
     ),
     Bound(
@@ -152,9 +152,9 @@ TURN_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.SIDEWAYS_ACCELERATION,
         (1.0, 1.5, 45.0),
-        "acceleration is tilted from the gyro's axis over the turn by",
-        "turn more slowly, on the spot if the robot can; or the gyro has a large bias, or "
-        "other axes than the accelerometer",
+        "over the turn, the acceleration is tilted from the gyro's axis by",
+        "turn more slowly, and on the spot if possible; if this remains, the gyro has a large "
+        "bias, or its axes do not match the accelerometer's",
     ),
     replace(
         UPRIGHT, limits=(20.0, 45.0, 75.0), words="the turn's axis is tilted from the body's z by"
@@ -167,8 +167,8 @@ MOTORS_TAKEN_OFF = (
     "further away from motors and power wires"
 )
 MOTORS_PARTLY_SHOWN = (
-    "without a gyro a part of it does not show; turn the robot by hand with its motors off, or use "
-    "an IMU with a gyro"
+    "without a gyro, a part of it cannot be measured; turn the robot by hand with its motors off, "
+    "or use an IMU with a gyro"
 )
 ALLOWED_SIGMAS = 2.0
 """Sigmas that a bound allows for: of the reference's level field, and of the arc."""
@@ -199,7 +199,7 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
     UPRIGHT,
     replace(
         SIGMA,
-        words="predicted heading error on the level by the calibration (1σ)",
+        words="predicted heading error on level ground by the calibration (1σ)",
         remedy=ALL_HEADINGS,
         after_full=DRIVE_LONGER,
     ),
@@ -215,7 +215,7 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
     replace(
         OUTLIERS,
         limits=(5.0, 15.0, 50.0),
-        remedy="something magnetic was near or switched; drive elsewhere",
+        remedy="something magnetic was near or was switched; drive elsewhere",
     ),
     *AGAINST_REFERENCE,
     INSTALLATION,
@@ -226,7 +226,7 @@ ONE_MORE = "stand at another known heading"
 HEADING_BOUNDS: tuple[Bound, ...] = (
     replace(
         SIGMA,
-        words="predicted heading error on the level, over all headings (1σ)",
+        words="predicted heading error on level ground, over all headings (1σ)",
         remedy=ONE_MORE,
         after_full="",
         when_refused=f"{ONE_MORE}, and give the reference field",
@@ -235,7 +235,7 @@ HEADING_BOUNDS: tuple[Bound, ...] = (
         Figure.KNOWN_HEADINGS,
         (3.0, 2.0, 1.0),
         "known headings:",
-        f"{ONE_MORE}: one alone shows what is right near it",
+        f"{ONE_MORE}: with one alone, the calibration is right only near it",
         unit="",
         aspect=Aspect.CONFIDENCE,
         at_least=True,
@@ -243,7 +243,7 @@ HEADING_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.HEADING_MISFIT,
         (1.2, 1.5, 4.0),
-        "known headings and field are apart by",
+        "known headings and field differ by",
         "check the headings and their sigma, and stand away from iron",
         unit=" times their sigma",
     ),

@@ -47,8 +47,8 @@ SCALES = {"°": DEGREES, "%": 100.0, " µT": 1e6, " ms": 1e3}
 
 
 SITS_OTHERWISE = (
-    "does the sensor sit so? Then give its pose with mount_rpy_deg; if not, the axes are shown"
-    " wrongly: turn again on the spot, with a gyro"
+    "is the sensor mounted like this? Then give its pose with mount_rpy_deg; if not, the result "
+    "is wrong: turn again on the spot, with a gyro"
 )
 """Question and remedy for a large installation error."""
 
@@ -196,9 +196,9 @@ def check_reference(
         found = Grade.WARN
         words += (
             f", but {_microtesla(other)} if the inclination had the other sign: check the sign of "
-            "reference.inclination_deg (positive where the field points down, as in the north), or "
-            "turn on ramps; of a simulator, whether it publishes the field in north-east-down axes "
-            "(NED; Gazebo: use_earth_frame_ned false)"
+            "reference.inclination_deg (positive where the field points down, as in the north), "
+            "or turn on ramps; a simulator may publish the field in NED axes (Gazebo: "
+            "use_earth_frame_ned false)"
         )
     elif own > estimate.strength and as_much < TUNING.unusual:
         found = Grade.WARN

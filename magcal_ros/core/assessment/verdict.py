@@ -140,7 +140,10 @@ class Verdict:
         )
 
 
-NO_YAW = "the yaw of the installation: mount the sensor square, or compare with a known heading"
+NO_YAW = (
+    "the yaw of the installation: mount the sensor square to the robot, or compare with a known "
+    "heading"
+)
 NO_MOUNTING = (
     "the mounting of the magnetometer against the IMU: this method assumes aligned axes and does "
     "not correct it"
@@ -309,8 +312,8 @@ def _not_shown(
     if tilted > times * level and tilted > least:
         known = knowledge.reference.is_complete
         found.append(
-            "the hard iron along the turn's axis: fine on the level, but at 10° of tilt its "
-            f"error in the heading is {tilted * DEGREES:.1f}° (1σ); "
+            "the hard iron along the turn's axis: it does not matter on level ground, but at 10° "
+            f"of tilt its error in the heading is {tilted * DEGREES:.1f}° (1σ); "
             f"{'' if known else 'give the reference field, or '}"
             f"{'drive on slopes' if _is_drive(figures) else 'turn on ramps'}"
         )
@@ -337,7 +340,7 @@ def _headline(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, flo
         way = f"; along the way, with local magnetic disturbances, ±{level * DEGREES:.2f}°"
         level, tilted = calibration_sigma(estimate), calibration_sigma(estimate, CHECKED_TILT)
     words = (
-        f"{grades}: heading ±{level * DEGREES:.2f}° on the level, "
+        f"{grades}: heading ±{level * DEGREES:.2f}° on level ground, "
         f"±{tilted * DEGREES:.2f}° at 10° of tilt (1σ){by}{way}; "
         f"hard iron ({x:.1f}, {y:.1f}, {z:.1f}) µT"
     )

@@ -1,4 +1,4 @@
-"""Which sensor errs (two of three agree), which axes it has, and whether it stands upright."""
+"""Find the sensor with wrong axes (two of three agree), its axes, and whether it is upright."""
 
 from __future__ import annotations
 
@@ -25,16 +25,15 @@ from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.samples.units import LEAST_UPRIGHT
 from magcal_ros.core.samples.window import SensorLog
 
-LIFT = "lift the nose by 20° while it turns"
-DRIVE = "; on a straight drive a receiver's course shows its yaw, too"
+LIFT = "lift the nose by 20° while the robot turns"
+DRIVE = "; or drive straight, where a receiver's course shows the yaw"
 SIGN = (
-    "gravity has the wrong sign: REP-145 wants +9.81 on z at rest, so negate linear_acceleration "
-    "in the driver"
+    "gravity has the wrong sign: REP-145 requires +9.81 on z at rest, so negate "
+    "linear_acceleration in the driver"
 )
 UPSIDE_DOWN = (
-    "the IMU's z points down: REP-103 wants x forward, y left, z up, so turn all of the IMU's axes "
-    "in the driver, by 180° about x if they are x forward, y right, z down (NED), or mount it "
-    "upright"
+    "the IMU's z points down, but REP-103 requires x forward, y left, z up: turn the IMU's axes "
+    "in the driver (by 180° about x if they are x forward, y right, z down), or mount it upright"
 )
 WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is positive"
 
@@ -69,8 +68,8 @@ def sideways(up: FloatArray) -> str:
     axis = int(np.argmax(np.abs(up)))
     way = DIRECTIONS[2][int(up[axis] < 0.0)]
     return (
-        f"the IMU's {'xyz'[axis]} points {way} at rest where z should: turn the IMU's axes in the "
-        "driver, or mount it upright"
+        f"at rest the IMU's {'xyz'[axis]} axis points {way}, but its z axis should point up: turn "
+        "the IMU's axes in the driver, or mount it upright"
     )
 
 
@@ -90,19 +89,18 @@ def _is_flipped(
 
 STANDARD = np.eye(3)
 NOTHING_FITS = (
-    "no mounting and no swapped or mirrored axes make gyro, field and gravity tell one movement: "
-    "check whether the gyro answers to turns at all, its unit and the stamps, and turn away from "
-    "iron"
+    "no mounting and no swapped or mirrored axes explain gyro, field and gravity together: check "
+    "that the gyro responds to turns, check its unit and the stamps, and turn far from iron"
 )
 BOTH = (
-    "gyro, magnetometer and gravity do not tell one movement, and no single sensor's axes explain "
-    "it. Linear acceleration and iron nearby look like that, too: stand still, turn on the spot "
-    f"away from iron, and {LIFT}"
+    "gyro, magnetometer and gravity contradict each other, and wrong axes of one sensor do not "
+    "explain it. Linear acceleration and iron nearby can be the cause, too: stand still, turn on "
+    f"the spot away from iron, and {LIFT}"
 )
 DEAD_GYRO = "correct the dead axes of the gyro first, then turn once more"
 TURNED_RIGHT = (
-    "all sensors saw a turn to the right where one to the left was asked for: look again, turning "
-    "left. If it was to the left, all of them have z pointing down"
+    "all sensors measured a turn to the right, but a turn to the left was expected: turn left and "
+    "check again. If it was a turn to the left, z of all sensors points down"
 )
 
 
@@ -143,7 +141,7 @@ class AxesFound:
         if self.right:
             return ""
         ways = named(self.candidates, self._say)
-        words = f"the magnetometer's axes do not belong to the IMU's: {ways}"
+        words = f"the magnetometer's axes do not match the IMU's: {ways}"
         return f"{words}. To tell which, {self.movement}" if self.movement else words
 
     @property
@@ -155,8 +153,8 @@ class AxesFound:
         is_opposite = len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
         if is_opposite and not self.dip_known:
             return (
-                "give the place or the field's inclination: only this shows whether all axes point "
-                "the other way"
+                "give the place or the field's inclination: only this shows whether all axes are "
+                "reversed"
             )
         dip = "" if self.dip_known else ", and give the place or the field's inclination"
         level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)
@@ -192,13 +190,13 @@ def parameter_line(rpy_deg: tuple[int, int, int]) -> str:
 
 
 class Blame(NamedTuple):
-    """Which sensors err."""
+    """Which sensors have wrong axes."""
 
     findings: tuple[Finding, ...]
-    """One for each sensor whose axes err or may err, or one that all agree."""
+    """One for each sensor whose axes are or may be wrong, or one that all agree."""
     chosen: int | None = None  # the way that is taken; None where none explains the movement
     axes: AxesFound | None = None
-    """Of the magnetometer, if it is the one that errs; None where it is not known."""
+    """Of the magnetometer, if its axes are the wrong ones; None where that is not known."""
 
 
 def blame(
@@ -207,7 +205,7 @@ def blame(
     turned_left: bool | None,
     gyro_is_half_dead: bool = False,
 ) -> Blame:
-    """Name the sensors whose axes err or may; a gyro with dead axes judges no others."""
+    """Name the sensors whose axes are or may be wrong; with dead axes of the gyro, no others."""
     misfit, given = explanations.misfit, explanations.plain
     if explanations.rms[explanations.best] > WEIGHED.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
@@ -263,7 +261,7 @@ def _all_agree(
     if contrary[given]:
         others = [_erring(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
         alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
-        said = TURNED_RIGHT + "".join(f", or the {sensor} alone errs" for sensor in alone)
+        said = TURNED_RIGHT + "".join(f", or only the {sensor} has wrong axes" for sensor in alone)
         found.append(looked_at("imu_axes", "axes: up", "a turn to the right", said))
     return Blame(tuple(found), given, axes)
 
@@ -274,11 +272,11 @@ def _accused(
     rank: dict[int, tuple[str, ...]],
     knowledge: Knowledge,
 ) -> Blame:
-    """Name the sensor that errs; where another may err instead, or two must, ask."""
+    """Name the sensor with wrong axes; if it may be another one, or is two, ask for a movement."""
     culprits = list(dict.fromkeys(rank[k] for k in fewest))
     if len(culprits[0]) > 1:
         names = " and ".join(culprits[0])
-        evidence = f"the movement fits better with other axes of {names}"
+        evidence = f"other axes of {names} explain the movement better"
         return Blame((looked_at("axes", "axes", evidence, BOTH),))
     said, axes = {}, None
     for (sensor,) in culprits:
@@ -294,7 +292,7 @@ def _accused(
     names = " or ".join(said)
     if len(said) > 1:
         evidence = f"{names} contradicts the other sensors"
-        asked = f"which of them errs this movement does not show: {LIFT}. "
+        asked = f"this movement does not show which of them has wrong axes: {LIFT}. "
         asked += f"Either {'; or '.join(said.values())}"
         return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], axes)
     evidence = "the other sensors contradict them"
@@ -323,13 +321,13 @@ def gyro_slip(axes: FloatArray) -> str:
 
 SAID: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
     "gyro": (
-        "the gyro's axes are not the accelerometer's: {}; correct it in the driver",
+        "the gyro's axes do not match the accelerometer's: {}; correct it in the driver",
         gyro_slip,
     ),
     "accelerometer": (
-        "gyro and magnetometer agree and the accelerometer does not: in their axes the "
-        "accelerometer's are {}; correct them in the driver",
+        "gyro and magnetometer agree, but the accelerometer's axes do not match theirs: they are "
+        "{}; correct them in the driver",
         lambda axes: spoken(axes.T),
     ),
 }
-"""What is said of a sensor that errs, and of one way in which its axes may lie."""
+"""What is said of a sensor with wrong axes, and of one way in which its axes may lie."""

@@ -1,4 +1,4 @@
-"""Which of four yaws the magnetometer has, by the course: no turn on the spot can show it."""
+"""Which of four yaws the magnetometer has, by the course; a turn on the spot cannot show it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.alignment import FIELD, IRON, SOFT
 
 NAME = "axes: yaw by course"
-LONGER = "drive farther, to several sides, straight and at more than walking pace"
+LONGER = "drive farther: straight, in several directions, and faster than walking pace"
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,9 @@ def course_findings(
     if knows_imu:
         return [*lines, wrong("field_yaw", NAME, evidence, turned)], mount
     either = (
-        f"either {turned}; or the IMU looks {90 * quarters:+d}° to the left of the front and the "
-        f"magnetometer with it: set `vehicle_yaw_deg: {90.0 * quarters}`. To tell which, record "
-        "the speed too, and accelerate and brake"
+        f"either {turned}; or IMU and magnetometer are both turned by {90 * quarters:+d}° to the "
+        f"left of the front: set `vehicle_yaw_deg: {90.0 * quarters}`. To tell which, record the "
+        "speed too, and accelerate and brake"
     )
     return [*lines, wrong("field_yaw", NAME, evidence, either)], None
 
@@ -115,7 +115,7 @@ def course_findings(
 def _imu_yaw(seen: CourseSeen) -> Finding:
     degrees = math.degrees(seen.imu_yaw)
     evidence = (
-        f"looks {abs(degrees):.0f} ± {math.degrees(seen.imu_sigma):.0f}° to the "
+        f"x points {abs(degrees):.0f} ± {math.degrees(seen.imu_sigma):.0f}° to the "
         f"{'left' if degrees >= 0.0 else 'right'} of the front"
     )
     remedy = (

@@ -1,4 +1,4 @@
-"""Every way in which the axes of gyro and magnetometer may lie, weighed together.
+"""Compare all possible axes of gyro and magnetometer by how well they fit the samples.
 
 The accelerometer's axes are taken for the body's; where it errs itself, gyro and magnetometer
 differ from it alike. Rows of a candidate's two matrices are the sensor's axes in the body's.
@@ -97,7 +97,7 @@ class Way(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """What became of every way that was weighed."""
+    """The result for every way that was compared."""
 
     gyro: FloatArray
     field: FloatArray

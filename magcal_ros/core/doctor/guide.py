@@ -1,4 +1,4 @@
-"""The guided half minute: what a person is asked to do, and how it is seen to be done.
+"""The guided half minute: what the user is asked to do, and how samples show that it was done.
 
 A state machine without a clock: samples and the time go in, and what is asked comes out. The
 sensors may be faulty, so each step is seen by whichever of them answers: no unit, sign or axis of
@@ -28,7 +28,7 @@ class GuideStep(str, Enum):
 
 ASKED = {
     GuideStep.STAND: "stand still",
-    GuideStep.TURN: "turn left a quarter at least, at best once round, and stop",
+    GuideStep.TURN: "turn left, a full circle or at least a quarter, and stop",
     GuideStep.LIFT: "lift the nose by 20°, or drive over a kerb, and stop",
 }
 """In words."""

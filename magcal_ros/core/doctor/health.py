@@ -101,8 +101,8 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
         return looked_at("slow", f"{name}: stamps", evidence, slow)
     if name != "IMU" and usual > SWAY:
         slow = (
-            f"it comes at {1.0 / usual:.2g} Hz: where a gyro is to follow a turn or a drive, "
-            "publish or record the field at 10 Hz or more, or let the driver average its readings"
+            f"the field comes at {1.0 / usual:.2g} Hz: for a turn or a drive with a gyro, publish "
+            "or record it at 10 Hz or more, or let the driver average its readings"
         )
         return looked_at("slow", f"{name}: stamps", evidence, slow)
     if words := bursts_in_words(time):
@@ -111,8 +111,8 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
         evidence = f"{rate:.1f} Hz in bursts, gaps of at most {gaps.max():.2f} s"
         return wrong("bursts", f"{name}: stamps", evidence, words)
     remedy = (
-        "the stamps jitter: stamp each sample in the driver when it is measured, at best by the "
-        "sensor's own clock"
+        "the stamps jitter: stamp each sample in the driver when it is measured, if possible by "
+        "the sensor's own clock"
     )
     return looked_at("stamps", f"{name}: stamps", evidence, remedy * (jitter > TUNING.jitter))
 
@@ -162,7 +162,10 @@ def field_findings(field: FloatArray) -> list[Finding]:
     )
     full = [axis for axis in range(3) if saturated(field, axis).any()]
     largest = float(np.abs(field).max()) * 1e6
-    words = f"{_axes(full)} stops at one value: choose a wider range, or move it away from magnets"
+    words = (
+        f"{_axes(full)} reached the end of the range: choose a wider range, or move the sensor "
+        "away from magnets"
+    )
     line, evidence = wrong if full else looked_at, f"at most {largest:.3g} µT on an axis"
     found.append(line("saturation", "field: range", evidence, words * bool(full)))
     found.append(alive_finding("field", field))
@@ -192,7 +195,7 @@ def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None
     words = f"the {name}'s {_axes(still)} {verb}: the driver does not read {them}"
     up = -1 if force is None else int(np.argmax(np.abs(force.mean(axis=0))))
     if up in still and len(still) == 2:
-        words += f", and gives the turn about {'xyz'[up]} as {'xyz'[3 - sum(still)]}"
+        words += f", and publishes the turn about {'xyz'[up]} as {'xyz'[3 - sum(still)]}"
     return wrong("frozen", f"{name}: axes alive", evidence, words)
 
 
@@ -297,7 +300,7 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
     if log.has_gyro:
         rate = factor * float(white_noise(log.rate).max())
         force = float(white_noise(log.force).max())
-        words = "the gyro is noisy: look at its range, its low-pass filter and how it is mounted"
+        words = "the gyro is noisy: check its range, its low-pass filter and its mounting"
         evidence = f"gyro {math.degrees(rate):.2f} °/s, accelerometer {force:.3f} m/s² per sample"
         found.append(
             looked_at("imu_noise", "IMU: noise", evidence, words * (rate > TUNING.rate_noise))

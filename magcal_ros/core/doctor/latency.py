@@ -1,4 +1,4 @@
-"""How late field and accelerometer are, the motors' field, and turns on the spot, by every sample.
+"""Latency of field and accelerometer, the field of the motors, and turns on the spot.
 
 A vector that stands still in the world shows when a sensor measured it by how far it has turned.
 What moves it beside that is fitted with the latency: the sensor's own installation, scale and

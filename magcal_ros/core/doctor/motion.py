@@ -1,4 +1,4 @@
-"""What the sensors show of one another while the robot moves."""
+"""Compare accelerometer, gyro and field while the robot moves."""
 
 from __future__ import annotations
 
@@ -32,23 +32,22 @@ FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive ov
 """The movement that shows everything."""
 
 FULL_TURN = "stand still, then turn a full circle"
-FASTER = "it needs faster samples of the IMU"
+FASTER = "publish or record the IMU at a higher rate"
 NO_BURSTS = "the stamps must not come in bursts"
 STARTS = "start and stop while you turn, at 20 °/s or more"
 LEANS = "lift the nose by 20° within a second or two"
 NO_GYRO = (
-    "without a gyro nothing tells turned, swapped or mirrored axes of the magnetometer: check them "
-    "by the data sheet, or drive straight where speed or a course is there"
+    "without a gyro, turned, swapped or mirrored axes of the magnetometer cannot be recognised: "
+    "check them by the data sheet, or drive straight with a speed or a course"
 )
 
 TURN_BETWEEN_RESTS = (
-    "if motors turn it, their current makes a field of its own. A calibration from a turn that "
-    "begins and ends at rest knows it, and the node takes it off while the robot moves"
+    "if motors turn the robot, their current adds a field. Calibrate by a turn that begins and "
+    "ends at rest: it measures this field, and the node subtracts it while the robot moves"
 )
 MOVE_THE_SENSOR = (
-    "if motors turn it, their current makes a field of its own, too large to be taken off "
-    "well. Moving the sensor is the better cure: away from motors, drivers and battery "
-    "wires, and each pair of wires twisted"
+    "if motors turn the robot, their current adds a field, too large to be subtracted well. Move "
+    "the sensor away from motors, motor drivers and battery wires, and twist each pair of wires"
 )
 """What to do where the field changes as the robot sets off."""
 
@@ -77,11 +76,11 @@ class MotionFound:
 
     findings: tuple[Finding, ...]  # the lines
     axes: AxesFound | None = None
-    """Of the magnetometer, where it is the one that errs; None where nothing was shown."""
+    """Of the magnetometer, where its axes are the wrong ones; None where nothing was shown."""
     way: Way | None = None  # that is taken; None where none explains the movement
     factor: float = 1.0  # what makes rad/s of the gyro's numbers
     up_is_down: bool | None = False
-    """Whether gravity's sign is what errs; None where that is not decided."""
+    """Whether gravity's sign is wrong; None where that is not decided."""
     body: SensorLog | None = None
     """The log in rad/s and in body axes; None where nothing was compared."""
 
@@ -212,10 +211,9 @@ def _scale(way: Way, factor: float, restamped: bool) -> Finding:
     evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
     # Motors and iron that move the field during one turn look like it.
     remedy = (
-        "look once more: stand still, turn a full circle on the spot, away from iron, stand still; "
-        "if the field again turns so much "
-        f"{'more' if scale > 0.0 else 'less'} than the gyro says, multiply the gyro's rates by "
-        f"{factor * (1.0 + scale):.4g} in the driver"
+        "check again: stand still, turn a full circle on the spot, away from iron, and stand "
+        f"still. If the field again turns by so much {'more' if scale > 0.0 else 'less'} than the "
+        f"gyro shows, multiply the gyro's rates by {factor * (1.0 + scale):.4g} in the driver"
     )
     return looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)
 
@@ -238,19 +236,22 @@ def _latencies(log: SensorLog, way: Way) -> list[Finding]:
     force, force_lag = _shown(force_latency(log, way), TUNING.vague[3])
     if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < TUNING.lag:
         of_field = of_force = (
-            f"field and accelerometer agree that the gyro is {field_lag * 1e3:.0f} ms ahead: stamp "
-            "it when it measures, and give it the accelerometer's low-pass filter"
+            f"the gyro is {field_lag * 1e3:.0f} ms ahead of both field and accelerometer: stamp it "
+            "when it measures, and give it the accelerometer's low-pass filter"
         )
     else:
-        change = ("take {} off", "add it to") if field_lag > 0.0 else ("add {} to", "take it off")
+        change = (
+            ("subtract {} from", "add it to")
+            if field_lag > 0.0
+            else ("add {} to", "subtract it from")
+        )
         of_field = (
-            "stamp both sensors when they measure: "
-            f"{change[0].format(f'{abs(field_lag):.3f} s')} the field's stamps in its driver, or "
-            f"{change[1]} the IMU's"
+            "stamp both sensors when they measure, or correct the stamps in the driver: "
+            f"{change[0].format(f'{abs(field_lag):.3f} s')} the field's, or {change[1]} the IMU's"
         )
         of_force = (
             f"acceleration and rate of one message are {abs(force_lag) * 1e3:.0f} ms apart: give "
-            "both the same low-pass filter, and publish what was measured together"
+            "both the same low-pass filter, and put values of the same moment into one message"
         )
     return [
         _latency("latency", "field: latency", field, STARTS, of_field * bool(field_lag)),

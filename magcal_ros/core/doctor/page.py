@@ -1,4 +1,4 @@
-"""The page: everything that is wrong with the sensors, graded, with what corrects it.
+"""The page of the doctor: every fault of the sensors, graded, with its remedy.
 
 And the refusal of a turn where the sensors are behind it, in the words of the page.
 """
@@ -143,15 +143,15 @@ TUNING = PlaceTuning()
 MOTORS, AGAINST_REFERENCE = "field: motors", "field: strength, inclination"
 BETWEEN_RESTS = "stand still, turn, and stand still again"
 ON_THE_SPOT = (
-    "it drove while it turned, and each place has a field of its own; stand still, turn on the "
-    "spot, and stand still again"
+    "the robot drove while it turned, and the field differs from place to place; stand still, "
+    "turn on the spot, and stand still again"
 )
-MOTORS_OFF = "by hand, motors off (their field hides it)"
+MOTORS_OFF = "by hand with the motors off (their field hides it)"
 HIDDEN, BY_HAND = f"turn once {MOTORS_OFF}", f"{LIFT} {MOTORS_OFF}"
 """What shows the rest where the motors change the field, in place of `FULL_TURN` and `LIFT`."""
 OR_LATE = (
-    ". A late field looks like this, too: to tell them apart, start and stop several times while "
-    "you turn"
+    ". Late stamps of the field look the same: to tell them apart, start and stop several times "
+    "while you turn"
 )
 
 
@@ -186,8 +186,8 @@ def reference_finding(way: Way, knowledge: Knowledge, up_is_down: bool | None) -
                 return looked_at("inclination_sign", AGAINST_REFERENCE, evidence, FIELD_POINTS_UP)
             wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
     remedy = (
-        f"the reference says {' and '.join(wrong)}: turn farther away from iron and walls; if it "
-        "is so everywhere, the magnetometer's scale or its unit is off"
+        f"the reference field has {' and '.join(wrong)}: turn farther away from iron and walls. If "
+        "the difference is the same everywhere, the magnetometer's scale or unit is wrong"
     )
     return looked_at("reference", AGAINST_REFERENCE, evidence, remedy * bool(wrong))
 
@@ -238,8 +238,8 @@ def motors_finding(log: SensorLog, way: Way, lag_is_shown: bool) -> Finding:
     turned = math.atan2(strength, level)
     words = ", ".join(f"{value * 1e6:+.1f}" for value in field)
     evidence = (
-        f"({words}) ± {off * 1e6:.1f} µT while it turns: up to {math.degrees(turned):.0f}° of "
-        "heading"
+        f"({words}) ± {off * 1e6:.1f} µT while the robot turns: up to {math.degrees(turned):.0f}° "
+        "of heading"
     )
     remedy = MOVE_THE_SENSOR if turned > TUNING.turned_too_far else TURN_BETWEEN_RESTS
     remedy += "" if lag_is_shown else OR_LATE
@@ -266,7 +266,7 @@ def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
     """
     for found in field_findings(window.field) if len(window) >= 3 else ():
         if found.is_wrong and found.key == "saturation":
-            words = f"the magnetometer saturates ({found.evidence}): {found.remedy}"
+            words = f"the magnetometer saturates ({found.evidence}); {found.remedy}"
             return Refusal(Reason.NO_SOLUTION, words)
         if found.key == "frozen" and stuck_axes(window.field):
             words = f"{found.remedy}, or its range ends below the field"
@@ -300,7 +300,7 @@ def wrong_stamps(window: Window) -> Refusal | None:
     bursts = "" if window.angular_rate is None else bursts_in_words(window.time)
     if not bursts:
         return None
-    return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not tell one turn: {bursts}")
+    return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not match: {bursts}")
 
 
 def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:

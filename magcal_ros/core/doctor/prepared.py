@@ -1,4 +1,4 @@
-"""A log made fit for comparing its sensors."""
+"""Prepare a log for the comparison of its sensors."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
             span = float(time[first - 1]), float(time[end - 1])
             if span[1] - span[0] > TUNING.frozen and _moves(log, name, span):
                 words = f"one value for {span[1] - span[0]:.1f} s while the robot moved"
-                remedy = f"the {name} is frozen: look at its wiring, and at its driver's errors"
+                remedy = f"the {name} is frozen: check its wiring, and its driver's error messages"
                 found.append(health.wrong("frozen", f"{name}: alive", words, remedy))
                 stuck.append(span)
                 break
@@ -145,8 +145,8 @@ def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
 
 
 ONE_CLOCK = (
-    "the stamps of IMU and field come from two clocks: stamp both with the time at which they were "
-    "measured by the ROS clock, and synchronise the clocks of all computers and boards"
+    "the stamps of IMU and field come from two clocks: stamp both by the ROS clock when they are "
+    "measured, and synchronise the clocks of all computers and boards"
 )
 
 

@@ -1,4 +1,4 @@
-"""Habits of drivers that are known: how they show in a log, and what corrects them."""
+"""Known faults of drivers: how they show in a log, and what corrects them."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ AK09916_IN_ICM20948 = np.diag([1.0, -1.0, -1.0])
 """Rows: the magnetometer's axes in those of the same chip's accelerometer."""
 
 NO_NORTH = (
-    "take no absolute yaw from this orientation: take compass/mag/enu/imu, or let the sensor "
-    "publish its rotation vector, which uses the magnetometer"
+    "do not use the yaw of this orientation as a heading: use compass/mag/enu/imu, or let the "
+    "sensor publish its rotation vector, which uses the magnetometer"
 )
 
 INVERTED = -np.eye(3)  # as a field that points up looks where the inclination is known
 
 FIELD_POINTS_UP = (
-    "the field points up where the reference says down, or down where it says up. A simulator may "
-    "publish its world's field in north-east-down (NED) axes: in Gazebo, give the magnetometer's "
-    "plugin <use_earth_frame_ned>false</use_earth_frame_ned>. On a robot, check the sign of "
+    "the field's inclination has the opposite sign to the reference's. A simulator may publish "
+    "its world's field in north-east-down (NED) axes: in Gazebo, give the magnetometer's plugin "
+    "<use_earth_frame_ned>false</use_earth_frame_ned>. On a robot, check the sign of "
     "reference.inclination_deg"
 )
 
 
 @dataclass(frozen=True)
 class Quirk:
-    """A habit of a driver."""
+    """A known fault of a driver."""
 
     driver: str  # which drivers have it
     habit: str  # what it publishes
@@ -85,13 +85,13 @@ QUIRKS: tuple[Quirk, ...] = (
     ),
     Quirk(
         "Phidgets Spatial",
-        "publishes NaN or 1e296 in every second message, between two of its magnetometer",
-        "lower the driver's data rate to the magnetometer's; until then those are left out",
+        "publishes NaN or 1e296 in every second message, between two readings of its magnetometer",
+        ("lower the driver's data rate to the magnetometer's; until then these are left out"),
         shows=_every_other_is_void,
     ),
     Quirk(
         "SBG Systems",
-        "stamps the field 4294.97 s ahead of the IMU: its clock of microseconds has wrapped",
+        "stamps the field 4294.97 s ahead of the IMU: its 32-bit clock of microseconds has wrapped",
         "let the driver stamp with the ROS time (time_reference: ros), or restart the sensor",
         shows=_leads_by(WRAP, 1.0),
     ),
@@ -104,13 +104,13 @@ QUIRKS: tuple[Quirk, ...] = (
     Quirk(
         "MPU-9250",
         "publishes the magnetometer's own axes, which are the accelerometer's y, x, -z",
-        "give the mount_rpy_deg that is named, or turn the axes in the driver",
+        "set the mount_rpy_deg that the page names, or turn the axes in the driver",
         shows=_sits_as(AK8963_IN_MPU9250),
     ),
     Quirk(
         "ICM-20948 or a driver in forward-right-down axes",
         "publishes the magnetometer's own axes, which are the accelerometer's x, -y, -z",
-        "give the mount_rpy_deg that is named, or turn the axes in the driver",
+        "set the mount_rpy_deg that the page names, or turn the axes in the driver",
         shows=_sits_as(AK09916_IN_ICM20948),
     ),
     Quirk(
@@ -121,7 +121,7 @@ QUIRKS: tuple[Quirk, ...] = (
     ),
     Quirk(
         "BNO08x",
-        "publishes the game rotation vector as orientation: a yaw that knows no north",
+        "publishes the game rotation vector as orientation: its yaw does not refer to north",
         NO_NORTH,
         "orientation",
     ),
@@ -196,7 +196,10 @@ def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
     words = f"its yaw is {sizes} off the magnetic yaw (ENU)"
     if max(least - off, off - most) < 3.0 * math.hypot(sigma, YAW.own):
         return [looked_at("orientation", "IMU: orientation", words)]
-    words += ": counted from north instead of east, or as BNO08x publishes its game rotation vector"
+    words += (
+        ": it counts from north instead of east, or it does not refer to north (game rotation "
+        "vector of a BNO08x)"
+    )
     return [looked_at("orientation", "IMU: orientation", words, NO_NORTH)]
 
 

@@ -349,14 +349,15 @@ def fault_words(topic: str, fault: SpeedFault, fitted: MountingYaw) -> str:
         times = 1.0 / max(fitted.scale, 1e-6)
         unit = next((name for k, name in UNITS.items() if abs(times / k - 1.0) < 0.12), "")
         guess = f", as if it were in {unit}" if unit else ""
-        what = f"is {times:.2g} times what the accelerometer says{guess}: publish m/s"
+        what = f"is {times:.2g} times that by the accelerometer{guess}: publish m/s"
     else:
         what = {
-            SpeedFault.JUMPS: "jumps as no vehicle can: look at the encoder or its driver",
-            SpeedFault.FROZEN: "does not change while the accelerometer says that the vehicle "
-            "moves: is its driver stuck?",
+            SpeedFault.JUMPS: "jumps more than a vehicle can: check the encoder and its driver",
+            SpeedFault.FROZEN: "does not change during movement: check its driver",
             SpeedFault.LATE: f"is late by {fitted.delay:.1f} s: stamp it when it is measured",
-            SpeedFault.UNRELATED: "does not go with the accelerometer: is it this vehicle's, and "
-            "stamped by the same clock?",
+            SpeedFault.UNRELATED: (
+                "does not match the accelerometer: check that it is this vehicle's, and stamped "
+                "by the same clock"
+            ),
         }[fault]
     return f"{topic}: its speed {what}. It is not used"

@@ -329,7 +329,8 @@ def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
     if is_same or strength.is_exact or dip.is_exact:
         return ""
     return (
-        f"the calibration was made in a field of {calibration.strength * 1e6:.1f} µT, dip "
-        f"{math.degrees(calibration.inclination):.1f}°, and here it is {strength.value * 1e6:.1f} "
-        f"µT, dip {math.degrees(dip.value):.1f}°: made elsewhere? Calibrate again here"
+        f"the calibration was made in a field of {calibration.strength * 1e6:.1f} µT, inclination "
+        f"{math.degrees(calibration.inclination):.1f}°, but here it is {strength.value * 1e6:.1f} "
+        f"µT, inclination {math.degrees(dip.value):.1f}°: if it was made elsewhere, calibrate "
+        "again here"
     )

@@ -218,7 +218,7 @@ def model_field(place: Place, year: float) -> ModelField:
     late = max(year - (base + VALIDITY.life), 0.0)
     if not base or not late <= VALIDITY.most_years_late:
         raise NoModel(
-            f"no World Magnetic Model is at hand for the year {year:.1f}: set the clock, or bring "
+            f"there is no World Magnetic Model for the year {year:.1f}: set the clock, or bring "
             "magcal_ros up to date"
         )
     angles = math.radians(place.latitude_deg), math.radians(place.longitude_deg)

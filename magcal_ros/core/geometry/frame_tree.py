@@ -79,7 +79,7 @@ class FrameTree:
             frame = joint.parent
             if frame in seen:
                 raise FrameTrouble(
-                    f"the robot's description goes in a circle through the frame {frame!r}"
+                    f"the robot's description has a loop of joints through the frame {frame!r}"
                 )
             seen.add(frame)
         return joints
@@ -141,8 +141,8 @@ class SensorPoses:
             return ""
         return (
             f"by the robot's description {frames.base!r} leans by {math.degrees(lean):.0f}° from "
-            f"the upright: gravity shows {frames.imu!r} sitting otherwise; correct its joint, or "
-            "the axes in the driver"
+            f"the vertical, but gravity shows another pose of {frames.imu!r}: correct its joint, "
+            "or the axes in the driver"
         )
 
 

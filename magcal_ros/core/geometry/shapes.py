@@ -20,7 +20,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
 
 THINNEST = 1e-6  # width over length of points below which they are a line, or in space a plane
 LARGEST_RADIUS = 1e4  # radii beyond this many times the points' own size are a line or a plane, too
-FIELD_ON_A_LINE = "The samples lie on a line or on one point. Turn further round."
+FIELD_ON_A_LINE = "The samples lie on a line or on one point. Turn further."
 FLAT = (
     "The samples lie on a plane: no ellipsoid can be fitted to them. Tumble the sensor through "
     "all orientations, or use a method for turns about one axis."
@@ -29,7 +29,7 @@ OPEN = (
     "The samples fit an open surface (a hyperboloid or a cylinder) better than an ellipsoid. "
     "Tumble the sensor through all orientations, away from iron."
 )
-STRAIGHT = "The samples bend too little to show a circle. Turn further round."
+STRAIGHT = "The samples are too short an arc to determine a circle. Turn further."
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +318,7 @@ def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:
         words = "All samples are the same point. Turn while the samples are taken."
         raise Refusal(Reason.NO_MOTION, words)
     if spread[1] <= THINNEST * spread[2]:
-        words = "The samples lie on a line, which has no plane. Turn further round."
+        words = "The samples lie on a line, which has no plane. Turn further."
         raise Refusal(Reason.FIELD_ON_A_LINE, words)
 
 

@@ -54,7 +54,7 @@ class VehicleYaw:
         degrees, sigma = math.degrees(self.offset), math.degrees(self.sigma)
         side = "left" if degrees >= 0.0 else "right"
         return (
-            f"the IMU looks {abs(degrees):.1f}° ± {sigma:.1f}° to the {side} of the vehicle's "
+            f"the IMU's x points {abs(degrees):.1f}° ± {sigma:.1f}° to the {side} of the vehicle's "
             f"front, by {self.source}"
         )
 
@@ -130,9 +130,9 @@ def _suspicion(gap: float, sigma: float, declination: float) -> str:
             "(east is positive)"
         )
     return (
-        f"the compass is off the course by {size} although the IMU's own yaw is taken off: the "
-        "magnetometer is turned against the IMU by so much (mount_rpy_deg), or the declination "
-        "is wrong by it"
+        f"the compass is off the course by {size} although the IMU's own yaw is corrected: the "
+        "magnetometer is turned against the IMU by so much (mount_rpy_deg), or the declination is "
+        "wrong by it"
     )
 
 
@@ -214,7 +214,7 @@ def corrected_pose(
     gap = math.remainder(found.offset - yaw, math.tau)
     if abs(gap) > FRONT.far_off:
         return described, (
-            f"{found.words}, and the robot's description has it at {math.degrees(yaw):.0f}°: "
+            f"{found.words}, but in the robot's description the angle is {math.degrees(yaw):.0f}°: "
             "correct its joint, or give vehicle_yaw_deg; it is used as described"
         )
     return _turned(described, gap), ""
@@ -230,4 +230,7 @@ def _doubt(found: VehicleYaw | None, by_hand: float) -> str:
     gap = abs(math.remainder(found.offset - by_hand, math.tau))
     if gap < max(CLEAR * found.sigma, FRONT.smallest):
         return ""
-    return f"{found.words}, and vehicle_yaw_deg says {math.degrees(by_hand):.1f}°, which is used"
+    return (
+        f"{found.words}, but vehicle_yaw_deg is {math.degrees(by_hand):.1f}°, which is used: check "
+        "this parameter"
+    )

@@ -67,9 +67,9 @@ class Disturbance:
     def in_words(self) -> str:
         """One line for a person."""
         line = (
-            f"strength {100.0 * self.strength:+.0f}%, dip {math.degrees(self.dip):+.0f}° "
-            f"for {self.until - self.since:.0f} s from {self.since:.1f} s, "
-            f"looking to {math.degrees(self.yaw):.0f}°"
+            f"strength {100.0 * self.strength:+.0f}%, inclination {math.degrees(self.dip):+.0f}° "
+            f"for {self.until - self.since:.0f} s from {self.since:.1f} s, at yaw "
+            f"{math.degrees(self.yaw):.0f}°"
         )
         return f"{line}; accepted because it lasted" if self.is_accepted else line
 

@@ -290,7 +290,7 @@ class SeveralCompasses:
         if not self._is_new(member.arrived):
             return "it is silent"
         if not self._is_new(member.changed):
-            return "it says the same values again and again"
+            return "it repeats the same values"
         return "its stamps are far from the others', or its field shows no direction"
 
     def _note_disagreement(self, yaws: list[CompassYaw], seconds: float) -> None:
@@ -329,7 +329,7 @@ class SeveralCompasses:
             member, why = self._members[each.number], ""
             if each not in kept or (member.is_doubted and member.doubt.is_turned):
                 off = math.degrees(wrapped(each.ahead - first))
-                why = f"its yaw is {off:+.0f}° from what the others and the gyro say"
+                why = f"its yaw differs by {off:+.0f}° from the others and the gyro"
             elif member.is_doubted:
                 why = "its field is not the calibrated one"
             member.share = Share(weights.get(each.number, 0.0), why)

@@ -174,7 +174,7 @@ def is_same(one: Calibration | None, other: Calibration | None) -> bool:
 
 @dataclass(frozen=True)
 class Proof:
-    """What the road after a fit says of a new calibration against an old one."""
+    """How well a new and an old calibration explain the road driven after the fit."""
 
     seconds: float = 0.0  # of road
     likelihood: float = 0.0  # fall of minus log likelihood on all of the road, independent units
@@ -195,8 +195,8 @@ class Proof:
         if not (is_clear and is_elsewhere and is_unopposed):
             return ""
         return (
-            f"it explains {self.seconds:.0f} s of road driven since better, by"
-            f" {self.likelihood:.0f} units of log likelihood and in both halves"
+            f"it explains {self.seconds:.0f} s of road driven since then better: by "
+            f"{self.likelihood:.0f} units of log likelihood, and in both halves"
         )
 
 

@@ -62,7 +62,7 @@ class SelfCalibration:
         if self.mode is Mode.OFF:
             return "off"
         if self.proposal is not None:
-            return "a calibration is proposed: call accept to put it in force"
+            return "a calibration is proposed: call ~/accept to put it in force"
         if self._on_probation:
             each = self._on_probation.values()
             worded = " and ".join(probation.candidate.in_words for probation in each)
@@ -194,8 +194,8 @@ class SelfCalibration:
             self._first = candidate
             if apart <= allowed:
                 words = (
-                    f"{candidate.in_words}, differs from the one before by only"
-                    f" {math.degrees(apart):.1f}°, and nothing was in force"
+                    f"{candidate.in_words}: it differs from the one before by only "
+                    f"{math.degrees(apart):.1f}°, and nothing was in force"
                 )
                 return [self._change(clock, candidate.calibration, words)]
         return []
@@ -208,11 +208,11 @@ class SelfCalibration:
         why = proof.stands()
         if why:
             self._trial, self._not_before = None, trial.since
-            words = f"the calibration before was better after all: {why} under it"
+            words = f"the earlier calibration was better after all: {why}"
             return [self._change(findings.clock, trial.calibration, words, Verb.ROLLED_BACK)]
         if proof.seconds > KEEPING.longest_trial:
             self._trial = None
-            words = f"{proof.seconds:.0f} s of road speak for nothing that was in force before"
+            words = f"{proof.seconds:.0f} s of road show that no earlier calibration was better"
             return [Decision(findings.clock, Verb.CONFIRMED, words)]
         return []
 
@@ -245,7 +245,7 @@ class SelfCalibration:
         for each in found:
             if each is not None and self._is_believable(each) and is_finer(each, in_force):
                 known = math.degrees(known_sigma(in_force))
-                words = f"{each.in_words}, where ±{known:.1f}° were known"
+                words = f"{each.in_words}, compared with ±{known:.1f}° before"
                 self._on_probation.clear()
                 return [Decision(findings.clock, Verb.REFINED, words, each.calibration)]
         return []
@@ -265,7 +265,10 @@ class SelfCalibration:
         if known_sigma(in_force) > KEEPING.largest_sigma and is_finer(best, in_force):
             # On the road since, both are about as likely: their sigmas are the proof.
             known = math.degrees(known_sigma(in_force))
-            words = f"{best.in_words}, agrees with what was known to ±{known:.1f}°"
+            words = (
+                f"{best.in_words}: it agrees with the calibration in force, which was known to "
+                f"±{known:.1f}°"
+            )
             return [self._change(findings.clock, best.calibration, words)]
         if Kind.ALL in self._on_probation:
             return []

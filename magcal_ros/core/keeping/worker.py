@@ -118,7 +118,7 @@ def candidate_of(
         covariance[9:, 9:] = posterior.covariance[9:, 9:]
     words = (
         f"Calibrated from {fitted.seconds:.0f} s of ordinary driving, {fitted.sectors} of 12"
-        f" headings: heading ±{math.degrees(sigma):.1f}° on the level (1σ) by the calibration"
+        f" headings: heading ±{math.degrees(sigma):.1f}° on level ground (1σ) by the calibration"
     )
     figures = {
         Figure.HEADINGS_DRIVEN.value: float(fitted.sectors),

@@ -41,7 +41,7 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
         raise Refusal(
             Reason.GRAVITY_ABSENT,
             "The accelerometer shows no gravity. It must publish specific force in m/s², +9.81 "
-            "upwards at rest, with gravity not taken off.",
+            "upwards at rest: gravity must not be removed.",
         )
     if usual_size(window.field) < STREAMS.smallest:
         raise Refusal(
@@ -55,9 +55,9 @@ def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
         return None
     return Refusal(
         Reason.TOO_SLOW,
-        f"The samples of field and IMU come at {1.0 / window.imu_gap:.2g} Hz, and what the gyro "
-        "measures does not say how the robot turned and swayed between them. Publish or record "
-        "both at 10 Hz or more, or let the driver average its readings and turn more slowly.",
+        f"The samples of field and IMU come at {1.0 / window.imu_gap:.2g} Hz, too slowly to follow "
+        "how the robot turned and swayed between them. Publish or record both at 10 Hz or more, or "
+        "let the driver average its readings and turn more slowly.",
     )
 
 
@@ -122,12 +122,12 @@ def _check_motion(window: Window) -> None:
     if turned > SCREENING.least_arc:
         raise Refusal(
             Reason.FIELD_TOO_STEEP,
-            f"the gyro shows {math.degrees(turned):.0f} degrees of turn in which the field did not "
+            f"the gyro shows a turn of {math.degrees(turned):.0f} degrees, but the field did not "
             "change: it is too steep for a compass here, or the magnetometer does not measure it",
         )
     raise Refusal(
         Reason.NO_MOTION,
-        "the field did not change, so the robot did not turn; turn it once about its upright axis",
+        "the field did not change, so the robot did not turn; turn it once about its vertical axis",
     )
 
 
@@ -210,13 +210,13 @@ def check_radius(across: float, inclination: float, tilt: float = math.inf) -> N
     if 2.0 * SCREENING.smallest_radius < math.sin(steep) and tilt > 0.5 * steep:
         raise Refusal(
             Reason.AXIS_ALONG_FIELD,
-            "the robot turned about an axis along the field, which shows nothing of the heading;"
-            " turn about an upright axis",
+            "the robot turned about an axis along the field, so the samples do not depend on the "
+            "heading; turn about a vertical axis",
         )
     raise Refusal(
         Reason.CIRCLE_TOO_SMALL,
-        f"the field drew a circle of only {across:.0%} of its strength; turn about an axis further"
-        " away from the field, or check the field's strength and unit (tesla)",
+        f"the radius of the field's circle is only {across:.0%} of its strength; turn about an "
+        "axis at a larger angle to the field, or check the field's strength and unit (tesla)",
     )
 
 
@@ -230,7 +230,7 @@ def check_arc(arc: float, *, solved_by_knowledge: bool, tolerance: float = 0.0) 
     if arc >= least - tolerance:
         return
     remedy = (
-        "turn further, at best a full circle"
+        "turn further, if possible a full circle"
         if arc < SCREENING.least_arc
         else "turn further, or give the field's strength and inclination, or use a gyro"
     )
@@ -245,6 +245,6 @@ def _too_steep(inclination: float) -> Refusal:
     steep = math.degrees(math.asin(math.sin(inclination)))
     return Refusal(
         Reason.FIELD_TOO_STEEP,
-        f"at an inclination of {steep:.0f} degrees too little of the field is"
-        " level for a compass; use another source of heading here",
+        f"at an inclination of {steep:.0f} degrees the horizontal field is too weak for a "
+        "compass; use another source of heading here",
     )

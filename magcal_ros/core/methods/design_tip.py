@@ -143,8 +143,8 @@ def _choose(
         if is_same_size and apart > SCREENING.widest_rival:
             raise Refusal(
                 Reason.AMBIGUOUS,
-                "Two installations of the magnetometer of the same size explain this turn. Turn "
-                "about an axis nearer to the vertical, or give the nominal mounting.",
+                "Two equally large rotations of the magnetometer explain this turn. Turn about "
+                "an axis nearer to the vertical, or give the nominal mounting.",
             )
     return chosen, (others[0] if others else None), assumed[first]
 

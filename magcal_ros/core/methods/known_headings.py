@@ -41,17 +41,17 @@ TUNING = ContradictionTuning()
 
 QUARTER = 0.5 * math.pi
 READINGS: dict[str, tuple[float, float]] = {
-    "they count clockwise from north, as a compass bearing does: "
-    "yaw counts to the left from east (ENU), 90° minus the bearing": (-1.0, QUARTER),
+    "they count clockwise from north, as a compass bearing does: give the yaw to the left from "
+    "east (ENU), which is 90° minus the bearing": (-1.0, QUARTER),
     "their sign is wrong, or the antennas are mirrored: yaw counts to the left from east (ENU)": (
         -1.0,
         0.0,
     ),
     "they are half a turn off: front and back, or the two antennas, are exchanged": (1.0, math.pi),
     "they are a quarter turn too far to the right: yaw is zero to the east, not to the north, "
-    "and two antennas that sit across tell another yaw than the vehicle's": (1.0, QUARTER),
-    "they are a quarter turn too far to the left: two antennas that sit across tell another yaw "
-    "than the vehicle's": (1.0, -QUARTER),
+    "and two antennas mounted across the vehicle have another yaw than the vehicle": (1.0, QUARTER),
+    "they are a quarter turn too far to the left: two antennas mounted across the vehicle have "
+    "another yaw than the vehicle": (1.0, -QUARTER),
 }
 """What people and drivers mistake, and by which sign and shift (radians) the heading follows."""
 
@@ -122,7 +122,7 @@ def _refuse_contradiction(
     if best.cost < agreement.cost - TUNING.odds and best.chance > TUNING.chance:
         raise Refusal(
             Reason.HEADING_CONTRADICTED,
-            f"The known headings contradict the field: {words}. Read so, they agree with it.",
+            f"The known headings contradict the field: {words}. Corrected so, they agree.",
         )
     if agreement.chance < TUNING.chance:
         raise Refusal(
@@ -171,8 +171,8 @@ def _contradiction(
         if found[k].chance > TUNING.chance:
             return (
                 f"Known heading {k + 1} of {count} ({_as_told(standings[k], knowledge)}) "
-                "contradicts the others by the field: was it typed in wrong, or did iron stand "
-                "beside the robot there?"
+                "contradicts the others, by the field: check that it was typed correctly, and "
+                "that no iron stood beside the robot there."
             )
     return (
         f"The known headings contradict the field by {agreement.times:.1f} times what their "
@@ -192,8 +192,8 @@ def _by_gyro(standings: Sequence[Standing]) -> str:
     seen = wrapped(standings[k + 1].turned) * DEGREES
     return (
         f"Between known headings {k + 1} and {k + 2} the robot should have turned by {given:.0f}°, "
-        f"and the gyro saw {seen:.0f}° (to the left): check both headings, and the sign and unit "
-        "(rad/s) of the gyro."
+        f"but the gyro measured {seen:.0f}° (to the left): check both headings, and the sign and "
+        "unit (rad/s) of the gyro."
     )
 
 

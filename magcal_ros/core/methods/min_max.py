@@ -88,9 +88,10 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
         axis = "xyz"[int(half_range.argmin())]
         raise Refusal(
             Reason.PLANAR,
-            f"The {axis} axis saw only {half_range.min() / half_range.max():.0%} of the range of "
-            "another: its offset is not determined. Tumble the sensor until every axis has pointed "
-            "along the field and against it, or use a method for turns about one axis.",
+            f"The {axis} axis covered only {half_range.min() / half_range.max():.0%} of the range "
+            "of another axis: its offset cannot be determined. Tumble the sensor until every "
+            "axis has pointed along the field and against it, or use a method for turns about "
+            "one axis.",
         )
     figures = along("offset", offset) | along("half_range", half_range)
     return Shape(offset, np.diag(1.0 / half_range), float(half_range.mean()), figures)

@@ -65,7 +65,7 @@ def _blocks_covariance(
     if len(answers) <= len(pieces) // 2 or len(answers) < FEWEST_BLOCKS:
         raise Refusal(
             Reason.NO_SOLUTION,
-            "Without single pieces of the turn there is no answer. Turn further round, or again.",
+            "Without some parts of the turn there is no solution. Turn further, or once more.",
         )
     deviations = np.array(answers) - np.mean(answers, axis=0)
     # A piece without an answer counts as an average one.

@@ -78,7 +78,7 @@ def fit_drive(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     if window.angular_rate is None:
         raise Refusal(
             Reason.NO_SOLUTION,
-            "a drive without a turn needs a gyro; turn the robot once instead, or connect one",
+            "a drive without a turn needs a gyro; turn the robot once instead, or connect a gyro",
         )
     return fit_log(log_of(window), knowledge, window)
 
@@ -136,15 +136,14 @@ def _check_drive(found: Smoothed, estimate: Estimate, all_axes: bool) -> None:
     if street > LARGEST_STREET:
         raise Refusal(
             Reason.AXES_DISAGREE,
-            f"along the drive the field deviates by {street:.0f} µT from where gyro and gravity"
-            " turn it; check that the axes of both sensors belong together, and drive away from"
-            " iron",
+            f"along the drive the field deviates by {street:.0f} µT from what gyro and gravity "
+            "predict; check that the axes of both sensors match, and drive away from iron",
         )
     sectors = estimate.figures[Figure.HEADINGS_DRIVEN]
     if sectors < FEWEST_SECTORS:
         raise Refusal(
             Reason.ARC_TOO_SHORT,
-            f"the drive went to {sectors:.0f} of 12 headings only; drive for longer, round a block",
+            f"the drive covered only {sectors:.0f} of 12 headings; drive longer, round a block",
         )
 
 

@@ -157,7 +157,7 @@ def _refuse_unreliable(plane: Plane, radius: float, raw: FloatArray) -> None:
     if is_uncertain and middle < 2.0 * smallest < largest:
         raise Refusal(
             Reason.FIELD_ON_A_LINE,
-            "The field's samples lie on a line within their noise. Turn further round.",
+            "The field's samples lie on a line within their noise. Turn further.",
         )
     if is_uncertain or plane.thickness > TUNING.largest_thickness * radius:
         raise Refusal(

@@ -220,7 +220,7 @@ def finish(
         inliers=inliers,
         residual=residual,
         figures=_figures(shape, extent, mounting, knowledge),
-        message="closed form; the magnetometer's axes were taken for the IMU's",
+        message="closed form; the magnetometer's axes were assumed to be the IMU's",
     )
 
 

@@ -224,7 +224,7 @@ def check_beside_chance(
     """
     excess = math.sqrt(max(figure**2 - chance**2, 0.0))
     seen = chance * bound.scale
-    note = f", of which chance may be {shown(seen)}{bound.unit}" if seen > 0.5 * bound.good else ""
+    note = f", of which {shown(seen)}{bound.unit} may be chance" if seen > 0.5 * bound.good else ""
     if note and chance >= figure:
         note = ", no more than chance explains"
     check = bound.check(figure, excess=excess, note=note, before=before)

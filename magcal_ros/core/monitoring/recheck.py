@@ -55,12 +55,14 @@ SENTENCES = {
 
 NO_GYRO = "whether the compass turns as the robot does: there is no gyro"
 LOST_GYRO = (
-    "whether the compass turns as the robot does: the gyro is followed for "
-    f"{STREAMS.longest_field_gap:g} s at most between field samples, and these are further apart"
+    "whether the compass turns as the robot does: the field samples are more than "
+    f"{STREAMS.longest_field_gap:g} s apart, too far to follow the gyro between them"
 )
 NO_YAW = "an error of the yaw that is the same at every heading"
 MOVED = "the hard iron has changed, or the field is distorted here"
-OTHER_ROBOT = f"{GYRO_BOUND.remedy}; does the calibration belong to this robot and this sensor?"
+OTHER_ROBOT = (
+    f"{GYRO_BOUND.remedy}; check that the calibration was made for this robot and this sensor"
+)
 ELSEWHERE = "another place, or the hard iron along the turn's axis has changed"
 
 RECHECK_BOUNDS: tuple[Bound, ...] = (
@@ -284,7 +286,7 @@ def _on_fresh_samples(
         noise_up=calibration.noise_up,
         inliers=np.ones(len(window), dtype=np.bool_),
         residual=np.asarray(np.linalg.solve(correction.matrix, misfit.T).T, dtype=np.float64),
-        message="checked on other samples than it was made from",
+        message="checked with other samples than those it was made from",
         swing=swing,
     )
 

@@ -1,4 +1,4 @@
-"""A calibration against course, or against an autopilot's own yaw, on a recorded drive."""
+"""Compare a calibration with the course, or with an autopilot's yaw, on a recorded drive."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class RecordedCourse:
         """What was found, in one sentence."""
         found = self.offset
         return (
-            f"compass less course {math.degrees(found.offset):+.1f}° ±"
-            f"{math.degrees(found.sigma):.1f}° over {found.metres:.0f} m of straight driving,"
-            f" {found.sectors} of 8 courses; {_north(found.offset, self.declination)}"
+            f"compass minus course {math.degrees(found.offset):+.1f}° "
+            f"±{math.degrees(found.sigma):.1f}° over {found.metres:.0f} m of straight driving, "
+            f"{found.sectors} of 8 courses; {_north(found.offset, self.declination)}"
         )
 
     def facts(self) -> dict[str, Any]:
@@ -105,8 +105,8 @@ def _north(offset: float, declination: float | None) -> str:
         return "this includes the declination, which is not known: give the place"
     rest = math.degrees(math.remainder(offset - declination, math.tau))
     return (
-        f"{math.degrees(declination):+.1f}° of it is declination, {rest:+.1f}° how the IMU sits in "
-        "the vehicle or an error"
+        f"{math.degrees(declination):+.1f}° of it is declination, {rest:+.1f}° is the mounting of "
+        "the IMU in the vehicle, or an error"
     )
 
 
@@ -134,22 +134,22 @@ def against_own_yaw(
     if declination is not None:
         north = "declination subtracted"
     return (
-        f"compass less the autopilot's own yaw {math.degrees(wrapped(offset)):+.1f}°, scattered by "
-        f"{math.degrees(scatter):.1f}° (1σ) over {len(gaps)} samples, {north}: its yaw rests on "
-        "its own compass and calibration, so this is no proof"
+        f"compass minus the autopilot's own yaw {math.degrees(wrapped(offset)):+.1f}°, scattered "
+        f"by {math.degrees(scatter):.1f}° (1σ) over {len(gaps)} samples, {north}: its yaw depends "
+        "on its own compass and calibration, so this proves nothing"
     )
 
 
 SWING_ONCE = Bound(
     Figure.COURSE_SWING_ONCE,
     (None, 4.0, 8.0),
-    "made where the field was disturbed: heading swings once around by",
+    "made where the field was disturbed: the heading error swings once per turn by",
     "calibrate in the open, away from steel",
 )
 SWING_TWICE = Bound(
     Figure.COURSE_SWING_TWICE,
     (None, 4.0, 8.0),
-    "soft iron is missing: heading swings twice around by",
+    "soft iron is missing: the heading error swings twice per turn by",
     "calibrate with turns on slopes, or give soft_iron_gains",
 )
 

@@ -44,14 +44,14 @@ WATCH_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.HARD_IRON_CHANGE,
         (None, 3.5, 10.0),
-        "the level hard iron has changed, in the field's strength, by",
+        "the level hard iron has changed, relative to the field's strength, by",
         f"something magnetic was added to the robot, taken off or moved; {AGAIN}",
         unit="%",
     ),
     Bound(
         Figure.SOFT_IRON_CHANGE,
         (None, 4.0, 10.0),
-        "the field's strength swings twice a turn, as soft iron makes it, by",
+        "the field's strength swings twice per turn, as soft iron causes it, by",
         f"iron near the sensor or a gain of the sensor has changed; {AGAIN}",
         unit="%",
     ),
@@ -168,7 +168,7 @@ def what_lacks(records: FloatArray) -> str:
         return "the robot has not driven yet"
     gap = Coverage.of(records[:, 1]).gap
     if gap > CHANGE.widest_hole:
-        return f"not enough headings: {math.degrees(gap):.0f}° of heading were not driven"
+        return f"not enough headings ({math.degrees(gap):.0f}° of heading were not driven)"
     return "" if np.ptp(records[:, 0]) >= WATCH.shortest_span else "not enough driving yet"
 
 

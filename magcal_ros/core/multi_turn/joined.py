@@ -61,8 +61,8 @@ WORST_IS_LARGEST = (
 WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
 """Figures of the turns' own fits of which the worst is reported."""
 CONTRADICTS = (
-    "it contradicts {}: they are {:.0f} times as far apart as noise explains. Turn where the field "
-    "is undisturbed and the same, with the same load; if the robot itself has changed, start afresh"
+    "it contradicts {}: they differ by {:.0f} times what noise explains. Turn where the field is "
+    "undisturbed and the same, with the same load; if the robot itself has changed, start anew"
 )
 Z: FloatArray = np.array([0.0, 0.0, 1.0])
 SIDES = (
@@ -341,7 +341,7 @@ def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Adv
         turned = minimal_rotation(axis, body), minimal_rotation(world, up)
         return shown_by(information + imagined_information(fit, *turned), fit, mounting)
 
-    imagined = [Advice("on the level once more", after(Z, Z))]
+    imagined = [Advice("on level ground once more", after(Z, Z))]
     for slope, leaning, (roll, pitch) in SIDES:
         axis_there = rotation_from_rpy(roll, pitch).T @ Z
         imagined += [

@@ -89,7 +89,7 @@ class Shown:
         iron = 100.0 * max(self.soft_iron)
         return (
             f"installation yaw ±{_degrees(self.installation_yaw)}, "
-            f"absolute heading ±{_degrees(self.absolute_level)} on the level and "
+            f"absolute heading ±{_degrees(self.absolute_level)} on level ground and "
             f"±{_degrees(self.absolute_tilted)} at 10° of tilt, "
             f"inclination ±{_degrees(self.inclination)}, "
             f"axial hard iron ±{self.axial_hard_iron * 1e6:.2f} µT, "
@@ -118,7 +118,7 @@ class Shown:
         """Say what a turn brought, from what was shown before it."""
         said = self.changes(before)
         if not said:
-            return "the same tilt as before: it steadies the noise but shows nothing new"
+            return "the same tilt as before: this reduces noise, but shows nothing new"
         return "brought " + ", ".join(said)
 
     def changes(self, before: Shown) -> list[str]:

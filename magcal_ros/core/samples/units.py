@@ -31,8 +31,8 @@ the drivers that are known to publish it so."""
 def likely_field_unit(size: float) -> str:
     """Say in words which units a field of `size` "tesla" may have; empty if none fits."""
     fitting = [
-        f"looks like {name} published as tesla{f', as by {drivers}' if drivers else ''}; "
-        f"multiply by {factor} in the driver"
+        f"looks like {name} published as tesla{f' (as by {drivers})' if drivers else ''}; multiply "
+        f"by {factor} in the driver"
         for low, high, name, factor, drivers in FIELD_UNITS
         if low <= size < high
     ]
@@ -44,9 +44,9 @@ def slow_words(gap: float) -> str:
     if not gap > STREAMS.max_gap:
         return ""
     return (
-        f"it comes at {1.0 / gap:.2g} Hz by its stamps (seconds), and samples more than "
-        f"{STREAMS.max_gap:g} s apart are not joined: publish or record the IMU at 10 Hz or more, "
-        "at best at 50 Hz"
+        f"the IMU comes at {1.0 / gap:.2g} Hz by its stamps, too slowly: gaps of more than "
+        f"{STREAMS.max_gap:g} s are not bridged; publish or record it at 10 Hz or more, if "
+        "possible at 50 Hz"
     )
 
 
@@ -55,17 +55,17 @@ def slow_field_words(gap: float) -> str:
     if not gap > STREAMS.longest_field_gap:
         return ""
     return (
-        f"it comes at {1.0 / gap:.2g} Hz, and between field samples a gyro is followed for "
-        f"{STREAMS.longest_field_gap:g} s at most: a drive needs the field at "
-        f"{1.0 / STREAMS.longest_field_gap:.1g} Hz or more, at best at 10 Hz; `magcal fit` "
-        "calibrates from a slower recording"
+        f"the field comes at {1.0 / gap:.2g} Hz, too slowly: the gyro bridges at most "
+        f"{STREAMS.longest_field_gap:g} s; a drive needs the field at "
+        f"{1.0 / STREAMS.longest_field_gap:.1g} Hz or more, if possible at 10 Hz; `magcal fit` can "
+        "use a slower recording"
     )
 
 
 Z_NOT_UP = (
-    "z points down or sideways at rest, REP-103 wants z up; stand the robot upright or turn the "
-    "axes in the driver, and check that acceleration is not published as gravity (+9.81 upwards at "
-    "rest)"
+    "z points down or sideways at rest, but REP-103 requires z up; stand the robot upright or turn "
+    "the axes in the driver, and check that acceleration is not published as gravity (+9.81 "
+    "upwards at rest)"
 )
 
 ACCELERATION_UNITS: tuple[tuple[float, float, str, str], ...] = (
@@ -147,10 +147,12 @@ WORDS = {
     Drop.ZERO_STAMP: "stamps are zero: the driver must stamp its messages",
     Drop.BACKWARD_STAMP: "stamps go backward",
     Drop.UNPAIRED: "samples have no IMU samples within window.max_gap_s around their stamp",
-    Drop.UNREADABLE: "messages are damaged: their bytes are not what their type says",
+    Drop.UNREADABLE: "messages are damaged: their bytes do not match their type",
 }
 
-IMU_WORDS = WORDS | {Drop.TOO_LARGE: "samples are no acceleration in m/s² or no rate in rad/s"}
+IMU_WORDS = WORDS | {
+    Drop.TOO_LARGE: "samples are too large for an acceleration in m/s² or a rate in rad/s"
+}
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,7 @@ def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
     found = []
     if mag.drops[Drop.TOO_LARGE]:
         unit = likely_field_unit(streams.largest_field)
-        found.append(unit or f"a field of {streams.largest_field:.3g} T is no Earth field")
+        found.append(unit or f"a field of {streams.largest_field:.3g} T is not the Earth's")
     for heard, all_words in ((imu, IMU_WORDS), (mag, WORDS)):
         found += [
             f"{heard.topic}: {heard.drops[drop]} of {heard.messages} {words}"

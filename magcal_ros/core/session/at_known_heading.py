@@ -32,9 +32,9 @@ def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:
     moved = np.abs(field[:half].mean(axis=0) - field[half:].mean(axis=0)).max()
     turned = float(np.linalg.norm(rate.mean(axis=0))) if np.isfinite(rate).all() else 0.0
     if turned > TUNING.rate:
-        what = f"the gyro turned at {turned * DEGREES:.1f} °/s"
+        what = f"by the gyro, the robot turned at {turned * DEGREES:.1f} °/s"
     elif moved > TUNING.creep + 4.0 * noise * math.sqrt(2.0 / half):
-        what = f"the field moved by {moved * MICROTESLA:.1f} µT"
+        what = f"the field changed by {moved * MICROTESLA:.1f} µT"
     else:
         return
     raise Refusal(
@@ -121,7 +121,7 @@ def calibrate_standing(
 
 
 def _refused(before: tuple[Standing, ...], refusal: Refusal) -> HeadingResult:
-    kept = f" The {len(before)} before it stay." if before else ""
+    kept = f" The {len(before)} before it are kept." if before else ""
     words = str(refusal).rstrip(".")
     return HeadingResult(before, Outcome.refused(refusal), False, f"Refused: {words}.{kept}")
 
@@ -193,9 +193,10 @@ def _gap(calibration: Calibration, new: Standing) -> tuple[float, float]:
 def _contradicted(gap: float, sigma: float) -> str:
     return (
         f"the calibration in force shows a heading {abs(gap) * DEGREES:.0f}° further to the "
-        f"{'left' if gap > 0.0 else 'right'} than was given, and ±{sigma * DEGREES:.1f}° would be "
-        "usual. Either the heading is wrong (its sign, its north, its zero to the east), or "
-        "the calibration is out of date or its sensor turned: then call ~/reset, and this again"
+        f"{'left' if gap > 0.0 else 'right'} than was given, where ±{sigma * DEGREES:.1f}° would "
+        "be usual. Check the heading: its sign, its north, its zero to the east. If it is right, "
+        "the calibration is out of date or the sensor was turned: call ~/reset, and then this "
+        "service again"
     )
 
 

@@ -186,17 +186,21 @@ class HeadingAgainstGyro:
                 return words
         given, turned = self._wrong[-1]
         return (
-            f"it turned by {given * DEGREES:.0f}° while the gyro turned by "
-            f"{wrapped(turned) * DEGREES:.0f}° (to the left): see whether it is the robot's "
-            "heading, and whether its stamps are those of the measurement"
+            f"it turned by {given * DEGREES:.0f}°, but the gyro measured "
+            f"{wrapped(turned) * DEGREES:.0f}° (to the left): check that it is the robot's "
+            "heading, and that its stamps are those of the measurement"
         )
 
 
 TURNS_AS = {
-    -1.0: "it turns to the other side than the gyro: its sign is wrong (a bearing counts "
-    "clockwise, yaw counts to the left), or the antennas are mirrored",
-    DEGREES: "it turns about 57 times as far as the gyro: degrees were put where radians belong",
-    1.0 / DEGREES: "it hardly turns when the gyro does: the device repeats an old heading, or "
-    "radians were taken for degrees",
+    -1.0: (
+        "it turns in the direction opposite to the gyro's: its sign is wrong (a bearing counts "
+        "clockwise, yaw counts to the left), or the antennas are mirrored"
+    ),
+    DEGREES: "it turns about 57 times as far as the gyro: degrees were published as radians",
+    1.0 / DEGREES: (
+        "it hardly turns when the gyro shows a turn: the device repeats an old heading, or "
+        "radians were taken for degrees"
+    ),
 }
 """What is wrong with a heading that turns so many times as far as the gyro."""

@@ -61,9 +61,7 @@ LONGER = 20  # times that what is kept of a recording may be as long as a turn: 
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Refusals that a longer recording could avoid."""
-NEVER_TOGETHER = (
-    "the two were never stamped at the same time: `magcal doctor` says how far apart they are"
-)
+NEVER_TOGETHER = "their stamps have no time in common: `magcal doctor` shows how far apart they are"
 
 
 class Gathering:
@@ -322,7 +320,7 @@ def fit_heading_topic(
             refusal = Refusal(Reason.HEADING_CONTRADICTED, collector.check.fault)
             return Outcome.refused(refusal)
     if collector.log is None or not collector.log.standings:
-        words = "no field sample came within half a second of a heading, with a gyro"
+        words = "no field sample with a gyro came within half a second of a heading"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
     outcome, north = fit_log(collector.log.standings, knowledge)
     if not north:

@@ -134,12 +134,12 @@ class RotationPlan:
         beyond = TUNING.farthest_beyond
         if seen.by_gyro and not -beyond <= seen.turned <= math.tau + beyond:
             self.objection = (
-                f"by the gyro it is at {math.degrees(seen.turned):+.0f}° of a turn that goes "
-                "from 0° to 360°"
+                f"the gyro shows {math.degrees(seen.turned):+.0f}°, outside of the turn from 0° to "
+                "360°"
             )
         elif max(abs(self._commanded), 0.5 * self._path) > TUNING.leeway * math.tau:
             self.objection = (
-                f"{math.degrees(self._path):.0f}° were commanded, and its turn is not complete"
+                f"{math.degrees(self._path):.0f}° were commanded, but the turn is not complete"
             )
 
     @property
@@ -311,7 +311,11 @@ class RotationProof:
             return ""
         self._asked = now
         found = objection_to_gyro(*self._angles_and_field())
-        return f"{found}: it hangs, or it turns faster than the gyro can follow" if found else ""
+        return (
+            f"{found}: the gyro is frozen, or the robot turns faster than the gyro's range"
+            if found
+            else ""
+        )
 
     def explain(self, fault: Fault, seen: Seen, command: float) -> str:
         """Return what is wrong and what to check, for a fault at a command in rad/s."""
@@ -325,7 +329,7 @@ class RotationProof:
         turned, asked, level = self._angles_and_field()
         if seen.by_gyro and _turns_rather_by(asked, turned, level):
             return f"{rates}, but the field turns: the gyro does not measure this turn"
-        remedy = "is an emergency stop pressed, does the base obey cmd_vel?"
+        remedy = "check the emergency stop, and that the base obeys cmd_vel"
         return f"the robot does not turn: {rates}; {remedy}"
 
     def _blame(self, seen: Seen) -> str:

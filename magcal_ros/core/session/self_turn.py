@@ -33,9 +33,9 @@ TUNING = SelfTurnTuning()
 
 
 UNGUARDED = (
-    "the robot does not start to turn: the guard, a second process that would stop it if this node "
-    f"could not, was not ready within {TUNING.guarded_within:g} s; see the log, and what keeps the "
-    "machine busy"
+    "the robot does not start to turn: its guard, a second process that can stop it, was not "
+    f"ready within {TUNING.guarded_within:g} s; end other programs that keep the machine busy, and "
+    "see the log"
 )
 GUARD_GONE = (
     "its guard has ended, does not answer, or has stopped it because this node was silent for too "
@@ -211,8 +211,8 @@ class SelfTurn:
                 return f"{topic} has been silent for {age:.1f} s"
         if self._gyro_heard is not None and now - self._gyro_heard > TUNING.gyro_silence:
             return (
-                f"the gyro sends no data: for {now - self._gyro_heard:.1f} s "
-                f"{self._imu} has had no angular velocity"
+                f"the gyro sends no data: {self._imu} has had no angular velocity for "
+                f"{now - self._gyro_heard:.1f} s"
             )
         if is_unpaired:
             return "no new field sample with an acceleration has come while the robot turned"

@@ -56,8 +56,8 @@ NO_SPAN = (math.nan,) * 7
 
 
 UNSEEN = (
-    "; if it did turn, `magcal doctor` says which sensor does not show it: the field may be too "
-    "steep for a compass here, the magnetometer may measure nothing, or the gyro another axis"
+    "; if it did turn, `magcal doctor` finds the sensor that misses it: the field may be too "
+    "steep for a compass here, the magnetometer may not measure it, or the gyro has another axis"
 )
 
 

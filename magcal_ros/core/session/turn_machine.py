@@ -111,7 +111,7 @@ Command: TypeAlias = Conclusion | Preview | FitTurn | PutInForce | MoveBase
 NO_SENSORS = ("", "")
 """The frames of magnetometer and IMU before either is heard; some drivers never name one."""
 
-SET_BACK = "time was set back during the turn, and what came before was left out"
+SET_BACK = "the time was set back during the turn; samples from before that were left out"
 UNCHANGED = "the calibration in force is unchanged"
 
 

@@ -62,7 +62,7 @@ def test_a_car_that_sways_is_not_told_that_its_axes_are_wrong(recording):
     drive = read_drive(recording("car_neu2022_rahul"), None)
     for _, window in windows(drive):
         assert isinstance(window, Window)
-        assert "axes do not belong" not in calibrate(window, drive.knowledge).verdict.summary
+        assert "axes do not match" not in calibrate(window, drive.knowledge).verdict.summary
 
 
 @pytest.mark.nightly

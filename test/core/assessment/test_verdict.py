@@ -180,7 +180,7 @@ class TestJudge:
     def test_the_summary_holds_what_was_found(self):
         summary = judge(estimate(), KNOWN).summary
         assert summary.startswith("Calibrated, quality excellent, confidence excellent: heading ±")
-        assert "heading ±0.11° on the level" in summary
+        assert "heading ±0.11° on level ground" in summary
         assert "hard iron (30.0, -20.0, 25.0) µT" in summary
         assert "installation roll 3.00°, pitch -4.00°" in summary
         assert "But" not in summary
@@ -198,7 +198,7 @@ class TestJudge:
         }
         summary = judge(estimate(figures=figures), KNOWN).summary
         assert "gyro against compass around the turn 20°" in summary
-        assert "field and gyro are stamped apart by 2000 ms" in summary
+        assert "the stamps of field and gyro differ by 2000 ms" in summary
         assert "ellipse" not in summary
         assert "Calibrated" not in summary
 
@@ -226,7 +226,7 @@ class TestJudge:
     def test_a_drive_says_apart_what_the_calibration_and_what_the_way_adds(self):
         verdict = judge(estimate(figures=DRIVE), KNOWN)
         assert re.search(
-            r"heading ±[\d.]+° on the level, ±[\d.]+° at 10° of tilt \(1σ\) by the calibration; "
+            r"heading ±[\d.]+° on level ground, ±[\d.]+° at 10° of tilt \(1σ\) by the calibration; "
             r"along the way, with local magnetic disturbances, ±[\d.]+°; hard iron",
             verdict.summary,
         ), verdict.summary
@@ -244,7 +244,7 @@ class TestJudge:
             verdict = judge(estimate(figures=figures, covariance=covariance), KNOWN)
             assert verdict.confidence is grade
             if verdict.accepted:
-                assert f"heading ±{degrees:.2f}° on the level" in verdict.summary
+                assert f"heading ±{degrees:.2f}° on level ground" in verdict.summary
 
     @pytest.mark.parametrize("arc", [math.tau, 4.0])
     def test_a_drive_is_never_told_to_turn_and_to_all_headings_only_where_some_are_missing(

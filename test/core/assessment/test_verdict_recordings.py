@@ -76,7 +76,7 @@ class TestHandHeldTurn:
         mirrored = Window(turn.time, turn.field, turn.specific_force, -turn.angular_rate)
         verdict = calibrate(mirrored, self.known).verdict
         assert not verdict.accepted
-        assert "the gyro's axes are not the accelerometer's: x and y and z" in refused(verdict)
+        assert "the gyro's axes do not match the accelerometer's: x and y and z" in refused(verdict)
 
     @pytest.mark.nightly
     def test_a_board_upside_down_is_refused(self, turn):

@@ -110,7 +110,7 @@ def test_without_the_inclination_axes_and_their_opposites_both_stay():
 
 def test_what_a_level_turn_leaves_open_is_named_with_the_movement_that_tells():
     found, *_ = of(NED, "level")
-    assert "lift the nose by 20° while it turns" in found.words
+    assert "lift the nose by 20° while the robot turns" in found.words
 
 
 @pytest.mark.parametrize("lacks", ["gyro", "turn", "samples"])
@@ -139,7 +139,7 @@ def test_a_gyro_that_belongs_to_nothing_is_said():
     odd = Window(window.time, window.field, window.specific_force, scrambled * 5.0)
     page = examine_window(odd, knowledge)
     assert page.axes is None
-    assert any("check whether the gyro answers to turns" in f.remedy for f in page.findings)
+    assert any("check that the gyro responds to turns" in f.remedy for f in page.findings)
 
 
 def test_angles_are_written_within_half_a_turn():

@@ -38,7 +38,7 @@ def test_a_true_gyro_is_believed(seed):
 @pytest.mark.parametrize("signs", first_of([(-1, -1, 1), (-1, -1, -1), (1, 1, -1), (1, -1, 1)]))
 def test_axes_that_turn_the_wrong_way_are_found(signs):
     found = wrong_axes(with_signs(leaning_turn(), signs), Knowledge())
-    assert "the gyro's axes are not the accelerometer's" in str(found)
+    assert "the gyro's axes do not match the accelerometer's" in str(found)
 
 
 def test_of_a_gyro_that_is_absent_nothing_is_said():
@@ -61,5 +61,5 @@ def test_a_gyro_with_dead_axes_accuses_no_other_sensor(knowledge, source, alive)
     assert page.mount_rpy_deg is None
     said = {finding.name: finding.remedy for finding in page.findings if finding.is_wrong}
     assert list(said) == ["gyro: axes alive"]
-    moved = f"and gives the turn about z as {'xyz'[alive]}"
+    moved = f"and publishes the turn about z as {'xyz'[alive]}"
     assert (moved in said["gyro: axes alive"]) == (alive != source)

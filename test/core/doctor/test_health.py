@@ -66,7 +66,7 @@ def test_stamps_in_bursts_are_named(period):
 def test_a_field_that_comes_slowly_is_named():
     found = stamps_finding("field", np.arange(60.0))
     assert found.key == "slow"
-    assert "it comes at 1 Hz" in found.remedy
+    assert "the field comes at 1 Hz" in found.remedy
     assert not stamps_finding("field", 0.2 * np.arange(60.0)).remedy
 
 
@@ -96,7 +96,7 @@ def dead(field):
     [
         (repeated, "repeats", "publishes faster"),
         (lambda field: np.round(field / 0.6e-6) * 0.6e-6, "resolution", "finer range"),
-        (shifted, "saturation", "x stops at one value"),
+        (shifted, "saturation", "x reached the end of the range"),
         (dead, "frozen", "y never changes"),
         (lambda field: field * 1e6, "field_unit", "microtesla"),
         (lambda field: field * 1e4, "field_unit", "gauss"),

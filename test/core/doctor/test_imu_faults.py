@@ -118,7 +118,10 @@ def test_what_a_level_turn_cannot_tell_is_one_question_and_no_order(seeds):
         assert line.key in ("axes", "gyro_axes")
         asked += line.key == "axes"
         if line.key == "axes":
-            assert "which of them errs this movement does not show: lift the nose" in line.remedy
+            assert (
+                "this movement does not show which of them has wrong axes: lift the nose"
+                in line.remedy
+            )
     assert asked
 
 
@@ -129,7 +132,7 @@ def test_two_sensors_are_never_accused_at_once():
     page = page_of(case, replace(case.log, rate=case.log.rate * slip, field=other))
     (line,) = [f for f in page.findings if f.is_wrong]
     assert line.grade is Grade.WARN
-    assert "no single sensor's axes explain it" in line.remedy
+    assert "wrong axes of one sensor do not explain it" in line.remedy
 
 
 def seconds_late(line):
@@ -190,7 +193,7 @@ def test_a_person_who_turned_the_other_way_makes_no_sensor_wrong():
     case = good_case(np.random.default_rng([4, 0]), MOST_SEEN, habit=Habit(left=-1.0))
     (line,) = [f for f in examine(case.log, case.knowledge, True).findings if f.is_wrong]
     assert line.key == "imu_axes"
-    assert "look again, turning left" in line.remedy
+    assert "turn left and check again" in line.remedy
 
 
 @pytest.mark.parametrize("name", first_of(HABITS, 2))
@@ -215,7 +218,7 @@ def test_a_field_that_steps_with_the_motors_is_named():
     log = case.log
     moving = np.linalg.norm(log.rate, axis=1) > 0.1
     on = np.interp(log.field_time, log.imu_time, moving.astype(float)) > 0.5
-    for size, words in ((1.0, "takes it off while"), (10.0, "better cure")):
+    for size, words in ((1.0, "subtracts it while"), (10.0, "too large to be subtracted well")):
         added = size * np.outer(on, [3e-6, -2e-6, 4e-6])
         page = page_of(case, replace(log, field=log.field + added))
         (line,) = [each for each in page.findings if each.key == "motors"]
@@ -346,7 +349,7 @@ def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():
         if f.key == "rate_scale"
     ]
     assert line.is_wrong
-    assert line.remedy.startswith("look once more: stand still, turn a full")
+    assert line.remedy.startswith("check again: stand still, turn a full")
 
 
 @pytest.mark.parametrize("case", first_of([(57.3, "57.3 times too large"), (1.0, "")]))
@@ -392,4 +395,4 @@ def test_a_turn_between_rests_says_that_its_motors_hide_the_gyros_scale():
     lines = {finding.key: finding for finding in page.findings}
     assert lines["motors"].is_wrong
     said = lines["rate_scale"].evidence
-    assert re.match(r"not shown: within \d\.\d%; turn once by hand, motors off ", said)
+    assert re.match(r"not shown: within \d\.\d%; turn once by hand with the motors off ", said)

@@ -34,4 +34,4 @@ def test_a_car_that_drove_to_its_circle_has_no_motors(case):
         f for f in examine(log_of(radius, [3e-6, -2e-6, 4e-6])).findings if f.key == "motors"
     )
     assert line.is_wrong == is_named
-    assert ("it drove while it turned" in line.evidence) != is_named
+    assert ("the robot drove while it turned" in line.evidence) != is_named

@@ -41,7 +41,7 @@ def test_a_good_gyro_is_not_refused(window):
     [
         ((None, None, 2), "the gyro's x and y never change"),
         ((0, None, 2), "the gyro's y never changes"),
-        ((2, None, None), "y and z never change: the driver does not read them, and gives the "
+        ((2, None, None), "y and z never change: the driver does not read them, and publishes the "
          "turn about z as x"),
     ],
 )  # fmt: skip

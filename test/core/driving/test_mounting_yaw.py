@@ -90,7 +90,7 @@ def test_a_motorway_without_starts_says_little():
         (Wheels(scale=0.5), SpeedFault.SCALE, "0.5"),
         (Wheels(delay=4.0), SpeedFault.LATE, "late by 4"),
         (Wheels(jumps=0.1), SpeedFault.JUMPS, "jumps"),
-        (Wheels(frozen_from=1.0), SpeedFault.FROZEN, "stuck"),
+        (Wheels(frozen_from=1.0), SpeedFault.FROZEN, "does not change"),
     ],
 )
 def test_wrong_odometry_is_found_named_and_replaced_by_the_receiver(wheels, fault, words):

@@ -196,9 +196,9 @@ def test_a_calibration_from_another_field_is_told(known):
     assert calibration is not None
     assert made_elsewhere(calibration, here) == ""
     words = made_elsewhere(calibration, there)
-    assert "made elsewhere?" in words
-    assert "dip 64" in words
-    assert "dip -64" in words
+    assert "if it was made elsewhere" in words
+    assert "inclination 64" in words
+    assert "inclination -64" in words
     assert made_elsewhere(calibration, ReferenceField()) == ""
     assert made_elsewhere(calibration, dataclasses.replace(there, strength=Belief(5e-5))) == ""
 

@@ -102,7 +102,7 @@ class TestMended:
     def test_by_hand_wins_and_a_contradiction_is_said(self):
         pose, contradiction = corrected_pose(self.DESCRIBED, 20.0 * DEGREE, self.found(10.0))
         assert yaw_deg(pose) == pytest.approx(20.0)
-        assert "vehicle_yaw_deg says 20.0°, which is used" in contradiction
+        assert "vehicle_yaw_deg is 20.0°, which is used" in contradiction
         assert corrected_pose(self.DESCRIBED, 10.5 * DEGREE, self.found(10.0))[1] == ""
 
     def test_without_a_description_there_is_nothing_to_mend(self):

@@ -111,7 +111,7 @@ def test_a_turned_mounting_is_not_corrected_but_told(motion):
     assert math.degrees(estimate.figures["misalignment"]) == pytest.approx(5.4, abs=0.5)
     verdict = calibrate(window, robot.knowledge(), "ellipsoid").verdict
     assert not verdict.accepted
-    assert "turned against the IMU" in verdict.summary
+    assert "rotated against the IMU" in verdict.summary
 
 
 def test_the_verdict_says_what_was_not_looked_at():

@@ -117,7 +117,7 @@ def test_a_turn_that_only_the_gyro_saw_is_none_the_robot_did_not_make():
     field = np.broadcast_to(window.field.mean(axis=0), window.field.shape)
     still = Window(window.time, field, window.specific_force, window.angular_rate)
     words = words_of(still, Knowledge())
-    assert "the gyro shows 359 degrees of turn" in words
+    assert "the gyro shows a turn of 359 degrees" in words
     assert "did not turn" not in words
     assert "the robot did not turn" in words_of(Window(*[*samples_of(still)]), Knowledge())
 

@@ -45,7 +45,7 @@ def test_a_refused_turn_does_not_join_and_the_others_stay(windows, first, kind):
     assert not outcome.verdict.accepted
     assert outcome.calibration is None
     assert "turn 2 does not join the turn before it: " in outcome.verdict.summary
-    assert "those before stay" in outcome.verdict.summary
+    assert "the turns before are kept" in outcome.verdict.summary
     if kind == "foreign":
         assert outcome.reason is Reason.TURNS_DISAGREE
 

@@ -33,7 +33,7 @@ def test_a_share_of_dropped_samples_is_said_with_topic_and_count(drop):
 
 def test_an_imu_beyond_every_unit_is_said():
     (words,) = said(imu=Heard("/imu", 100, Counter({Drop.TOO_LARGE: 50})))
-    assert "no acceleration in m/s² or no rate in rad/s" in words
+    assert "too large for an acceleration in m/s² or a rate in rad/s" in words
 
 
 @pytest.mark.parametrize("ahead", [-9.0, -1.5, 0.4, 0.6, 3.0, 86_400.0])

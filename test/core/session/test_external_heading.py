@@ -14,7 +14,7 @@ from magcal_ros.core.session.external_heading import HeadingAgainstGyro, TurnSin
         (lambda yaw: yaw, ""),
         (lambda yaw: -yaw, "mirrored"),
         (lambda yaw: 0.5 * math.pi - yaw, "bearing"),
-        (lambda yaw: math.degrees(yaw), "degrees were put where radians belong"),
+        (lambda yaw: math.degrees(yaw), "degrees were published as radians"),
         (lambda yaw: math.radians(yaw), "radians were taken for degrees"),
         (lambda yaw: 0.7, "repeats an old heading"),
     ],

@@ -72,7 +72,7 @@ def test_without_a_guard_it_does_not_set_off_and_says_so():
     scene = robot()
     scene.is_guarded = False
     words = scene.until_concluded(20.0).message
-    assert words.startswith("the robot does not start to turn: the guard")
+    assert words.startswith("the robot does not start to turn: its guard")
     assert not scene.said
 
 
@@ -287,7 +287,7 @@ class TestBounds:
 
         scene.mangle = run_on
         conclusion = scene.until_concluded(20.0)
-        assert "of a turn that goes from 0° to 360°" in conclusion.message
+        assert "outside of the turn from 0° to 360°" in conclusion.message
         assert scene.farthest < math.radians(415.0)
 
     def test_commands_have_an_end_even_where_every_sensor_is_content(self):
@@ -299,7 +299,7 @@ class TestBounds:
         )
         assert commanded < 1.55 * 2.0 * math.tau
         assert not conclusion.success
-        assert "were commanded, and its turn is not complete" in conclusion.message
+        assert "were commanded, but the turn is not complete" in conclusion.message
 
     def test_the_deadline_ends_a_turn_that_creeps_and_what_was_seen_is_used(self):
         scene = robot(gain=0.75, timeout=29.0)

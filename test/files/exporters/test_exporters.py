@@ -244,4 +244,4 @@ def test_a_rotation_just_beyond_the_limit_is_not_called_the_limit():
 def test_what_the_numbers_rest_on_is_said(name, words):
     text = EXPORTERS[name](calibration(Correction.identity()))
     assert words in NOTES.get(name, text)
-    assert (name in NOTES) is not ("RESTS ON" in text)
+    assert (name in NOTES) is not ("DEPENDS ON" in text)

@@ -144,7 +144,7 @@ def test_the_sensors_that_the_autopilot_used_are_taken(tmp_path, options, reason
     path = write_bin(tmp_path / "a.bin", SAMPLES, compasses=both, imus=(0, 1), **options)
     source, readings = read(path)
     assert (source.imu_topic, source.field_topic) == ("IMU[1]", "MAG[1]")
-    assert all(f"[1] is taken, {reason}" in words for words in source.notes)
+    assert all(f"[1] is used, {reason}" in words for words in source.notes)
     imu, field = numbers(readings)
     assert field == pytest.approx(FIELD, abs=1.2e-7)
     assert imu == pytest.approx(IMU, abs=1e-5)
@@ -178,7 +178,7 @@ def test_the_compensation_of_the_motors_stays_in_the_field_and_is_said(tmp_path)
     parts = np.array([(60.0 * np.sin(t), -20.0, 10.0) for t in stamps])
     stays = np.linalg.solve(1.1 * SOFT_IRON, parts.T).T * [1e-7, -1e-7, -1e-7]
     assert numbers(readings)[1] == pytest.approx(FIELD + stays, abs=1.1e-7)
-    assert "compensation of the motors in it (COMPASS_MOT, up to 6." in source.notes[0]
+    assert "compensation of the motors (COMPASS_MOT, up to 6." in source.notes[0]
 
 
 def test_a_field_of_another_orientation_is_left_out(tmp_path):
@@ -194,7 +194,7 @@ def test_a_field_of_another_orientation_is_left_out(tmp_path):
     source, readings = read(one)
     expected = [s.field for s in SAMPLES[half:] if isinstance(s, FieldSample)]
     assert numbers(readings)[1] == pytest.approx(np.array(expected), abs=1.2e-7)
-    assert "COMPASS_ORIENT was changed on the way" in source.notes[0]
+    assert "COMPASS_ORIENT was changed during the log" in source.notes[0]
 
 
 def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
@@ -202,7 +202,7 @@ def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
     with pytest.raises(FileTrouble, match=r"no working magnetometer.*COMPASS_ENABLE"):
         read(dead)
     without = write_bin(tmp_path / "b.bin", SAMPLES, compasses=lambda _: {})
-    with pytest.raises(FileTrouble, match="no MAG data: look at COMPASS_ENABLE"):
+    with pytest.raises(FileTrouble, match="no MAG data: check COMPASS_ENABLE"):
         read(without)
 
 

@@ -100,14 +100,14 @@ def test_the_compensation_for_the_power_is_in_the_field_where_px4_logs_it(tmp_pa
     part = np.outer(5e-6 * np.sin(stamps), (1.0, 0.0, 0.0))
     expected = (FIELD + part)[1::2] if every else FIELD
     assert field == pytest.approx(expected, abs=1e-10)
-    assert ("leave it as it is" if every else "the raw field only") in source.notes[0]
+    assert ("do not change it" if every else "the raw field only") in source.notes[0]
 
 
 def test_the_magnetometer_that_was_selected_is_taken(tmp_path):
     path = write_ulog(tmp_path / "a.ulg", SAMPLES, other_rotation=0, selected=77)
     _, source = field_of(path)
     assert source.field_topic == "sensor_mag[1]"
-    assert "sensor_mag[1] is taken, which PX4 selected" in source.notes[0]
+    assert "sensor_mag[1] is used, which PX4 selected" in source.notes[0]
     priorities = {"CAL_MAG0_PRIO": 75, "CAL_MAG1_PRIO": 50}
     _, source = field_of(
         write_ulog(tmp_path / "b.ulg", SAMPLES, other_rotation=0, parameters=priorities)
