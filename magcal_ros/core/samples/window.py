@@ -19,7 +19,7 @@ from magcal_ros.core.geometry.arrays import (
     interpolated,
 )
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors_near
 from magcal_ros.core.samples.rest import ANGLE, COLUMNS, FORCE, RATE, RestBeside
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
@@ -36,32 +36,35 @@ class ImuPath:
     """
 
     attitude: FloatArray  # rotations from the first sample's body axes. Shape (n, 3, 3).
+    turned: FloatArray  # sum of the rotation vectors on the way, radians. Shape (n, 3).
     velocity: FloatArray  # of the specific force in body axes, m/s. Shape (n, 3).
     intervals: FloatArray  # between IMU samples, as many as were integrated. Shape (n,).
 
     def __post_init__(self) -> None:
         rows = len(self.intervals)
-        freeze(self, attitude=(rows, 3, 3), velocity=(rows, 3), intervals=(rows,))
+        freeze(self, attitude=(rows, 3, 3), turned=(rows, 3))
+        freeze(self, velocity=(rows, 3), intervals=(rows,))
 
     @classmethod
     def of_steps(cls, angle: FloatArray, velocity: FloatArray, intervals: FloatArray) -> ImuPath:
         """Chain what was integrated between neighbours: (n - 1, 3), (n - 1, 3) and (n - 1,)."""
         attitude = chained(exp_rotations(-angle)[None])[0]
-        return cls(attitude, accumulated(velocity), accumulated(intervals))
+        return cls(attitude, *map(accumulated, (angle, velocity, intervals)))
 
     @property
     def steps(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Rotation vectors, velocity and intervals from each sample to the next."""
         between = self.attitude[1:] @ np.swapaxes(self.attitude[:-1], 1, 2)
         return (
-            -rotation_vectors(between),
+            -rotation_vectors_near(between, -np.diff(self.turned, axis=0)),
             np.diff(self.velocity, axis=0),
             np.diff(self.intervals),
         )
 
     def take(self, rows: BoolArray | IntArray) -> ImuPath:
         """Return the path at the chosen samples, a mask or increasing indices."""
-        return ImuPath(self.attitude[rows], self.velocity[rows], self.intervals[rows])
+        values = self.attitude, self.turned, self.velocity, self.intervals
+        return ImuPath(*(each[rows] for each in values))
 
 
 def path_of(rows: FloatArray) -> ImuPath:
