@@ -8,8 +8,9 @@ from slow_fields import BEGUN, IMU_HZ, collected_at, drawn
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.samples.window import ImuPath, SensorLog, Window
 from magcal_ros.core.simulation import DEGREE
+from magcal_ros.core.smoother.nodes import nodes_of
 
 
 @pytest.mark.parametrize("field_hz", first_of([10.0, 20.0, 5.0, 2.0, 1.0]))
@@ -50,3 +51,44 @@ def test_nothing_is_inserted_where_no_imu_sample_was_left_out():
     left_out = int((np.diff(window.path.intervals) > 1.0).sum())
     assert len(SensorLog.of_window(window).imu_time) == len(window) + left_out
     assert len(SensorLog.of_window(scene.window).imu_time) == len(scene.window)
+
+
+def test_a_robot_may_turn_by_more_than_a_quarter_from_sample_to_sample():
+    """Angles beyond a quarter were read as their supplement: the field seemed to turn back."""
+    angle = np.array([[0.1, 0.0, 1.2], [0.0, 0.2, 2.4], [0.1, 0.1, -4.0]])
+    path = ImuPath.of_steps(angle, np.zeros((3, 3)), np.ones(3))
+    np.testing.assert_allclose(path.steps[0], angle, atol=1e-9)
+    scene, knowledge = drawn(np.random.default_rng(7), 0.3)
+    window = collected_at(scene.window, 10.0)
+    # The field is silent for a third of the round, as where its driver hangs.
+    time = window.time - BEGUN
+    holed = window.take((time < 9.0) | (time > 16.0))
+    assert np.linalg.norm(holed.path.steps[0], axis=1).max() > 0.5 * np.pi
+    outcome = calibrate(holed, knowledge)
+    assert outcome.verdict.accepted
+    error = heading_error(scene, outcome.estimate.correction)
+    assert error < min(1.0 * DEGREE, 3.0 * predicted_heading_sigma(outcome.estimate))
+
+
+def test_nothing_is_extrapolated_into_a_hole_of_the_imu():
+    """By the samples of a shaking robot beside it, turns there were up to 90 degrees off."""
+    rng = np.random.default_rng(5)
+    time = 1.0 + 0.1 * np.arange(200.0)
+    time = time[(time < 9.0) | (time > 10.0)]
+    rate = 0.3 + rng.normal(0.0, 0.1, (len(time), 3))
+    window = Window(time, rng.normal(0.0, 1e-6, (len(time), 3)), np.ones_like(rate), rate)
+    nodes = nodes_of(window, np.eye(3))
+    hole = int(np.argmax(nodes.seconds))
+    assert nodes.seconds[hole] > 1.0
+    away = nodes.angle[hole] - 0.3 * nodes.seconds[hole]
+    assert (np.abs(away) < 4.0 * np.sqrt(nodes.unseen[hole]) + 0.05).all()
+    assert np.abs(away).max() < 0.25
+
+
+def test_samples_of_a_silent_imu_are_no_division_by_zero():
+    rate, still = np.full((6, 3), 0.1), np.zeros((5, 3))
+    path = ImuPath.of_steps(still, still, np.array([10.0, 0.0, 0.0, 10.0, 10.0]))
+    window = Window(0.1 * np.arange(6.0), np.ones((6, 3)), np.ones((6, 3)), rate, path)
+    nodes = nodes_of(window, np.eye(3))
+    assert np.isfinite(nodes.angle).all()
+    assert np.isfinite(nodes.unseen).all()
