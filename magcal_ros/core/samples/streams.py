@@ -297,10 +297,13 @@ class Spans:
 
 
 class Pairer:
-    """Holds field samples until the IMU samples around them have come."""
+    """Holds field samples until the IMU samples around them have come.
 
-    def __init__(self, streams: Streams) -> None:
-        self._streams = streams
+    One that `counts` adds those without any to the drops of the streams.
+    """
+
+    def __init__(self, streams: Streams, *, counts: bool = True) -> None:
+        self._streams, self._counts = streams, counts
         self._waiting: deque[FieldSample] = deque()
         self._spans = Spans(streams)
 
@@ -330,7 +333,8 @@ class Pairer:
         return pairs
 
     def _count_unpaired(self) -> None:
-        self._streams.field_drops[Drop.UNPAIRED] += 1
+        if self._counts:
+            self._streams.field_drops[Drop.UNPAIRED] += 1
 
 
 class SpeedSample(NamedTuple):
