@@ -42,7 +42,7 @@ It is approximate (Laplace, at the most likely sizes), and real robots differ fr
 NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
 DIFFERENT_TURNS = (
     "the field does not turn as the gyro does; check that the axes of both sensors belong together,"
-    " and their stamps"
+    " their stamps, and that no samples of a shaking gyro are lost"
 )
 
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
