@@ -9,7 +9,7 @@ import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import TextIO
 
@@ -20,6 +20,7 @@ from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.samples.streams import (
+    STREAMS,
     FieldSample,
     HeadingSample,
     ImuSample,
@@ -72,13 +73,21 @@ class Recording:
         raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
-        """Yield the samples of both sensors in the order of their stamps, the IMU's first."""
+        """Yield the samples of both sensors in the order in which they came, the IMU's first.
+
+        That is the order of their stamps, and of each stream that of its rows.
+        """
         imu = (
             ImuSample(t, (ax, ay, az), (gx, gy, gz))
             for t, ax, ay, az, gx, gy, gz in self.imu.tolist()
         )
         field = (FieldSample(t, (x, y, z)) for t, x, y, z in self.field.tolist())
-        return heapq.merge(imu, field, key=lambda sample: sample.stamp)
+        came = (_never_set_back(table[:, 0]).tolist() for table in (self.imu, self.field))
+        of_imu, of_field = map(iter, came)
+        # Each key is asked for once, in the order of its stream.
+        return heapq.merge(
+            imu, field, key=lambda each: next(of_imu if isinstance(each, ImuSample) else of_field)
+        )
 
     readings = samples
 
@@ -110,6 +119,21 @@ class Recording:
         for vectors in (imu[:, 1:4], imu[:, 4:7], raw[:, 1:4]):
             vectors[:] = vectors @ pose.T
         return replace(self, imu=imu, field=raw)
+
+
+def _never_set_back(stamps: FloatArray) -> FloatArray:
+    """Return the stamps (n,) as by a clock that goes on where this one was set back for good.
+
+    Two streams that one clock stamps stay side by side so, in the order in which they came.
+    """
+    moments, newest, shift = stamps.copy(), -math.inf, 0.0
+    edges = [0, *(np.flatnonzero(np.diff(stamps) < 0.0) + 1).tolist(), len(stamps)]
+    for first, end in pairwise(edges):
+        if (stamps[first : first + STREAMS.restart_after] + shift < newest).all():
+            shift = newest - float(stamps[first])
+        moments[first:end] += shift
+        newest = float(np.fmax.reduce(moments[first:end], initial=newest))
+    return np.asarray(np.fmax.accumulate(moments))
 
 
 def read_csv_folder(folder: Path) -> Recording:

@@ -142,7 +142,7 @@ class Calibrator(Node):
         if magnetometer is self._first:
             self._up.add_field(sample.stamp, sample.field)
             at_rest = self._pipeline.motors.take(magnetometer.compass, sample)
-            self._keeping.on_field(at_rest, self._inputs.streams.newest_imu, self._travel)
+            self._keeping.on_field(at_rest, self._travel)
             self._known.on_field(at_rest)
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:

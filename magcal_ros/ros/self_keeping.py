@@ -17,7 +17,7 @@ from magcal_ros.core.errors import in_words
 from magcal_ros.core.keeping.jobs import DriveJob, Findings, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.samples.drive_log import DriveLog
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, Spans
+from magcal_ros.core.samples.streams import FieldSample, Pairer
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
@@ -38,7 +38,7 @@ class SelfKeeping:
     def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
         self._magnetometer, self._say = magnetometer, node.get_logger().info
         self.machine = SelfCalibration()
-        self._spans = Spans(magnetometer.inputs.streams)
+        self._pairer = Pairer(magnetometer.inputs.streams, counts=False)
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
         self._idle = 0
@@ -46,12 +46,14 @@ class SelfKeeping:
         self.trouble = ""  # why there is no decision; empty if the last fit was finished
         self._reports = NO_REPORTS
 
-    def on_field(self, sample: FieldSample, imu: ImuSample | None, travel: Travel) -> None:
-        """Take a field sample with the newest IMU sample and what the vehicle does."""
-        if imu is None or self.machine.mode is Mode.OFF:
+    def on_field(self, sample: FieldSample, travel: Travel) -> None:
+        """Take a field sample, and what the vehicle does."""
+        if self.machine.mode is Mode.OFF:
             return
-        if self.machine.add(sample, imu, travel.travelling.speed, self._spans.to(imu)):
-            self._look()
+        self._pairer.offer(sample)
+        for pair in self._pairer.take():
+            if self.machine.add(pair.field, pair.imu, travel.travelling.speed, pair.span):
+                self._look()
 
     def follow(self, mode: str, reports: str) -> None:
         """Take the mode and the folder of the reports, once a second."""

@@ -10,8 +10,9 @@ from slow_fields import BEGUN, IMU_HZ, collected_at, drawn
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.samples.window import SensorLog, Steps, Window
 from magcal_ros.core.simulation import DEGREE
+from magcal_ros.core.smoother.nodes import nodes_of
 
 
 @pytest.mark.parametrize("field_hz", first_of([10.0, 20.0, 5.0, 2.0, 1.0]))
@@ -61,3 +62,45 @@ def test_what_is_changed_of_a_window_counts():
     biased = replace(window, angular_rate=window.angular_rate + bias).steps.angle
     gained = np.diff(window.time)[:, None] * bias
     np.testing.assert_allclose(biased, window.steps.angle + gained, atol=1e-12)
+
+
+def test_a_robot_may_turn_by_more_than_a_quarter_from_sample_to_sample():
+    """Angles beyond a quarter were read as their supplement: the field seemed to turn back."""
+    angle = np.array([[0.1, 0.0, 1.2], [0.0, 0.2, 2.4], [0.1, 0.1, -4.0]])
+    steps = Steps(angle, np.zeros((3, 3)), np.ones(3))
+    np.testing.assert_allclose(steps.over(np.arange(4)).angle, angle, atol=1e-9)
+    scene, knowledge = drawn(np.random.default_rng(7), 0.3)
+    window = collected_at(scene.window, 10.0)
+    # The field is silent for a third of the round, as where its driver hangs.
+    time = window.time - BEGUN
+    holed = window.take((time < 9.0) | (time > 16.0))
+    assert np.linalg.norm(holed.steps.angle, axis=1).max() > 0.5 * np.pi
+    outcome = calibrate(holed, knowledge)
+    assert outcome.verdict.accepted
+    error = heading_error(scene, outcome.estimate.correction)
+    assert error < min(1.0 * DEGREE, 3.0 * predicted_heading_sigma(outcome.estimate))
+
+
+def test_nothing_is_extrapolated_into_a_hole_of_the_imu():
+    """By the samples of a shaking robot beside it, turns there were up to 90 degrees off."""
+    rng = np.random.default_rng(5)
+    time = 1.0 + 0.1 * np.arange(200.0)
+    time = time[(time < 9.0) | (time > 10.0)]
+    rate = 0.3 + rng.normal(0.0, 0.1, (len(time), 3))
+    window = Window(time, rng.normal(0.0, 1e-6, (len(time), 3)), np.ones_like(rate), rate)
+    nodes = nodes_of(window, np.eye(3))
+    hole = int(np.argmax(nodes.seconds))
+    assert nodes.seconds[hole] > 1.0
+    away = nodes.angle[hole] - 0.3 * nodes.seconds[hole]
+    assert (np.abs(away) < 4.0 * np.sqrt(nodes.unseen[hole]) + 0.05).all()
+    assert np.abs(away).max() < 0.25
+
+
+def test_samples_of_a_silent_imu_are_no_division_by_zero():
+    rate, still = np.full((6, 3), 0.1), np.zeros((5, 3))
+    steps = Steps(still, still, np.array([10.0, 0.0, 0.0, 10.0, 10.0]))
+    window = Window(0.1 * np.arange(6.0), np.ones((6, 3)), np.ones((6, 3)), rate)
+    window = window.with_steps(steps)
+    nodes = nodes_of(window, np.eye(3))
+    assert np.isfinite(nodes.angle).all()
+    assert np.isfinite(nodes.unseen).all()

@@ -43,6 +43,27 @@ def test_samples_come_in_the_order_of_their_stamps_the_imu_first():
     ]
 
 
+def test_streams_whose_clock_was_set_back_stay_side_by_side():
+    """By their stamps alone all of one stream came before the other, and never met it again."""
+    stamps = np.concatenate([1000.0 + 0.1 * np.arange(50), 5.0 + 0.1 * np.arange(50)])
+    imu = np.column_stack([stamps, np.ones((100, 6))])
+    field = np.column_stack([stamps - 0.05, np.ones((100, 3))])
+    samples = list(Recording(imu, field).samples())
+    came = [row for row, each in enumerate(samples) if isinstance(each, ImuSample)]
+    assert [samples[row].stamp for row in came] == stamps.tolist()
+    assert np.abs(np.array(came) - 2.0 * np.arange(100)).max() <= 2.0
+
+
+def test_a_sample_out_of_order_sets_no_clock_back():
+    stamps = 1.0 + 0.1 * np.arange(40)
+    stamps[[7, 8]] = stamps[[8, 7]]
+    imu = np.column_stack([stamps, np.ones((40, 6))])
+    field = np.column_stack([1.05 + 0.1 * np.arange(40), np.ones((40, 3))])
+    samples = list(Recording(imu, field).samples())
+    assert [each.stamp for each in samples if isinstance(each, ImuSample)] == stamps.tolist()
+    assert [each.stamp for each in samples[-4:]] == pytest.approx([4.8, 4.85, 4.9, 4.95])
+
+
 def test_samples_carry_force_rate_and_field(folder):
     first, field, _ = read_csv_folder(folder).samples()
     assert first == ImuSample(1.0, (0.1, 0.2, 9.8), (0.01, 0.02, 0.03))

@@ -111,8 +111,8 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
         evidence = f"{rate:.1f} Hz in bursts, gaps of at most {gaps.max():.2f} s"
         return wrong("bursts", f"{name}: stamps", evidence, words)
     remedy = (
-        "the stamps jitter: stamp each sample in the driver when it is measured, if possible by "
-        "the sensor's own clock"
+        "the stamps jitter, or samples are lost: stamp each sample in the driver when it is "
+        "measured, if possible by the sensor's own clock, and check that the network loses none"
     )
     return looked_at("stamps", f"{name}: stamps", evidence, remedy * (jitter > TUNING.jitter))
 

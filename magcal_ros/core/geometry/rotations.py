@@ -73,6 +73,23 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
     return np.asarray(part * longer[:, None])
 
 
+def rotation_vectors_near(rotations: FloatArray, near: FloatArray) -> FloatArray:
+    """Return the vectors of rotations (n, 3, 3) of any angle: each the one nearest to `near`.
+
+    Whole rounds leave no trace in a rotation. `near` (n, 3) is known roughly, radians.
+    """
+    part = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
+    sine = np.linalg.norm(part, axis=1)
+    angle = np.arctan2(sine, 0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0))
+    # The antisymmetric part does not show the axis of whole and half rounds.
+    shown = (sine > 1e-6)[:, None]
+    size = np.linalg.norm(near, axis=1)
+    axis = np.where(shown, part / np.maximum(sine, 1e-6)[:, None], near / (size + 1e-12)[:, None])
+    rounds = np.round((np.sum(near * axis, axis=1) - angle) / math.tau)
+    is_tiny = ~shown & (size < 1.0)[:, None]
+    return np.where(is_tiny, part, axis * (angle + math.tau * rounds)[:, None])
+
+
 def turns_about_z(rotations: FloatArray) -> FloatArray:
     """Return the angles (n,) of the turns about z that are nearest to rotations (n, 3, 3)."""
     return np.arctan2(

@@ -25,8 +25,8 @@ from magcal_ros.core.samples.streams import (
     STREAMS,
     FieldSample,
     ImuSample,
+    Pairer,
     PositionSample,
-    Spans,
     Streams,
     TravelSample,
 )
@@ -70,7 +70,7 @@ def replayed(
     Readings are in their order, travel by stamp; `calibration` is in force at the beginning.
     """
     streams, ways = Streams(STREAMS.max_gap), list(travel)
-    replay, now, spans = TravelReplay(ways, streams), calibration, Spans(streams)
+    replay, now, pairer = TravelReplay(ways, streams), calibration, Pairer(streams)
     machine = SelfCalibration(Mode.APPLY) if machine is None else machine
     machine.put_in_force(calibration)
     decisions: list[tuple[float, Decision]] = []
@@ -86,7 +86,10 @@ def replayed(
         if up is not None and not last < due:
             points.append((last, speed, *sample.field, *up))
             due = last + KEEPING.map_every
-        if machine.add(sample, imu, speed, spans.to(imu)):
+        pairer.offer(sample)
+        for pair in pairer.take():
+            if not machine.add(pair.field, pair.imu, speed, pair.span):
+                continue
             for decision in machine.note(answer(machine.job(knowledge))):
                 decisions.append((last - first, decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):

@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.calibration import Estimate, GyroSwing, Install
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit, usual_size
-from magcal_ros.core.geometry.rotations import chained, rotation_vectors
+from magcal_ros.core.geometry.rotations import chained, rotation_vectors_near
 from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
 from magcal_ros.core.samples.drive_log import DriveLog, log_of
@@ -226,7 +226,8 @@ def _swing(found: Smoothed) -> GyroSwing:
 def _arc(found: Smoothed, window: Window) -> float:
     """Return the range of the angle about the main axis of rotation, radians, at most 2 pi."""
     attitude, nodes = found.fit.state.attitude, found.nodes
-    steps = rotation_vectors(attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2))
+    between = attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2)
+    steps = rotation_vectors_near(between, -nodes.angle)
     # The steps of a sway cancel each other, however fast it is; those of the turn add up.
     turned = np.insert(np.cumsum(steps, axis=0), 0, 0.0, axis=0)
     main = np.linalg.svd(turned - turned.mean(axis=0), full_matrices=False)[2][0]

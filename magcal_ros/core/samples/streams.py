@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, TypeVar
 
-from magcal_ros.core.geometry.vec3 import Triple, between, length
+from magcal_ros.core.geometry.vec3 import Triple, between, dot, length, scaled
 from magcal_ros.core.samples.bursts import BurstWatch
 
 Stamped = TypeVar("Stamped", bound=tuple[object, ...])
@@ -200,8 +200,7 @@ class Streams:
     def imu_between(self, start: ImuSample, end: ImuSample) -> ImuSpan | None:
         """Integrate the IMU between two samples; None if samples or rates are missing there.
 
-        By the trapezoidal rule, with coning to the second order (the classical one-sample
-        algorithm of strapdown navigation).
+        By the trapezoidal rule; the rotations are multiplied, so that they may be large.
         """
         if start.stamp == end.stamp:
             return ImuSpan((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0)
@@ -212,22 +211,29 @@ class Streams:
             if sample.stamp < end.stamp and sample.is_measured:
                 samples.append(sample)
         samples.append(start)
-        ax = ay = az = bx = by = bz = vx = vy = vz = 0.0
+        ax = ay = az = x = y = z = vx = vy = vz = 0.0
+        w = 1.0
         for later, earlier in zip(samples[-2::-1], samples[:0:-1], strict=True):
             half = 0.5 * (later.stamp - earlier.stamp)
             if not 0.0 < 2.0 * half <= self.max_gap:
                 return None
             (px, py, pz), (qx, qy, qz) = earlier.rate, later.rate
             dx, dy, dz = half * (px + qx), half * (py + qy), half * (pz + qz)
-            bx += ay * dz - az * dy
-            by += az * dx - ax * dz
-            bz += ax * dy - ay * dx
             ax, ay, az = ax + dx, ay + dy, az + dz
+            # Cosine and sine of half the step, the latter over the step.
+            square = 0.25 * (dx * dx + dy * dy + dz * dz)
+            c, s = 1.0 - square * (0.5 - square / 24.0), 0.5 - square / 12.0
+            w, x, y, z = (
+                c * w - s * (x * dx + y * dy + z * dz),
+                c * x + s * (w * dx + y * dz - z * dy),
+                c * y + s * (w * dy + z * dx - x * dz),
+                c * z + s * (w * dz + x * dy - y * dx),
+            )
             (px, py, pz), (qx, qy, qz) = earlier.force, later.force
             vx, vy, vz = vx + half * (px + qx), vy + half * (py + qy), vz + half * (pz + qz)
-        angle = ax + 0.5 * bx, ay + 0.5 * by, az + 0.5 * bz
-        if not math.isfinite(sum(angle)):
+        if not math.isfinite(ax + ay + az):
             return None
+        angle = _vector_of(w, (x, y, z), (ax, ay, az))
         return ImuSpan(angle, (vx, vy, vz), len(samples) - 1)
 
     @property
@@ -269,6 +275,16 @@ def _fault(vector: Triple, largest: float) -> Drop | None:
     return Drop.TOO_LARGE if square > largest * largest else None
 
 
+def _vector_of(w: float, part: Triple, near: Triple) -> Triple:
+    """Return the rotation vector, radians, of a quaternion: the one nearest to another vector."""
+    sine = length(part)
+    if sine < 1e-12:
+        return near
+    angle = 2.0 * math.atan2(sine, w)
+    angle += math.tau * round((dot(near, part) / sine - angle) / math.tau)
+    return scaled(part, angle / sine)
+
+
 class Spans:
     """Integrates the IMU from one of its moments to the next that is asked for."""
 
@@ -283,10 +299,13 @@ class Spans:
 
 
 class Pairer:
-    """Holds field samples until the IMU samples around them have come."""
+    """Holds field samples until the IMU samples around them have come.
 
-    def __init__(self, streams: Streams) -> None:
-        self._streams = streams
+    One that `counts` adds those without any to the drops of the streams.
+    """
+
+    def __init__(self, streams: Streams, *, counts: bool = True) -> None:
+        self._streams, self._counts = streams, counts
         self._waiting: deque[FieldSample] = deque()
         self._spans = Spans(streams)
 
@@ -316,7 +335,8 @@ class Pairer:
         return pairs
 
     def _count_unpaired(self) -> None:
-        self._streams.field_drops[Drop.UNPAIRED] += 1
+        if self._counts:
+            self._streams.field_drops[Drop.UNPAIRED] += 1
 
 
 class SpeedSample(NamedTuple):

@@ -20,7 +20,7 @@ from magcal_ros.core.geometry.arrays import (
     interpolated,
 )
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors_near
 from magcal_ros.core.samples.rest import ANGLE, COLUMNS, FORCE, RATE, RestBeside
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
@@ -52,8 +52,8 @@ class Steps(NamedTuple):
         """Return the steps between the chosen samples, by increasing indices."""
         attitude = self.attitude[rows]
         turned = attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2)
-        sums = (np.diff(accumulated(each)[rows], axis=0) for each in self[1:])
-        return Steps(-rotation_vectors(turned), *sums)
+        sums = [np.diff(accumulated(each)[rows], axis=0) for each in self]
+        return Steps(-rotation_vectors_near(turned, -sums[0]), *sums[1:])
 
     def beyond(self, line: Steps) -> Steps:
         """Return what is missed by straight lines; their intervals stay."""
@@ -120,8 +120,8 @@ class Window:
         """Usual seconds between two samples of the IMU; zero of less than two samples."""
         if len(self) < 2:
             return 0.0
-        intervals = 1.0 if self.missed is None else self.missed.intervals
-        return float(np.median(np.diff(self.time) / intervals))
+        intervals = np.ones(1) if self.missed is None else self.missed.intervals
+        return float(np.median(np.diff(self.time) / np.maximum(intervals, 1.0)))
 
     @property
     def steps(self) -> Steps:

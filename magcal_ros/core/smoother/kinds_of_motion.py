@@ -41,8 +41,8 @@ It is approximate (Laplace, at the most likely sizes), and real robots differ fr
 
 NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
 DIFFERENT_TURNS = (
-    "the field does not turn as the gyro does; check that the axes of both sensors match, and "
-    "check their stamps"
+    "the field does not turn as the gyro does; check that the axes of both sensors match, check "
+    "their stamps, and check that no samples of a shaking gyro are lost"
 )
 
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0

@@ -218,7 +218,7 @@ def _steps(window: Window) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
     turned, unseen = _turned(time, rate)
     plain = 0.5 * np.diff(time)[:, None] * (rate[:-1] + rate[1:])
     angle, velocity, intervals = window.steps
-    many = intervals[:, None]
+    many = np.maximum(intervals, 1.0)[:, None]  # a silent IMU has none at all
     return angle + (turned - plain) / many**2, unseen / many**5, velocity, intervals
 
 
@@ -231,7 +231,12 @@ def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]
     """
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if SWAY / 3.0 < usual < SWAY and len(time) > 2:
-        return _band_limited(time, rate)
+        steps, unseen = _band_limited(time, rate)
+        # Faster sway beside a hole would be extrapolated into it.
+        hole = np.flatnonzero(np.diff(time) > SWAY)
+        steps[hole] = 0.5 * np.diff(time)[hole, None] * (rate[hole] + rate[hole + 1])
+        unseen[hole] = unseen_angles(time, rate)[hole]
+        return steps, unseen
     bend, twist = np.zeros_like(rate), np.zeros_like(rate)
     bend[1:-1] = np.diff(rate, 2, axis=0)
     twist[2:-2] = np.diff(rate, 4, axis=0)

@@ -9,11 +9,13 @@ from hypothesis import strategies as st
 
 from magcal_ros.core.geometry.rotations import (
     exp_rotation,
+    exp_rotations,
     minimal_rotation,
     rotation_about,
     rotation_angle,
     rotation_from_quaternion,
     rotation_from_rpy,
+    rotation_vectors_near,
     rpy_from_rotation,
     skew,
 )
@@ -106,3 +108,13 @@ def test_a_quaternion_of_any_length_turns_as_its_vector_does(v, length):
 def test_a_quaternion_of_nothing_is_no_rotation():
     assert rotation_from_quaternion(0.0, 0.0, 0.0, 0.0) is None
     assert rotation_from_quaternion(math.nan, 0.0, 0.0, 1.0) is None
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 1.7, math.pi, 3.3, 6.1, math.tau, 9.0])
+def test_the_vector_of_a_rotation_of_any_angle_is_the_one_nearest_to_a_guess(angle):
+    axis = np.array([[0.6, 0.0, 0.8]])
+    guess = (angle + 0.2) * axis + 0.01
+    found = rotation_vectors_near(exp_rotations(angle * axis), guess)
+    away = found - angle * axis
+    # Of a whole or half round the axis is that of the guess.
+    assert np.abs(away).max() < (0.08 if angle in (math.pi, math.tau) else 1e-6)

@@ -30,3 +30,31 @@ def test_movement_that_is_forgotten_counts_as_well():
     assert story.seconds == pytest.approx(2.0 * (STANDS + GOES), abs=1.0)
     # Of each rest a few seconds at both ends are kept.
     assert 2.0 * GOES - 5.0 < story.moved < 2.0 * GOES + 30.0
+
+
+def test_what_came_while_the_imu_was_silent_is_no_part_of_the_drive():
+    """Its last rate was held meanwhile, and where no sample came the fit divided by zero."""
+    rng = np.random.default_rng(5)
+    drive = simulated_drive(
+        travel([Leg(STANDS), Leg(90.0, turn_rate=0.2)], rng, rate=20.0),
+        rng,
+        Vehicle(Robot(noise_rate=2e-3)),
+        streets=None,
+    )
+    silent = (1060.0, 1061.5)
+    readings = (
+        each
+        for each in drive.samples()
+        if hasattr(each, "field") or (hasattr(each, "rate") and not _within(each.stamp, silent))
+    )
+    machine = SelfCalibration(Mode.APPLY)
+    replayed(Knowledge(), None, readings, (), machine)
+    log = machine.recorder.log()
+    steps = log.window.steps
+    assert np.isfinite(steps.angle).all()
+    assert (steps.intervals > 0.0).all()
+    assert np.diff(log.time).max() > 1.4
+
+
+def _within(stamp, span):
+    return span[0] < stamp < span[1]

@@ -7,7 +7,7 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.geometry.rotations import exp_rotation, exp_rotations
 from magcal_ros.core.samples.streams import (
     STREAMS,
     Drop,
@@ -336,6 +336,23 @@ class TestPairs:
         assert all(span is None or span.intervals <= 2 for span in spans)
         blind = [sample._replace(rate=(math.nan,) * 3) for sample in imus]
         assert all(pair.span is None for pair in Walk().feed_all(by_stamp(blind, fields)))
+
+    def test_a_span_may_turn_by_more_than_half_a_round_while_the_body_sways(self):
+        """A field of 1 Hz, or one that is silent for a second while its robot turns."""
+        step, body = 0.01, np.eye(3)
+        stamps = 1.0 + step * np.arange(301)
+        lean = 0.6 * np.cos(9.0 * stamps[:, None] + [0.0, 1.0])
+        rates = np.column_stack([lean, np.full(len(stamps), 3.5)])
+        bodies = [body]
+        for turn in exp_rotations(-0.5 * step * (rates[1:] + rates[:-1])):
+            bodies.append(turn @ bodies[-1])
+        imus = [imu(t, rate=tuple(w)) for t, w in zip(stamps, rates.tolist(), strict=True)]
+        pairs = Walk().feed_all(by_stamp(imus, [numbered(float(t)) for t in stamps[::100]]))
+        for k, pair in enumerate(pairs[1:]):
+            truth = bodies[100 * (k + 1)] @ bodies[100 * k].T
+            np.testing.assert_allclose(exp_rotation(-np.array(pair.span.angle)), truth, atol=1e-6)
+            assert pair.span.angle[2] == pytest.approx(3.5, abs=0.1)
+        assert len(pairs) == 4
 
     def test_a_field_in_a_gap_of_the_imu_is_counted_as_unpaired(self):
         imus, fields = drive(1.0, 3.0)
