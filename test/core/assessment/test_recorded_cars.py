@@ -54,7 +54,7 @@ def test_a_car_whose_body_weakens_the_field_gets_its_circle_and_its_reason(recor
     assert ours < 0.6 * best
     assert ours < 2.0 * sigma
     assert any("reaches the sensor" in check.words for check in outcome.verdict.checks)
-    assert "axes belong together" not in outcome.verdict.summary
+    assert "axes of both sensors match" not in outcome.verdict.summary
 
 
 @pytest.mark.nightly
