@@ -50,6 +50,7 @@ class RecorderTuning:
 
 
 TUNING = RecorderTuning()
+ROLLS = 0.2  # m/s of the speed of the wheels from which a robot certainly drives
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,12 @@ class DriveLog:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def rolls(self) -> bool:
+        """Whether the wheels' speed shows that the robot drives."""
+        known = self.speed[np.isfinite(self.speed)]
+        return bool(len(known)) and float(np.median(np.abs(known))) > ROLLS
 
     @property
     def window(self) -> Window:

@@ -174,6 +174,11 @@ def fit_gathered(
     log = gathering.drive()
     if method == DRIVES:
         return calibrate_drive(log, knowledge)
+    if method == METHODS[0] and log.rolls:
+        # A window has no speed, and what drives from place to place would pass for a small circle.
+        driven = calibrate_drive(log, knowledge)
+        if driven.verdict.accepted:
+            return driven
     window = _window_or_refusal(gathering)
     if isinstance(window, Window):
         outcome = calibrate(window, knowledge, method, progress)

@@ -52,7 +52,6 @@ WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
 """Of a drive, in which there is more of everything than in one turn, longer means are enough."""
 PART, FEWEST_OF_PART = 200.0, 100
 """Seconds of a long window with which a turn on the spot is tried first, and the fewest samples."""
-ROLLS = 0.2  # m/s of the speed of the wheels from which a robot certainly drives
 MOST_FITS = 3 * len(KINDS)
 """Of a drive: each kind of motion roughly, to the end, and from the best of the others."""
 LATE_BY = 0.1  # initial delay of the field, seconds, of the iterations of `LATE`
@@ -144,9 +143,7 @@ class _Trials:
     @property
     def _rolls(self) -> bool:
         """Whether the wheels' speed shows that the robot drives."""
-        if not isinstance(self._samples, DriveLog) or np.isnan(self._samples.speed).all():
-            return False
-        return bool(np.nanmedian(np.abs(self._samples.speed)) > ROLLS)
+        return isinstance(self._samples, DriveLog) and self._samples.rolls
 
     def add(
         self, name: str, like: Fit | None = None, tolerances: Tolerances = Tolerances()

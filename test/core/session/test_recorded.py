@@ -6,6 +6,8 @@ import pytest
 from drives import ROBOT, drive, write_csv
 from long_form import first_of
 from simulated import Vehicle, city, simulated_drive, travel
+from simulated.drive import Streets
+from simulated.legs import Leg
 from simulated.turns import measure, turn
 
 from magcal_ros.core.calibration.figure import Figure
@@ -97,6 +99,22 @@ def test_a_drive_is_answered_by_the_smoother_there_as_here():
     assert found.verdict.summary == expected.verdict.summary
     one, other = found.calibration.correction, expected.calibration.correction
     np.testing.assert_allclose(one.parameters, other.parameters, rtol=1e-6, atol=1e-12)
+
+
+def test_what_the_wheels_say_makes_a_drive_of_what_would_pass_for_a_small_circle():
+    rng = np.random.default_rng(1)
+    legs = [Leg(4.0)]
+    for _ in range(8):
+        bend = rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 0.6)
+        legs += [Leg(rng.uniform(4.0, 10.0), speed=2.0), Leg(4.0, speed=2.0, turn_rate=bend)]
+    way, robot = travel(legs, rng, rate=25.0), Robot(noise_force=0.05, noise_rate=2e-3)
+    drive = simulated_drive(way, rng, Vehicle(robot), streets=Streets(size=1e-6), receiver=None)
+    known = knowledge_of(robot.strength * 1e6, inclination_deg=math.degrees(robot.inclination))
+    gathering = Gathering(Mounting())
+    gathering.take(drive._sensors(), drive.speeds)
+    figures = fit_gathered(gathering, known).estimate.figures
+    assert figures[Figure.METRES] == pytest.approx(way.metres[-1], rel=0.1)
+    assert figures[Figure.LOCAL_FIELD] > 0.3e-6
 
 
 def test_the_heading_is_right_afterwards():
