@@ -42,7 +42,7 @@ from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, ImuSpan
+from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import DriveFit, drive_nodes, fit_drive
 
@@ -74,16 +74,10 @@ class Heard(SelfCalibration):
 
     def __init__(self) -> None:
         super().__init__(Mode.OFF)
-        self.rows: list[tuple[FieldSample, ImuSample | None, float, ImuSpan | None]] = []
+        self.rows: list[tuple[Pair, float]] = []
 
-    def add(
-        self,
-        sample: FieldSample,
-        imu: ImuSample | None,
-        speed: float = math.nan,
-        span: ImuSpan | None = None,
-    ) -> bool:
-        self.rows.append((sample, imu, speed, span))
+    def add(self, pair: Pair, speed: float = math.nan) -> bool:
+        self.rows.append((pair, speed))
         return False
 
     def decide(self, begun: Calibration) -> tuple[list[tuple[float, Decision]], Calibration]:
@@ -93,7 +87,7 @@ class Heard(SelfCalibration):
         for row in self.rows:
             if machine.add(*row):
                 for decision in machine.note(answer(machine.job(BOSTON))):
-                    made.append((row[0].stamp - self.rows[0][0].stamp, decision))
+                    made.append((row[0].field.stamp - self.rows[0][0].field.stamp, decision))
                     if decision.calibration is not None:
                         now = decision.calibration
                         machine.put_in_force(now)

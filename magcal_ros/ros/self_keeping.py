@@ -52,7 +52,7 @@ class SelfKeeping:
             return
         self._pairer.offer(sample)
         for pair in self._pairer.take():
-            if self.machine.add(pair.field, pair.imu, travel.travelling.speed, pair.span):
+            if self.machine.add(pair, travel.travelling.speed):
                 self._look()
 
     def follow(self, mode: str, reports: str) -> None:

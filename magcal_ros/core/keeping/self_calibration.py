@@ -32,7 +32,7 @@ from magcal_ros.core.keeping.jobs import (
 )
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, ImuSpan
+from magcal_ros.core.samples.streams import Pair
 
 TRIAL = "trial"
 
@@ -109,21 +109,14 @@ class SelfCalibration:
         if not decided:
             self._not_before = -math.inf
 
-    def add(
-        self,
-        sample: FieldSample,
-        imu: ImuSample | None,
-        speed: float = math.nan,
-        span: ImuSpan | None = None,
-    ) -> bool:
-        """Take a sample with the newest of the IMU, which counts only if it has a rate.
+    def add(self, pair: Pair, speed: float = math.nan) -> bool:
+        """Take a pair, which counts only if its IMU has a rate.
 
-        The speed is in m/s, NaN where it is unknown; `span` is from the newest IMU
-        sample of the call before to this one. Returns whether a look is due.
+        The speed is in m/s, NaN where it is unknown. Returns whether a look is due.
         """
-        if self.mode is Mode.OFF or imu is None or not math.isfinite(imu.rate[0]):
+        if self.mode is Mode.OFF or not math.isfinite(pair.imu.rate[0]):
             return False
-        if not self.recorder.add(sample, imu, speed, span):
+        if not self.recorder.add(pair, speed):
             return False
         if self._is_pending or self.recorder.seconds < KEEPING.look_every:
             return False

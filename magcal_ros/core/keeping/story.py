@@ -88,7 +88,7 @@ def replayed(
             due = last + KEEPING.map_every
         pairer.offer(sample)
         for pair in pairer.take():
-            if not machine.add(pair.field, pair.imu, speed, pair.span):
+            if not machine.add(pair, speed):
                 continue
             for decision in machine.note(answer(machine.job(knowledge))):
                 decisions.append((last - first, decision))

@@ -26,7 +26,7 @@ from magcal_ros.core.samples.rest import (
     RATE,
     sigma_later,
 )
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, ImuSpan
+from magcal_ros.core.samples.streams import STREAMS, ImuSample, ImuSpan, Pair
 from magcal_ros.core.samples.window import Steps, Window, steps_of
 
 
@@ -197,31 +197,12 @@ class DriveRecorder:
         """Seconds of movement since it began, with what is no longer kept."""
         return self.clock - self.begun if self._chunks else 0.0
 
-    def add(
-        self,
-        sample: FieldSample,
-        imu: ImuSample,
-        speed: float = math.nan,
-        span: ImuSpan | None = None,
-    ) -> bool:
-        """Take a field sample with what else was measured.
+    def add(self, pair: Pair, speed: float = math.nan) -> bool:
+        """Take a pair whose IMU has a rate, and the speed, m/s; NaN where nobody measures it.
 
-        Parameters
-        ----------
-        sample : FieldSample
-        imu : ImuSample
-            The newest at its stamp, or interpolated there; with a rate.
-        speed : float
-            m/s; NaN where nobody measures it.
-        span : ImuSpan, optional
-            From the `imu` of the sample before to this one, by all IMU samples.
-
-        Returns
-        -------
-        bool
-            Whether more of the drive is known than before.
+        Returns whether more of the drive is known than before.
         """
-        stamp = sample.stamp
+        stamp, imu = pair.field.stamp, pair.imu
         if not 0.0 <= stamp - self._newest <= self._longest_silence:
             self._end_piece()
             # The gyro's path does not reach across the hole that is left.
@@ -233,24 +214,23 @@ class DriveRecorder:
             grown = self._close()
             self._row = stamp
         self._count += 1
-        path = self._path_at(stamp, imu, span)
-        row = (stamp, *sample.field, *imu.force, *imu.rate, *path, speed, 0.0)
+        self._go_on(pair)
+        row = (stamp, *pair.field.field, *imu.force, *imu.rate, *self._path, speed, 0.0)
         self._sums = list(map(add, self._sums, row))
         return grown
 
-    def _path_at(self, stamp: float, imu: ImuSample, span: ImuSpan | None) -> tuple[float, ...]:
-        """Return the integrals of the IMU up to a stamp, from the beginning of the piece."""
-        last, self._imu = self._imu, imu
-        if span is None and last is not None:
+    def _go_on(self, pair: Pair) -> None:
+        """Integrate the IMU up to a pair, from the beginning of the piece."""
+        last, imu, span = self._imu, pair.imu, pair.span
+        self._imu = imu
+        if last is None:
+            return
+        if span is None:
             half = 0.5 * (imu.stamp - last.stamp)
             angle = scaled(plus(last.rate, imu.rate), half)
             span = ImuSpan(angle, scaled(plus(last.force, imu.force), half), 1)
-        if span is not None:
-            step = (*span.angle, *span.velocity, float(span.intervals))
-            self._path = list(map(add, self._path, step))
-        since = stamp - imu.stamp
-        more = (*scaled(imu.rate, since), *scaled(imu.force, since), 0.0)
-        return tuple(map(add, self._path, more))
+        step = (*span.angle, *span.velocity, float(span.intervals))
+        self._path = list(map(add, self._path, step))
 
     def _end_piece(self) -> None:
         # A piece that was too short to show a rest is dropped.

@@ -151,7 +151,7 @@ class Gathering:
                 self._session = Session(Limits(), self.mounting, 0.0, longer=LONGER)
             self._session.add(pair, 0.0)
             if math.isfinite(pair.imu.rate[0]):
-                self._drive.add(pair.field, pair.imu, self._replay.travelling.speed, pair.span)
+                self._drive.add(pair, self._replay.travelling.speed)
 
     def _choose(self) -> None:
         """Keep the part with most of a turn, of the parts between which time was set back."""

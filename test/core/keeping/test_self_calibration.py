@@ -25,7 +25,7 @@ from magcal_ros.core.keeping.jobs import (
 from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
 from magcal_ros.core.simulation import Robot
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
@@ -271,7 +271,7 @@ def test_after_each_lost_job_the_next_is_asked_for_later():
         field = (20e-6 * math.cos(yaw), -20e-6 * math.sin(yaw), -40e-6)
         stamp = 100.0 + 0.05 * k
         imu = ImuSample(stamp, (0.0, 0.0, 9.81), (0.0, 0.0, 0.3))
-        if machine.add(FieldSample(stamp, field), imu, 1.0):
+        if machine.add(Pair(FieldSample(stamp, field), imu), 1.0):
             due.append(0.05 * k)
             machine.job(BOSTON)
             machine.fail()
@@ -317,7 +317,7 @@ def follow(drive, machine, told=lambda stamp: stamp):
     rows = (drive.time, drive.field, drive.force, drive.rate)
     for stamp, field, force, rate in zip(*(row[::2].tolist() for row in rows), strict=True):
         imu = ImuSample(told(stamp), force, rate)
-        if machine.add(FieldSample(told(stamp), field), imu):
+        if machine.add(Pair(FieldSample(told(stamp), field), imu)):
             for decision in machine.note(answer(machine.job(BOSTON))):
                 made.append((stamp - drive.time[0], decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):

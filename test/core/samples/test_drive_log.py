@@ -7,7 +7,7 @@ import pytest
 
 from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Spans, Streams
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Pair, Spans, Streams
 
 BIAS = np.radians([3.5, -2.0, 1.9])
 STEP = 0.02
@@ -32,7 +32,7 @@ class Ride:
             force = np.array([0.0, 0.0, 9.81]) + self.rng.normal(0.0, 0.02, 3)
             spin = bias + np.array([0.0, 0.0, rate]) + self.rng.normal(0.0, self.noise, 3)
             imu = ImuSample(self.stamp, tuple(force), tuple(spin))
-            self.recorder.add(FieldSample(self.stamp, tuple(field)), imu)
+            self.recorder.add(Pair(FieldSample(self.stamp, tuple(field)), imu))
 
 
 @pytest.fixture
@@ -211,7 +211,7 @@ def test_the_path_holds_every_sample_of_the_imu():
         streams.add_imu(imu)
         if row % 11 == 0:
             field = 20e-6 * math.cos(angle), -20e-6 * math.sin(angle), -40e-6
-            recorder.add(FieldSample(stamp, field), imu, span=spans.to(imu))
+            recorder.add(Pair(FieldSample(stamp, field), imu, spans.to(imu)))
     log = recorder.log()
     turned = turned_by(log)
     truth = np.interp(log.time, stamps, angles)

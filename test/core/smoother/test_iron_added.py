@@ -12,7 +12,7 @@ from streets import BOSTON, driven, heading_error, log_from
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.keeping.jobs import KEEPING
 from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
 from magcal_ros.core.smoother.drives import drive_nodes
 from magcal_ros.core.smoother.iron_added import find_change
 
@@ -75,7 +75,7 @@ def recorded(drive, added):
     rows = zip(drive.time, drive.field + added, drive.force, drive.rate, strict=True)
     for stamp, field, force, rate in rows:
         imu = ImuSample(stamp, tuple(force), tuple(rate))
-        recorder.add(FieldSample(stamp, tuple(field)), imu)
+        recorder.add(Pair(FieldSample(stamp, tuple(field)), imu))
     return recorder.log()
 
 
