@@ -124,8 +124,8 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
     from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
 
     # The search for wrong axes takes time: it is left out for a good result of the smoother, and
-    # for a z axis that points down, which explains the rest. Nor can it tell axes from a sway that
-    # is faster than the samples.
+    # for a z axis that points down, which explains the rest. It cannot distinguish wrong axes from
+    # a sway that is faster than the samples.
     outcome = judged(estimate, knowledge, window)
     explains = outcome.verdict.accepted and estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
     is_slow = float(np.median(np.diff(window.time))) > SWAY

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import TextIO
 
@@ -82,12 +83,8 @@ class Recording:
             for t, ax, ay, az, gx, gy, gz in self.imu.tolist()
         )
         field = (FieldSample(t, (x, y, z)) for t, x, y, z in self.field.tolist())
-        came = (_never_set_back(table[:, 0]).tolist() for table in (self.imu, self.field))
-        of_imu, of_field = map(iter, came)
-        # Each key is asked for once, in the order of its stream.
-        return heapq.merge(
-            imu, field, key=lambda each: next(of_imu if isinstance(each, ImuSample) else of_field)
-        )
+        both = _as_they_came(self.imu, imu), _as_they_came(self.field, field)
+        return (sample for _, sample in heapq.merge(*both, key=itemgetter(0)))
 
     readings = samples
 
@@ -119,6 +116,13 @@ class Recording:
         for vectors in (imu[:, 1:4], imu[:, 4:7], raw[:, 1:4]):
             vectors[:] = vectors @ pose.T
         return replace(self, imu=imu, field=raw)
+
+
+def _as_they_came(
+    table: FloatArray, samples: Iterable[ImuSample | FieldSample]
+) -> Iterator[tuple[float, ImuSample | FieldSample]]:
+    """Yield samples with the moments at which they came."""
+    yield from zip(_never_set_back(table[:, 0]).tolist(), samples, strict=True)
 
 
 def _never_set_back(stamps: FloatArray) -> FloatArray:

@@ -68,10 +68,15 @@ def accumulated(steps: FloatArray) -> FloatArray:
     return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
 
 
+def trapezoids(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the integrals of values (n, ...) from each moment to the next, shape (n - 1, ...)."""
+    seconds = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(0.5 * (values[1:] + values[:-1]) * seconds)
+
+
 def integral(time: FloatArray, values: FloatArray) -> FloatArray:
     """Return the integral of values (n, ...) up to each moment, by the trapezoid rule."""
-    seconds = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
-    return accumulated(0.5 * (values[1:] + values[:-1]) * seconds)
+    return accumulated(trapezoids(time, values))
 
 
 def runs(flags: BoolArray) -> list[tuple[int, int]]:

@@ -66,8 +66,7 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
 
     Angles below a quarter turn.
     """
-    # The antisymmetric part is the axis times the sine of the angle.
-    part = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
+    part = _axis_by_sine(rotations)
     sine = np.minimum(np.linalg.norm(part, axis=1), 1.0)
     longer = np.where(sine > 1e-9, np.arcsin(sine) / np.maximum(sine, 1e-9), 1.0)
     return np.asarray(part * longer[:, None])
@@ -78,7 +77,7 @@ def rotation_vectors_near(rotations: FloatArray, near: FloatArray) -> FloatArray
 
     Whole rounds leave no trace in a rotation. `near` (n, 3) is known roughly, radians.
     """
-    part = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
+    part = _axis_by_sine(rotations)
     sine = np.linalg.norm(part, axis=1)
     angle = np.arctan2(sine, 0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0))
     # The antisymmetric part does not show the axis of whole and half rounds.
@@ -88,6 +87,13 @@ def rotation_vectors_near(rotations: FloatArray, near: FloatArray) -> FloatArray
     rounds = np.round((np.sum(near * axis, axis=1) - angle) / math.tau)
     is_tiny = ~shown & (size < 1.0)[:, None]
     return np.where(is_tiny, part, axis * (angle + math.tau * rounds)[:, None])
+
+
+def _axis_by_sine(rotations: FloatArray) -> FloatArray:
+    """Return the axes times the sines of the angles, the antisymmetric parts, shape (n, 3)."""
+    return np.asarray(
+        0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
+    )
 
 
 def turns_about_z(rotations: FloatArray) -> FloatArray:

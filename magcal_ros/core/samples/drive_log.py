@@ -22,8 +22,8 @@ from magcal_ros.core.samples.rest import (
     COLUMNS,
     FIELD,
     FORCE,
-    INTERVALS,
     RATE,
+    SPAN,
     sigma_later,
 )
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, ImuSpan, Pair
@@ -68,7 +68,7 @@ class DriveLog:
     rested: BoolArray | None = None
     """Where a recorder saw the robot stand; None where nobody has looked. Shape (m,)."""
     missed: Steps | None = None
-    """What straight lines between the rows miss, by all samples of the IMU."""
+    """What the IMU samples between the rows add to straight lines between them."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -120,7 +120,6 @@ def log_of(window: Window) -> DriveLog:
 
 SPEED, RESTED, WIDTH = COLUMNS, COLUMNS + 1, COLUMNS + 2
 """Of the rows of a drive, beside the columns of any samples in rows."""
-IMU_PATH = slice(ANGLE.start, INTERVALS + 1)
 
 CHUNKS_OF_REST = 5  # chunks over which a rest is looked for
 
@@ -275,8 +274,8 @@ class DriveRecorder:
         """End a row, and a chunk of them now and then."""
         if self._count:
             row = [value / self._count for value in self._sums]
-            path, before = row[IMU_PATH], self._path_of_row
-            row[IMU_PATH], self._path_of_row = list(map(sub, path, before)), path
+            path, before = row[SPAN], self._path_of_row
+            row[SPAN], self._path_of_row = list(map(sub, path, before)), path
             self._rows.append(row)
             self._sums, self._count = [0.0] * WIDTH, 0
         if len(self._rows) < TUNING.chunk:
@@ -308,7 +307,7 @@ class DriveRecorder:
         self._held.append(chunk)
         if len(self._held) >= CHUNKS_OF_REST:
             gone = self._held.popleft()
-            self._held[0][0, IMU_PATH] = math.nan
+            self._held[0][0, SPAN] = math.nan
             self._pause += float(gone[-1, 0] - gone[0, 0]) + TUNING.row
 
     def _keep(self, chunk: FloatArray) -> None:

@@ -285,19 +285,6 @@ def _vector_of(w: float, part: Triple, near: Triple) -> Triple:
     return scaled(part, angle / sine)
 
 
-class Spans:
-    """Integrates the IMU from one of its moments to the next that is asked for."""
-
-    def __init__(self, streams: Streams) -> None:
-        self._streams = streams
-        self._last: ImuSample | None = None
-
-    def to(self, imu: ImuSample) -> ImuSpan | None:
-        """Return the integrals since the moment before; None where they are not known."""
-        last, self._last = self._last, imu
-        return None if last is None else self._streams.imu_between(last, imu)
-
-
 class Pairer:
     """Holds field samples until the IMU samples around them have come.
 
@@ -307,7 +294,7 @@ class Pairer:
     def __init__(self, streams: Streams, *, counts: bool = True) -> None:
         self._streams, self._counts = streams, counts
         self._waiting: deque[FieldSample] = deque()
-        self._spans = Spans(streams)
+        self._last: ImuSample | None = None
 
     def offer(self, sample: FieldSample) -> None:
         """Take a field sample; an unchanged repetition of the one before should not come here.
@@ -331,7 +318,9 @@ class Pairer:
             if imu is None:
                 self._count_unpaired()
             else:
-                pairs.append(Pair(sample, imu, self._spans.to(imu)))
+                last, self._last = self._last, imu
+                span = None if last is None else self._streams.imu_between(last, imu)
+                pairs.append(Pair(sample, imu, span))
         return pairs
 
     def _count_unpaired(self) -> None:

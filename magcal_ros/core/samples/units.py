@@ -121,7 +121,7 @@ def _slow_gyro_in_words(window: Window) -> str:
         return ""
     return (
         f"or the robot shakes too fast for an IMU of {1.0 / gap:.2g} Hz: publish or record it at "
-        "10 Hz or more, at best at 50 Hz"
+        "10 Hz or more, if possible at 50 Hz"
     )
 
 

@@ -18,10 +18,11 @@ from magcal_ros.core.geometry.arrays import (
     freeze,
     integral,
     interpolated,
+    trapezoids,
 )
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors_near
-from magcal_ros.core.samples.rest import ANGLE, COLUMNS, FORCE, RATE, RestBeside
+from magcal_ros.core.samples.rest import FORCE, RATE, SPAN, RestBeside
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
 NO_ORIENTATION = (math.nan,) * 4
@@ -39,9 +40,7 @@ class Steps(NamedTuple):
     @classmethod
     def straight(cls, time: FloatArray, force: FloatArray, rate: FloatArray) -> Steps:
         """Integrate straight lines between samples: (n,), (n, 3) in m/s² and (n, 3) in rad/s."""
-        half = 0.5 * np.diff(time)[:, None]
-        angle, velocity = (half * (each[1:] + each[:-1]) for each in (rate, force))
-        return cls(angle, velocity, np.ones(len(half)))
+        return cls(trapezoids(time, rate), trapezoids(time, force), np.ones(max(len(time) - 1, 0)))
 
     @property
     def attitude(self) -> FloatArray:
@@ -66,7 +65,7 @@ def steps_of(rows: FloatArray) -> Steps:
     Where the span from the row before is not known, it is that of a straight line; without a gyro
     nothing turns.
     """
-    span = rows[1:, ANGLE.start : COLUMNS].copy()
+    span = rows[1:, SPAN].copy()
     lost = ~np.isfinite(span).all(axis=1)
     line = Steps.straight(rows[:, 0], rows[:, FORCE], rows[:, RATE])
     span[lost] = np.column_stack(line)[lost]
@@ -90,7 +89,8 @@ class Window:
     angular_rate: FloatArray | None = None
     """rad/s in body axes at the same moments; None without a gyro. Shape (n, 3)."""
     missed: Steps | None = None
-    """What straight lines between the samples miss, by all samples of an IMU with a gyro."""
+    """What the IMU samples between those of the window add to straight lines between them; None
+    if they are not known, or without a gyro."""
     rests: tuple[RestBeside, ...] = ()
     """What was seen right before and after the turn, where the robot stood there; the gyro's bias
     that they show is taken off `angular_rate`."""
@@ -126,8 +126,7 @@ class Window:
     @property
     def steps(self) -> Steps:
         """By all samples of the IMU that are known; without a gyro nothing turns."""
-        rate = np.zeros((len(self), 3)) if self.angular_rate is None else self.angular_rate
-        line, missed = Steps.straight(self.time, self.specific_force, rate), self.missed
+        line, missed = self._straight, self.missed
         if missed is None:
             return line
         return Steps(line.angle + missed.angle, line.velocity + missed.velocity, missed.intervals)
@@ -147,7 +146,12 @@ class Window:
 
     def with_steps(self, steps: Steps) -> Window:
         """Return the window with the steps that all samples of an IMU with a gyro show."""
-        return replace(self, missed=steps.beyond(replace(self, missed=None).steps))
+        return replace(self, missed=steps.beyond(self._straight))
+
+    @property
+    def _straight(self) -> Steps:
+        rate = np.zeros((len(self), 3)) if self.angular_rate is None else self.angular_rate
+        return Steps.straight(self.time, self.specific_force, rate)
 
 
 def _indices(rows: BoolArray | IntArray) -> IntArray:

@@ -174,11 +174,12 @@ def fit_gathered(
     log = gathering.drive()
     if method == DRIVES:
         return calibrate_drive(log, knowledge)
+    drive: Outcome | None = None
     if method == METHODS[0] and log.rolls:
-        # A window has no speed, and what drives from place to place would pass for a small circle.
-        driven = calibrate_drive(log, knowledge)
-        if driven.verdict.accepted:
-            return driven
+        # A window has no speed: without one, a drive along streets may be taken for a small circle.
+        drive = calibrate_drive(log, knowledge)
+        if drive.verdict.accepted:
+            return drive
     window = _window_or_refusal(gathering)
     if isinstance(window, Window):
         outcome = calibrate(window, knowledge, method, progress)
@@ -186,7 +187,8 @@ def fit_gathered(
         if slow and not verdict.accepted and outcome.reason is not Reason.TOO_SLOW:
             verdict = replace(verdict, says=f"{verdict.summary} {slow}.")
         return replace(outcome, verdict=verdict)
-    drive = calibrate_drive(log, knowledge) if method == METHODS[0] else None
+    if drive is None and method == METHODS[0]:
+        drive = calibrate_drive(log, knowledge)
     return drive if drive and drive.verdict.accepted else Outcome.refused(window)
 
 

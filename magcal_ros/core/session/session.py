@@ -17,11 +17,11 @@ from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.rest import (
-    ANGLE,
     COLUMNS,
     FIELD,
     FORCE,
     RATE,
+    SPAN,
     GyroAtRest,
     apart_from_rests,
 )
@@ -280,7 +280,7 @@ class Session:
         else:
             kept = thin_to_equal_angles(angle, most=most)
         rows = self._buffer[kept]
-        rows[1:, ANGLE.start :] = np.column_stack(steps_of(self._buffer).over(kept))
+        rows[1:, SPAN] = np.column_stack(steps_of(self._buffer).over(kept))
         self._buffer[: len(rows)] = rows
         self._size = len(rows)
 

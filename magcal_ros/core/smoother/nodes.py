@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, block_means
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, block_means, trapezoids
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.streams import SWAY
@@ -209,17 +209,20 @@ def _steps(window: Window) -> tuple[FloatArray, FloatArray, FloatArray, FloatArr
     Angles, radians; the variances of their errors; the velocity by the specific force in body axes,
     m/s; and over how many intervals between IMU samples these were integrated.
 
-    By the trapezoidal rule the error of an angle falls with the square of those intervals
-    (Euler-Maclaurin), and the variance of what they miss with their number to the fifth: they are
-    so much shorter, and as many errors are added.
+    Over m intervals the error of the trapezoidal rule is smaller by m**2 than over one
+    (Euler-Maclaurin), and the variance of the angle that the samples miss is smaller by m**5.
     """
     time, rate = window.time, window.angular_rate
     assert rate is not None
     turned, unseen = _turned(time, rate)
-    plain = 0.5 * np.diff(time)[:, None] * (rate[:-1] + rate[1:])
     angle, velocity, intervals = window.steps
-    many = np.maximum(intervals, 1.0)[:, None]  # a silent IMU has none at all
-    return angle + (turned - plain) / many**2, unseen / many**5, velocity, intervals
+    many = np.maximum(intervals, 1.0)[:, None]  # zero where the IMU sent no sample
+    return (
+        angle + (turned - trapezoids(time, rate)) / many**2,
+        unseen / many**5,
+        velocity,
+        intervals,
+    )
 
 
 def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -234,15 +237,14 @@ def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]
         steps, unseen = _band_limited(time, rate)
         # Faster sway beside a hole would be extrapolated into it.
         hole = np.flatnonzero(np.diff(time) > SWAY)
-        steps[hole] = 0.5 * np.diff(time)[hole, None] * (rate[hole] + rate[hole + 1])
+        steps[hole] = trapezoids(time, rate)[hole]
         unseen[hole] = unseen_angles(time, rate)[hole]
         return steps, unseen
     bend, twist = np.zeros_like(rate), np.zeros_like(rate)
     bend[1:-1] = np.diff(rate, 2, axis=0)
     twist[2:-2] = np.diff(rate, 4, axis=0)
     value = rate - bend / 12.0 + twist * (11.0 / 720.0)
-    steps = 0.5 * np.diff(time)[:, None] * (value[:-1] + value[1:])
-    return steps, unseen_angles(time, rate)
+    return trapezoids(time, value), unseen_angles(time, rate)
 
 
 def _band_limited(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ import pytest
 
 from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Pair, Spans, Streams
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Pair, Pairer, Streams
 
 BIAS = np.radians([3.5, -2.0, 1.9])
 STEP = 0.02
@@ -203,7 +203,7 @@ def turned_by(log):
 def test_the_path_holds_every_sample_of_the_imu():
     """Once a field sample comes, the gyro has turned by more than its last rate shows."""
     recorder, streams = DriveRecorder(600.0), Streams(STREAMS.max_gap)
-    spans, stamps = Spans(streams), 1.0 + 0.01 * np.arange(6000)
+    pairer, stamps = Pairer(streams), 1.0 + 0.01 * np.arange(6000)
     rates = 0.3 + 2.0 * np.cos(math.tau * 7.3 * stamps)
     angles = integral(stamps, rates)
     for row, (stamp, rate, angle) in enumerate(zip(stamps, rates, angles, strict=True)):
@@ -211,7 +211,9 @@ def test_the_path_holds_every_sample_of_the_imu():
         streams.add_imu(imu)
         if row % 11 == 0:
             field = 20e-6 * math.cos(angle), -20e-6 * math.sin(angle), -40e-6
-            recorder.add(Pair(FieldSample(stamp, field), imu, spans.to(imu)))
+            pairer.offer(FieldSample(stamp, field))
+            for pair in pairer.take():
+                recorder.add(pair)
     log = recorder.log()
     turned = turned_by(log)
     truth = np.interp(log.time, stamps, angles)
