@@ -142,6 +142,10 @@ class Magnetometer:
         complaints = self.inputs.complaints()
         return "; ".join(complaints) or "no new field sample with an acceleration has come"
 
+    def wheel_speed(self, stamp: float) -> float:
+        """Return what wheels say, m/s; NaN without a measurement near a stamp, seconds."""
+        return self._pipeline.travel.travelling.wheel_speed(stamp)
+
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self.compass = None if calibration is None else Compass(calibration)
         if self.out is not None:
@@ -273,7 +277,8 @@ class Control:
     def _collect(self) -> None:
         if self.turn.state is tm.TurnState.COLLECTING:
             for pair in self._pairer.take():
-                self.tell(self.turn.take, pair, now())
+                speed = self._magnetometer.wheel_speed(pair.field.stamp)
+                self.tell(self.turn.take, pair, now(), speed)
 
     def tell(self, happened: Callable[..., T], *facts: Any) -> T:
         """Report an event to the turn and carry out its commands; returns its answer."""

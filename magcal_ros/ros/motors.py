@@ -85,7 +85,7 @@ class Motors:
     """Follows what motors do, by gyro, wheels and battery, and learns the field that they add."""
 
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
-        self._up, self._travel = up, travel
+        self._up, self._travelling = up, travel.travelling
         self._sense = MotionSense()
         self._current, self._received = math.nan, -math.inf
         self._compass: Compass | None = None
@@ -100,7 +100,7 @@ class Motors:
         """Return what the motors do at the stamp of a field message, seconds."""
         rate = self._up.rate if self._up.is_propagated else None
         current = self._current if abs(stamp - self._received) < SILENT else math.nan
-        speed = self._travel.speed_near(stamp)
+        speed = self._travelling.wheel_speed(stamp)
         speed = self.commands.speed_near(stamp) if math.isnan(speed) else speed
         return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current)
 
@@ -127,12 +127,12 @@ class Motors:
     def follow(self, mode: Mode, is_turning: bool, kept: MotorField | None) -> MotorField | None:
         """Use what was learnt, once a second; returns what is to be kept in place of `kept`."""
         # Where this node turns the robot, it counts the subscribers of its commands.
-        self.commands.follow(not self._travel.has_wheels and not is_turning)
+        self.commands.follow(not self._travelling.has_wheels and not is_turning)
         if mode is Mode.OFF:
             self._learning = None
         # Asked once a second, as it holds for long, and not for each message.
         known = self._current, self.commands.speed_near(self._up.newest_stamp)
-        has_input = self._travel.has_wheels or any(map(math.isfinite, known))
+        has_input = self._travelling.has_wheels or any(map(math.isfinite, known))
         self._learns = has_input and mode is not Mode.OFF
         if self._learning is None or self._compass is None or not self._has_learnt:
             return None
@@ -186,7 +186,7 @@ class Motors:
         speed = self.commands.topic if self.commands.is_heard else self._odom
         if which in (MotorInput.SPEED, MotorInput.ABS_SPEED):
             return speed
-        is_known = self._travel.has_wheels or self.commands.is_heard
+        is_known = self._travelling.has_wheels or self.commands.is_heard
         return f"gyro and {speed}" if is_known else "gyro"
 
     def _on_battery(self, message: BatteryState) -> None:

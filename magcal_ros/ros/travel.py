@@ -78,21 +78,6 @@ class Travel:
         gap = math.remainder(found.offset - kept.offset, math.tau)
         return abs(gap) >= 3.0 * math.hypot(found.sigma, kept.sigma)
 
-    @property
-    def has_wheels(self) -> bool:
-        """Whether the speed of wheels comes often enough to time starts and stops by it."""
-        track = self.travelling.speedometer.track
-        if track is None or track.source is not SpeedSource.ODOMETRY:
-            return False
-        return math.isfinite(track.newest) and not track.is_slow
-
-    def speed_near(self, stamp: float) -> float:
-        """Return what wheels say, m/s; NaN without a measurement near a stamp, seconds."""
-        track = self.travelling.speedometer.tracks[SpeedSource.ODOMETRY]
-        if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
-            return math.nan
-        return track.last
-
     def use(self, kept: VehicleYaw | None) -> None:
         """Another calibration is in force; take what lies beside it."""
         self.travelling.forget_compass()

@@ -50,9 +50,10 @@ def collected(window, gyro=None):
     session = Session(Limits(), Mounting(), 0.0, gyro)
     rates = window.angular_rate
     rates = np.full_like(window.field, math.nan) if rates is None else rates
-    for stamp, field, force, rate in zip(
-        window.time, window.field, window.specific_force, rates, strict=True
+    speeds = np.full(len(window), math.nan) if window.speed is None else window.speed
+    for stamp, field, force, rate, speed in zip(
+        window.time, window.field, window.specific_force, rates, speeds, strict=True
     ):
         imu = ImuSample(stamp, tuple(force), tuple(rate))
-        session.add(Pair(FieldSample(stamp, tuple(field)), imu), stamp)
+        session.add(Pair(FieldSample(stamp, tuple(field)), imu), stamp, speed)
     return session.window()

@@ -1,6 +1,7 @@
 """Whatever fails around a turn, everyone who waits for it is answered."""
 
 import errno
+import math
 import os
 import resource
 import time
@@ -48,6 +49,9 @@ class House:
 
     def report(self, *_):
         return ""
+
+    def wheel_speed(self, _):
+        return math.nan
 
     def describe_silence(self):
         return "/mag has been silent"
@@ -190,4 +194,14 @@ def test_a_verdict_that_nobody_waited_for_is_told_to_the_next_finish_and_once():
     assert answer.success, answer.message
     assert answer.message.startswith("Calibrated")
     assert "~/start" in control.finish().message
+    control.shut_down()
+
+
+def test_the_wheels_speed_comes_with_the_samples():
+    house = House()
+    house.wheel_speed = lambda stamp: 1e-3 * (stamp - 1000.0)
+    control = begun_in(house)
+    control.finish()
+    window = control.turn.last_window
+    np.testing.assert_allclose(window.speed, 1e-3 * (window.time - 1000.0))
     control.shut_down()

@@ -136,6 +136,21 @@ class Travelling:
         track = self.speedometer.track
         return math.nan if track is None else track.last
 
+    @property
+    def has_wheels(self) -> bool:
+        """Whether the speed of wheels comes often enough to time starts and stops by it."""
+        track = self.speedometer.track
+        if track is None or track.source is not SpeedSource.ODOMETRY:
+            return False
+        return math.isfinite(track.newest) and not track.is_slow
+
+    def wheel_speed(self, stamp: float) -> float:
+        """Return what wheels say, m/s; NaN without a measurement near a stamp, seconds."""
+        track = self.speedometer.tracks[SpeedSource.ODOMETRY]
+        if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
+            return math.nan
+        return track.last
+
     def believe(self, yaw: float, sigma: float) -> None:
         """Take a yaw of the IMU in the vehicle from elsewhere, radians, until more is seen."""
         self._given = (yaw, sigma)

@@ -24,6 +24,7 @@ from magcal_ros.core.samples.rest import (
     FORCE,
     RATE,
     SPAN,
+    SPEED,
     sigma_later,
 )
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, ImuSpan, Pair
@@ -50,7 +51,6 @@ class RecorderTuning:
 
 
 TUNING = RecorderTuning()
-ROLLS = 0.2  # m/s of the speed of the wheels from which a robot certainly drives
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +76,14 @@ class DriveLog:
     @property
     def rolls(self) -> bool:
         """Whether the wheels' speed shows that the robot drives."""
-        known = self.speed[np.isfinite(self.speed)]
-        return bool(len(known)) and float(np.median(np.abs(known))) > ROLLS
+        return self.window.rolls
 
     @property
     def window(self) -> Window:
         """The same rows as samples."""
         rows = (self.time, self.field, self.force, self.rate)
-        return Window(*rows, self.missed, sigma_before=self.bias_sigma)
+        speed = self.speed if np.isfinite(self.speed).any() else None
+        return Window(*rows, self.missed, sigma_before=self.bias_sigma, speed=speed)
 
     def between(self, start: float, end: float) -> DriveLog:
         """Return the rows of a span of stamps, both ends included, seconds."""
@@ -97,7 +97,7 @@ class DriveLog:
 
 
 def log_of(window: Window) -> DriveLog:
-    """Average a window that has a gyro; nobody has measured its speed."""
+    """Average a window that has a gyro."""
     assert window.angular_rate is not None
     block = ((window.time - window.time[0]) / TUNING.row).astype(int)
     first = np.flatnonzero(np.diff(block, prepend=-1))
@@ -112,13 +112,13 @@ def log_of(window: Window) -> DriveLog:
         block_means(window.field, first),
         force,
         rate,
-        np.full(len(first), np.nan),
+        np.full(len(first), np.nan) if window.speed is None else block_means(window.speed, first),
         window.bias_sigma,
         missed=missed,
     )
 
 
-SPEED, RESTED, WIDTH = COLUMNS, COLUMNS + 1, COLUMNS + 2
+RESTED, WIDTH = COLUMNS, COLUMNS + 1
 """Of the rows of a drive, beside the columns of any samples in rows."""
 
 CHUNKS_OF_REST = 5  # chunks over which a rest is looked for

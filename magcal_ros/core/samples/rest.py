@@ -26,9 +26,10 @@ from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
 
 FIELD, FORCE, RATE = slice(1, 4), slice(4, 7), slice(7, 10)
-ANGLE, INTERVALS, SPAN, COLUMNS = slice(10, 13), 16, slice(10, 17), 17
+ANGLE, INTERVALS, SPAN, SPEED, COLUMNS = slice(10, 13), 16, slice(10, 17), 17, 18
 """Of samples in rows: the first column is the stamp. `SPAN` is the `ImuSpan` from the row before,
-NaN where that is not known; `ANGLE` and `INTERVALS` are parts of it."""
+NaN where that is not known; `ANGLE` and `INTERVALS` are parts of it. `SPEED` is NaN where it is not
+known."""
 CHANGES_BY = 0.03
 """Share by which a bias changes from rest to rest: 3.38 and 3.55 °/s within 40 s in a car."""
 

@@ -26,6 +26,7 @@ from magcal_ros.core.samples.rest import FORCE, RATE, SPAN, RestBeside
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
 NO_ORIENTATION = (math.nan,) * 4
+ROLLS = 0.2  # m/s of the speed of the wheels from which a robot certainly drives
 NEIGHBOURS, SPIKE = 9, 4.5
 """A spike is so many robust sigmas from the median of so many samples, itself among them."""
 
@@ -96,6 +97,8 @@ class Window:
     that they show is taken off `angular_rate`."""
     sigma_before: float = math.inf
     """Of a bias known before, which was taken off too, rad/s per axis; infinite without one."""
+    speed: FloatArray | None = None
+    """Of the wheels, m/s ahead, NaN where it was not measured; None if it never was. Shape (n,)."""
 
     def __post_init__(self) -> None:
         freeze(self, time=(-1,))
@@ -114,6 +117,12 @@ class Window:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def rolls(self) -> bool:
+        """Whether the wheels' speed shows that the robot drives."""
+        known = np.zeros(0) if self.speed is None else self.speed[np.isfinite(self.speed)]
+        return bool(len(known)) and float(np.median(np.abs(known))) > ROLLS
 
     @property
     def imu_gap(self) -> float:
@@ -140,6 +149,7 @@ class Window:
             field=self.field[rows],
             specific_force=self.specific_force[rows],
             angular_rate=None if rate is None else rate[rows],
+            speed=None if self.speed is None else self.speed[rows],
             missed=None,
         )
         return taken if self.missed is None else taken.with_steps(self.steps.over(_indices(rows)))

@@ -149,9 +149,10 @@ class Gathering:
                 self._choose()
                 self._best = self._session
                 self._session = Session(Limits(), self.mounting, 0.0, longer=LONGER)
-            self._session.add(pair, 0.0)
+            travelling = self._replay.travelling
+            self._session.add(pair, 0.0, travelling.wheel_speed(pair.field.stamp))
             if math.isfinite(pair.imu.rate[0]):
-                self._drive.add(pair, self._replay.travelling.speed)
+                self._drive.add(pair, travelling.speed)
 
     def _choose(self) -> None:
         """Keep the part with most of a turn, of the parts between which time was set back."""
@@ -176,7 +177,7 @@ def fit_gathered(
         return calibrate_drive(log, knowledge)
     drive: Outcome | None = None
     if method == METHODS[0] and log.rolls:
-        # A window has no speed: without one, a drive along streets may be taken for a small circle.
+        # Unlike a window, the log says where the robot stood on its way.
         drive = calibrate_drive(log, knowledge)
         if drive.verdict.accepted:
             return drive

@@ -22,6 +22,7 @@ from magcal_ros.core.samples.rest import (
     FORCE,
     RATE,
     SPAN,
+    SPEED,
     GyroAtRest,
     apart_from_rests,
 )
@@ -160,8 +161,8 @@ class Session:
         """Stamp of the newest pair, seconds; minus infinity before the first."""
         return float(self._buffer[self._size - 1, 0]) if self._size else -math.inf
 
-    def add(self, pair: Pair, now: float) -> None:
-        """Take a pair.
+    def add(self, pair: Pair, now: float, speed: float = math.nan) -> None:
+        """Take a pair, and the speed of the wheels, m/s ahead; NaN where it is not measured.
 
         One with the stamp of the newest is left out. An older stamp means that time was set back,
         by a clock or by a bag that loops. The robot may have moved meanwhile, so the turn starts
@@ -178,7 +179,7 @@ class Session:
             self._thin_out()
         imu, span = pair.imu, pair.span
         since = NO_SPAN if span is None else (*span.angle, *span.velocity, span.intervals)
-        self._buffer[self._size] = (stamp, *pair.field.field, *imu.force, *imu.rate, *since)
+        self._buffer[self._size] = (stamp, *pair.field.field, *imu.force, *imu.rate, *since, speed)
         self._size += 1
         self._last_pair = now
 
@@ -231,7 +232,8 @@ class Session:
             kept = np.arange(len(rows))
         rows = rows[kept]
         sensors = rows[:, FIELD], rows[:, FORCE], rows[:, RATE]
-        window = Window(rows[:, 0], *sensors, rests=rests, sigma_before=sigma)
+        speed = rows[:, SPEED] if np.isfinite(rows[:, SPEED]).any() else None
+        window = Window(rows[:, 0], *sensors, rests=rests, sigma_before=sigma, speed=speed)
         return window.with_steps(steps.over(kept))
 
     def _kept(self, rows: FloatArray) -> IntArray:

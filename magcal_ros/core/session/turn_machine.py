@@ -6,6 +6,7 @@ files and messages belong to the owner.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -196,10 +197,10 @@ class TurnMachine:
             )
         return ""
 
-    def take(self, pair: Pair, now: float) -> None:
-        """Take a field sample with the IMU at its stamp."""
+    def take(self, pair: Pair, now: float, speed: float = math.nan) -> None:
+        """Take a field sample with the IMU at its stamp, and the wheels' speed, m/s; else NaN."""
         if isinstance(self._stage, Collecting):
-            self._stage.session.add(pair, now)
+            self._stage.session.add(pair, now, speed)
             self.robot.take(pair, now)
 
     def tick(self, silence: str, now: float) -> None:

@@ -278,12 +278,20 @@ def _heading_less(
     return wrap_angle(heading - np.arctan2(y, x)), turned / (x**2 + y**2)[:, None]
 
 
-def speed(measured: FloatArray, state: State) -> Linear:
-    """Return the residuals of the wheels' velocity ahead, (n,) in m/s."""
+def speed(measured: FloatArray, state: State, *, is_ahead: bool) -> Linear:
+    """Return the residuals of the wheels' speed, (n,) in m/s.
+
+    It is that along the body's x axis if `is_ahead`, or else along any direction.
+    """
     here = np.zeros((len(measured), 1, LOCAL))
-    here[:, 0, VELOCITY.start] = 1.0
-    ahead = state.local[:, VELOCITY.start]
-    return Linear(np.where(np.isfinite(measured), measured - ahead, 0.0)[:, None], here)
+    velocity = state.local[:, VELOCITY]
+    if is_ahead:
+        here[:, 0, VELOCITY.start] = 1.0
+        known, modelled = measured, velocity[:, 0]
+    else:
+        known, modelled = np.abs(measured), np.linalg.norm(velocity, axis=1)
+        here[:, 0, VELOCITY] = velocity / np.maximum(modelled, 1e-9)[:, None]
+    return Linear(np.where(np.isfinite(measured), known - modelled, 0.0)[:, None], here)
 
 
 def gyro(course: Course, state: State) -> Linear:

@@ -23,6 +23,7 @@ from magcal_ros.core.smoother.priors import priors_of
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.unknowns import (
     AT,
+    DRIVES,
     KINDS,
     LATE,
     ON_THE_SPOT,
@@ -88,7 +89,6 @@ def nodes_of_log(log: DriveLog, to_body: FloatArray, spacing: Spacing) -> Nodes:
         log.window,
         to_body,
         spacing,
-        log.speed if np.isfinite(log.speed).any() else None,
         rested=log.rested,
         longest_step=STREAMS.longest_field_gap,
     )
@@ -126,11 +126,12 @@ class _Trials:
     @property
     def others(self) -> list[str]:
         """The kinds of motion that are not fitted yet, in a fixed order."""
-        return [name for name in KINDS if name not in self.fits]
+        kinds = DRIVES if self._samples.rolls else KINDS
+        return [name for name in kinds if name not in self.fits]
 
     def on_the_spot(self) -> Fit | None:
         """Return a coarse fit of a turn on the spot if it explains the samples, else None."""
-        if self._rolls:
+        if self._samples.rolls:
             return None
         part = liveliest_part(self._samples)
         if part is not None and _Trials(part, self._knowledge).on_the_spot() is None:
@@ -139,11 +140,6 @@ class _Trials:
         self.add(ON_THE_SPOT, tolerances=ROUGHLY)
         spot = self.fits.get(ON_THE_SPOT)
         return spot if spot is not None and gyro_is_usual(spot) else None
-
-    @property
-    def _rolls(self) -> bool:
-        """Whether the wheels' speed shows that the robot drives."""
-        return isinstance(self._samples, DriveLog) and self._samples.rolls
 
     def add(
         self, name: str, like: Fit | None = None, tolerances: Tolerances = Tolerances()
@@ -196,7 +192,7 @@ class _Trials:
         self._begin(WHILE_DRIVING)
         self._without_false_rests()
         fits = self.fits
-        for name in () if self._rolls else self.others:
+        for name in self.others:
             if name != ON_THE_SPOT:
                 self.add(name, tolerances=ROUGHLY)
         self._started = max(self._started, len(KINDS))

@@ -53,6 +53,7 @@ class Model:
     """m/s per axis, ahead and sideways, that are usual for the kind of motion. Shape (2,)."""
     travels: bool  # whether the kind of motion leaves the spot
     traffic: bool  # as of the kind of motion
+    has_wheels: bool  # as of the kind of motion
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -81,6 +82,7 @@ class Model:
             kind.velocity,
             travels,
             kind.traffic,
+            kind.has_wheels,
         )
 
     @property
@@ -237,7 +239,9 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         return found | _of_a_turn_without_gyro(model, point)
     if nodes.speed is not None:
         known = np.where(np.isfinite(nodes.speed), 1.0, math.inf)
-        found["speed"] = measured("speed", factors.speed(nodes.speed, state), known)
+        found["speed"] = measured(
+            "speed", factors.speed(nodes.speed, state, is_ahead=model.has_wheels), known
+        )
     force, gyro, unseen = factors.force(course, state), factors.gyro(course, state), nodes.unseen
     stands = still[1:] & still[:-1] & model.traffic
     keeps = np.where(stands, 1.0, np.exp(-way_between(model, point) / places.length))

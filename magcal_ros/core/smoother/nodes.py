@@ -139,16 +139,15 @@ def nodes_of(
     window: Window,
     to_body: FloatArray,
     spacing: Spacing = Spacing(),
-    speed: FloatArray | None = None,
     *,
     rested: BoolArray | None = None,
     longest_step: float = math.inf,
 ) -> Nodes:
     """Return the nodes of a window with a gyro.
 
-    `to_body` (3, 3) is `Mounting.to_body`. `speed` (n,) is ahead at the samples, m/s, NaN if not
-    measured. `rested` (n,) says where the robot rested, if that is known. `longest_step` is in
-    seconds between samples; across longer gaps the gyro is not integrated.
+    `to_body` (3, 3) is `Mounting.to_body`. `rested` (n,) says where the robot rested, if that is
+    known. `longest_step` is in seconds between samples; across longer gaps the gyro is not
+    integrated.
     """
     rate, time = window.angular_rate, window.time
     assert rate is not None
@@ -180,7 +179,7 @@ def nodes_of(
         links.unseen,
         float(np.median(white_noise(field))),
         block_means(window.specific_force, first),
-        None if speed is None else block_means(speed, first),
+        None if window.speed is None else block_means(window.speed, first),
     )
     nodes = _untied(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
     return _with_rests(nodes, window, attitude, middle, to_body)

@@ -49,6 +49,9 @@ class House:
     def turn_ended(self, *_):
         pass
 
+    def wheel_speed(self, _):
+        return math.nan
+
     def run(self, work, then, _):
         then(work())
 

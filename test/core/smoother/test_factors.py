@@ -105,12 +105,20 @@ def lean(course: Course, state: State) -> Linear:
     return factors_by_field.lean(state, axes, np.full(len(state.local) - 1, 0.7))
 
 
+def speed_ahead(_: Course, state: State) -> Linear:
+    return factors.speed(np.linspace(0.5, 2.0, len(state.local)), state, is_ahead=True)
+
+
+def speed_any_way(_: Course, state: State) -> Linear:
+    return factors.speed(np.linspace(0.5, 2.0, len(state.local)), state, is_ahead=False)
+
+
 BY_SHARED = (
     *(magnetic, factors.force, factors.gyro, force_at_rest),
     *(factors_by_field.force_at_nodes, factors_by_field.sway, turning, lean),
     known_turn,
 )
-FACTORS = (*BY_SHARED, process, followed, known_heading)
+FACTORS = (*BY_SHARED, process, followed, known_heading, speed_ahead, speed_any_way)
 
 
 def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
