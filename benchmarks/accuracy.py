@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import shared_cases  # noqa: F401
 from limit import Scene, covariance_limit, heading_rms
 from simulated.turns import Trouble, measure, smooth_wobble, turn
 

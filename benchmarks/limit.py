@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import shared_cases  # noqa: F401
 from simulated.turns import Motion
 
 from magcal_ros.core.calibration.calibration import yaw_jacobian

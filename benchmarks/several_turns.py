@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import shared_cases  # noqa: F401
 from limit import Scene, covariance_limit, heading_rms
 from simulated.turns import measure, slope_rpy, turn
 

@@ -10,6 +10,7 @@ import argparse
 import time
 
 import numpy as np
+import shared_cases  # noqa: F401
 from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.methods.smoother import fit

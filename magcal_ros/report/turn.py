@@ -21,11 +21,14 @@ from magcal_ros.core.geometry.attitude import (
     yaw_from_up_and_field,
 )
 from magcal_ros.core.geometry.shapes import Circle
+from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.motors_now import MotionSense
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
+from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.up.follower import propagated_up
+from magcal_ros.core.up.follower import UpFollower, propagated_up
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +183,7 @@ def _correct(
         calibration = Calibration.from_estimate(
             estimate, subject.outcome.verdict.evidence(estimate)
         )
-    field = estimate.correction.apply(window.field)
+    field, sigma = _published(calibration, window, up)
     yaw = yaw_from_up_and_field(up, field)
     residual = estimate.residual @ estimate.correction.matrix.T
     axial = residual @ estimate.axis
@@ -191,7 +194,7 @@ def _correct(
         field=field,
         circle=_ideal_circle(estimate, up, field),
         yaw=yaw,
-        sigma=_published_sigma(calibration, up, field),
+        sigma=sigma,
         reference=_reference(window.time, yaw, gyro, np.asarray(estimate.inliers)),
         radial=np.einsum("ni,ni->n", residual, outward),
         axial=np.asarray(axial),
@@ -210,13 +213,30 @@ def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> Floa
     return circle.at(np.linspace(0.0, math.tau, 121))
 
 
-def _published_sigma(calibration: Calibration, up: FloatArray, field: FloatArray) -> FloatArray:
-    compass = Compass(calibration)
-    headings = [
-        compass.heading((m[0], m[1], m[2]), (u[0], u[1], u[2]))
-        for m, u in zip(field.tolist(), up.tolist(), strict=True)
-    ]
-    return np.array([math.nan if h is None else math.sqrt(h.yaw_variance) for h in headings])
+def _published(
+    calibration: Calibration, window: Window, up: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the field (n, 3), tesla, and the yaw's sigma (n,), radians, as the node makes them.
+
+    The field of the motors, where it is known, is subtracted.
+    """
+    compass, follower, sense = Compass(calibration), UpFollower(), MotionSense()
+    rate = window.angular_rate
+    rates = np.full(window.field.shape, math.nan) if rate is None else rate
+    rows = (window.time, window.field, window.specific_force, rates, up)
+    fields, sigmas = list[Triple](), list[float]()
+    for stamp, raw, force, turn, upwards in zip(*(each.tolist() for each in rows), strict=True):
+        running = sense.newest
+        if calibration.motors is not None:
+            follower.add(ImuSample(stamp, force, turn))
+            follower.add_field(stamp, raw)
+            turn = follower.rate if follower.is_propagated else None
+            running = sense.at(stamp, turn, follower.is_at_rest, math.nan, math.nan)
+        field, motors = compass.at_rest(stamp, raw, turn, running)
+        heading = compass.heading(field, upwards, motors=motors)
+        fields.append(field)
+        sigmas.append(math.nan if heading is None else math.sqrt(heading.yaw_variance))
+    return np.array(fields).reshape(-1, 3), np.array(sigmas)
 
 
 def _reference(

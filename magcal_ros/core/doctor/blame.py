@@ -11,6 +11,7 @@ import numpy as np
 
 from magcal_ros.core.doctor.explanations import WEIGHED, Explanations
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, INVERTED
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
     DIRECTIONS,
@@ -294,6 +295,8 @@ def _accused(
         evidence = f"{names} contradicts the other sensors"
         asked = f"this movement does not show which of them has wrong axes: {LIFT}. "
         asked += f"Either {'; or '.join(said.values())}"
+        if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
+            asked += f"; or {FIELD_POINTS_UP}"
         return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], axes)
     evidence = "the other sensors contradict them"
     line = wrong(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])

@@ -8,11 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.streams import SWAY
-from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit, slow_words
+from magcal_ros.core.samples.units import (
+    NOT_NUMBERS,
+    likely_acceleration_unit,
+    likely_field_unit,
+    slow_words,
+)
+from magcal_ros.core.samples.units import TUNING as DIAGNOSIS
 from magcal_ros.core.samples.window import SensorLog, white_noise
 
 
@@ -88,11 +94,20 @@ class HealthTuning:
 TUNING = HealthTuning()
 
 
+def numbers_findings(name: str, are_numbers: BoolArray) -> list[Finding]:
+    """Return a line where more than a few samples (n,) are not numbers."""
+    share = 1.0 - float(are_numbers.mean())
+    if share <= DIAGNOSIS.worth_a_word:
+        return []
+    return [looked_at("not_finite", f"{name}: numbers", f"{share:.0%} not finite", NOT_NUMBERS)]
+
+
 def stamps_finding(name: str, time: FloatArray) -> Finding:
     """Look at a stream's stamps, seconds, increasing; at least two."""
     gaps = np.diff(time)
     usual = float(np.median(gaps))
-    jitter = float(np.sqrt(np.mean(np.clip(gaps / usual - 1.0, -1.0, 3.0) ** 2)))
+    deviations = np.clip(gaps / usual - 1.0, -1.0, 3.0)
+    jitter = float(np.sqrt(np.mean(deviations**2)))
     evidence = (
         f"{1.0 / usual:.1f} Hz, gaps of {usual * 1e3:.1f} ms ± {jitter:.0%}, "
         f"at most {gaps.max():.2f} s"
@@ -111,10 +126,24 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
         evidence = f"{rate:.1f} Hz in bursts, gaps of at most {gaps.max():.2f} s"
         return wrong("bursts", f"{name}: stamps", evidence, words)
     remedy = (
-        "the stamps jitter, or samples are lost: stamp each sample in the driver when it is "
-        "measured, if possible by the sensor's own clock, and check that the network loses none"
+        "the stamps jitter: stamp each sample in the driver when it is measured, if possible by "
+        "the sensor's own clock"
     )
+    if are_samples_lost(deviations):
+        remedy = "samples are lost: check the load of computer and network, and the queues' lengths"
     return looked_at("stamps", f"{name}: stamps", evidence, remedy * (jitter > TUNING.jitter))
+
+
+def are_samples_lost(deviations: FloatArray) -> bool:
+    """Return whether gaps (n,) deviate from the usual one because samples are lost.
+
+    A stamp that is late makes its gap longer and later ones shorter: over many gaps it is gone.
+    What lost samples add stays, as the steps of a random walk do. The nearer of the two counts.
+    """
+    own = deviations - np.mean(deviations)
+    path = accumulated(own)
+    many = math.isqrt(len(own))
+    return bool(np.var(path[many:] - path[:-many]) > 0.5 * many * np.var(own))
 
 
 def repeats_finding(name: str, values: FloatArray) -> Finding:

@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.doctor import health
 from magcal_ros.core.doctor.health import TUNING, Finding
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
-from magcal_ros.core.samples.bursts import bursts_in_words, evenly
+from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
 from magcal_ros.core.samples.window import SensorLog
 
 
@@ -35,30 +35,29 @@ class CleanLog:
 
 def prepare(log: SensorLog) -> CleanLog:
     """Look at the streams of a log by themselves, and clean it."""
-    imu = np.isfinite(log.imu_time) & np.isfinite(log.force).all(axis=1)
-    imu &= np.linalg.norm(log.force, axis=1) > 0.0
-    field = np.isfinite(log.field_time) & np.isfinite(log.field).all(axis=1)
-    # Drivers mark what is void by enormous numbers, whose squares are not finite.
-    with np.errstate(over="ignore", invalid="ignore"):
-        size = np.linalg.norm(log.field, axis=1)
-    field &= (size > 0.0) & np.isfinite(size)
-    if log.has_gyro:
-        imu &= np.isfinite(log.rate).all(axis=1)
-    log = _taken(log, imu, field)
+    log = _taken(log, np.isfinite(log.imu_time), np.isfinite(log.field_time))
     # Microseconds since 1970 leave few digits for a gap.
     first = np.concatenate([log.imu_time, log.field_time]).min(initial=math.inf)
     log = replace(log, imu_time=log.imu_time - first, field_time=log.field_time - first)
     findings: list[Finding] = []
     burst = False
-    for name in ("imu", "field"):
+    numbers = _numbers(log)
+    for name, are_numbers in zip(("imu", "field"), numbers, strict=True):
         time = getattr(log, f"{name}_time")
         increasing = np.unique(time)
-        if len(increasing) <= TUNING.fewest:
+        if are_numbers.sum() <= TUNING.fewest or len(increasing) <= TUNING.fewest:
             continue
-        findings.append(health.stamps_finding("IMU" if name == "imu" else "field", increasing))
+        sensor = "IMU" if name == "imu" else "field"
+        findings.append(health.stamps_finding(sensor, increasing))
+        findings += health.numbers_findings(sensor, are_numbers)
         if bursts_in_words(increasing):
             burst = True
-            log = replace(log, **{f"{name}_time": evenly(time)})
+            even = spread_bursts(time)
+            log = replace(log, **{f"{name}_time": spread_each(time) if even is None else even})
+    imu, field = numbers
+    imu &= np.linalg.norm(log.force, axis=1) > 0.0
+    field &= np.linalg.norm(np.where(field[:, None], log.field, 0.0), axis=1) > 0.0
+    log = _taken(log, imu, field)
     if len(log.field) > TUNING.fewest:
         findings += [*health.field_findings(log.field), health.repeats_finding("field", log.field)]
     if len(log.force) > TUNING.fewest:
@@ -75,6 +74,15 @@ def prepare(log: SensorLog) -> CleanLog:
     if more:
         findings = [f for f in findings if f.key != "frozen" or f.is_wrong] + more
     return CleanLog(log, tuple(findings), burst)
+
+
+def _numbers(log: SensorLog) -> tuple[BoolArray, BoolArray]:
+    """Return which samples of IMU (n,) and field (m,) are numbers; an absent gyro is no fault."""
+    measured = np.column_stack([log.force, log.rate]) if log.has_gyro else log.force
+    # Drivers mark what is void by enormous numbers, whose squares are not finite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        field = np.linalg.norm(log.field, axis=1)
+    return np.asarray(np.isfinite(measured).all(axis=1)), np.isfinite(field)
 
 
 def _taken(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:

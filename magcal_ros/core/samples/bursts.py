@@ -87,6 +87,21 @@ def spread_bursts(time: FloatArray) -> FloatArray | None:
     return np.asarray(time[0] + even + late.min())
 
 
+def spread_each(time: FloatArray) -> FloatArray:
+    """Return stamps (n,) that come in bursts, each burst spread over the time before it was read.
+
+    For a recording in which samples are missing: a line through all stamps would be wrong by as
+    much as is missing. A buffer that held more than usual overlaps the one before.
+    """
+    gaps = np.diff(time)
+    first = np.append(0, np.flatnonzero(gaps >= long_gaps(time).min()) + 1)
+    counts = np.diff(np.append(first, len(time)))
+    # Before the first one no gap is known; where bursts are missing, a gap is too long.
+    period = float(np.median(gaps[first[1:] - 1] / counts[1:]))
+    last = np.repeat(first + counts - 1, counts)
+    return np.asarray(time[last] - period * (last - np.arange(len(time))))
+
+
 class BurstWatch:
     """Watches whether stamps come in bursts, gap after gap."""
 

@@ -139,6 +139,7 @@ class Streams:
         self.imu_stamps = StampGuard()
         self.field_stamps = StampGuard()
         self._imu: deque[ImuSample] = deque(maxlen=STREAMS.remembered)
+        self._last_rate = -math.inf
         self._last_field = (math.nan, math.nan, math.nan)
         self.is_repeated = False
         self.largest_field = 0.0
@@ -146,22 +147,35 @@ class Streams:
         self.lead_at_field = math.inf
 
     def add_imu(self, sample: ImuSample) -> bool:
-        """Take an IMU sample; returns whether it was usable."""
+        """Take an IMU sample; returns whether it was usable.
+
+        A robot without a gyro sends no rate. A gyro that was heard just before is not absent: a
+        sample that it leaves empty is a fault, and the path of the turn goes on over it.
+        """
         p, q, r = sample.rate
         went_back_from = self.imu_stamps.newest
         reason = _fault(sample.force, STREAMS.largest_force)
         # Without a gyro the rate is NaN, which is larger than nothing.
         if reason is None and p * p + q * q + r * r > STREAMS.largest_rate**2:
             reason = Drop.TOO_LARGE
+        has_rate = math.isfinite(p + q + r)
+        if reason is None and not has_rate and self._gyro_was_heard(sample.stamp):
+            reason = Drop.NOT_FINITE
         reason = reason or self.imu_stamps.check(sample.stamp)
         if reason is not None:
             self.imu_drops[reason] += 1
             return False
         if sample.stamp < went_back_from:
             self._imu.clear()
+        if has_rate:
+            self._last_rate = sample.stamp
         self._imu.append(sample)
         self.lead_at_imu = self.field_stamps.newest - sample.stamp
         return True
+
+    def _gyro_was_heard(self, stamp: float) -> bool:
+        """Return whether a rate came so shortly before a stamp that the gyro cannot be absent."""
+        return abs(stamp - self._last_rate) < STREAMS.longest_gyro_step
 
     def add_field(self, sample: FieldSample) -> bool:
         """Take a field sample; returns whether a corrected field may be made of it.

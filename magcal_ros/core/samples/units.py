@@ -140,8 +140,10 @@ class DiagnosisTuning:
 TUNING = DiagnosisTuning()
 
 
+NOT_NUMBERS = "samples are not finite (NaN or infinite): let the driver leave them out"
+
 WORDS = {
-    Drop.NOT_FINITE: "samples are not finite",
+    Drop.NOT_FINITE: NOT_NUMBERS,
     Drop.ZERO: "samples are all zero",
     Drop.ABSENT: "messages carry no acceleration",
     Drop.ZERO_STAMP: "stamps are zero: the driver must stamp its messages",

@@ -1,12 +1,14 @@
 """A level turn of a field that points up where the reference says down is named."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from imu_faults_cases import good_case
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.doctor.page import examine_window
+from magcal_ros.core.doctor.page import examine, examine_window
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.simulation import Robot
@@ -39,3 +41,11 @@ def test_nothing_is_said_where_no_place_is_known():
 def test_a_turn_that_shows_the_field_upright_says_so_itself():
     leans = smooth_wobble(np.random.default_rng(4), 500, 15.0, math.radians(10.0))
     assert not named(64.0, PLACE, (0.0, 0.0, -86.0), leans)
+
+
+def test_it_is_named_where_a_lift_does_not_show_which_sensor_errs():
+    case = good_case(np.random.default_rng([5, 3]), "quarter")
+    page = examine(replace(case.log, field=-case.log.field), case.knowledge)
+    (line,) = (finding for finding in page.findings if finding.key == "axes")
+    assert "magnetometer or accelerometer" in line.evidence
+    assert line.remedy.endswith(FIELD_POINTS_UP)

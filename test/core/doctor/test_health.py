@@ -75,6 +75,24 @@ def test_stamps_that_jitter_by_most_of_a_gap_are_named():
     assert "jitter" in stamps_finding("field", time).remedy
 
 
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.6])
+def test_lost_samples_are_told_from_stamps_that_jitter(share):
+    rng = np.random.default_rng(6)
+    time = 0.02 * np.arange(COUNT) + rng.normal(0.0, 1e-3, COUNT)
+    found = stamps_finding("field", time[rng.random(COUNT) > share])
+    assert "lost" in found.remedy
+    assert "jitter" not in found.remedy
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_stamps_that_are_late_now_and_then_are_no_lost_samples(seed):
+    rng = np.random.default_rng(seed)
+    late = rng.exponential(0.06, COUNT) * (rng.random(COUNT) < 0.3)
+    found = stamps_finding("field", np.unique(0.02 * np.arange(COUNT) + late))
+    assert "jitter" in found.remedy
+    assert "lost" not in found.remedy
+
+
 def repeated(field):
     out = field.copy()
     for row in np.flatnonzero(np.random.default_rng(4).random(COUNT) < 0.12):

@@ -4,7 +4,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.samples.bursts import BurstWatch, bursts_in_words, spread_bursts
+from magcal_ros.core.samples.bursts import (
+    BurstWatch,
+    bursts_in_words,
+    spread_bursts,
+    spread_each,
+)
 from magcal_ros.core.samples.units import explained
 from magcal_ros.core.samples.window import Window
 
@@ -86,6 +91,13 @@ class TestMended:
     )
     def test_what_a_line_does_not_explain_stays(self, time):
         assert spread_bursts(time) is None
+
+    def test_bursts_between_which_some_are_missing_are_spread_one_by_one(self):
+        nth = np.arange(800)
+        measured, read = 0.025 * (nth + 1), nth // 40 + 1.0 + 1e-6 * (nth % 40 - 39)
+        kept = np.isin(nth // 40, [3, 4, 5, 11, 16], invert=True)
+        found = spread_each(read[kept])
+        assert np.abs(found - measured[kept]).max() < 2e-3
 
 
 class TestBurstWatch:

@@ -152,6 +152,33 @@ class TestImuDrops:
         assert streams.add_imu(imu(1.0, rate=(math.nan,) * 3))
         assert not streams.imu_drops
 
+    def test_a_gyro_that_is_empty_now_and_then_is_not_absent(self):
+        """A third of the rates are not numbers: the path is integrated over the others."""
+        empty = np.random.default_rng(1).random(500) < 0.3
+        walk, whole = Walk(), Walk()
+        imus, fields = drive(1.0, 5.0)
+        spoiled = [
+            each._replace(rate=(0.1, math.nan, 0.1)) if bad and k else each
+            for k, (each, bad) in enumerate(zip(imus, empty, strict=True))
+        ]
+        pairs, best = (
+            walk.feed_all(by_stamp(spoiled, fields)),
+            whole.feed_all(by_stamp(imus, fields)),
+        )
+        assert walk.streams.imu_drops == {Drop.NOT_FINITE: empty[1:].sum()}
+        assert all(pair.span is not None for pair in pairs[1:])
+        path, true = (
+            np.sum([pair.span.velocity for pair in each[1:]], 0) for each in (pairs, best)
+        )
+        assert path == pytest.approx(true, rel=1e-3)
+
+    def test_a_gyro_that_falls_silent_leaves_the_accelerometer_in_use(self):
+        streams = Streams(MAX_GAP)
+        lost = STREAMS.longest_gyro_step
+        assert streams.add_imu(imu(1.0))
+        assert not streams.add_imu(imu(1.0 + 0.5 * lost, rate=(math.nan,) * 3))
+        assert streams.add_imu(imu(1.0 + 1.5 * lost, rate=(math.nan,) * 3))
+
 
 class TestFieldDrops:
     @pytest.mark.parametrize(

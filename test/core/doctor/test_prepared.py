@@ -1,0 +1,39 @@
+"""What single streams show by themselves, and what is left for the comparison of the sensors."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from imu_faults_cases import FAULTS, good_case
+
+from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.samples.window import SensorLog
+
+
+def seen_wrong(case, log):
+    return [f for f in examine(log, case.knowledge, case.turned_left).findings if f.is_wrong]
+
+
+def test_bursts_of_which_some_are_missing_are_no_weak_field():
+    """A line through all stamps would be seconds off, and the field 40% too weak."""
+    rng = np.random.default_rng([5, 1])
+    case = good_case(rng, "half minute")
+    log = FAULTS["bursts of 1 s"][0](rng, case.log)
+    begun = log.imu_time[0]
+    imu, field = (
+        (time - begun < 8.0) | (time - begun > 12.0) for time in (log.imu_time, log.field_time)
+    )
+    log = SensorLog(
+        log.imu_time[imu], log.force[imu], log.rate[imu], log.field_time[field], log.field[field]
+    )
+    assert {line.key for line in seen_wrong(case, log)} == {"bursts"}
+
+
+def test_a_gyro_that_is_empty_now_and_then_is_named():
+    rng = np.random.default_rng([5, 1])
+    case = good_case(rng, "half minute")
+    rate = case.log.rate.copy()
+    rate[rng.random(len(rate)) < 0.3, 1] = math.nan
+    (line,) = seen_wrong(case, replace(case.log, rate=rate))
+    assert line.name == "IMU: numbers"
+    assert line.evidence.endswith("% not finite")
