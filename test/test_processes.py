@@ -15,7 +15,11 @@ SCRIPT = "import magcal_ros.cli.main, os; print(os.environ['{pool}'])"
 
 
 @pytest.mark.parametrize(
-    ("pool", "given"), [("OMP_NUM_THREADS", None), ("OPENBLAS_NUM_THREADS", "3")]
+    ("pool", "given"),
+    [
+        ("OMP_NUM_THREADS", None),
+        pytest.param("OPENBLAS_NUM_THREADS", "3", marks=pytest.mark.nightly),
+    ],
 )
 def test_the_command_takes_one_thread_unless_the_user_says_otherwise(pool, given):
     environment = {name: value for name, value in os.environ.items() if name != pool}

@@ -108,7 +108,7 @@ def test_a_refusal_names_the_unit_that_upset_the_fit():
     assert "looks like gauss" in verdict.summary
 
 
-@pytest.mark.parametrize("case", first_of([(0.1, True), (1.0, False), (3.0, False)], 2))
+@pytest.mark.parametrize("case", first_of([(0.1, True), (1.0, False), (3.0, False)]))
 def test_all_methods_agree_on_when_gravity_is_absent(case):
     """A force in g is weak, and still says where up is."""
     size, absent = case

@@ -72,6 +72,7 @@ def test_quiet_sensors_show_everything(knowledge):
     assert outcome.estimate.figures["soft_iron"] == 1.0
 
 
+@pytest.mark.nightly
 def test_heading_is_absolute_and_its_sigma_is_told():
     outcome = calibrate_turns(windows_on((LEVEL, EAST, NORTH), 101, samples=300), KNOWN)
     assert outcome.verdict.accepted

@@ -22,6 +22,7 @@ from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seconds", first_of([0.25, 0.1]))
 def test_from_rest_to_rest_it_is_not_taken_for_motors(seconds):
     """A level turn shows a late field in its starts and stops alone, as it does motors."""

@@ -109,6 +109,7 @@ def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
     assert math.sqrt(np.mean(gap**2)) < 3.0 * predicted_heading_sigma(outcome.estimate)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("by_rate", first_of([True, False]))
 def test_without_a_gyro_the_part_of_the_motors_that_does_not_show_is_doubted(by_rate):
     """It said half as much: an even start seemed to show how far the robot had turned."""

@@ -43,6 +43,7 @@ def test_a_rest_beside_the_circle_shows_the_pull():
     assert outcome.estimate.figures[Figure.POSSIBLE_ACCELERATION] < 0.3 * sigma
 
 
+@pytest.mark.nightly
 def test_without_a_rest_sigma_holds_it_and_says_why():
     error, sigma, outcome = judged(lambda time: 1.0 + 0.0 * time, 0.0, radius=1.5)
     assert error > 1.0 * DEGREE

@@ -48,6 +48,7 @@ def test_circles_are_told_as_the_drive_they_were(ringed):
     assert "of movement" in outcome.verdict.summary
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("start", first_of([20.0, 0.0]))
 def test_nineteen_seconds_of_circles_are_enough_for_a_drive(ringed, start):
     robot, window = ringed
@@ -83,6 +84,7 @@ def test_what_is_wrong_with_a_robot_is_not_driven_away(name):
     assert not calibrate(case.window, case.knowledge).verdict.accepted
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("turned", first_of([("even", 10), ("bent ground", 77), ("even", 73)]))
 def test_a_bias_of_the_gyro_is_not_taken_for_the_acceleration_of_a_drive(turned):
     """Cheap sensors that turn on the spot without a rest, the gyro off by up to 7 degrees/s."""
@@ -121,6 +123,7 @@ def test_a_gyro_that_is_off_by_degrees_per_second_spoils_no_turn(turned):
     assert sigma < math.radians(1.2)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("ned", first_of([False, True]))
 def test_a_drive_by_an_accelerometer_that_is_upside_down_is_refused(ned):
     drive = driven(3, 90.0)

@@ -52,7 +52,7 @@ def exact_but_tied(covariance):
 
 
 @pytest.mark.parametrize("strength", first_of([25e-6, 48e-6, 65e-6]))
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("known", first_of([True, False]))
 def test_what_a_turn_finds_is_possible(strength, known):
     robot = replace(ROBOT, strength=strength)
     window = measure(robot, turn(), np.random.default_rng(5))

@@ -225,6 +225,7 @@ def test_a_calibration_accepted_by_a_person_says_so(tmp_path):
     assert "A person put it in force against this verdict." in words
 
 
+@pytest.mark.nightly
 def test_an_estimate_without_calibration_is_enough(tmp_path):
     subject = good()
     outcome = Outcome(subject.outcome.verdict, None, subject.outcome.estimate)

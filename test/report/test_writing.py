@@ -76,6 +76,7 @@ def test_samples_that_are_there_are_not_overwritten(tmp_path):
     assert not (tmp_path / "report.html").exists()
 
 
+@pytest.mark.nightly
 def test_reports_from_several_threads(tmp_path):
     pages = []
 
@@ -97,6 +98,7 @@ def test_nothing_but_page_and_samples_is_left(no_pictures, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "samples.csv"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("gyro", first_of([True, False]))
 def test_the_fit_repeats_exactly_from_the_samples(no_pictures, tmp_path, gyro):
     subject = good(gyro)

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from long_form import first_of
 from support import REFERENCE, ROBOT
 
 from magcal_ros.core.samples.streams import ImuSample, Streams
@@ -76,8 +77,8 @@ def begun_in(house):
     streams = Streams(0.2)
     control = Control(streams, house, house, SelfTurn(), AtOnce(), AtOnce())
     assert control.start(settings_of_a_turn()).success
-    ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=50.0, steps_per_field=2)
-    for _ in range(800):
+    ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=25.0, steps_per_field=2)
+    for _ in range(400):
         for sample in ride.step(0.5):
             if isinstance(sample, ImuSample):
                 streams.add_imu(sample)
@@ -156,7 +157,7 @@ def test_no_room_for_what_the_end_needs():
     assert len(house.errors) == 1
 
 
-@pytest.mark.parametrize("what", ["progress", "window"])
+@pytest.mark.parametrize("what", first_of(["progress", "window"]))
 def test_no_room_for_looking_at_the_turn(monkeypatch, what):
     """Python opens a file where numpy first computes a median."""
     house = House()

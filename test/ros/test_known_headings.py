@@ -22,9 +22,11 @@ DOCKS = (20.0, 140.0, 260.0)
 
 def tell(actor, **values):
     """Set the parameters of a known heading, as `ros2 param set` does."""
-    client = AsyncParameterClient(actor.node, "calibrator")
-    assert client.wait_for_services(PATIENCE)
-    future = client.set_parameters(
+    if not hasattr(actor, "parameters"):
+        # One for all: its six services are waited for with every message.
+        actor.parameters = AsyncParameterClient(actor.node, "calibrator")
+        assert actor.parameters.wait_for_services(PATIENCE)
+    future = actor.parameters.set_parameters(
         [Parameter(f"known_heading.{name}", value=value) for name, value in values.items()]
     )
     actor.run(PATIENCE, stop=future.done)
@@ -92,6 +94,7 @@ def test_a_mirrored_heading_is_named_and_leaves_what_is_in_force(stage):
     assert "mirrored" in mirrored.message
 
 
+@pytest.mark.nightly
 def test_a_heading_that_contradicts_the_calibration_in_force_is_refused(loaded):
     actor = loaded(speed=SPEED)
     agreed = dock(actor, 70.0)
@@ -181,6 +184,7 @@ def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
     assert actor.status["state"] == "uncalibrated"
 
 
+@pytest.mark.nightly
 def test_antennas_that_sit_across_are_named_before_anything_is_calibrated(stage):
     actor = stage(parameters=PLACE, speed=SPEED, imu_rate=50.0)
     said = []

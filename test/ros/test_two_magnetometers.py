@@ -79,7 +79,7 @@ def entries(actor):
 
 def test_one_turn_calibrates_both_and_one_heading_outlives_either(start_node, actor, ros_home):
     start_node()
-    robot = actor(speed=8.0, imu_rate=50.0)
+    robot = actor(speed=8.0)
     pair = Pair(robot)
     robot.run(PATIENCE, stop=lambda: len(robot.status["magnetometers"]) == 2)
     looker = rclpy.create_node("looker")

@@ -50,6 +50,7 @@ def test_the_wrong_sign_of_the_inclination_is_warned_of(dip):
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("dip", first_of([65.0, 30.0, -50.0, 75.0]))
 @pytest.mark.parametrize("iron", first_of([(120, -60, 10), (15, -8, 10), (0, 150, -15), (0, 0, 0)]))
 def test_a_right_reference_is_not_doubted_for_iron_across_the_axis(dip, iron):
@@ -65,6 +66,7 @@ def test_a_magnet_along_the_axis_that_is_larger_than_the_field_is_warned_of(heig
     assert "more than the field itself" in check.words
 
 
+@pytest.mark.nightly
 def test_a_strong_axial_hard_iron_is_usual_where_that_across_the_axis_is_strong_too():
     assert doubt(outcome_of((20, -20, 52), 65.0)).grade is Grade.EXCELLENT
     assert doubt(outcome_of((4, -4, 52), 65.0)).grade is Grade.WARN

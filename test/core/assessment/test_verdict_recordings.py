@@ -131,6 +131,6 @@ def test_a_boat_that_turns_level_is_not_refused(recording):
     assert any("no gyro" in text for text in verdict.not_shown)
 
 
-@pytest.mark.parametrize("known", first_of([knowledge(48.0, 65.0), UNKNOWN]))
+@pytest.mark.parametrize("known", first_of([knowledge(48.0, 65.0), UNKNOWN], 0))
 def test_a_boat_that_rolls_but_does_not_turn_is_refused(recording, known):
     assert not calibrate(window(recording("sailboat_lsm303_roll")), known).verdict.accepted

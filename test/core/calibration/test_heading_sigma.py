@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from long_form import first_of
 from sample_results import SKEWED, estimate, small_covariance
 from simulated.turns import measure, turn
 
@@ -57,7 +58,7 @@ class TestPredictedHeadingSigma:
         )
         assert predicted_heading_sigma(one) == pytest.approx(0.4 / 25.0)
 
-    @pytest.mark.parametrize("tilt", [0.0, math.radians(10.0)])
+    @pytest.mark.parametrize("tilt", first_of([math.radians(10.0), 0.0]))
     def test_it_is_the_rms_error_of_corrections_drawn_from_the_covariance(self, tilt):
         covariance = small_covariance(of_matrix=3e-3, of_iron=0.1e-6)
         robot = Robot()

@@ -48,7 +48,7 @@ def test_of_a_gyro_that_is_absent_nothing_is_said():
 PLACE = knowledge_of(48.0, inclination_deg=64.0)
 
 
-@pytest.mark.parametrize("knowledge", [Knowledge(), PLACE])
+@pytest.mark.parametrize("knowledge", first_of([PLACE, Knowledge()]))
 @pytest.mark.parametrize(("source", "alive"), [(2, 0), (2, 1), (2, 2)])
 def test_a_gyro_with_dead_axes_accuses_no_other_sensor(knowledge, source, alive):
     rest = [Leg(6.0), Leg(25.0, turn_rate=math.tau / 25.0), Leg(6.0)]

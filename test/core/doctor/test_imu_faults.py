@@ -32,7 +32,7 @@ def wrong(page):
     return {finding.key for finding in page.findings if finding.is_wrong}
 
 
-@pytest.mark.parametrize("motion", first_of(["turn", "half minute", "lift", "quarter"], 2))
+@pytest.mark.parametrize("motion", first_of(["turn", "half minute", "lift", "quarter"]))
 def test_nothing_is_said_of_good_sensors(motion):
     assert wrong(page_of(good_case(np.random.default_rng(11), motion))) == set()
 
@@ -196,7 +196,7 @@ def test_a_person_who_turned_the_other_way_makes_no_sensor_wrong():
     assert "turn left and check again" in line.remedy
 
 
-@pytest.mark.parametrize("name", first_of(HABITS, 2))
+@pytest.mark.parametrize("name", first_of(HABITS))
 def test_good_sensors_of_other_robots_and_movements_are_not_blamed(name):
     rng = np.random.default_rng([4, 3])
     page = page_of(good_case(rng, MOST_SEEN, habit=HABITS[name]))
@@ -386,6 +386,7 @@ def test_motors_that_follow_the_rate_are_worth_a_look(size):
     assert not lines["latency"].is_wrong
 
 
+@pytest.mark.nightly
 def test_a_turn_between_rests_says_that_its_motors_hide_the_gyros_scale():
     """It stood still and turned a full circle, and was asked for both."""
     _, window = driven(evenly, ROBOT, 6.0)

@@ -43,6 +43,7 @@ def test_nothing_is_wrong_with_good_sensors(recording, name):
     assert [f for f in page_of(recording(name)).findings if f.is_wrong] == []
 
 
+@pytest.mark.nightly
 def test_stamps_in_bursts_are_named(recording):
     wrong = [f for f in page_of(recording(BURSTS)).findings if f.is_wrong]
     assert [f.name for f in wrong] == ["IMU: stamps", "field: stamps"]
@@ -67,6 +68,7 @@ def test_the_bias_of_a_gyro_is_read_at_rest(recording):
     assert bias.evidence.startswith("(3.5")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seconds", first_of([29.0, 28.0, 31.0]))
 def test_a_car_that_leans_shows_no_inclination(recording, seconds):
     """Its gyro tilts by no more than the bends lean what the accelerometer shows as up."""
@@ -78,6 +80,7 @@ def test_a_car_that_leans_shows_no_inclination(recording, seconds):
     assert wrong_axes(part, knowledge_of(51.2, inclination_deg=66.2)) is None
 
 
+@pytest.mark.nightly
 def test_a_street_that_bends_the_field_shows_no_unit_of_the_gyro(recording):
     """The car drives straight on; the field changes by 21 µT from place to place."""
     folder = recording("car_drive_neu2022_rahul")
@@ -86,6 +89,7 @@ def test_a_street_that_bends_the_field_shows_no_unit_of_the_gyro(recording):
     assert [f for f in page.findings if f.is_wrong] == []
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("start", first_of([6.7, 8.0]))
 def test_a_large_bias_that_a_rest_shows_is_all_that_is_wrong(recording, start):
     """Fits that begin without it end far from the truth, and other axes seem to fit better."""

@@ -192,6 +192,7 @@ def test_the_noise_of_a_receiver_is_no_drift(noise):
     assert not travelling.drift.is_drifting
 
 
+@pytest.mark.nightly
 def test_backwards_half_of_the_time_turns_the_offset_by_nothing():
     rng = np.random.default_rng(7)
     legs = joined(city(rng, 120.0), reversing(rng, 8))

@@ -30,6 +30,7 @@ def tilts_without(seed):
     return tilts(driven(city_legs(seed), seed, VEHICLE))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", first_of([("fixes", 1.2), ("odometry", 0.5), ("velocity", 1.3)]))
 def test_stop_and_go_does_not_tilt_it(case):
     kind, bound = case

@@ -217,6 +217,7 @@ def test_two_that_always_disagreed_are_said_and_sigma_holds_it():
     assert math.degrees(rows[-1, 2]) > 10.0
 
 
+@pytest.mark.nightly
 def test_those_that_always_disagreed_still_do_where_the_field_is_bent():
     scene = two(yaw=math.radians(20.0))
     scene.run(5.0, 0.3)
@@ -231,6 +232,7 @@ def test_those_that_always_disagreed_still_do_where_the_field_is_bent():
     assert off < 3.0 * math.sqrt(fused.yaw_variance)
 
 
+@pytest.mark.nightly
 def test_one_that_was_turned_while_it_was_silent_takes_no_part_when_it_returns():
     scene = two()
     scene.run(5.0, 0.3)

@@ -8,7 +8,10 @@ import pytest
 from magcal_ros.core.heading.yaw_filter import PERFECT, GyroLoss, YawFilter
 
 
-@pytest.mark.parametrize(("walk", "turn"), [(1e-5, 0.0), (1e-4, 0.0), (1e-5, 1e-3)])
+@pytest.mark.parametrize(
+    ("walk", "turn"),
+    [(1e-4, 0.0), (1e-5, 1e-3), pytest.param(1e-5, 0.0, marks=pytest.mark.nightly)],
+)
 def test_rests_show_how_a_bias_walks_and_whether_the_robot_stands(walk, turn):
     rng, loss, bias, noise = np.random.default_rng(2), GyroLoss(), 0.003, 1.5e-4
     loss.begin(bias, 1e-6)

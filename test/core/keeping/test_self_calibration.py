@@ -333,6 +333,7 @@ def heading_error(correction, robot):
     return math.degrees(math.sqrt(np.mean(np.angle(turn / turn.mean()) ** 2)))
 
 
+@pytest.mark.nightly
 def test_an_ordinary_drive_calibrates_from_nothing():
     machine = SelfCalibration(Mode.APPLY)
     drive = driven(5, city(np.random.default_rng(5), 200.0))

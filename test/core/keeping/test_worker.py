@@ -68,6 +68,7 @@ def test_road_before_the_first_fit_does_not_count(road):
     assert proved(road, step(road.time[-1], RIGHT)).seconds == 0.0
 
 
+@pytest.mark.nightly
 def test_a_fit_counts_only_for_the_road_after_it(road, whole):
     middle = 0.5 * (road.time[0] + road.time[-1])
     first, last = step(road.time[0], WORSE), step(middle, RIGHT)
@@ -79,6 +80,7 @@ def test_iron_that_came_is_spoken_against_by_no_heading(whole):
     assert whole.against < 0.5
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("heading", first_of([90.0, 0.0, 180.0, 270.0]))
 def test_steel_on_one_side_of_the_way_is_no_iron_that_came(heading):
     side = (0.0, 15e-6, 0.0)

@@ -95,6 +95,7 @@ def test_a_long_window_with_strong_iron_is_better_than_a_short_one(seconds, weak
     assert level_error(fit(window, known(robot)), robot) < 0.4 * DEGREE
 
 
+@pytest.mark.nightly
 def test_there_and_back_is_not_taken_for_a_pull():
     """Its mean rate is zero, and an axis it has all the same."""
     angle = np.concatenate([np.linspace(0.0, 6.5, 300), np.linspace(6.5, 0.0, 300)[1:]])

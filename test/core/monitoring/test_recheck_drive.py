@@ -37,6 +37,7 @@ def with_iron(window, *microtesla):
     return replace(window, field=window.field + 1e-6 * np.array(microtesla))
 
 
+@pytest.mark.nightly
 def test_streets_are_no_iron(driven):
     window, calibration = driven
     assert iron_added(log_of(window), calibration).grade is Grade.GOOD
@@ -62,6 +63,7 @@ def test_a_short_drive_shows_nothing(driven):
     assert iron_added(log_of(window).between(start, start + 20.0), calibration) is None
 
 
+@pytest.mark.nightly
 def test_an_offset_of_the_accelerometer_is_no_iron():
     """A car that circles and never rests: gravity that seems too weak leans up in its bends."""
     rng = np.random.default_rng(3)

@@ -78,7 +78,7 @@ def test_a_small_change_is_not_worth_a_word():
             (changed(pitch=ROBOT.pitch - math.radians(5.0)), "mounting_change", 5.0),
             (changed(soft_iron=0.12 * np.eye(3)), "strength_shift", 12.0),
         ],
-        5,
+        3,
     ),
 )
 def test_each_change_is_called_by_its_name(case):

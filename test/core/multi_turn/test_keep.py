@@ -29,6 +29,7 @@ def first(windows):
     return take_turn(Kept(), windows["level"], KNOWN, METHOD, accumulate=True)
 
 
+@pytest.mark.nightly
 def test_turns_join_one_after_another(windows, first):
     outcome, kept = first
     assert outcome.verdict.accepted

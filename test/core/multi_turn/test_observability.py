@@ -21,6 +21,7 @@ def test_after_a_level_turn_a_slope_across_north_is_advised(level):
     assert "installation yaw from ±5° to ±0." in level.advice_in_words
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("direction", first_of(["north", "east", "west"]))
 def test_the_advised_turn_keeps_its_promise(level, direction):
     slope = {"east": EAST, "north": NORTH, "west": WEST}[direction]

@@ -154,6 +154,7 @@ def test_a_simulated_gyro_without_noise_is_no_division_by_zero():
     assert gathering.window().rests
 
 
+@pytest.mark.nightly
 def test_hours_stay_within_the_sessions_memory(monkeypatch):
     monkeypatch.setattr("magcal_ros.core.session.recorded.LONGER", 1)
     motion = turn(arc=60 * math.tau, samples=30_000, duration=600.0)

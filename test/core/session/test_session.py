@@ -260,6 +260,7 @@ class TestWindow:
 
 
 class TestMemory:
+    @pytest.mark.nightly
     @pytest.mark.parametrize("turns", first_of([0.7, 0.0, 40.0]))
     def test_a_hundred_thousand_pairs_stay_within_the_bound(self, turns):
         """Standing, creeping through part of a turn, and going round and round."""

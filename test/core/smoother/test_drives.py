@@ -93,6 +93,7 @@ def test_a_drive_read_once_a_second_is_fitted_within_its_sigma(drive):
     assert error < 2.0 * math.degrees(said)
 
 
+@pytest.mark.nightly
 def test_the_start_follows_a_yaw_that_drifts_by_a_turn_and_more():
     rng = np.random.default_rng(1)
     vehicle = dataclasses.replace(random_vehicle(rng), bias_walk=1e-4)

@@ -19,7 +19,9 @@ def known(robot):
     return replace(robot.knowledge(1.5e-6, DEGREE), exact_sensors=False)
 
 
-@pytest.mark.parametrize(("arc", "samples"), [(180.0, 500), (360.0, 60)])
+@pytest.mark.parametrize(
+    ("arc", "samples"), [(360.0, 60), pytest.param(180.0, 500, marks=pytest.mark.nightly)]
+)
 def test_a_clean_turn_reads_next_to_nothing(arc, samples):
     robot = Robot()
     motion = turn(arc=arc * DEGREE, samples=samples)

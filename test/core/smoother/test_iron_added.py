@@ -42,6 +42,7 @@ def gain(drive, **promise):
     return -math.inf if found is None else found.gain
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([4, 7]))
 def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
     iron = (8e-6, -6e-6, 0.0)
@@ -99,6 +100,7 @@ def test_iron_that_comes_to_a_robot_at_rest_is_told_before_it_turns(quarter):
     assert came == pytest.approx(iron, abs=3e-6)
 
 
+@pytest.mark.nightly
 def test_steel_that_a_drive_comes_to_is_no_iron():
     drive, start = from_a_stop(5)
     steel = (drive.time > start + 15.0)[:, None] * (drive.truth.attitude @ [0.0, 12e-6, -9e-6])

@@ -64,7 +64,10 @@ def test_rests_tell_the_motors_field_from_hard_iron(size, by_rate):
     assert estimate.figures[Figure.MOTOR_FIELD] == pytest.approx(size, rel=0.1)
 
 
-@pytest.mark.parametrize(("size", "grade"), [(0.0, Grade.EXCELLENT), (2e-6, Grade.WARN)])
+@pytest.mark.parametrize(
+    ("size", "grade"),
+    [(2e-6, Grade.WARN), pytest.param(0.0, Grade.EXCELLENT, marks=pytest.mark.nightly)],
+)
 def test_hard_iron_that_drifts_is_named(size, grade):
     _, window = driven(evenly, ROBOT, 3.0)
     share = window.time / np.ptp(window.time)
@@ -75,6 +78,7 @@ def test_hard_iron_that_drifts_is_named(size, grade):
     assert outcome.estimate.figures[Figure.IRON_DRIFT] == pytest.approx(size, rel=0.25)
 
 
+@pytest.mark.nightly
 def test_a_smooth_circle_leaves_a_doubt_that_sigma_holds():
     """A bias of the gyro across up looks the same where nothing rests."""
     robot = replace(ROBOT, inclination=68.0 * DEGREE)

@@ -95,6 +95,7 @@ def swaying(height: float, seed: int) -> Window:
     return replace(window, specific_force=window.specific_force + pull)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("height", first_of([0.3, 0.0]))
 def test_lean_is_told_from_sway_that_shakes_a_high_accelerometer(height):
     """Taken for lean, the shaking would shrink the field: the heading on slopes would be wrong."""
@@ -105,6 +106,7 @@ def test_lean_is_told_from_sway_that_shakes_a_high_accelerometer(height):
     assert abs(down_of(estimate) - 1.0) < 0.05
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("number", first_of([9910, 9909, 9904]))
 def test_what_sway_lifts_beside_the_pivot_is_not_taken_for_a_lever_arm_of_a_metre(number):
     """A lever arm would explain the changes upward by a lean of the body, and hide the true one."""

@@ -90,6 +90,7 @@ def test_a_robot_set_down_elsewhere_is_found_within_a_second(watched):
     assert max(errors.errors[-100:]) < 0.3
 
 
+@pytest.mark.nightly
 def test_the_variance_is_honest_while_driving():
     ratios = []
     for seed in range(2):
