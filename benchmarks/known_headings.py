@@ -181,7 +181,7 @@ class Follower:
         self._drive, self._knowledge, self._rng = drive, knowledge, rng
         self._forward = drive.vehicle.imu_pose[0]
         self._log, self._up = HeadingLog(self._forward), UpFollower()
-        self._turn, self._heard = GyroTurn(), math.nan
+        self._turn = GyroTurn()
         self._fused: FusedYaw | None = None
         self._compass: Compass | None = None
         self._gyros: list[FusedYaw] = []
@@ -226,10 +226,9 @@ class Follower:
         self._up.add(sample)
         follower = self._up
         up = follower.at(sample.stamp, 0.0)
-        seconds, self._heard = sample.stamp - self._heard, sample.stamp
         if up is not None:
             by = up.direction, follower.mean_rate, follower.gyro_bias.variance
-            self._turn = self._turn.after(seconds, *by)
+            self._turn = self._turn.after(sample.stamp, *by)
         if up is None or self._fused is None:
             return
         rate, known = follower.mean_rate, follower.gyro_bias

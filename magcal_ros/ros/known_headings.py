@@ -13,7 +13,7 @@ from magcal_ros.core.heading.yaw_filter import FUSION
 from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
 from magcal_ros.core.session import external_heading
-from magcal_ros.core.session.external_heading import ExternalHeading
+from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.keeper import Tell
@@ -207,7 +207,8 @@ class KnownHeadings:
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
         self._answer = ""
-        self._since: external_heading.TurnSince | None = None
+        self._turn: GyroTurn | None = None
+        """The gyro's since the last standing."""
         self._pairs: list[Pair] = []
         self._pairer = Pairer(magnetometer.inputs.streams)
         self._given: ExternalHeading | None = None
@@ -220,7 +221,7 @@ class KnownHeadings:
 
     def forget(self) -> None:
         """Begin anew with the next heading."""
-        self._standings, self._since, self._answer = (), None, ""
+        self._standings, self._turn, self._answer = (), None, ""
         self._epoch += 1
         self.antenna.forget()
 
@@ -263,14 +264,15 @@ class KnownHeadings:
         """Take the turn up to an IMU message that the up follower has received already."""
         if self.antenna.is_heard:
             self.antenna.on_imu(stamp)
-        follower, since = self._pipeline.up, self._since
-        if since is None or follower.newest is None:
+        follower, turn = self._pipeline.up, self._turn
+        if turn is None or follower.newest is None:
             return
         if follower.is_propagated:
-            since.add(stamp, follower.newest, follower.mean_rate, follower.gyro_bias.variance)
+            known = follower.gyro_bias.variance
+            self._turn = turn.after(stamp, follower.newest, follower.mean_rate, known)
         else:
             # The turn since the last standing is not known any more.
-            self._since = None
+            self._turn = None
 
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on known headings; None where there is none."""
@@ -299,7 +301,8 @@ class KnownHeadings:
             self._conclude(Conclusion(False, f"{self.antenna.topic} stopped sending meanwhile"))
             return
         bias = follower.gyro_bias.rate if follower.is_propagated else (0.0, 0.0, 0.0)
-        known = given, settings.knowledge, view.pose[0], self._since, bias
+        turn = self._turn or GyroTurn()
+        known = given, settings.knowledge, view.pose[0], turn, bias
         pairs, self._pairs = tuple(self._pairs), []
         before, epoch = self._standings, self._epoch
         in_force = self._magnetometer.keeper.calibration
@@ -331,7 +334,7 @@ class KnownHeadings:
             return
         calibration = result.outcome.calibration
         if calibration is not None:
-            self._standings, self._since = result.standings, external_heading.TurnSince()
+            self._standings, self._turn = result.standings, GyroTurn()
         if not result.applies or calibration is None:
             # A heading that agrees with a better calibration is no failure.
             self._conclude(Conclusion(result.outcome.verdict.accepted, result.words))

@@ -55,6 +55,8 @@ class FusionTuning:
     wander_jump: float = 0.1  # radians of error when headings come back from beyond the gate
     wander_odds: tuple[float, float] = (0.1, 1e-3)
     """Prior odds that a device drifts, and that a sound one begins to within `heading_tau`."""
+    integrated_rate: float = 2e-3  # rad/s by which a device drifts that integrates a gyro: its bias
+    integrated_odds: float = 0.01  # prior odds of such a device
     heading_gate: float = 4.0  # sigmas by which such a heading may miss
     unknown: float = 0.5  # radians of uncertainty of a start in a field that is not expected
     start: float = 5.0  # seconds from the start in which that may be found out
@@ -233,6 +235,11 @@ class YawFilter:
         self._shares = self._shares + share * self._apart(compass)
 
 
+KINDS = 3
+"""Of a device's headings: sound ones, those that wander, and those that integrate a gyro's bias."""
+WANDERS = 1
+
+
 class GyroLoss:
     """How fast a gyro loses its angle and its bias, from headings of another device and from rests.
 
@@ -248,25 +255,29 @@ class GyroLoss:
 
     def __init__(self) -> None:
         spread = FUSION.loss_spread
-        first, second, third, fourth, wanders = (
+        first, second, third, fourth, kinds = (
             each.ravel()
             for each in np.meshgrid(
                 np.linspace(-3.0, 4.0, 11),
                 np.linspace(-3.0, 3.0, 7),
                 np.linspace(-2.0, 3.0, 6),
                 np.linspace(-2.0, 3.0, 6),
-                [0.0, 1.0],
+                np.arange(KINDS, dtype=float),
             )
         )
         self._walks: FloatArray = (FUSION.bias_walk * np.exp(FUSION.walk_spread * first)) ** 2
         self._shares: FloatArray = np.exp(spread * second - 0.5 * spread**2)
         self._turns: FloatArray = (FUSION.rest_turn * np.exp(FUSION.rest_spread * third)) ** 2
         self._lasts: FloatArray = FUSION.heading_lasts * np.exp(FUSION.lasts_spread * fourth)
-        self._wanders: FloatArray = (FUSION.heading_wander * wanders) ** 2
+        kind = kinds.astype(int)
+        integrated = FUSION.bias_walk * math.exp(FUSION.walk_spread**2)
+        self._wanders: FloatArray = np.array([0.0, FUSION.heading_wander, integrated])[kind] ** 2
+        self._drift_rates: FloatArray = np.array([0.0, 0.0, FUSION.integrated_rate])[kind] ** 2
         part = self._lasts / FUSION.heading_tau
         self._left: FloatArray = 2.0 * part * (1.0 - part * (1.0 - np.exp(-1.0 / part)))
         self._log_odds: FloatArray = -0.5 * (first**2 + second**2 + third**2 + fourth**2)
-        self._log_odds += wanders * math.log(FUSION.wander_odds[0])
+        odds = np.array([1.0, FUSION.wander_odds[0], FUSION.integrated_odds])
+        self._log_odds += np.log(odds)[kind]
         self._weigh()
         self.begin(0.0, 0.0)
 
@@ -280,6 +291,7 @@ class GyroLoss:
         self._state: FloatArray = np.tile([0.0, -bias, 0.0, 0.0, 0.0], (count, 1))
         start = np.diag([UNKNOWN_YAW, variance, 0.0, 0.0, 0.0])
         self._covariance: FloatArray = np.tile(start, (count, 1, 1))
+        self._covariance[:, 4, 4] = self._drift_rates
 
     def add_heading(
         self, stamp: float, ahead: float, variance: float, count: int, lost: float
@@ -293,7 +305,7 @@ class GyroLoss:
         self.go_on(stamp, lost)
         if stamp - self._heard > 2.0 * FUSION.heading_tau:
             self._covariance[:, 3, 3] += FUSION.wander_jump**2 * (self._wanders > 0.0)
-        steady, drifting = self._log_odds.reshape(-1, 2).T
+        steady, drifting, _ = self._log_odds.reshape(-1, KINDS).T
         drifting[:] = np.logaddexp(drifting, steady + math.log(FUSION.wander_odds[1]))
         kept = np.exp((self._heard - stamp) / self._lasts)
         self._heard = stamp
@@ -313,11 +325,14 @@ class GyroLoss:
         seconds, self._stamp = stamp - self._stamp, stamp
         if not seconds > 0.0:
             return
-        step = np.eye(5)
-        step[0, 1] = step[3, 4] = seconds
-        step[3:, 3:] *= math.exp(-seconds / FUSION.wander_lasts)
-        self._state = self._state @ step.T
-        covariance = self._covariance = step @ self._covariance @ step.T
+        covariance = self._covariance
+        for kind in range(KINDS):
+            step = np.eye(5)
+            step[0, 1] = step[3, 4] = seconds
+            if kind == WANDERS:
+                step[3:, 3:] *= math.exp(-seconds / FUSION.wander_lasts)
+            self._state[kind::KINDS] = self._state[kind::KINDS] @ step.T
+            covariance[kind::KINDS] = step @ covariance[kind::KINDS] @ step.T
         covariance[:, 0, 0] += lost * self._shares
         for angle, walks in ((0, self._walks), (3, self._wanders)):
             rate, walked = angle + 1, walks * seconds

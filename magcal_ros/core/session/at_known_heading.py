@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +22,14 @@ from magcal_ros.core.methods.known_headings import declination_hint, fit, next_h
 from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session import external_heading
-from magcal_ros.core.session.external_heading import DEGREES, LOG, TUNING, ExternalHeading
+from magcal_ros.core.session.external_heading import (
+    DEGREES,
+    LOG,
+    TUNING,
+    UNKNOWN_TURN,
+    ExternalHeading,
+    GyroTurn,
+)
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import MICROTESLA, SIZES, STANDING
 from magcal_ros.core.up.follower import UpFollower
@@ -69,7 +77,7 @@ class CollectedSamples:
     knowledge: Knowledge
     """With the declination, if the heading is to true north."""
     forward: FloatArray  # direction in the IMU's axes whose heading it is. Shape (3,).
-    since: external_heading.TurnSince | None = None  # by the gyro since the standing before
+    since: GyroTurn = UNKNOWN_TURN  # by the gyro since the standing before
     bias: Triple = (0.0, 0.0, 0.0)  # the gyro's, as far as it is known, rad/s
 
     def standing(self) -> Standing:
@@ -102,8 +110,9 @@ class CollectedSamples:
             self.given.sigma,
             by_declination=self.given.is_true,
             forward=self.forward,
-            turned=0.0 if self.since is None else self.since.angle,
-            turned_sigma=math.inf if self.since is None else self.since.sigma,
+            turned=self.since.angle,
+            turned_sigma=self.since.sigma,
+            seconds=self.since.seconds,
             noise_field=max(noise, 1e-9),
             noise_up=_noise(unit(force)),
         )
@@ -211,14 +220,34 @@ def _next_in_words(standings: Sequence[Standing], knowledge: Knowledge) -> str:
     )
 
 
+class _Kept(NamedTuple):
+    """A mean along a drive, with the gyro's turn and the metres gone since the log began."""
+
+    stamp: float
+    standing: Standing
+    turn: GyroTurn
+    metres: float
+
+    def after(self, before: _Kept | None) -> Standing:
+        """Return the standing with what lies between it and the one before, if there is one."""
+        if before is None:
+            return self.standing
+        turn = self.turn.since(before.turn)
+        return replace(
+            self.standing,
+            way=self.metres - before.metres,
+            seconds=self.stamp - before.stamp,
+            turned=turn.angle,
+            turned_sigma=turn.sigma,
+        )
+
+
 class HeadingLog:
     """Keeps means of the field at headings of `forward` (3,), IMU axes, some for each direction."""
 
     def __init__(self, forward: FloatArray) -> None:
         self.forward = forward
-        self._kept: list[deque[tuple[float, Standing]]] = [
-            deque(maxlen=LOG.each) for _ in range(LOG.sectors)
-        ]
+        self._kept: list[deque[_Kept]] = [deque(maxlen=LOG.each) for _ in range(LOG.sectors)]
         self._newest, self._fresh = -math.inf, 0
         self._rested = False
         self._heard, self._metres = math.nan, 0.0
@@ -232,7 +261,7 @@ class HeadingLog:
         given: ExternalHeading,
         shift: float,
         is_at_rest: bool,
-        turn: external_heading.GyroTurn,
+        turn: GyroTurn,
     ) -> bool:
         """Take a field sample and the heading of this moment; returns whether to fit again.
 
@@ -265,23 +294,21 @@ class HeadingLog:
             math.hypot(given.sigma, LOG.sigma),
             by_declination=given.is_true,
             forward=self.forward,
-            turned=float(mean[9]),
-            turned_sigma=math.sqrt(turn.variance),
             force_sigma=LOG.force,
-            way=self._metres,
-            seconds=stamp,
             common_sigma=LOG.common,
+            drifts=True,
         )
         self._block, self._rested = [], is_at_rest
-        return self._keep(stamp, heading, standing)
+        turn = turn._replace(angle=float(mean[9]))
+        return self._keep(heading, _Kept(stamp, standing, turn, self._metres))
 
-    def _keep(self, stamp: float, heading: float, standing: Standing) -> bool:
+    def _keep(self, heading: float, new: _Kept) -> bool:
         sector = self._kept[int((heading % math.tau) / math.tau * LOG.sectors) % LOG.sectors]
-        since = stamp - (sector[-1][0] if sector else self._newest)
+        since = new.stamp - (sector[-1].stamp if sector else self._newest)
         if 0.0 <= since < (LOG.pause if sector else LOG.block):
             return False
-        sector.append((stamp, standing))
-        self._newest = stamp
+        sector.append(new)
+        self._newest = new.stamp
         self._fresh += 1
         return self._fresh >= max(LOG.first, len(self.standings) // 3)
 
@@ -289,26 +316,13 @@ class HeadingLog:
     def standings(self) -> tuple[Standing, ...]:
         """What is kept, in the order of time."""
         found = [each for sector in self._kept for each in sector]
-        kept = [standing for _, standing in sorted(found, key=lambda each: each[0])]
-        return tuple(_since(each, kept[k - 1] if k else None) for k, each in enumerate(kept))
+        kept = sorted(found, key=lambda each: each.stamp)
+        return tuple(each.after(kept[k - 1] if k else None) for k, each in enumerate(kept))
 
     def take(self) -> tuple[Standing, ...]:
         """Return what is kept, for a fit; what comes after is new."""
         self._fresh = 0
         return self.standings
-
-
-def _since(each: Standing, before: Standing | None) -> Standing:
-    """Return a standing whose way, time and turn count from the one before, if there is one."""
-    if before is None:
-        return replace(each, way=math.inf, seconds=0.0, turned_sigma=math.inf)
-    return replace(
-        each,
-        way=each.way - before.way,
-        seconds=each.seconds - before.seconds,
-        turned=each.turned - before.turned,
-        turned_sigma=math.sqrt(max(each.turned_sigma**2 - before.turned_sigma**2, 0.0)),
-    )
 
 
 def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outcome, str]:
@@ -331,15 +345,14 @@ class HeadingCollector:
         self.check = external_heading.HeadingAgainstGyro()
         self.log: HeadingLog | None = None
         self.newest = HeadingSample(-math.inf, 0.0, 1.0)
-        self._imu_stamp, self._turn = math.nan, external_heading.GyroTurn()
+        self._turn = UNKNOWN_TURN
 
     def on_imu(self, stamp: float) -> None:
         """Take the turn up to an IMU message, seconds, that `up` has received already."""
-        seconds, self._imu_stamp = stamp - self._imu_stamp, stamp
         up = self._up.newest
         if up is not None:
             known = self._up.gyro_bias.variance
-            self._turn = self._turn.after(seconds, up, self._up.mean_rate, known)
+            self._turn = self._turn.after(stamp, up, self._up.mean_rate, known)
 
     def on_heading(self, sample: HeadingSample) -> None:
         """Take a heading."""

@@ -100,57 +100,59 @@ def replaces(found: Calibration, before: Calibration | None) -> bool:
     return is_by_headings(before) and calibration_sigma(found) < calibration_sigma(before)
 
 
-class TurnSince:
-    """The turn to the left since a standing, by the gyro."""
-
-    def __init__(self) -> None:
-        self.angle = 0.0
-        self._variance, self._bias_sigma, self._seconds = 0.0, 0.0, 0.0
-        self._stamp = math.nan
-
-    def add(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> None:
-        """Integrate the gyro up to an IMU message at a stamp, seconds.
-
-        `up` is unit, `rate` the mean since the message before, rad/s less the known bias, body
-        axes. The variance is of that bias about up, (rad/s)².
-        """
-        seconds = stamp - self._stamp
-        self._stamp = stamp
-        if math.isnan(seconds):
-            return
-        if not 0.0 < seconds <= STREAMS.longest_gyro_step:
-            self._variance = math.inf
-            return
-        turn = dot(rate, up)
-        self.angle += turn * seconds
-        self._variance += FUSION.lost(turn) * seconds
-        self._seconds += seconds
-        self._bias_sigma = max(self._bias_sigma, math.sqrt(bias_variance), FUSION.bias_sigma)
-
-    @property
-    def sigma(self) -> float:
-        """Standard deviation, radians; infinite after a gap or before the first message."""
-        if math.isnan(self._stamp):
-            return math.inf
-        return math.sqrt(self._variance) + self._bias_sigma * self._seconds
+BIAS_WALK = FUSION.bias_walk * math.exp(FUSION.walk_spread**2)
+"""Root mean square of how much a gyro's bias walks, rad/s per root second."""
 
 
 class GyroTurn(NamedTuple):
     """How far the gyro has turned to the left since some moment, radians."""
 
+    stamp: float = math.nan  # of the newest IMU message, seconds
+    seconds: float = 0.0  # since that moment
     angle: float = 0.0
-    variance: float = 0.0  # of all but the bias that is common to the whole way
+    variance: float = 0.0  # by what the gyro loses, apart from its bias
+    by_bias: float = 0.0
+    """Sigma by a bias beyond `FUSION.bias_sigma`, as it may be before a rest has shown it."""
 
-    def after(self, seconds: float, up: Triple, rate: Triple, bias_variance: float) -> GyroTurn:
-        """Return the turn after one more IMU message; parameters as of `TurnSince.add`."""
+    def after(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> GyroTurn:
+        """Return the turn up to an IMU message at a stamp, seconds.
+
+        `up` is unit, `rate` the mean since the message before, rad/s less the known bias, body
+        axes. The variance is of that bias about up, (rad/s)².
+        """
+        seconds = stamp - self.stamp
+        if math.isnan(seconds):
+            return self._replace(stamp=stamp)
         if not 0.0 < seconds <= STREAMS.longest_gyro_step:
-            return self._replace(variance=self.variance + UNKNOWN_YAW)
+            return self._replace(stamp=stamp, variance=self.variance + UNKNOWN_YAW)
         turn = dot(rate, up)
-        # A bias with its usual sigma is an unknown of the fit. Before a rest shows it, it may be
-        # larger.
-        more = max(0.0, bias_variance - FUSION.bias_sigma**2) * FUSION.noise_tau
-        lost = FUSION.lost(turn) + more
-        return GyroTurn(self.angle + turn * seconds, self.variance + lost * seconds)
+        more = math.sqrt(max(0.0, bias_variance - FUSION.bias_sigma**2))
+        return GyroTurn(
+            stamp,
+            self.seconds + seconds,
+            self.angle + turn * seconds,
+            self.variance + FUSION.lost(turn) * seconds,
+            self.by_bias + more * seconds,
+        )
+
+    def since(self, before: GyroTurn) -> GyroTurn:
+        """Return the turn since an earlier moment."""
+        apart = (now - then for now, then in zip(self[1:], before[1:], strict=True))
+        return GyroTurn(self.stamp, *apart)
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation but for a constant bias; infinite after a gap or without messages.
+
+        That bias, with `FUSION.bias_sigma`, is an unknown of the fit.
+        """
+        if math.isnan(self.stamp) or self.variance >= UNKNOWN_YAW:
+            return math.inf
+        walked = BIAS_WALK**2 * self.seconds**3 / 3.0
+        return math.sqrt(self.variance + self.by_bias**2 + walked)
+
+
+UNKNOWN_TURN = GyroTurn()
 
 
 class HeadingAgainstGyro:

@@ -102,7 +102,7 @@ def _optima(
     found = [model.optimum(float(size), middle.state) for size in sizes]
     costs = np.array([each.cost for each in found]) + SPREADS**2
     usual, large = middle, found[BELIEVED]
-    if model.seconds.any():
+    if model.drifts:
         best = int(np.argmin(costs))
         size, start = float(sizes[best]), found[best].state
         drifting = [model.optimum(size, start, drift) for drift in DRIFTS]

@@ -86,8 +86,8 @@ class Standing:
     way: float = math.inf
     """Metres from the standing before, for the correlation of the local disturbance; infinite if it
     is another place."""
-    seconds: float = 0.0
-    """Since the standing before, of headings of a device, whose error may drift meanwhile."""
+    seconds: float = 0.0  # since the standing before, for the gyro's bias and a drift
+    drifts: bool = False  # whether the heading is of a device, whose error may drift meanwhile
     common_sigma: float = 0.0  # of the error that all headings share, radians
     noise_field: float = 0.3e-6
     noise_up: float = 0.003
@@ -128,6 +128,7 @@ class Standings:
     turned: FloatArray
     turned_sigma: FloatArray
     seconds: FloatArray
+    drifts: bool
     keeps: FloatArray
     """Correlation of the local disturbance with that of the standing before. Shape (n - 1,)."""
     common: FloatArray
@@ -157,6 +158,7 @@ class Standings:
             np.array([each.turned for each in standings[1:]]),
             np.array([each.turned_sigma for each in standings[1:]]),
             seconds,
+            any(each.drifts for each in standings),
             np.exp(-np.array([each.way for each in standings[1:]]) / priors.lengths.street),
             np.hypot(by * knowledge.reference.declination_sigma, common),
             replace(priors, mean=_about(priors, state)),
@@ -274,7 +276,7 @@ def rms_size(size: Size) -> float:
     return size.usual * math.exp(size.spread**2)
 
 
-def _priors(knowledge: Knowledge, by_device: bool) -> Priors:
+def _priors(knowledge: Knowledge, by_gyro: bool) -> Priors:
     """Return the priors of standings; uncertain sigmas count by their mean squares."""
     priors = priors_of(knowledge)
     scale = priors.scale.copy()
@@ -282,7 +284,7 @@ def _priors(knowledge: Knowledge, by_device: bool) -> Priors:
         scale[at] *= 0.0 if name in BY_MOTION else _mean_factor(name, priors)
     # Nothing but known headings shows how the magnetometer is turned about up.
     scale[YAW] = math.hypot(scale[YAW], knowledge.mounting.yaw_sigma)
-    if by_device:
+    if by_gyro:
         scale[BIAS_UP] = FUSION.bias_sigma
     return replace(priors, scale=scale)
 

@@ -401,7 +401,7 @@ def test_told_headings_show_whether_gyro_or_compass_is_better_without_them(walk)
             fused.take_heading(stamp, yaw, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
     compass, now = heading.yaw - 0.5 * math.pi, fused.heading()
     off, sigma = now.yaw - 0.5 * math.pi, math.sqrt(now.yaw_variance)
-    assert abs(off) < min(2.0 * sigma, 0.5 * abs(compass))
+    assert abs(off) < min(2.0 * sigma, 0.6 * abs(compass))
     assert sigma < math.sqrt(heading.yaw_variance)
 
 
@@ -427,3 +427,29 @@ def test_headings_that_drift_before_they_fall_silent_are_doubted():
             off.append(fused.heading().yaw - 0.5 * math.pi)
             sigma.append(math.sqrt(fused.heading().yaw_variance))
     assert (np.abs(off) < 3.0 * np.array(sigma)).all()
+
+
+def test_headings_of_a_device_that_integrates_a_gyro_are_doubted_where_rests_contradict_them():
+    """They drift evenly, as by a constant bias of this gyro: it promised 1° and was 24° off."""
+    rng = np.random.default_rng(92_000)
+    fused, up = FusedYaw(CALIBRATED, PATIENCE), Up((0.0, 0.0, 1.0), 1e-6)
+    field = tuple(CALIBRATED.strength * np.array([0.4, 0.0, -0.9]))
+    compass = Compass(CALIBRATED).heading(field, up.direction, up.variance)
+    known = GyroBias((0.0, 0.0, 0.0), 1e-4)
+    for k in range(12_000):
+        since = 0.02 * k
+        rate = (0.0, 0.0, 0.003 + 2e-3 * rng.standard_normal())
+        if since > 20.0 and since % 40.0 < 0.01:
+            shown = (0.0, 0.0, 0.003 + 2e-4 * rng.standard_normal())
+            known = GyroBias((0.0, 0.0, 0.0), 1e-4, (shown, 2e-4**2))
+        elif known.at_rest is not None:
+            known = GyroBias((0.0, 0.0, 0.0), 1e-4)
+        fused.propagate(100.0 + since, up, rate, known)
+        if k == 0:
+            fused.correct(100.0, field, up, compass)
+        if k % 10 == 5:
+            told = 0.5 * math.pi + math.radians(0.1) * since
+            told += math.radians(1.0) * rng.standard_normal()
+            fused.take_heading(100.0 + since, told, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
+    off = fused.heading().yaw - 0.5 * math.pi
+    assert abs(off) < 3.0 * math.sqrt(fused.heading().yaw_variance)

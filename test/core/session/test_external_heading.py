@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.session.external_heading import HeadingAgainstGyro, TurnSince
+from magcal_ros.core.session.external_heading import GyroTurn, HeadingAgainstGyro
 
 
 @pytest.mark.parametrize(
@@ -29,12 +29,26 @@ def test_a_heading_that_turns_otherwise_than_the_gyro_is_named(read, named):
     assert (named in check.fault) if named else not check.fault
 
 
+def turned(seconds, bias_variance=1e-6):
+    turn = GyroTurn()
+    for k in range(int(50 * seconds) + 1):
+        turn = turn.after(0.02 * k, (0.0, 0.0, 1.0), (0.3, 0.0, 0.2), bias_variance)
+    return turn
+
+
 def test_the_turn_since_a_standing_knows_how_sure_it_is():
-    since = TurnSince()
-    assert math.isinf(since.sigma)
-    for k in range(501):
-        since.add(0.02 * k, (0.0, 0.0, 1.0), (0.3, 0.0, 0.2), 1e-6)
-    assert since.angle == pytest.approx(2.0)
-    assert math.radians(0.5) < since.sigma < math.radians(2.0)
-    since.add(20.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1e-6)
-    assert math.isinf(since.sigma)
+    assert math.isinf(GyroTurn().sigma)
+    turn = turned(10.0)
+    assert turn.angle == pytest.approx(2.0)
+    assert turn.seconds == pytest.approx(10.0)
+    assert math.radians(0.3) < turn.sigma < math.radians(1.0)
+    later = turn.after(20.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1e-6)
+    assert math.isinf(later.sigma)
+    # What comes after a gap is known again.
+    assert later.after(20.02, (0.0, 0.0, 1.0), (0.0, 0.0, 0.2), 1e-6).since(later).sigma < 0.01
+
+
+def test_a_turn_is_less_certain_where_no_rest_has_shown_the_bias_and_after_minutes():
+    assert turned(10.0, 0.01**2).sigma == pytest.approx(10.0 * 0.01, rel=0.1)
+    # A bias that walks is no constant one.
+    assert turned(300.0).sigma > math.radians(5.0)

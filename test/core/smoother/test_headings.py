@@ -126,7 +126,7 @@ def by_antennas(seed, drift):
         kept.append(
             replace(told, field=bent, heading=wrapped(told.heading + off), way=30.0, **by_gyro)
         )
-        kept[-1] = replace(kept[-1], seconds=5.0 if k else 0.0)
+        kept[-1] = replace(kept[-1], seconds=5.0 if k else 0.0, drifts=True)
     return robot, kept
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.up.filter import UpFilter
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.stillness import GyroCheck
 from magcal_ros.files.recording import read_csv_folder
@@ -97,3 +98,39 @@ def test_the_sway_of_a_car_that_rolls_straight_on_is_hardly_taken_for_a_bias():
             follower.add_field(0.025 * k, (2e-5, 0.0, -4e-5))
             worst[seed] = max(worst[seed], np.linalg.norm(follower.gyro_bias.rate))
     assert worst.mean() < math.radians(1.2)
+
+
+def shown_at_rest(seed, seconds=8.0, step=0.04, noise=0.002, turning=0.0):
+    """The rate about up that a rest shows, and its variance, rad/s; `turning` dies out at first."""
+    rng, follower, shown, last = np.random.default_rng(seed), UpFollower(), [], None
+    for k in range(int(seconds / step)):
+        rate = noise * rng.standard_normal(3)
+        rate[0] += turning * math.exp(-k * step / 0.6)
+        force = np.array([0.0, 0.0, 9.81]) + 0.05 * rng.standard_normal(3)
+        follower.add(ImuSample(k * step, tuple(force), tuple(rate)))
+        known = follower.gyro_bias
+        if known.at_rest is not None and known is not last:
+            (_, _, about), variance = known.at_rest
+            shown.append((about, 1.0 / variance))
+        last = known
+    rates, weights = np.array(shown).T
+    return rates @ weights / weights.sum(), 1.0 / weights.sum()
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.01])
+def test_a_rest_shows_the_bias_about_up_as_well_as_its_samples_do(turning):
+    """Also where the body still sways to the front when it stops."""
+    found = np.array([shown_at_rest(91_000 + seed, turning=turning) for seed in range(12)])
+    white = 0.002**2 / (8.0 / 0.04)
+    assert white < found[:, 1].mean() < 2.0 * white
+    assert np.mean(found[:, 0] ** 2 / found[:, 1]) < 2.0
+
+
+def test_a_shaken_rest_that_differs_within_its_own_noise_forgets_no_bias():
+    following = UpFilter()
+    following.covariance[3:6, 3:6] = 1e-8 * np.eye(3)
+    shown = following.state[3:6] + np.array([1e-3, 0.0, 0.0])
+    following.admit_bias(shown, math.radians(0.1) ** 2)
+    assert following.covariance[3, 3] == 1e-8
+    following.admit_bias(shown, 1e-4**2)
+    assert following.covariance[3, 3] > 5e-7
