@@ -37,6 +37,7 @@ from magcal_ros.core.smoother.unknowns import (
     STREET,
     TURNED,
     VELOCITY,
+    WAVES,
     YAW,
 )
 
@@ -102,7 +103,20 @@ def gyro_matrix(shared: FloatArray) -> FloatArray:
 def gyro_error(nodes: Nodes, shared: FloatArray) -> FloatArray:
     """Return the gyro's rotation between nodes by bias and matrix, radians, shape (n - 1, 3)."""
     bias = nodes.seconds[:, None] * shared[AT["gyro_bias"]]
+    bias[:, 2] += bias_waves(nodes) @ shared[AT["bias_walk"]]
     return np.asarray(bias + nodes.angle @ gyro_matrix(shared).T)
+
+
+def bias_waves(nodes: Nodes) -> FloatArray:
+    """Return the rotation between nodes by each wave of a bias that walks, √s s, (n - 1, WAVES).
+
+    A random walk over T seconds is a sum of independent waves sqrt(2 T) sin(w t / T) / w, with w =
+    pi / 2, 3 pi / 2, ... (Karhunen and Loève).
+    """
+    window = np.ptp(nodes.time)
+    phase = (np.arange(WAVES) + 0.5) * math.pi
+    cosine = np.cos(phase * (nodes.time - nodes.time[0])[:, None] / window)
+    return np.asarray(math.sqrt(2.0 * window) * window / phase**2 * (cosine[:-1] - cosine[1:]))
 
 
 def turned_by(nodes: Nodes, shared: FloatArray) -> FloatArray:
@@ -306,6 +320,7 @@ def gyro(course: Course, state: State) -> Linear:
     there[:, :, ATTITUDE] = np.eye(3)
     by = np.zeros((count, 3, SHARED))
     by[:, :, AT["gyro_bias"]] = -nodes.seconds[:, None, None] * np.eye(3)
+    by[:, 2, AT["bias_walk"]] = -bias_waves(nodes)
     for row in range(3):
         columns = AT["gyro_matrix"].start + 3 * row
         by[:, row, columns : columns + 3] = -nodes.angle

@@ -32,7 +32,7 @@ from magcal_ros.core.smoother.unknowns import (
     VELOCITY,
 )
 
-OF_A_MOMENT = ("gyro_bias", "drift", "gradient", "place")
+OF_A_MOMENT = ("gyro_bias", "bias_walk", "drift", "gradient", "place")
 """Groups of shared unknowns that each window has for itself."""
 OF_A_TURN = ("gyro_matrix", "lever_arm", "sway_arm", "axis", "upright")
 """The same if axes of the gyro are silent: the turn's axis and its circle."""

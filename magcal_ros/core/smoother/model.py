@@ -63,6 +63,9 @@ class Model:
         scale[AT["gradient"]] *= kind.gradient
         if not kind.has_wheels:
             scale[AT["mounting_yaw"]] = 0.0
+        if not kind.traffic:
+            # A turn is too short for the gyro's bias to change.
+            scale[AT["bias_walk"]] = 0.0
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         travels = kind.speed > KINDS[ON_THE_SPOT].speed
         # Wheels change their velocity less to the side than ahead.

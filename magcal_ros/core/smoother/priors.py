@@ -163,6 +163,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     sizes = dict(SIZES)
     if knowledge.exact_sensors:
         for name in (
+            "bias_walk",
             "gyro_matrix",
             "lever_arm",
             "latency",

@@ -44,7 +44,7 @@ X = np.array([1.0, 0.0, 0.0])
 STEPS = 30
 CLOSE = 1e-2  # sigmas of an unknown below which a step ends the iterations
 BY_MOTION = (
-    *("gyro_bias", "gyro_matrix", "lever_arm", "latency"),
+    *("gyro_bias", "bias_walk", "gyro_matrix", "lever_arm", "latency"),
     *("motors_moving", "motors_rate", "drift", "force_moving", "gradient"),
 )
 """Unknowns that standing does not ask for."""

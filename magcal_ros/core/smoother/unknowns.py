@@ -15,6 +15,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 
 MICROTESLA = 1e6  # microtesla in a tesla
+WAVES = 6  # sine waves that a walk of the gyro's bias over a window is made of
 
 ATTITUDE, VELOCITY, STREET, BODY_FIELD = slice(0, 3), slice(3, 5), slice(5, 8), slice(8, 11)
 ACCELERATION = slice(11, 13)
@@ -93,6 +94,14 @@ UNKNOWNS: dict[str, Unknown] = {
     ),
     "earth": Unknown((20.0, 30.0), 0.0, 1.0, "µT", "level and downward field", "the reference"),
     "gyro_bias": Unknown((0.003,) * 3, 0.8, 30.0, "rad/s", "gyro bias", "MEMS: .1 to 5 °/s"),
+    "bias_walk": Unknown(
+        (1e-5,) * WAVES,
+        1.0,
+        10.0,
+        "rad/s/√s",
+        "walk of the gyro's bias about z",
+        "MEMS, warming up",
+    ),
     "gyro_matrix": Unknown(
         (0.008,) * 9, 0.5, 3.0, "-", "gyro scale and misalignment, by rows", "MEMS: .2 to 2%"
     ),

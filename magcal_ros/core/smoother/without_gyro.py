@@ -112,6 +112,8 @@ def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
     scale, spread = priors.scale.copy(), {**priors.spread, "gyro_matrix": 0.0}
     dead = ~np.array(living)
     scale[AT["gyro_bias"]][dead] = 0.0
+    if dead[2]:
+        scale[AT["bias_walk"]] = 0.0
     scale[AT["gyro_matrix"]].reshape(3, 3)[dead] = AXIS
     return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, "gyro": DEAD})
 
@@ -119,7 +121,8 @@ def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
 def without_rates(priors: Priors, *, rests: bool) -> Priors:
     """Return the priors of a window that has no gyro; `rests` says whether it shows a rest."""
     scale = priors.scale.copy()
-    scale[AT["gyro_bias"]] = scale[AT["gyro_matrix"]] = scale[AT["gradient"]] = 0.0
+    for name in ("gyro_bias", "bias_walk", "gyro_matrix", "gradient"):
+        scale[AT[name]] = 0.0
     for name in ("axis", "upright", "sway_arm"):
         scale[AT[name]] = UNKNOWNS[name].sigma
     scale[AT["latency"]] = 0.0
