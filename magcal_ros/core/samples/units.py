@@ -44,8 +44,8 @@ def slow_words(gap: float) -> str:
     if not gap > STREAMS.max_gap:
         return ""
     return (
-        f"the IMU comes at {1.0 / gap:.2g} Hz by its stamps, too slowly: gaps of more than "
-        f"{STREAMS.max_gap:g} s are not bridged; publish or record it at 10 Hz or more, if "
+        f"the IMU comes at {1.0 / gap:.2g} Hz by its stamps, too slowly: the node does not bridge "
+        f"gaps of more than {STREAMS.max_gap:g} s; publish or record it at 10 Hz or more, if "
         "possible at 50 Hz"
     )
 
