@@ -95,12 +95,12 @@ UNKNOWNS: dict[str, Unknown] = {
     "earth": Unknown((20.0, 30.0), 0.0, 1.0, "µT", "level and downward field", "the reference"),
     "gyro_bias": Unknown((0.003,) * 3, 0.8, 30.0, "rad/s", "gyro bias", "MEMS: .1 to 5 °/s"),
     "bias_walk": Unknown(
-        (1e-5,) * WAVES,
+        (1.8e-5,) * WAVES,
         1.0,
         10.0,
         "rad/s/√s",
         "walk of the gyro's bias about z",
-        "MEMS, warming up",
+        "cheap gyros: .001 to .01 °/s in a minute",
     ),
     "gyro_matrix": Unknown(
         (0.008,) * 9, 0.5, 3.0, "-", "gyro scale and misalignment, by rows", "MEMS: .2 to 2%"

@@ -279,3 +279,17 @@ def test_sigma_is_right_over_many_drives(seconds, speed):
     assert wrong < (3.0 if seconds > 200.0 else 4.5)
     assert 1.0 / 1.5 < wrong / predicted < 1.5
     assert 0.3 < np.mean((np.array(errors) / said) ** 2) < 2.0
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("walk", [2e-5, 5e-5])
+def test_a_bias_that_walks_is_not_taken_for_a_noisy_gyro(walk):
+    """Half an hour: the rate is off by .05 to .1 °/s at the end, and not at the beginning."""
+    drive = driven(7, 1800.0)
+    second = np.diff(drive.time, prepend=drive.time[0])[:, None]
+    steps = np.random.default_rng(1).normal(0.0, walk, drive.rate.shape) * np.sqrt(second)
+    log = log_from(dataclasses.replace(drive, rate=drive.rate + np.cumsum(steps, axis=0)))
+    found = fit_of(log, BOSTON)
+    assert found.fit.point.sizes["gyro_up"] < 0.002
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    assert error < 3.0 * math.degrees(found.posterior.heading_sigma)
