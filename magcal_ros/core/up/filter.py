@@ -256,13 +256,10 @@ class UpFilter:
         reads[:, 3:6] = shown
         self._correct(reads, variances, shown @ (rate - self.state[3:6]))
 
-    def admit_bias(self, rate: FloatArray, variance: float) -> None:
-        """Allow for a bias that lies further off than what was known of it.
-
-        `variance` is that of the noise of `rate` per axis, (rad/s)².
-        """
+    def admit_bias(self, rate: FloatArray) -> None:
+        """Allow for a bias that lies further off than what was known of it."""
         gap, own = rate - self.state[3:6], self.covariance[3:6, 3:6]
-        if float(gap @ gap) > CLEAR**2 * (float(np.trace(own)) + 3.0 * variance):
+        if float(gap @ gap) > CLEAR**2 * float(np.trace(own)):
             own += IDENTITY * float(gap @ gap)
 
     def _correct(self, reads: FloatArray, variances: Triple, innovation: FloatArray) -> None:

@@ -213,7 +213,7 @@ class GyroPropagation:
         if float(np.linalg.norm(rate)) > FILTER.largest_bias:
             return
         # A slow turn about up would hardly move the field by more than what passes by does.
-        following.admit_bias(rate, variance)
+        following.admit_bias(rate)
         following.observe_bias(rate, (variance,) * 3, unit(force))
         if float(np.linalg.norm(unit(force) - unit(following.up))) > CLEAR * REST.agrees:
             following.begin(force, REST.agrees**2, 0.0, self._motion(True))
