@@ -68,7 +68,6 @@ class RestTuning:
     alike: float = 2.0  # sigmas of the noise that are called steady besides
     length_floor: float = 3e-4  # g, how well the accelerometer's length is known at best
     sways: float = 2.0  # seconds after which a robot that rolls sways to the other side
-    sway_mean: float = 0.5  # seconds of the means that show it: a quarter of those
     level_share: float = 0.05
     """Share of the raw field that turns with the robot, at the least: a turn by an angle changes
     the field by more than this share of the angle."""
@@ -233,7 +232,7 @@ class UpFilter:
         reads = self._reads
         reads[:, 6:9] = _sideways(self.state[:3].tolist(), rate)
         left = innovation - reads[:, 6:] @ self.state[6:]
-        self._correct(reads, (variance + FILTER.floor**2,) * 3, left)
+        self._correct(reads, variance + FILTER.floor**2, left)
 
     def observe_length(self, size: float, variance: float) -> None:
         """Take what the accelerometer reads at rest, over gravity."""
@@ -245,16 +244,16 @@ class UpFilter:
             self.state += gain_rows * ((size - own) / spread)
             self.covariance -= gain_rows[:, None] * (gain_rows / spread)
 
-    def observe_bias(self, rate: FloatArray, variances: Triple, axis: FloatArray | None) -> None:
+    def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
         """Take the mean rate of a block of a robot that does not turn.
 
-        `rate` (3,) is in rad/s, `variances` of its noise per axis in (rad/s)². `axis` is the unit
-        vector about which the robot may turn all the same, where there is one.
+        `rate` (3,) is in rad/s, `variance` of its noise in (rad/s)². `axis` is the unit vector
+        about which the robot may turn all the same, where there is one.
         """
         shown = IDENTITY if axis is None else IDENTITY - np.outer(axis, axis)
         reads = np.zeros((3, 12))
         reads[:, 3:6] = shown
-        self._correct(reads, variances, shown @ (rate - self.state[3:6]))
+        self._correct(reads, variance, shown @ (rate - self.state[3:6]))
 
     def admit_bias(self, rate: FloatArray) -> None:
         """Allow for a bias that lies further off than what was known of it."""
@@ -262,11 +261,11 @@ class UpFilter:
         if float(gap @ gap) > CLEAR**2 * float(np.trace(own)):
             own += IDENTITY * float(gap @ gap)
 
-    def _correct(self, reads: FloatArray, variances: Triple, innovation: FloatArray) -> None:
+    def _correct(self, reads: FloatArray, variance: float, innovation: FloatArray) -> None:
         """Take three readings that differ from what was expected, and how they read the state."""
         rows = reads @ self.covariance
         (a, b, c), (_, d, e), (_, _, f) = (reads @ rows.T).tolist()
-        a, d, f = a + variances[0], d + variances[1], f + variances[2]
+        a, d, f = a + variance, d + variance, f + variance
         p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
         s, t, u = a * f - c * c, b * c - a * e, a * d - b * b
         inverse = np.array([[p, q, r], [q, s, t], [r, t, u]]) / (a * p + b * q + c * r)

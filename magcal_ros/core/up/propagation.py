@@ -36,7 +36,7 @@ class GyroBias(NamedTuple):
     """A gyro's bias, rad/s, body axes, and the variance of its part about up, (rad/s)².
 
     `at_rest` is the mean rate of the newest messages, rad/s, body axes, and the variance of its
-    part about up by noise, (rad/s)², where they show that the robot does not turn.
+    noise, (rad/s)², where they show that the robot does not turn.
     """
 
     rate: Triple
@@ -192,12 +192,9 @@ class GyroPropagation:
         axis = None if doubt == 0.0 else np.array(unit_triple(spell.force))
         white = self._rate_noise / means.messages
         # A robot that rolls evenly sways, slowly beside a block: blocks do not average that away.
-        x, y, z = scaled(spell.sway, REST.sways / means.seconds)
-        of_rate = white + x, white + y, white + z
-        self._filter.observe_bias(np.array(means.rate), of_rate, axis)
-        p, q, r = unit_triple(spell.force)
-        about = p * p * x + q * q * y + r * r * z
-        self._at_rest = (means.rate, white + about) if axis is None else None
+        sway = max(0.0, spell.sway - white) * REST.sways / means.seconds
+        self._filter.observe_bias(np.array(means.rate), white + sway, axis)
+        self._at_rest = (means.rate, white + sway) if axis is None else None
         self._rest = length(spell.force)
         self._rest_sigma = math.hypot(REST.length_floor, noise / math.sqrt(spell.count))
 
@@ -214,7 +211,7 @@ class GyroPropagation:
             return
         # A slow turn about up would hardly move the field by more than what passes by does.
         following.admit_bias(rate)
-        following.observe_bias(rate, (variance,) * 3, unit(force))
+        following.observe_bias(rate, variance, unit(force))
         if float(np.linalg.norm(unit(force) - unit(following.up))) > CLEAR * REST.agrees:
             following.begin(force, REST.agrees**2, 0.0, self._motion(True))
             following.forget_motion(self._motion())

@@ -97,61 +97,16 @@ class BlockMeans(NamedTuple):
     seconds: float
 
 
-class SlowSway:
-    """Measures how rates change within seconds, beside the noise of single messages.
-
-    Means over `REST.sway_mean` show a slow sway whole, and little of the noise: by single messages
-    the chance scatter of the noise alone would pass for a sway several times as large.
-    """
-
-    def __init__(self) -> None:
-        self._piece = ZERO, 0, 0.0  # sum of rates, messages, seconds
-        self._noise = 0.0  # sum of the variances by noise of the means, (rad/s)²
-        self._mean, self._scatter, self._means = ZERO, ZERO, 0
-
-    def add(self, block: BlockMeans, noise: float) -> None:
-        """Take a block; `noise` is the sigma of one message's rate per axis, rad/s."""
-        total, count, seconds = self._piece
-        total = plus(total, scaled(block.rate, block.messages))
-        count, seconds = count + block.messages, seconds + block.seconds
-        self._piece = total, count, seconds
-        if seconds < REST.sway_mean:
-            return
-        mean = scaled(total, 1.0 / count)
-        self._means += 1
-        x, y, z = minus(mean, self._mean)
-        part = 1.0 - 1.0 / self._means
-        self._mean = between(self._mean, mean, 1.0 / self._means)
-        self._scatter = plus(self._scatter, (part * x * x, part * y * y, part * z * z))
-        self._noise += noise**2 / count
-        self._piece = ZERO, 0, 0.0
-
-    @property
-    def variances(self) -> Triple:
-        """Variances of the axes' means beyond that of their noise; zero before two."""
-        if self._means < 2:
-            return ZERO
-        x, y, z = scaled(self._scatter, 1.0 / (self._means - 1))
-        noise = self._noise / self._means
-        return (max(0.0, x - noise), max(0.0, y - noise), max(0.0, z - noise))
-
-
 class SteadySpell:
     """Watches blocks of messages for a spell in which nothing changes.
 
-    `shake` is the variance per axis of its forces, g².
+    `sway` and `shake` are the variances per axis of its rates, (rad/s)², and forces, g².
     """
 
     def __init__(self) -> None:
-        self.seconds = self.shake = 0.0
+        self.seconds = self.sway = self.shake = 0.0
         self.count = 0  # messages
         self.force = self.rate = ZERO
-        self._sway = SlowSway()
-
-    @property
-    def sway(self) -> Triple:
-        """Variances of the axes' rates that last for a while, (rad/s)²."""
-        return self._sway.variances
 
     def add(self, block: BlockMeans, noise: float, rate_noise: float) -> bool:
         """Take the next block; returns whether it goes on as the spell did.
@@ -168,16 +123,14 @@ class SteadySpell:
                 self.count += count
                 share = count / self.count
                 third = (1.0 - share) / 3.0
+                self.sway += share * (third * distance(rate, self.rate) ** 2 - self.sway)
                 self.shake += share * (third * distance(force, self.force) ** 2 - self.shake)
                 self.force = between(self.force, force, share)
                 self.rate = between(self.rate, rate, share)
                 self.seconds += seconds
-                self._sway.add(block, rate_noise)
                 return True
         self.seconds, self.count, self.force, self.rate = seconds, count, force, rate
-        self.shake = 0.0
-        self._sway = SlowSway()
-        self._sway.add(block, rate_noise)
+        self.sway = self.shake = 0.0
         return False
 
     def shows_up(self, up: Triple, rest: float, rest_sigma: float, noise: float) -> bool:

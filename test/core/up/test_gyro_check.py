@@ -97,29 +97,3 @@ def test_the_sway_of_a_car_that_rolls_straight_on_is_hardly_taken_for_a_bias():
             follower.add_field(0.025 * k, (2e-5, 0.0, -4e-5))
             worst[seed] = max(worst[seed], np.linalg.norm(follower.gyro_bias.rate))
     assert worst.mean() < math.radians(1.2)
-
-
-def shown_at_rest(seed, seconds=8.0, step=0.04, noise=0.002, turning=0.0):
-    """The rate about up that a rest shows, and its variance, rad/s; `turning` dies out at first."""
-    rng, follower, shown, last = np.random.default_rng(seed), UpFollower(), [], None
-    for k in range(int(seconds / step)):
-        rate = noise * rng.standard_normal(3)
-        rate[0] += turning * math.exp(-k * step / 0.6)
-        force = np.array([0.0, 0.0, 9.81]) + 0.05 * rng.standard_normal(3)
-        follower.add(ImuSample(k * step, tuple(force), tuple(rate)))
-        known = follower.gyro_bias
-        if known.at_rest is not None and known is not last:
-            (_, _, about), variance = known.at_rest
-            shown.append((about, 1.0 / variance))
-        last = known
-    rates, weights = np.array(shown).T
-    return rates @ weights / weights.sum(), 1.0 / weights.sum()
-
-
-@pytest.mark.parametrize("turning", [0.0, 0.01])
-def test_a_rest_shows_the_bias_about_up_as_well_as_its_samples_do(turning):
-    """Also where the body still sways to the front when it stops."""
-    found = np.array([shown_at_rest(91_000 + seed, turning=turning) for seed in range(12)])
-    white = 0.002**2 / (8.0 / 0.04)
-    assert white < found[:, 1].mean() < 2.0 * white
-    assert np.mean(found[:, 0] ** 2 / found[:, 1]) < 2.0
