@@ -179,6 +179,10 @@ FLAGS = {
 AGAIN = "turn once more, evenly, away from moving iron"
 DRIVE_ELSEWHERE = "drive elsewhere, evenly, away from moving iron"
 NO_REFERENCE = "the size of the field: the reference field is not known"
+LEVEL_ONLY = (
+    "the hard iron along the vertical axis as well as its sigma says: with the position unknown, "
+    "rely on the heading of a drive on level ground only, or give the position"
+)
 
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
@@ -322,6 +326,8 @@ def _not_shown(
         found.append(GYRO_UNUSED if has_gyro else NO_GYRO)
     if not knowledge.reference.is_complete:
         found.append(NO_REFERENCE)
+        if _is_drive(figures):
+            found.append(LEVEL_ONLY)
     return tuple(found)
 
 

@@ -14,6 +14,7 @@ from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade, show
 from magcal_ros.core.assessment.verdict import (
     GYRO_UNUSED,
     NO_GYRO,
+    LEVEL_ONLY,
     NO_REFERENCE,
     NO_YAW,
     Verdict,
@@ -388,6 +389,9 @@ class TestNotShown:
     def test_without_strength_and_inclination_the_radius_is_not(self, reference, complete):
         not_shown = judge(estimate(), Knowledge(reference)).not_shown
         assert (NO_REFERENCE in not_shown) == (not complete)
+        assert LEVEL_ONLY not in not_shown
+        not_shown = judge(estimate(figures=A_DRIVE), Knowledge(reference)).not_shown
+        assert (LEVEL_ONLY in not_shown) == (not complete)
 
     def test_a_weak_level_field_counts_from_what_the_reference_allows(self):
         figures = {"level_share": 0.89}
