@@ -17,12 +17,12 @@ from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 ROBOT = replace(FLAT, inclination=68.0 * DEGREE)
 
 
-def judged(course, rest, radius=2.5, *, inwards=(0.8, 0.6, 0.0), with_wheels=False):
+def judged(course, rest, radius=2.5, *, inwards=(0.8, 0.6, 0.0), wheels=None):
     motion, window = driven(course, ROBOT, rest)
     rate = motion.angular_rate[:, 2]
     pull = np.outer(radius * rate**2, inwards)
     force = window.specific_force + pull
-    speed = radius * rate if with_wheels else None
+    speed = None if wheels is None else wheels * radius * rate
     samples = window.time, window.field, force, window.angular_rate
     pulled = collected(Window(*samples, speed=speed))
     faultless = ROBOT.knowledge(1.5e-6, 1.0 * DEGREE)
@@ -51,10 +51,18 @@ def test_without_a_rest_sigma_holds_it_and_says_why():
     assert outcome.estimate.figures[Figure.POSSIBLE_ACCELERATION] > 0.7 * sigma
 
 
+CIRCLE = {"course": lambda time: 1.0 + 0.0 * time, "rest": 0.0, "inwards": (0.0, 1.0, 0.0)}
+
+
 def test_without_a_rest_the_speed_of_the_wheels_shows_it():
-    circle = {"course": lambda time: 1.0 + 0.0 * time, "rest": 0.0, "inwards": (0.0, 1.0, 0.0)}
-    error, sigma, _ = judged(**circle)
-    by_wheels, smaller, _ = judged(**circle, with_wheels=True)
+    error, sigma, _ = judged(**CIRCLE)
+    by_wheels, smaller, _ = judged(**CIRCLE, wheels=1.0)
     assert by_wheels < 0.5 * error
     assert smaller < 0.7 * sigma
     assert by_wheels < 3.0 * smaller
+
+
+def test_a_speed_that_nobody_fills_in_says_nothing():
+    error, sigma, _ = judged(**CIRCLE)
+    with_zeros, same, _ = judged(**CIRCLE, wheels=0.0)
+    assert (with_zeros, same) == (error, sigma)

@@ -26,6 +26,7 @@ from magcal_ros.core.smoother.unknowns import (
     DRIVES,
     KINDS,
     LATE,
+    MOVED,
     ON_THE_SPOT,
     ON_WHEELS,
     SIZES,
@@ -187,6 +188,23 @@ class _Trials:
         self.add(LATE, replace(spot, point=point))
         return min(self.fits.values(), key=lambda each: each.evidence)
 
+    def parts_moved(self, usual: Fit) -> Fit:
+        """Return the likelier fit of a turn on the spot, with or without moving parts on the robot.
+
+        Without them soft iron and installation answer for a step that lasts: the fit begins anew.
+        The likelier explanation holds for the other kinds of motion, too.
+        """
+        priors = self._priors
+        self._priors = priors.with_parts_moved
+        self.add(MOVED)
+        moved = self.fits.get(MOVED, usual)
+        # By the same weights as in the mean of all fits.
+        odds = USUAL[MOVED] / USUAL[ON_THE_SPOT]
+        if BELIEVED * (usual.evidence - moved.evidence) > -math.log(odds):
+            return moved
+        self._priors = priors
+        return usual
+
     def drives(self) -> None:
         """Fit all other kinds of motion, for a robot that certainly did not turn on the spot."""
         self._begin(WHILE_DRIVING)
@@ -276,9 +294,11 @@ def smooth(
         if not spot.converged:
             trials.add(ON_THE_SPOT, spot)
         best = trials.field_late()
-        # Sensors that are exact move no more than their robot does.
-        for name in () if knowledge.exact_sensors else trials.others:
-            trials.add(name, best)
+        if not knowledge.exact_sensors:
+            # Exact sensors move no more than their robot does, and nothing moves beside them.
+            best = trials.parts_moved(best)
+            for name in trials.others:
+                trials.add(name, best)
     else:
         trials.drives()
     return trials.mixed()

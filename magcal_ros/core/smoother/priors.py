@@ -16,6 +16,7 @@ from magcal_ros.core.smoother.unknowns import (
     EARTH,
     EXACT_IRON,
     IRON_OVER_AXES,
+    LASTING,
     MICROTESLA,
     MODULE,
     NOTHING,
@@ -61,6 +62,11 @@ class Priors:
         if self.earth[0, 0] >= UNKNOWNS["earth"].sigma[0] ** 2:
             mean[EARTH.start] = level
         return replace(self, mean=mean)
+
+    @property
+    def with_parts_moved(self) -> Priors:
+        """The priors of a robot on which something is moved meanwhile, and stays there."""
+        return replace(self, lengths=replace(self.lengths, body_field=LASTING))
 
     def of_earth(self, earth: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the information on level and downward field, and their expectation minus `earth`.
