@@ -144,14 +144,22 @@ PARAMETER = re.compile(
 OPTIONS = {"mount_rpy_deg": "--mount-rpy-deg", "soft_iron_gains": "--soft-iron-gains"}
 
 
+SET_MOUNTING = re.compile(r"set `mount_rpy_deg: \[([^]]*)\]`")
+"""The line for the node's parameter file."""
+
+
 def with_options(words: str) -> str:
     """Return words with the options of a command in place of the node's parameters."""
+
+    def mounting(found: re.Match[str]) -> str:
+        angles = " ".join(f"{float(angle):g}" for angle in found[1].split(","))
+        return f"repeat with `--mount-rpy-deg {angles}`"
 
     def option(found: re.Match[str]) -> str:
         name = found[2]
         return OPTIONS.get(name, f"--reference-{name.replace('_', '-')}")
 
-    return PARAMETER.sub(option, words)
+    return PARAMETER.sub(option, SET_MOUNTING.sub(mounting, words))
 
 
 def document(content: Mapping[str, Any]) -> str:

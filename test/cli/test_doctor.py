@@ -56,7 +56,8 @@ def test_the_line_to_change_is_said_and_written(tmp_path, capsys):
     assert main(["doctor", *record(tmp_path / "bag", NED), "--write", str(file)]) == 4
     said = capsys.readouterr().out
     assert "mount_rpy_deg: [180.0, 0.0, 0.0]" in said
-    assert f"Written: {tmp_path}/?[31mparams.yaml" in said
+    assert f"Written: {tmp_path}/?[31mparams.yaml. Start the calibrator with `--params-file" in said
+    assert "(after `--ros-args`), and calibrate again." in said
     content = yaml.safe_load(file.read_text())
     assert content["/**"]["ros__parameters"] == {"mount_rpy_deg": [180.0, 0.0, 0.0]}
 
