@@ -180,8 +180,9 @@ def _finite(value: Any) -> Any:
 def add_reference_options(parser: argparse.ArgumentParser) -> None:
     """Add what may be known of the Earth's field; ranges and defaults are the node's."""
     group = parser.add_argument_group(
-        "reference field (numbers given here have priority; the rest comes from the World "
-        "Magnetic Model for the place, else for the first fix in a bag)"
+        "reference field",
+        "Numbers given here have priority; the rest comes from the World Magnetic Model for the "
+        "place, else for the first fix in a bag.",
     )
     specs = {spec.name: spec for spec in PARAMETERS}
 

@@ -8,8 +8,10 @@ import pytest
 from magcal_ros.cli.check import _words
 from magcal_ros.cli.common import tell, with_options, wrapped
 from magcal_ros.cli.live_view import with_all_reasons
+from magcal_ros.cli.main import main
 from magcal_ros.core.assessment.grading import Aspect, Grade
 from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.calibrate import METHODS
 from magcal_ros.core.monitoring.change import check_beside_chance
 from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, Recheck
 
@@ -104,3 +106,20 @@ def test_the_answer_of_a_turn_names_every_reason():
 )
 def test_an_answer_without_its_status_stays_as_it_is(status):
     assert with_all_reasons("A. But b; and 1 more.", status) == "A. But b; and 1 more."
+
+
+@pytest.mark.parametrize("name", ["fit", "drive", "check", "doctor", "calibrate", "export", "demo"])
+def test_the_help_of_a_command_fits_a_terminal(monkeypatch, capsys, name):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    said = capsys.readouterr().out
+    assert [line for line in said.splitlines() if len(line) > 80] == []
+
+
+def test_the_help_of_fit_names_every_method(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main(["fit", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert ", ".join(METHODS) in said
