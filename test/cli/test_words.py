@@ -78,7 +78,10 @@ def recheck(*chances):
 def test_what_is_too_uncertain_stands_apart_and_whole():
     out = _words(recheck(0.0, 9.0), [])
     stale, uncertain = out.partition("Too uncertain to judge:")[::2]
-    assert stale.count("  - the level field makes the heading swing by 8° (want 7° or less)") == 1
+    words = (
+        "  - the level field makes the heading swing by 8° (doubtful beyond 4°, stale beyond 7°)"
+    )
+    assert stale.count(words) == 1
     assert "8°, no more than chance explains: too uncertain to judge; turn once" in uncertain
     rows = [line.split()[-1] for line in stale.splitlines() if " ≤ 4° " in line]
     assert rows == ["stale", "unclear"]
