@@ -127,3 +127,14 @@ def test_stamps_in_bursts_are_said_once_with_the_mean_rate(tmp_path, capsys):
     assert said.count("the stamps come in bursts") == 1
     assert "IMU: stamps and field: stamps: the stamps come in bursts" in said
     assert "look  recording" not in said
+
+
+def test_the_option_that_a_refused_fit_names_mends_it_when_pasted(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = record(tmp_path / "bag", NED)
+    assert main(["fit", *arguments, "--output", "refused"]) == 4
+    (option,) = set(
+        re.findall(r"repeat with `(--[^`]*)`", " ".join(capsys.readouterr().out.split()))
+    )
+    assert option == "--mount-rpy-deg 180 0 0"
+    assert main(["fit", *arguments, *option.split(), "--output", "mended"]) == 0
