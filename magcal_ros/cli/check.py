@@ -165,8 +165,9 @@ NO_GYRO = (
 def run_drive(options: argparse.Namespace) -> int:
     """Replay a recorded drive, and show what self-calibration would have decided and why.
 
-    A map shows where the field is disturbed. Exit status: 0 a calibration is in force at the end,
-    2 usage, 3 none is, 5 file trouble.
+    It is replayed as with `self_calibration: apply`; the node's default, `propose`, waits for
+    ~/accept. A map shows where the field is disturbed. Exit status: 0 a calibration is in force at
+    the end, 2 usage, 3 none is, 5 file trouble.
     """
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
     folder = common.new_or_named(options.output, "magcal_drive")

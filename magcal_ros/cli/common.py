@@ -144,14 +144,22 @@ PARAMETER = re.compile(
 OPTIONS = {"mount_rpy_deg": "--mount-rpy-deg", "soft_iron_gains": "--soft-iron-gains"}
 
 
+SET_MOUNTING = re.compile(r"set `mount_rpy_deg: \[([^]]*)\]`")
+"""The line for the node's parameter file."""
+
+
 def with_options(words: str) -> str:
     """Return words with the options of a command in place of the node's parameters."""
+
+    def mounting(found: re.Match[str]) -> str:
+        angles = " ".join(f"{float(angle):g}" for angle in found[1].split(","))
+        return f"repeat with `--mount-rpy-deg {angles}`"
 
     def option(found: re.Match[str]) -> str:
         name = found[2]
         return OPTIONS.get(name, f"--reference-{name.replace('_', '-')}")
 
-    return PARAMETER.sub(option, words)
+    return PARAMETER.sub(option, SET_MOUNTING.sub(mounting, words))
 
 
 def document(content: Mapping[str, Any]) -> str:
@@ -172,8 +180,9 @@ def _finite(value: Any) -> Any:
 def add_reference_options(parser: argparse.ArgumentParser) -> None:
     """Add what may be known of the Earth's field; ranges and defaults are the node's."""
     group = parser.add_argument_group(
-        "reference field (numbers given here have priority; the rest comes from the World "
-        "Magnetic Model for the place, else for the first fix in a bag)"
+        "reference field",
+        "Numbers given here have priority; the rest comes from the World Magnetic Model for the "
+        "place, else for the first fix in a bag.",
     )
     specs = {spec.name: spec for spec in PARAMETERS}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import select
+import shlex
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -180,9 +181,17 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
     words = page_in_words(page)
     if options.write is not None:
         nothing = "Nothing is written: no parameter alone corrects what was found."
-        words = f"{words}\n\n{f'Written: {written}' if written else nothing}"
+        words = f"{words}\n\n{nothing if written is None else _next_after(written)}"
     tell_result(page_as_facts(page, written, status), words, as_json=options.json)
     return status
+
+
+def _next_after(written: str) -> str:
+    """Say what to do with the file."""
+    return (
+        f"Written: {written}. Start the calibrator with `--params-file {shlex.quote(written)}` "
+        "(after `--ros-args`), and calibrate again."
+    )
 
 
 MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}

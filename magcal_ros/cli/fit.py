@@ -61,7 +61,9 @@ def add_fit(commands: Any) -> None:
     parser = common.command(commands, "fit", run, "calibrate from a recording")
     recorded.add_recording_options(parser, several=True)
     common.add_output_option(parser, "what is found", "magcal_fit")
-    parser.add_argument("--method", choices=METHODS, default=METHODS[0], help=METHOD_WORDS)
+    words = f"{METHOD_WORDS}: {', '.join(METHODS)}"
+    named: dict[str, Any] = {"choices": METHODS, "metavar": "METHOD"}
+    parser.add_argument("--method", default=METHODS[0], help=words, **named)
     parser.add_argument(
         "--compare", action="store_true", help="print every method side by side; write no files"
     )

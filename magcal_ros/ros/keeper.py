@@ -29,6 +29,11 @@ Tell = Callable[[Conclusion], None]
 TO_WRITE = 15.0  # seconds that a slow but living disk may take to store a calibration for good
 MOST_KNOWN = 100  # names of sensors that are remembered; beyond that the oldest one is dropped
 
+NOT_HEARD = (
+    "no field has arrived yet, so the frame in the file's name is not known: start the "
+    "magnetometer's driver and call ~/load again, or name the file in calibration_file"
+)
+
 
 class Loaded(NamedTuple):
     """A calibration as a file has it."""
@@ -61,7 +66,7 @@ class Keeper:
         self.calibration: Calibration | None = None
         self.origin: Origin | None = None
         self.trouble = ""  # what went wrong with the file last; empty if nothing
-        self._frame, self._was_named = "", False
+        self._frame, self._was_heard, self._was_named = "", False, False
         self._last_read: tuple[object, Loaded] | None = None
         self._is_reading = False
         self._found: OrderedDict[str, Loaded | None] = OrderedDict()
@@ -130,6 +135,9 @@ class Keeper:
     def load(self, tell: Tell) -> None:
         """Put the calibration of the file in force."""
         chosen, frame = self._chosen(), self._frame
+        if not chosen and not self._was_heard:
+            tell(Conclusion(False, NOT_HEARD))
+            return
 
         def done(found: Loaded | Exception) -> None:
             if isinstance(found, Exception):
@@ -182,7 +190,7 @@ class Keeper:
 
         One that is loaded already is checked; a sensor that was there before is not read again.
         """
-        self._frame = frame
+        self._frame, self._was_heard = frame, True
         if frame in self._found:
             self._use_found(self._found[frame])
             return

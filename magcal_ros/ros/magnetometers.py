@@ -14,9 +14,12 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from magcal_ros.core.assessment.grading import shown
+from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.heading.several_compasses import SeveralCompasses, Share
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
+from magcal_ros.files.disk import plain
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.parameters import Settings
@@ -53,12 +56,16 @@ class Magnetometers:
         """Put in force what the files have."""
         told_together({each.topic: each.keeper.load for each in self.heard}, tell)
 
-    def accept(self, proposed: Ask | None, tell: Tell) -> None:
-        """Put in force what waits to be accepted, first what was learnt while driving."""
-        asked: dict[str, Ask] = {} if proposed is None else {self.heard[0].topic: proposed}
+    def accept(self, proposed: Ask | None, tell: Tell, say: Callable[[str], object]) -> None:
+        """Put in force what waits to be accepted, first what was learnt while driving.
+
+        `say` is given a line for the log on each that was put in force.
+        """
+        asked: dict[str, Ask] = {}
         for each in self.heard:
-            if each.accept is not None:
-                asked.setdefault(each.topic, each.accept)
+            ask = proposed if proposed is not None and each is self.heard[0] else each.accept
+            if ask is not None:
+                asked[each.topic] = partial(_accepted, each, ask, say)
         if self.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
         elif asked:
@@ -186,6 +193,23 @@ class Magnetometers:
         """Drop the turns under way."""
         for each in self.heard:
             each.control.shut_down()
+
+
+def _accepted(
+    magnetometer: Magnetometer, ask: Ask, say: Callable[[str], object], tell: Tell
+) -> None:
+    """Ask for what was accepted, and say what was put in force, if anything was."""
+    before = magnetometer.keeper.calibration
+
+    def note(conclusion: Conclusion) -> None:
+        now = magnetometer.keeper.calibration
+        if now is not None and now is not before:
+            sigma, method = math.degrees(known_sigma(now)), plain(now.evidence.method)
+            words = f"a calibration by {method}, predicted heading error {shown(sigma)}° (1σ)"
+            say(f"~/accept on {magnetometer.topic}: {words}. {conclusion.message}")
+        tell(conclusion)
+
+    ask(note)
 
 
 def told_together(asked: Mapping[str, Ask], tell: Tell) -> None:

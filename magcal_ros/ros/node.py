@@ -81,8 +81,9 @@ class Calibrator(Node):
 
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers
+        say = self.get_logger().info
         slow: dict[str, Ask] = {
-            "accept": lambda tell: magnetometers.accept(self._keeping.accept, tell),
+            "accept": lambda tell: magnetometers.accept(self._keeping.accept, tell, say),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),

@@ -80,24 +80,34 @@ class Preflight(NamedTuple):
 
 def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
     """Listen to the sensors of a running calibrator."""
-    topics = _sensor_topics(node, calibrator)
-    if topics is None:
+    inputs = _inputs_of(node, calibrator)
+    if inputs is None:
         remedy = "start it with `ros2 run magcal_ros calibrator`, or name it with --node"
         return Preflight((f"the node {calibrator} is not there: {remedy}",), False)
-    sensors = [Heard(name, kind) for name, kind in topics]
+    sensors = [Heard(name, kind) for name, kind in inputs.sensors]
     _listen(node, sensors, duration)
+    ready = {heard.kind for heard in sensors if heard.messages} == {IMU_TYPE, FIELD_TYPE}
     lines = []
     for heard in sensors:
         publishers = node.count_publishers(heard.topic)
         if heard.messages:
             lines += [_describe(heard, duration), *_judge(heard, duration, publishers)]
-        else:
-            elsewhere = [plain(topic) for topic in _of_sensors(node, heard.kind, heard.topic)]
-            lines += _explain_silence(heard, publishers, elsewhere)
-    return Preflight(tuple(lines), all(heard.messages for heard in sensors))
+            continue
+        found = set(_of_sensors(node, heard.kind)) - inputs.taken
+        lines += _explain_silence(heard, publishers, [plain(topic) for topic in found])
+        if ready:
+            lines.append(f"  {plain(heard.topic)} is silent and is not calibrated")
+    return Preflight(tuple(lines), ready)
 
 
-def _sensor_topics(node: Node, calibrator: str) -> list[tuple[str, str]] | None:
+class _Inputs(NamedTuple):
+    """The sensors of a calibrator, and the topics of all its inputs."""
+
+    sensors: list[tuple[str, str]]
+    taken: set[str]
+
+
+def _inputs_of(node: Node, calibrator: str) -> _Inputs | None:
     namespace, _, name = calibrator.rpartition("/")
     deadline = time.monotonic() + 5.0
     while time.monotonic() < deadline:
@@ -112,7 +122,8 @@ def _sensor_topics(node: Node, calibrator: str) -> list[tuple[str, str]] | None:
         if imus and fields:
             # A further magnetometer without a publisher does not exist.
             spoken = [topic for topic in fields if node.count_publishers(topic)] or fields[:1]
-            return [(imus[0], IMU_TYPE), *((topic, FIELD_TYPE) for topic in spoken)]
+            sensors = [(imus[0], IMU_TYPE), *((topic, FIELD_TYPE) for topic in spoken)]
+            return _Inputs(sensors, {topic for topic, _ in found})
         time.sleep(0.1)
     return None
 

@@ -56,7 +56,8 @@ def test_the_line_to_change_is_said_and_written(tmp_path, capsys):
     assert main(["doctor", *record(tmp_path / "bag", NED), "--write", str(file)]) == 4
     said = capsys.readouterr().out
     assert "mount_rpy_deg: [180.0, 0.0, 0.0]" in said
-    assert f"Written: {tmp_path}/?[31mparams.yaml" in said
+    assert f"Written: {tmp_path}/?[31mparams.yaml. Start the calibrator with `--params-file" in said
+    assert "(after `--ros-args`), and calibrate again." in said
     content = yaml.safe_load(file.read_text())
     assert content["/**"]["ros__parameters"] == {"mount_rpy_deg": [180.0, 0.0, 0.0]}
 
@@ -126,3 +127,14 @@ def test_stamps_in_bursts_are_said_once_with_the_mean_rate(tmp_path, capsys):
     assert said.count("the stamps come in bursts") == 1
     assert "IMU: stamps and field: stamps: the stamps come in bursts" in said
     assert "look  recording" not in said
+
+
+def test_the_option_that_a_refused_fit_names_mends_it_when_pasted(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = record(tmp_path / "bag", NED)
+    assert main(["fit", *arguments, "--output", "refused"]) == 4
+    (option,) = set(
+        re.findall(r"repeat with `(--[^`]*)`", " ".join(capsys.readouterr().out.split()))
+    )
+    assert option == "--mount-rpy-deg 180 0 0"
+    assert main(["fit", *arguments, *option.split(), "--output", "mended"]) == 0

@@ -8,8 +8,10 @@ import pytest
 from magcal_ros.cli.check import _words
 from magcal_ros.cli.common import tell, with_options, wrapped
 from magcal_ros.cli.live_view import with_all_reasons
+from magcal_ros.cli.main import main
 from magcal_ros.core.assessment.grading import Aspect, Grade
 from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.calibrate import METHODS
 from magcal_ros.core.monitoring.change import check_beside_chance
 from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, Recheck
 
@@ -54,6 +56,10 @@ def test_a_terminal_gets_its_width_and_a_script_whole_lines(monkeypatch, out, li
         ("check reference.strength_ut,", "check --reference-strength-ut,"),
         ("and inclination_deg or", "and --reference-inclination-deg or"),
         ("with mount_rpy_deg", "with --mount-rpy-deg"),
+        (
+            "(NED): set `mount_rpy_deg: [180.0, 0.0, -90.0]`; or",
+            "(NED): repeat with `--mount-rpy-deg 180 0 -90`; or",
+        ),
         ("residual_percent", "residual_percent"),
     ],
 )
@@ -72,7 +78,10 @@ def recheck(*chances):
 def test_what_is_too_uncertain_stands_apart_and_whole():
     out = _words(recheck(0.0, 9.0), [])
     stale, uncertain = out.partition("Too uncertain to judge:")[::2]
-    assert stale.count("  - the level field makes the heading swing by 8° (want 7° or less)") == 1
+    words = (
+        "  - the level field makes the heading swing by 8° (doubtful beyond 4°, stale beyond 7°)"
+    )
+    assert stale.count(words) == 1
     assert "8°, no more than chance explains: too uncertain to judge; turn once" in uncertain
     rows = [line.split()[-1] for line in stale.splitlines() if " ≤ 4° " in line]
     assert rows == ["stale", "unclear"]
@@ -100,3 +109,20 @@ def test_the_answer_of_a_turn_names_every_reason():
 )
 def test_an_answer_without_its_status_stays_as_it_is(status):
     assert with_all_reasons("A. But b; and 1 more.", status) == "A. But b; and 1 more."
+
+
+@pytest.mark.parametrize("name", ["fit", "drive", "check", "doctor", "calibrate", "export", "demo"])
+def test_the_help_of_a_command_fits_a_terminal(monkeypatch, capsys, name):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    said = capsys.readouterr().out
+    assert [line for line in said.splitlines() if len(line) > 80] == []
+
+
+def test_the_help_of_fit_names_every_method(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main(["fit", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert ", ".join(METHODS) in said

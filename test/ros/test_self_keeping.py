@@ -40,7 +40,7 @@ class TestInTheNode:
         path, *_ = known
         return start_node({**REFERENCE, "calibration_file": str(path)})
 
-    def test_a_proposal_is_told_accepted_and_the_old_one_kept(self, house, actor, known):
+    def test_a_proposal_is_told_accepted_and_the_old_one_kept(self, house, actor, known, capfd):
         path, calibration, _ = known
         before = path.read_bytes()
         stage = actor()
@@ -61,6 +61,9 @@ class TestInTheNode:
         answer = stage.answer(stage.call("accept"))
         assert answer.success
         assert "saved" in answer.message
+        log = capfd.readouterr().err
+        assert "~/accept on /imu/mag: a calibration by maximum_likelihood, predicted" in log
+        assert f"In force and saved to {path}" in log
         kept = [before, None, None]
         assert [file.read_bytes() if file.exists() else None for file in backup_files(path)] == kept
         assert read_calibration(path)[0].evidence.accepted_by_user

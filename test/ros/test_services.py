@@ -104,6 +104,15 @@ def test_accept_applies_what_the_verdict_refused(stage):
     assert actor.yaws
 
 
+def test_before_the_first_field_no_file_that_never_exists_is_named(stage):
+    actor = stage()
+    actor.mangle = lambda _: []
+    answer = actor.answer(actor.call("load"))
+    assert not answer.success
+    assert "no field has arrived yet" in answer.message
+    assert ".yaml" not in answer.message
+
+
 def test_a_calibration_of_the_sensor_that_is_met_is_used(stage, ros_home):
     store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
     actor = stage()

@@ -77,19 +77,40 @@ def entries(actor):
     return {entry["topic"]: entry for entry in actor.status["magnetometers"]}
 
 
-def test_one_turn_calibrates_both_and_one_heading_outlives_either(start_node, actor, ros_home):
-    start_node()
-    robot = actor(speed=8.0)
-    pair = Pair(robot)
-    robot.run(PATIENCE, stop=lambda: len(robot.status["magnetometers"]) == 2)
+def looked_at(robot):
+    """What the look at the sensors finds while the robot lives."""
     looker = rclpy.create_node("looker")
     found = []
     look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", 0.5)))
     look.start()
     robot.run(PATIENCE, stop=lambda: not look.is_alive())
     looker.destroy_node()
-    assert found[0].ready
-    assert [line.partition(":")[0] for line in found[0].lines] == [
+    return found[0]
+
+
+@pytest.mark.parametrize("silent", ["imu/mag_2", "imu/mag"])
+def test_a_silent_one_is_warned_of_and_the_topic_of_the_other_is_not_offered(
+    start_node, actor, silent
+):
+    start_node()
+    robot = actor()
+    pair = Pair(robot)
+    pair.silent = {silent}
+    found = looked_at(robot)
+    assert found.ready
+    assert f"/{silent}: nothing arrives (1 publishers)" in found.lines
+    assert f"  /{silent} is silent and is not calibrated" in found.lines
+    assert not [line for line in found.lines if "remap" in line]
+
+
+def test_one_turn_calibrates_both_and_one_heading_outlives_either(start_node, actor, ros_home):
+    start_node()
+    robot = actor(speed=8.0)
+    pair = Pair(robot)
+    robot.run(PATIENCE, stop=lambda: len(robot.status["magnetometers"]) == 2)
+    found = looked_at(robot)
+    assert found.ready
+    assert [line.partition(":")[0] for line in found.lines] == [
         "/imu/data_raw",
         "/imu/mag",
         "/imu/mag_2",

@@ -193,15 +193,15 @@ def _adapted(bound: Bound, estimate: Estimate) -> Bound:
     return bound
 
 
-DRIVE_LONGER = "drive for longer, with bends to both sides"
-ALL_HEADINGS = f"{DRIVE_LONGER}, to all headings"
+CIRCLES = "calibrate once more, with circles to both sides, or fit a longer recording"
+ALL_HEADINGS = f"{CIRCLES} with all headings"
 DRIVE_BOUNDS: tuple[Bound, ...] = (
     UPRIGHT,
     replace(
         SIGMA,
         words="predicted heading error on level ground by the calibration (1σ)",
         remedy=ALL_HEADINGS,
-        after_full=DRIVE_LONGER,
+        after_full=CIRCLES,
     ),
     Bound(
         Figure.HEADINGS_DRIVEN,

@@ -90,11 +90,13 @@ class Bound:
         excess: float | None = None,
         note: str = "",
         before: float | None = None,
+        rule: str = "",
     ) -> Check:
         """Grade one value of the figure.
 
         `figure` is in SI units, and `excess` the part of it that counts, where some of it is no
         fault. `note` is added to the value; `before` is the figure of the raw field, SI units.
+        `rule` is what is said of the limits, in place of what is wanted.
         """
         value = abs(figure * self.scale)
         counted = value if excess is None else abs(excess * self.scale)
@@ -109,7 +111,8 @@ class Bound:
             side = "more" if self.at_least else "less"
             refused = self.when_refused if grade is Grade.REFUSED else ""
             words = f"{self.words} {shown_beside(value, limit)}{self.unit}{note}"
-            words += f" (want {limit:g}{self.unit} or {side}): {refused or self.remedy}"
+            rule = rule or f"want {limit:g}{self.unit} or {side}"
+            words += f" ({rule}): {refused or self.remedy}"
         raw = None if before is None else before * self.scale
         return Check(self.figure, self.aspect, grade, words, value, raw, self)
 

@@ -26,7 +26,8 @@ from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.samples.units import LEAST_UPRIGHT
 from magcal_ros.core.samples.window import SensorLog
 
-LIFT = "lift the nose by 20° while the robot turns"
+NOSE = "lift the nose by 20° while the robot turns"
+LIFT = f"{NOSE}, or drive over a kerb"
 DRIVE = "; or drive straight, where a receiver's course shows the yaw"
 SIGN = (
     "gravity has the wrong sign: REP-145 requires +9.81 on z at rest, so negate "
@@ -256,7 +257,8 @@ def _all_agree(
     more = int(remains.sum() - remains[given])
     found = [looked_at("axes", "axes", evidence)]
     if more:
-        rest = f"{more} other arrangement{'s' * (more > 1)} of gyro and magnetometer"
+        pairs = f"pair{'s' * (more > 1)} of orientations"
+        rest = f"{more} other {pairs} of gyro and magnetometer"
         why = f"{evidence} fit, but so would {rest}; to tell them apart, {axes.movement or LIFT}"
         found = [not_shown("axes", "axes", why)]
     if contrary[given]:

@@ -35,7 +35,7 @@ FULL_TURN = "stand still, then turn a full circle"
 FASTER = "publish or record the IMU at a higher rate"
 NO_BURSTS = "the stamps must not come in bursts"
 STARTS = "start and stop while you turn, at 20 °/s or more"
-LEANS = "lift the nose by 20° within a second or two"
+LEANS = "lift the nose by 20° within a second or two, or drive over a kerb"
 NO_GYRO = (
     "without a gyro, turned, swapped or mirrored axes of the magnetometer cannot be recognised: "
     "check them by the data sheet, or drive straight with a speed or a course"

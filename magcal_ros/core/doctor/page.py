@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
-from magcal_ros.core.doctor.blame import LIFT, AxesFound, parameter_line
+from magcal_ros.core.doctor.blame import LIFT, NOSE, AxesFound, parameter_line
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Way, rate_factors
 from magcal_ros.core.doctor.health import (
@@ -147,7 +147,7 @@ ON_THE_SPOT = (
     "turn on the spot, and stand still again"
 )
 MOTORS_OFF = "by hand with the motors off (their field hides it)"
-HIDDEN, BY_HAND = f"turn once {MOTORS_OFF}", f"{LIFT} {MOTORS_OFF}"
+HIDDEN, BY_HAND = f"turn once {MOTORS_OFF}", f"{NOSE} {MOTORS_OFF}"
 """What shows the rest where the motors change the field, in place of `FULL_TURN` and `LIFT`."""
 OR_LATE = (
     ". Late stamps of the field look the same: to tell them apart, start and stop several times "

@@ -178,7 +178,7 @@ class SelfCalibration:
             first = self._first
             if first is None:
                 self._first = candidate
-                words = f"{candidate.in_words}; a second one that agrees puts it in force"
+                words = f"{candidate.in_words}; a second one that agrees confirms it"
                 return [Decision(clock, Verb.PROBATION, words)]
             if candidate.end - first.end < 0.5 * KEEPING.look_every:
                 continue
@@ -187,8 +187,8 @@ class SelfCalibration:
             self._first = candidate
             if apart <= allowed:
                 words = (
-                    f"{candidate.in_words}: it differs from the one before by only "
-                    f"{math.degrees(apart):.1f}°, and nothing was in force"
+                    f"{candidate.in_words}: it agrees with the fit before it "
+                    f"({math.degrees(apart):.1f}° apart), and no calibration was in force"
                 )
                 return [self._change(clock, candidate.calibration, words)]
         return []

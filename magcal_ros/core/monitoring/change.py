@@ -224,14 +224,24 @@ def check_beside_chance(
     """
     excess = math.sqrt(max(figure**2 - chance**2, 0.0))
     seen = chance * bound.scale
-    note = f", of which {shown(seen)}{bound.unit} may be chance" if seen > 0.5 * bound.good else ""
-    if note and chance >= figure:
-        note = ", no more than chance explains"
-    check = bound.check(figure, excess=excess, note=note, before=before)
+    note = ""
+    if seen > 0.5 * bound.good:
+        left = f"{shown(excess * bound.scale)}{bound.unit} are left, by squares"
+        note = f", more than the {shown(seen)}{bound.unit} that chance explains: {left}"
+        note = ", no more than chance explains" if chance >= figure else note
+    check = bound.check(figure, excess=excess, note=note, before=before, rule=rule_of(bound))
     is_small = figure * bound.scale <= bound.good
     if decided or is_small or seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
         return check
     return doubtful(check)
+
+
+def rule_of(bound: Bound) -> str:
+    """Say from where a calibration is doubtful and stale; empty where more is better."""
+    if bound.at_least:
+        return ""
+    unit = bound.unit
+    return f"doubtful beyond {bound.good:g}{unit}, stale beyond {bound.warn:g}{unit}"
 
 
 def doubtful(check: Check) -> Check:

@@ -31,6 +31,7 @@ from magcal_ros.core.monitoring.change import (
     doubtful,
     fit_waves,
     harmonics,
+    rule_of,
 )
 from magcal_ros.core.samples.coverage import BINS, Coverage
 from magcal_ros.core.samples.drive_log import DriveLog
@@ -336,4 +337,5 @@ def _check_iron(share: float, sigma: float, level: float, chance: float) -> Chec
     excess = math.sqrt(max(share**2 - (chance * sigma) ** 2, 0.0))
     size = f"iron added since ({1e6 * share * level:.1f} µT)"
     words = IRON_BOUND.words.replace("iron added since", size)
-    return replace(IRON_BOUND, words=words).check(share, excess=excess)
+    bound = replace(IRON_BOUND, words=words)
+    return bound.check(share, excess=excess, rule=rule_of(bound))

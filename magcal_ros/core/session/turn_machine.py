@@ -218,7 +218,7 @@ class TurnMachine:
         else:
             why = {
                 Stage.COMPLETE: "",
-                Stage.TIMED_OUT: f"the time is up after {progress.elapsed:.0f} s",
+                Stage.TIMED_OUT: f"{BY_TIME} {progress.elapsed:.0f} s",
                 Stage.SILENT: silence,
             }[progress.stage]
             self._begin_fit(stage, why, now)
@@ -320,7 +320,7 @@ class TurnMachine:
         words = outcome.verdict.summary
         if outcome.several is not None and outcome.calibration is not None:
             words = f"{words} {outcome.several.in_words}"
-        words = f"{why}; {words}" if why else words
+        words = _with_ending(words, why, outcome.verdict.accepted)
         report = "" if self.last_window is None else self._report(self.last_window, outcome)
         ending = f" {report}" if report else ""
         unchanged = UNCHANGED[0].upper() + UNCHANGED[1:]
@@ -372,6 +372,16 @@ class TurnMachine:
         self._stage = None
         self.last_conclusion = Conclusion(success, message)
         self._commands.append(self.last_conclusion)
+
+
+BY_TIME = "ended by the time limit of"
+
+
+def _with_ending(words: str, why: str, accepted: bool) -> str:
+    """Add why a turn ended; what is no fault stands behind a success, lest it seem a failure."""
+    if accepted and why.startswith(BY_TIME):
+        return f"{words} ({why[0].upper()}{why[1:]}.)"
+    return f"{why}; {words}" if why else words
 
 
 def _changes(before: tuple[str, str], after: tuple[str, str]) -> list[str]:

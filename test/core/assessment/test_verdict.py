@@ -256,8 +256,8 @@ class TestJudge:
         figures = DRIVE | {"not_converged": 1.0}
         verdict = judge(estimate(arc=arc, figures=figures, covariance=covariance), KNOWN)
         words = "; ".join(verdict.reasons)
-        assert "drive for longer" in words
-        assert ("to all headings" in words) is (arc < math.tau)
+        assert "with circles to both sides, or fit a longer recording" in words
+        assert ("with all headings" in words) is (arc < math.tau)
         assert "drive elsewhere" in words
         assert "turn once more" not in words
 

@@ -3,12 +3,13 @@ import math
 import numpy as np
 import pytest
 from axes_cases import good_case, wrong_case
+from imu_faults_cases import good_case as case_of
 from long_form import first_of
 from simulated.turns import measure, turn
 
 from magcal_ros.core.calibrate import calibrate, calibrate_turns
 from magcal_ros.core.doctor.blame import mount_of, parameter_line
-from magcal_ros.core.doctor.page import examine_window
+from magcal_ros.core.doctor.page import examine, examine_window
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, signed_permutations
 from magcal_ros.core.knowledge import Knowledge, Mounting
@@ -111,7 +112,7 @@ def test_without_the_inclination_axes_and_their_opposites_both_stay():
 
 def test_what_a_level_turn_leaves_open_is_named_with_the_movement_that_tells():
     found, *_ = of(NED, "level")
-    assert "lift the nose by 20° while the robot turns" in found.words
+    assert "lift the nose by 20° while the robot turns, or drive over a kerb" in found.words
 
 
 @pytest.mark.parametrize("lacks", ["gyro", "turn", "samples"])
@@ -146,3 +147,10 @@ def test_a_gyro_that_belongs_to_nothing_is_said():
 def test_angles_are_written_within_half_a_turn():
     assert mount_of(NED, np.eye(3)) == (180, 0, 0)
     assert parameter_line((180, 0, -90)) == "mount_rpy_deg: [180.0, 0.0, -90.0]"
+
+
+def test_axes_that_fit_are_counted_beside_other_pairs_of_orientations():
+    case = case_of(np.random.default_rng([6, 0]), "turn")
+    (line,) = (f for f in examine(case.log, case.knowledge).findings if f.key == "axes")
+    assert "other pairs of orientations of gyro and magnetometer; to tell" in line.evidence
+    assert "or drive over a kerb" in line.evidence

@@ -91,6 +91,17 @@ def test_two_windows_that_agree_begin_where_nothing_was_in_force():
     assert keeper.note(findings(140.0, candidate((0.4e-6, 0.0, 0.0), 140.0))) == [Verb.APPLIED]
 
 
+def test_a_second_window_confirms_the_first_in_these_words():
+    keeper = Keeper()
+    machine = keeper.machine
+    keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0)))
+    assert machine.decisions[-1].words.endswith("; a second one that agrees confirms it")
+    keeper.note(findings(140.0, candidate((0.4e-6, 0.0, 0.0), 140.0)))
+    words = machine.decisions[-1].words
+    assert "it agrees with the fit before it (0." in words
+    assert words.endswith("° apart), and no calibration was in force")
+
+
 def test_two_windows_that_disagree_begin_nothing():
     keeper = Keeper()
     keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0)))

@@ -31,7 +31,10 @@ def test_what_chance_explains_is_not_stale():
     assert check_beside_chance(BOUND, degrees(8.0), 0.0, None).grade is Grade.REFUSED
     found = check_beside_chance(BOUND, degrees(8.0), degrees(6.9), None)
     assert found.grade is Grade.WARN
-    assert "6.9° may be chance" in found.words
+    assert (
+        "8°, more than the 6.9° that chance explains: 4.05° are left, by squares "
+        "(doubtful beyond 4°, stale beyond 7°)"
+    ) in found.words
 
 
 def test_where_chance_reaches_the_bound_nothing_is_shown():

@@ -132,7 +132,9 @@ def test_half_a_turn_is_used_when_the_time_is_up():
     scene.live(7.0, 0.5)
     scene.live(5.2, 0.0)
     assert scene.turn.state is TurnState.FITTING
-    assert scene.until_concluded().message.startswith("the time is up after 12 s; ")
+    message = scene.until_concluded().message
+    assert message.startswith("Calibrated")
+    assert "(Ended by the time limit of 12 s.)" in message
 
 
 def test_nothing_at_all_is_said_in_the_sensors_words():
