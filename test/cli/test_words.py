@@ -126,3 +126,11 @@ def test_the_help_of_fit_names_every_method(monkeypatch, capsys):
         main(["fit", "--help"])
     said = " ".join(capsys.readouterr().out.split())
     assert ", ".join(METHODS) in said
+
+
+def test_the_help_of_drive_says_who_decides(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main(["drive", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert "as with `self_calibration: apply`; the node's default, `propose`, waits for" in told

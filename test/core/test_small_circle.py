@@ -54,6 +54,12 @@ def test_without_a_rest_sigma_holds_it_and_says_why():
 CIRCLE = {"course": lambda time: 1.0 + 0.0 * time, "rest": 0.0, "inwards": (0.0, 1.0, 0.0)}
 
 
+def test_an_imu_that_is_mounted_sideways_is_in_the_sigma_of_a_circle_by_wheels():
+    """Ahead is its y axis, and nobody says so."""
+    error, sigma, _ = judged(**CIRCLE | {"inwards": (-1.0, 0.0, 0.0)}, wheels=1.0)
+    assert error < 2.0 * sigma
+
+
 def test_without_a_rest_the_speed_of_the_wheels_shows_it():
     error, sigma, _ = judged(**CIRCLE)
     by_wheels, smaller, _ = judged(**CIRCLE, wheels=1.0)

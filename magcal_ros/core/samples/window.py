@@ -119,6 +119,15 @@ class Window:
         return len(self.time)
 
     @property
+    def wheel_speed(self) -> FloatArray | None:
+        """`speed`, but None if it is zero throughout: no encoder fills it in.
+
+        On a steady circle nothing would contradict it.
+        """
+        is_known = self.speed is not None and np.nan_to_num(self.speed).any()
+        return self.speed if is_known else None
+
+    @property
     def rolls(self) -> bool:
         """Whether the wheels' speed shows that the robot drives."""
         known = np.zeros(0) if self.speed is None else self.speed[np.isfinite(self.speed)]

@@ -29,6 +29,7 @@ from magcal_ros.core.smoother.unknowns import (
     MOVED,
     ON_THE_SPOT,
     ON_WHEELS,
+    ROLLING,
     SIZES,
     SMALL_CIRCLE,
     UNKNOWNS,
@@ -59,6 +60,8 @@ MOST_FITS = 3 * len(KINDS)
 LATE_BY = 0.1  # initial delay of the field, seconds, of the iterations of `LATE`
 MOTORS, BEYOND_USUAL = ("motors_moving", "motors_rate"), 2.0
 """The field of the motors, and the factor of their usual size from which a late field is tried."""
+BENT = "installation", "soft_iron", "axes", "iron"
+"""Unknowns that would explain the field of a part that is moved on the robot."""
 LARGEST_GAIN = 3.0
 """By which soft iron may strengthen the field along an axis: its prior ends there."""
 NEARLY = 0.95
@@ -191,12 +194,17 @@ class _Trials:
     def parts_moved(self, usual: Fit) -> Fit:
         """Return the likelier fit of a turn on the spot, with or without moving parts on the robot.
 
-        Without them soft iron and installation answer for a step that lasts: the fit begins anew.
+        Without them soft iron and installation explain a step that lasts, and begin at zero here.
         The likelier explanation holds for the other kinds of motion, too.
         """
         priors = self._priors
         self._priors = priors.with_parts_moved
-        self.add(MOVED)
+        point, shared = usual.point, usual.state.shared.copy()
+        for name in BENT:
+            shared[AT[name]] = priors.mean[AT[name]]
+        state = replace(usual.state, shared=shared)
+        groups = {**point.groups, **dict.fromkeys(BENT, 1.0)}
+        self.add(MOVED, replace(usual, point=replace(point, state=state, groups=groups)))
         moved = self.fits.get(MOVED, usual)
         # By the same weights as in the mean of all fits.
         odds = USUAL[MOVED] / USUAL[ON_THE_SPOT]
@@ -254,7 +262,8 @@ class _Trials:
             raise Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
         if not self.fits:
             raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
-        return mixed(self.fits, self.nodes, self._knowledge)
+        usual = ROLLING if self._samples.rolls else USUAL
+        return mixed(self.fits, self.nodes, self._knowledge, usual)
 
 
 def liveliest_part(samples: Window | DriveLog) -> Window | DriveLog | None:

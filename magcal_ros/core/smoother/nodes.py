@@ -179,7 +179,7 @@ def nodes_of(
         links.unseen,
         float(np.median(white_noise(field))),
         block_means(window.specific_force, first),
-        _speed(window, first),
+        None if window.wheel_speed is None else block_means(window.wheel_speed, first),
     )
     nodes = _untied(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
     return _with_rests(nodes, window, attitude, middle, to_body)
@@ -282,17 +282,6 @@ def _first_rows(
     first = np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
     # What is left over at the end is no node of its own, which would look quiet.
     return first[:-1] if len(first) > 1 and clock[-1] - clock[first[-1]] < 0.5 else first
-
-
-def _speed(window: Window, first: IntArray) -> FloatArray | None:
-    """Return the mean speed of the wheels, m/s, shape (n,); None if nobody measures it.
-
-    One that is zero throughout was never filled in, as of odometry without encoders. On a steady
-    circle nothing would contradict it.
-    """
-    if window.speed is None or not np.nan_to_num(window.speed).any():
-        return None
-    return block_means(window.speed, first)
 
 
 def _quiet(window: Window, field: FloatArray, first: IntArray) -> BoolArray:

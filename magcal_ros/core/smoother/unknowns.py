@@ -289,6 +289,9 @@ LASTING = 60.0  # seconds of the correlation time of the body's coloured noise t
 USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, LATE: 0.5, MOVED: 0.1, ANY_WAY: 0.1}
 """Relative prior weights of the kinds of motion; one where none is given. Most robots have wheels,
 and few turn exactly on a spot; on few is anything moved meanwhile."""
+ROLLING: Mapping[str, float] = {**USUAL, ANY_WAY: 0.5}
+"""The same where the speed of the wheels is known: many an IMU is mounted sideways, and nobody says
+so. A steady circle does not show it."""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade, shown
 from magcal_ros.core.assessment.verdict import (
     GYRO_UNUSED,
-    NO_GYRO,
     LEVEL_ONLY,
+    NO_GYRO,
     NO_REFERENCE,
     NO_YAW,
     Verdict,
@@ -390,7 +390,7 @@ class TestNotShown:
         not_shown = judge(estimate(), Knowledge(reference)).not_shown
         assert (NO_REFERENCE in not_shown) == (not complete)
         assert LEVEL_ONLY not in not_shown
-        not_shown = judge(estimate(figures=A_DRIVE), Knowledge(reference)).not_shown
+        not_shown = judge(estimate(figures=DRIVE), Knowledge(reference)).not_shown
         assert (LEVEL_ONLY in not_shown) == (not complete)
 
     def test_a_weak_level_field_counts_from_what_the_reference_allows(self):
