@@ -180,8 +180,8 @@ AGAIN = "turn once more, evenly, away from moving iron"
 DRIVE_ELSEWHERE = "drive elsewhere, evenly, away from moving iron"
 NO_REFERENCE = "the size of the field: the reference field is not known"
 LEVEL_ONLY = (
-    "the hard iron along the vertical axis as well as its sigma says: with the position unknown, "
-    "rely on the heading of a drive on level ground only, or give the position"
+    "the hard iron along the vertical axis: its error may be larger than its sigma, so without the "
+    "position rely on the heading on level ground only"
 )
 
 
