@@ -286,7 +286,7 @@ LATE = f"{ON_THE_SPOT}, field late"
 MOVED = f"{ON_THE_SPOT}, parts moved"
 """A turn on the spot again, in which a lid, an arm or a load on the robot is moved."""
 LASTING = 60.0  # seconds of the correlation time of the body's coloured noise then: steps that last
-USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, LATE: 0.5, MOVED: 0.1, ANY_WAY: 0.1}
+USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, LATE: 0.5, MOVED: 0.05, ANY_WAY: 0.1}
 """Relative prior weights of the kinds of motion; one where none is given. Most robots have wheels,
 and few turn exactly on a spot; on few is anything moved meanwhile."""
 ROLLING: Mapping[str, float] = {**USUAL, ANY_WAY: 0.5}
