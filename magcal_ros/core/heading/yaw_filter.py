@@ -55,7 +55,7 @@ class FusionTuning:
     wander_jump: float = 0.1  # radians of error when headings come back from beyond the gate
     wander_odds: tuple[float, float] = (0.1, 1e-3)
     """Prior odds that a device drifts, and that a sound one begins to within `heading_tau`."""
-    integrated_rate: float = 2e-3  # rad/s by which a device drifts that integrates a gyro: its bias
+    integrated_rate: float = 2e-3  # rad/s, usual bias of a gyro that a device integrates
     integrated_odds: float = 0.01  # prior odds of such a device
     heading_gate: float = 4.0  # sigmas by which such a heading may miss
     unknown: float = 0.5  # radians of uncertainty of a start in a field that is not expected

@@ -28,7 +28,7 @@ from magcal_ros.core.samples.rest import (
     sigma_later,
 )
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, ImuSpan, Pair
-from magcal_ros.core.samples.window import Steps, Window, steps_of
+from magcal_ros.core.samples.window import Steps, Window, rolls_at, steps_of
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class DriveLog:
     @property
     def rolls(self) -> bool:
         """Whether the wheels' speed shows that the robot drives."""
-        return self.window.rolls
+        return rolls_at(self.speed)
 
     @property
     def window(self) -> Window:

@@ -120,9 +120,9 @@ class Window:
 
     @property
     def wheel_speed(self) -> FloatArray | None:
-        """`speed`, but None if it is zero throughout: no encoder fills it in.
+        """The speed; None if it is zero throughout, as in odometry whose twist stays empty.
 
-        On a steady circle nothing would contradict it.
+        On a steady circle no other sensor would contradict the zeros.
         """
         is_known = self.speed is not None and np.nan_to_num(self.speed).any()
         return self.speed if is_known else None
@@ -130,8 +130,7 @@ class Window:
     @property
     def rolls(self) -> bool:
         """Whether the wheels' speed shows that the robot drives."""
-        known = np.zeros(0) if self.speed is None else self.speed[np.isfinite(self.speed)]
-        return bool(len(known)) and float(np.median(np.abs(known))) > ROLLS
+        return self.speed is not None and rolls_at(self.speed)
 
     @property
     def imu_gap(self) -> float:
@@ -171,6 +170,12 @@ class Window:
     def _straight(self) -> Steps:
         rate = np.zeros((len(self), 3)) if self.angular_rate is None else self.angular_rate
         return Steps.straight(self.time, self.specific_force, rate)
+
+
+def rolls_at(speed: FloatArray) -> bool:
+    """Return whether a speed (n,), m/s, NaN where it was not measured, is that of a drive."""
+    known = speed[np.isfinite(speed)]
+    return bool(len(known)) and float(np.median(np.abs(known))) > ROLLS
 
 
 def _indices(rows: BoolArray | IntArray) -> IntArray:

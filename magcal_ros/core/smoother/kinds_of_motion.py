@@ -304,7 +304,7 @@ def smooth(
             trials.add(ON_THE_SPOT, spot)
         best = trials.field_late()
         if not knowledge.exact_sensors:
-            # Exact sensors move no more than their robot does, and nothing moves beside them.
+            # With exact sensors, only a turn on the spot without moved parts is tried.
             best = trials.parts_moved(best)
             for name in trials.others:
                 trials.add(name, best)

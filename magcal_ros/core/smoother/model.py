@@ -49,11 +49,7 @@ class Model:
     nodes: Nodes
     axes: FloatArray  # the body's level axes (`level_axes`). Shape (3, 3).
     priors: Priors
-    speed: FloatArray
-    """m/s per axis, ahead and sideways, that are usual for the kind of motion. Shape (2,)."""
-    travels: bool  # whether the kind of motion leaves the spot
-    traffic: bool  # as of the kind of motion
-    has_wheels: bool  # as of the kind of motion
+    kind: KindOfMotion
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -67,7 +63,6 @@ class Model:
             # A turn is too short for the gyro's bias to change.
             scale[AT["bias_walk"]] = 0.0
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
-        travels = kind.speed > KINDS[ON_THE_SPOT].speed
         # Wheels change their velocity less to the side than ahead.
         begun = zip(CHANGES, (1.0, math.sqrt(kind.aside)), strict=True)
         begins = {n: priors.sizes[n]._replace(start=kind.begins * by) for n, by in begun}
@@ -82,11 +77,18 @@ class Model:
                 iron_over_axes=priors.iron_over_axes * kind.soft_iron,
                 sizes={**priors.sizes, **begins},
             ),
-            kind.velocity,
-            travels,
-            kind.traffic,
-            kind.has_wheels,
+            kind,
         )
+
+    @property
+    def speed(self) -> FloatArray:
+        """m/s per axis, ahead and sideways, that are usual for the kind of motion, shape (2,)."""
+        return self.kind.velocity
+
+    @property
+    def travels(self) -> bool:
+        """Whether the kind of motion leaves the spot."""
+        return self.kind.speed > KINDS[ON_THE_SPOT].speed
 
     @property
     def no_places(self) -> Places:
@@ -243,10 +245,10 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     if nodes.speed is not None:
         known = np.where(np.isfinite(nodes.speed), 1.0, math.inf)
         found["speed"] = measured(
-            "speed", factors.speed(nodes.speed, state, is_ahead=model.has_wheels), known
+            "speed", factors.speed(nodes.speed, state, is_ahead=model.kind.has_wheels), known
         )
     force, gyro, unseen = factors.force(course, state), factors.gyro(course, state), nodes.unseen
-    stands = still[1:] & still[:-1] & model.traffic
+    stands = still[1:] & still[:-1] & model.kind.traffic
     keeps = np.where(stands, 1.0, np.exp(-way_between(model, point) / places.length))
     return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),

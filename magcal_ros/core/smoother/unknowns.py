@@ -290,8 +290,8 @@ USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, LATE: 0.5, MOVED: 0.05, ANY_WAY:
 """Relative prior weights of the kinds of motion; one where none is given. Most robots have wheels,
 and few turn exactly on a spot; on few is anything moved meanwhile."""
 ROLLING: Mapping[str, float] = {**USUAL, ANY_WAY: 0.5}
-"""The same where the speed of the wheels is known: many an IMU is mounted sideways, and nobody says
-so. A steady circle does not show it."""
+"""The same where the speed of the wheels is known. Some IMUs are mounted sideways and no parameter
+says so; a steady circle does not show it."""
 
 
 @dataclass(frozen=True)
