@@ -177,10 +177,10 @@ def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = Fa
 def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
     """Return the fit of corrected nodes; None if it fails."""
     try:
-        state, about = start(inside, priors)
+        state, _ = start(inside, priors)
         shared = priors.mean.copy()
         shared[AT["gyro_bias"]] = state.shared[AT["gyro_bias"]]
-        shared[EARTH] = about.mean[EARTH]
+        shared[EARTH] = state.shared[EARTH]
         begun = replace(state, shared=shared)
         return fit(inside, priors, begun, KINDS[ON_WHEELS], TOLERANCES)
     except np.linalg.LinAlgError:

@@ -176,10 +176,33 @@ def optimum(
                 stands = replace(stands, groups=effect_factors(model, whole, solution))
             points[k] = stands
         points = agreed(models, points)
+    if not models[0].priors.fields.is_known:
+        points, joint, gain = _among_fields(models, points, joint)
+        evidence -= 2.0 * gain
     windows = zip(models, points, joint.weighted, joint.solutions, strict=True)
     wide = agreed(models, [_widened(*each) for each in windows])
     doubted = Joint.at(models, wide, is_expected=True)
     return Optimum(models, points, joint, wide, doubted, evidence, rounds, converged, moved)
+
+
+def _among_fields(
+    models: Sequence[Model], points: Sequence[Point], joint: Joint
+) -> tuple[list[Point], Joint, float]:
+    """Return the optimum by all fields that the Earth may have, and the gain in log evidence.
+
+    The iterations know one wide Gaussian: with several, they could end at any of them.
+    """
+    found, gain = list(points), 0.0
+    for k, (model, point, solution) in enumerate(zip(models, points, joint.solutions, strict=True)):
+        at = np.searchsorted(model.free, np.arange(EARTH.start, EARTH.stop))
+        spread = solution.covariance[np.ix_(at, at)]
+        mean = point.state.shared[EARTH] + solution.shared[at]
+        earth, gain = model.priors.fields.seen(point.earth, mean, spread)
+        found[k] = replace(point, earth=earth)
+    step = Joint.at(models, found)
+    solved = zip(models, found, step.solutions, strict=True)
+    found = [stepped(model, point, solution, 1.0) for model, point, solution in solved]
+    return found, Joint.at(models, found), gain
 
 
 def _robust(model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution) -> Point:

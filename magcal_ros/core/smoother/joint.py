@@ -217,10 +217,7 @@ def _cost_of_shared(model: Model, point: Point, names: Iterable[str]) -> float:
     for name in names:
         at = AT[name]
         if name == "earth":
-            earth = model.priors.earth
-            cost += float(off[at] @ np.linalg.solve(earth, off[at]) + np.linalg.slogdet(earth)[1])
-            excess, sigma, _ = model.priors.beyond_strongest(point.state.shared[at])
-            cost += (excess / sigma) ** 2
+            cost += point.earth.cost(point.state.shared[at])
             continue
         seen = scales[at] > 0.0
         scale = scales[at][seen]

@@ -11,6 +11,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.smoother import factors, factors_by_field
+from magcal_ros.core.smoother.earth import EarthPrior
 from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Linear
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
@@ -118,6 +119,7 @@ class Point:
     sizes: dict[str, float]  # of the noises (`SIZES`)
     groups: dict[str, float]  # factors of the sigmas of the shared unknowns (`Unknown`)
     places: Places
+    earth: EarthPrior
     doubt: FloatArray = field(repr=False)
     """Variance of the nodes' velocities, both axes together, (m/s)². Shape (n,)."""
     marginal: FloatArray | None = field(default=None, repr=False)
@@ -139,6 +141,7 @@ class Point:
             },
             _usual_groups(model.priors, state),
             model.no_places,
+            model.priors.fields.about(state.shared[EARTH]),
             np.full(len(model.nodes), float(model.speed @ model.speed)),
         )
 
@@ -350,10 +353,10 @@ def prior_at(model: Model, point: Point) -> Prior:
     information = np.zeros((count, count))
     free = model.free
     information[free, free] = model.scales(point.groups)[free] ** -2.0
-    information[EARTH, EARTH], earth_offset = model.priors.of_earth(state.shared[EARTH])
+    information[EARTH, EARTH] = point.earth.information
     information[SHARED:, SHARED:] = np.kron(places.information, np.eye(3)) / sizes["street"] ** 2
     offset = np.concatenate([model.priors.mean - state.shared, -state.centres.ravel()])
-    offset[EARTH] = earth_offset
+    offset[EARTH] = point.earth.mean - state.shared[EARTH]
     counted = counted_unknowns(model, places)
     known, offset = information[np.ix_(counted, counted)], offset[counted]
     if point.marginal is not None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoother.earth import Fields
 from magcal_ros.core.smoother.unknowns import (
     ALIKE,
     AT,
@@ -17,12 +18,10 @@ from magcal_ros.core.smoother.unknowns import (
     EXACT_IRON,
     IRON_OVER_AXES,
     LASTING,
-    MICROTESLA,
     MODULE,
     NOTHING,
     SHARED,
     SIZES,
-    STRONGEST,
     UNKNOWNS,
     Lengths,
     Size,
@@ -39,9 +38,7 @@ class Priors:
 
     mean: FloatArray  # Shape (SHARED,)
     scale: FloatArray  # sigma of each number; zero for one that is known. Shape (SHARED,).
-    earth: FloatArray  # covariance of level and downward field, µT². Shape (2, 2).
-    strength: tuple[float, float] | None = None
-    """Strength of the Earth's field and its sigma, µT, without a reference."""
+    fields: Fields  # of the Earth, in place of mean and scale
     spread: Mapping[str, float] = field(
         default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
     )
@@ -55,31 +52,16 @@ class Priors:
     iron_over_axes: float = IRON_OVER_AXES
     """Median distortion by soft iron over that by crooked axes."""
 
-    def about(self, iron: FloatArray, level: float) -> Priors:
-        """Return the priors about a start: hard iron, and the level field where it is unknown."""
+    def about(self, iron: FloatArray) -> Priors:
+        """Return the priors with the hard iron about a start."""
         mean = self.mean.copy()
         mean[AT["iron"]] = iron
-        if self.earth[0, 0] >= UNKNOWNS["earth"].sigma[0] ** 2:
-            mean[EARTH.start] = level
         return replace(self, mean=mean)
 
     @property
     def with_parts_moved(self) -> Priors:
         """The priors of a robot on which something is moved meanwhile, and stays there."""
         return replace(self, lengths=replace(self.lengths, body_field=LASTING))
-
-    def of_earth(self, earth: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the information on level and downward field, and their expectation minus `earth`.
-
-        The strength is not linear in them: its limit counts as at that value.
-        """
-        information = np.linalg.inv(self.earth)
-        drawn = information @ (self.mean[EARTH] - earth)
-        excess, sigma, along = self.beyond_strongest(earth)
-        if excess > 0.0:
-            information = information + np.outer(along, along) / sigma**2
-            drawn = drawn - along * excess / sigma**2
-        return np.asarray(information), np.asarray(np.linalg.solve(information, drawn))
 
     def log_factor(self, name: str, known: Mapping[str, float]) -> tuple[float, float]:
         """Return mean and variance of the log of a group's factor, from the known factors."""
@@ -134,12 +116,6 @@ class Priors:
         """Whether a group and the factor of its sigma are estimated."""
         return self.spread[name] > 0.0 and bool(self.scale[AT[name]].any())
 
-    def beyond_strongest(self, earth: FloatArray) -> tuple[float, float, FloatArray]:
-        """Return by how much a field exceeds its limit, the sigma of that, and its direction."""
-        most, sigma = self.strength or (math.inf, 1.0)
-        size = float(np.linalg.norm(earth))
-        return max(0.0, size - most), sigma, earth / max(size, 1e-9)
-
 
 def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     """Return the priors from the knowledge of a robot and its place.
@@ -164,7 +140,8 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         "came",
     ):
         scale[AT[name]] = 0.0
-    mean[EARTH], earth = _earth(knowledge)
+    fields = Fields.of(knowledge.reference)
+    mean[EARTH] = fields.gaussian.mean
     most = {name: each.most for name, each in UNKNOWNS.items()}
     sizes = dict(SIZES)
     if knowledge.exact_sensors:
@@ -189,20 +166,4 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if knowledge.soft_iron.sigma_diagonal == 0.0:
         for name in ("axes", "soft_iron", "shielding"):
             scale[AT[name]] = 0.0
-    strength = STRONGEST if knowledge.reference.strength.is_unknown else None
-    return Priors(mean, scale, earth, strength, spread, most, sizes)
-
-
-def _earth(knowledge: Knowledge) -> tuple[FloatArray, FloatArray]:
-    """Return the expected level and downward field, µT, and their covariance."""
-    wide = np.square(UNKNOWNS["earth"].sigma)
-    strength, dip = knowledge.reference.strength, knowledge.reference.inclination
-    if strength.is_unknown and dip.is_unknown:
-        return np.array([25.0, 20.0]), np.diag(wide)
-    size = 45.0 if strength.is_unknown else strength.value * MICROTESLA
-    angle = math.radians(55.0) if dip.is_unknown else dip.value
-    size_sigma = 20.0 if strength.is_unknown else max(strength.sigma * MICROTESLA, 1e-3)
-    angle_sigma = 0.7 if dip.is_unknown else max(dip.sigma, 1e-5)
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    spread = np.diag([size_sigma**2, (size * angle_sigma) ** 2])
-    return size * turn[:, 0], turn @ spread @ turn.T
+    return Priors(mean, scale, fields, spread, most, sizes)

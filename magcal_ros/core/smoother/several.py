@@ -102,7 +102,7 @@ def _with_one_prior(models: Sequence[Model], yaw_sigma: float) -> list[Model]:
         its_scale[own], its_mean[own] = model.priors.scale[own], model.priors.mean[own]
         if model.priors.sizes["street"].usual > NOTHING:
             its_scale[AT["place"]] = UNKNOWNS["place"].sigma
-        priors = replace(model.priors, scale=its_scale, mean=its_mean, earth=first.earth)
+        priors = replace(model.priors, scale=its_scale, mean=its_mean, fields=first.fields)
         out.append(replace(model, priors=priors))
     return out
 

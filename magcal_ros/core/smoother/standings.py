@@ -206,7 +206,7 @@ class Standings:
         free = self.free
         information = np.zeros((SHARED, SHARED))
         information[free, free] = self.priors.scale[free] ** -2.0
-        information[EARTH, EARTH] = np.linalg.inv(self.priors.earth)
+        information[EARTH, EARTH] = self.priors.fields.gaussian.information
         offset = self.priors.mean - state.shared
         return Prior(local, -state.local, information[np.ix_(free, free)], offset[free])
 

@@ -126,7 +126,7 @@ def without_rates(priors: Priors, *, rests: bool) -> Priors:
     for name in ("axis", "upright", "sway_arm"):
         scale[AT[name]] = UNKNOWNS[name].sigma
     scale[AT["latency"]] = 0.0
-    if priors.earth[0, 0] >= UNKNOWNS["earth"].sigma[0] ** 2:
+    if not priors.fields.is_known:
         scale[AT["shielding"]] = 0.0
     # Without a rest nothing shows how large a shift is that lasts while the robot moves.
     spread = priors.spread if rests else {**priors.spread, "force_moving": 0.0}
@@ -175,15 +175,13 @@ def _as_state(guess: Guess, nodes: Nodes, priors: Priors) -> tuple[State, Priors
     level, down = guess.strength * np.array(
         [math.cos(guess.inclination), math.sin(guess.inclination)]
     )
-    about = priors.about(guess.iron, level)
-    if about.earth[0, 0] < priors.earth[0, 0] + 1.0:
-        shared[EARTH] = level, down
+    shared[EARTH] = level, down
     if priors.scale[SHIELDING] > 0.0:
         shared[SHIELDING] = _gain(nodes.field, guess.attitude, shared[EARTH]) - 1.0
     local = np.zeros((len(nodes), LOCAL))
     assert nodes.tied_to is not None
     local[:, RATE] = nodes.rate @ nodes.tied_to[:, 2:]
-    return State(guess.attitude, local, shared), about
+    return State(guess.attitude, local, shared), priors.about(guess.iron)
 
 
 def _gain(field: FloatArray, attitude: FloatArray, earth: FloatArray) -> float:
