@@ -9,7 +9,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,7 @@ from magcal_ros.core.doctor.page import Page, examine
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.frame_tree import pose_in_words
-from magcal_ros.core.knowledge import Knowledge, Mounting, ReferenceField
+from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_course
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.window import SensorLog
@@ -366,7 +366,7 @@ def gathered(
     mounting, described, pose = recorded.mounting_from(options), "", listener.described_pose
     # A pose that the user gives takes precedence over the description.
     if pose is not None and not any(options.mount_rpy_deg):
-        mounting, described = Mounting(mounting.gains, pose), pose_in_words(pose)
+        mounting, described = replace(mounting, pose=pose), pose_in_words(pose)
     more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
     more += [
         wrong("publishers", "publishers", words, CROWD) for words in listener.several_publishers

@@ -105,12 +105,16 @@ def add_knowledge_options(parser: argparse.ArgumentParser) -> None:
     pose: dict[str, Any] = {"default": [0.0] * 3, "metavar": ANGLES}
     words = "its nominal pose in the IMU's frame, °"
     add_three(group, "--mount-rpy-deg", number(-360.0, 360.0), words, **pose)
+    words = "yaw of the IMU in the vehicle, to the left of its front, °"
+    turned: dict[str, Any] = {"default": 0.0, "metavar": "YAW", "help": words}
+    group.add_argument("--vehicle-yaw-deg", type=number(-360.0, 360.0), **turned)
 
 
 def mounting_from(options: argparse.Namespace) -> Mounting:
     """Return how the sensor is built in, by the options."""
     pose = rotation_from_rpy(*map(math.radians, options.mount_rpy_deg))
-    return Mounting(options.soft_iron_gains, pose)
+    in_vehicle = rotation_from_rpy(0.0, 0.0, math.radians(options.vehicle_yaw_deg))
+    return Mounting(options.soft_iron_gains, pose, forward=in_vehicle[0])
 
 
 def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManager[Source]:

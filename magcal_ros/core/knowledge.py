@@ -105,9 +105,11 @@ class Mounting:
     yaw_sigma: float = math.radians(5.0)
     """Radians, how far the true pose may be from it in yaw (1 sigma). Gravity shows roll and pitch
     in one turn; yaw shows in turns on different tilts only."""
+    forward: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
+    """Unit vector along the front of the vehicle in the IMU's axes. Shape (3,)."""
 
     def __post_init__(self) -> None:
-        freeze(self, gains=(3,), pose=(3, 3))
+        freeze(self, gains=(3,), pose=(3, 3), forward=(3,))
         if (self.gains <= 0.0).any():
             raise ValueError("soft-iron gains must be positive")
         if not 0.0 < self.yaw_sigma < math.inf:

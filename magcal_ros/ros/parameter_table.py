@@ -253,8 +253,9 @@ PARAMETERS: tuple[Spec, ...] = (
         "robot_description or the static transforms. Empty: the IMU's own"
     ),
     Spec("vehicle_yaw_deg", UNSET, Span(-360.0, 360.0, "°")).means(
-        "Yaw of the IMU in the vehicle by hand, to the left of its front, for base_frame; .nan for "
-        "what the robot's description says, corrected by up to 15° by what driving shows"
+        "Yaw of the IMU in the vehicle by hand, to the left of its front, for base_frame and for "
+        "calibration by a circle or a drive; .nan for what the robot's description says, corrected "
+        "by up to 15° by what driving shows"
     ),
     Spec("mount_rpy_deg", (UNSET, UNSET, UNSET), Span(-360.0, 360.0, "°")).means(
         "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF; .nan for "

@@ -17,6 +17,7 @@ from std_msgs.msg import String
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Installation
 from magcal_ros.core.errors import in_words
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.frame_tree import (
     FIXED,
     FrameJoint,
@@ -26,7 +27,7 @@ from magcal_ros.core.geometry.frame_tree import (
     pose_in_words,
     sensor_poses,
 )
-from magcal_ros.core.geometry.rotations import rotation_from_quaternion
+from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rotation_from_rpy
 from magcal_ros.core.heading.base_view import BaseView, VehicleYaw, corrected_pose
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up.follower import UpFollower
@@ -167,12 +168,14 @@ class SensorFrames:
     def mounting(self, number: int = 1, frame: str = "") -> Mounting:
         """Return how a magnetometer sits in the IMU, as it is given or described."""
         self._follow_parameters()
-        settings = self._settings()
+        settings, forward = self._settings(), self._forward
         if number == 1:
-            return replace(settings.knowledge.mounting, pose=self._poses.magnetometer)
+            pose, mounting = self._poses.magnetometer, settings.knowledge.mounting
+            return replace(mounting, pose=pose, forward=forward)
         frames, given = replace(self._frames, magnetometer=frame), settings.mounts.get(number)
+        pose = sensor_poses(frames, self._description.tree, given).magnetometer
         # The known gains are those of the first.
-        return Mounting(pose=sensor_poses(frames, self._description.tree, given).magnetometer)
+        return Mounting(pose=pose, forward=forward)
 
     def follow(self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None) -> None:
         """Compare the description with what was measured, once a second.
@@ -188,6 +191,14 @@ class SensorFrames:
         up = follower.newest
         if follower.is_at_rest and up is not None:
             self._contradiction = self._poses.contradiction(np.array(up), self._frames)
+
+    @property
+    def _forward(self) -> FloatArray:
+        """The front of the vehicle in the IMU's axes, as far as it is given or described."""
+        settings = self._settings()
+        if settings.base_frame or settings.vehicle_yaw is None:
+            return (self._view or BaseView(np.eye(3))).pose[0]
+        return rotation_from_rpy(0.0, 0.0, settings.vehicle_yaw)[0]
 
     @property
     def complaints(self) -> list[str]:

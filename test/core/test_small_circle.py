@@ -17,7 +17,7 @@ from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 ROBOT = replace(FLAT, inclination=68.0 * DEGREE)
 
 
-def judged(course, rest, radius=2.5, *, inwards=(0.8, 0.6, 0.0), wheels=None):
+def judged(course, rest, radius=2.5, *, inwards=(0.8, 0.6, 0.0), wheels=None, forward=None):
     motion, window = driven(course, ROBOT, rest)
     rate = motion.angular_rate[:, 2]
     pull = np.outer(radius * rate**2, inwards)
@@ -27,6 +27,9 @@ def judged(course, rest, radius=2.5, *, inwards=(0.8, 0.6, 0.0), wheels=None):
     pulled = collected(Window(*samples, speed=speed))
     faultless = ROBOT.knowledge(1.5e-6, 1.0 * DEGREE)
     knowledge = replace(faultless, exact_sensors=False)
+    if forward is not None:
+        mounting = replace(knowledge.mounting, forward=np.array(forward))
+        knowledge = replace(knowledge, mounting=mounting)
     outcome = calibrate(pulled, knowledge)
     gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
     sigma = predicted_heading_sigma(outcome.estimate, 0.0)
@@ -55,9 +58,13 @@ CIRCLE = {"course": lambda time: 1.0 + 0.0 * time, "rest": 0.0, "inwards": (0.0,
 
 
 def test_an_imu_that_is_mounted_sideways_is_in_the_sigma_of_a_circle_by_wheels():
-    """Ahead is its y axis, and nobody says so."""
-    error, sigma, _ = judged(**CIRCLE | {"inwards": (-1.0, 0.0, 0.0)}, wheels=1.0)
+    """Ahead is its y axis, which a parameter may say."""
+    sideways = CIRCLE | {"inwards": (-1.0, 0.0, 0.0), "wheels": 1.0}
+    error, sigma, _ = judged(**sideways)
     assert error < 2.0 * sigma
+    told, smaller, _ = judged(**sideways, forward=(0.0, 1.0, 0.0))
+    assert told < 2.0 * smaller
+    assert smaller < 0.8 * sigma
 
 
 def test_without_a_rest_the_speed_of_the_wheels_shows_it():

@@ -102,3 +102,15 @@ def test_half_a_pose_is_refused(start_node, text):
     (result,) = node.set_parameters([Parameter("mount_rpy_deg", value=text)])
     assert not result.successful
     assert "mount_rpy_deg must be" in result.reason
+
+
+@pytest.mark.parametrize("base", ["", "base_link"])
+def test_the_front_of_the_vehicle_is_known_to_the_fit(start_node, actor, base):
+    """The IMU's x points to the left: ahead is its negative y axis."""
+    node = start_node({"vehicle_yaw_deg": 90.0, "base_frame": base})
+    robot = actor()
+    if base:
+        describe(robot, "0 0 0", "0 0 0")
+        robot.run(PATIENCE, stop=lambda: robot.yaws)
+    forward = node._frames.mounting().forward
+    assert forward == pytest.approx([0.0, -1.0, 0.0], abs=1e-9)

@@ -177,12 +177,15 @@ def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = Fa
 def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
     """Return the fit of corrected nodes; None if it fails."""
     try:
-        state, _ = start(inside, priors)
-        shared = priors.mean.copy()
+        state, about = start(inside, priors)
+        shared = about.mean.copy()
+        # What a calibration left of the hard iron is about zero.
+        shared[AT["iron"]] = priors.mean[AT["iron"]]
+        about = replace(about, mean=shared.copy())
         shared[AT["gyro_bias"]] = state.shared[AT["gyro_bias"]]
         shared[EARTH] = state.shared[EARTH]
         begun = replace(state, shared=shared)
-        return fit(inside, priors, begun, KINDS[ON_WHEELS], TOLERANCES)
+        return fit(inside, about, begun, KINDS[ON_WHEELS], TOLERANCES)
     except np.linalg.LinAlgError:
         return None
 

@@ -39,6 +39,7 @@ class Priors:
     mean: FloatArray  # Shape (SHARED,)
     scale: FloatArray  # sigma of each number; zero for one that is known. Shape (SHARED,).
     fields: Fields  # of the Earth, in place of mean and scale
+    forward: FloatArray  # front of the vehicle in body axes. Shape (3,).
     spread: Mapping[str, float] = field(
         default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
     )
@@ -52,10 +53,12 @@ class Priors:
     iron_over_axes: float = IRON_OVER_AXES
     """Median distortion by soft iron over that by crooked axes."""
 
-    def about(self, iron: FloatArray) -> Priors:
-        """Return the priors with the hard iron about a start."""
+    def about(self, iron: FloatArray, axes: FloatArray) -> Priors:
+        """Return the priors about a start: its hard iron, and its level axes (`level_axes`)."""
         mean = self.mean.copy()
         mean[AT["iron"]] = iron
+        ahead, left, _ = self.forward @ axes
+        mean[AT["mounting_yaw"]] = math.atan2(left, ahead)
         return replace(self, mean=mean)
 
     @property
@@ -166,4 +169,4 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if knowledge.soft_iron.sigma_diagonal == 0.0:
         for name in ("axes", "soft_iron", "shielding"):
             scale[AT[name]] = 0.0
-    return Priors(mean, scale, fields, spread, most, sizes)
+    return Priors(mean, scale, fields, knowledge.mounting.forward, spread, most, sizes)

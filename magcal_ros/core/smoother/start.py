@@ -66,9 +66,11 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     if priors.scale[AT["motors_moving"]].any():
         shared[AT["motors_moving"]], shared[AT["motors_rate"]] = found[6:9], found[9:]
     shared[AT["gyro_bias"]] = bias * along
+    about = priors.about(found[3:6], axes)
+    shared[AT["mounting_yaw"]] = about.mean[AT["mounting_yaw"]]
     shared[EARTH] = priors.fields.at_level(math.hypot(found[0], found[1]))
     assert shared.shape == (SHARED,)
-    return State(turned @ north.T, np.zeros((len(nodes), LOCAL)), shared), priors.about(found[3:6])
+    return State(turned @ north.T, np.zeros((len(nodes), LOCAL)), shared), about
 
 
 def held_by_gyro(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -22,7 +22,7 @@ from magcal_ros.core.samples.window import Window, without_spikes
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.start import Guess, starts
-from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.state import State, level_axes
 from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
@@ -181,7 +181,8 @@ def _as_state(guess: Guess, nodes: Nodes, priors: Priors) -> tuple[State, Priors
     local = np.zeros((len(nodes), LOCAL))
     assert nodes.tied_to is not None
     local[:, RATE] = nodes.rate @ nodes.tied_to[:, 2:]
-    return State(guess.attitude, local, shared), priors.about(guess.iron)
+    about = priors.about(guess.iron, level_axes(np.median(guess.attitude[:, :, 2], axis=0)))
+    return State(guess.attitude, local, shared), about
 
 
 def _gain(field: FloatArray, attitude: FloatArray, earth: FloatArray) -> float:
