@@ -25,6 +25,8 @@ from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, UNKNO
 
 STEPS = {EARTH.stop - 1: 0.1, AT["sway_arm"].stop - 1: 0.01}
 """Of the downward field, µT, and the height above the pivot, m, by which derivatives are taken."""
+NEGLIGIBLE = 20.0
+"""Minus twice the log evidence by which a fit is worse than another one and has no weight."""
 SETTLED = 0.2
 """Step of the answer, in its own sigmas, of a fit whose last rounds still change something else."""
 
@@ -42,6 +44,8 @@ class Tolerances:
     held: int = 3
     """Rounds in which the sigmas of effects keep their usual sizes, until the rest fits."""
     gaussian: int = 5  # rounds in which all residuals count fully
+    ahead: int = 10
+    """Rounds for which the last gain of evidence is assumed to last, to see what is hopeless."""
     undamped: int = 20
     """Rounds in which each step is taken as a whole, though it may go back on the one before."""
 
@@ -90,16 +94,19 @@ def fit(
     tolerances: Tolerances = Tolerances(),
     like: Fit | None = None,
     report: Callable[[int], object] | None = None,
+    rival: float = math.inf,
 ) -> Fit:
     """Return the fit of a window by Gauss-Newton steps, with the sizes of noises and effects.
 
     The priors are those about the start. `like` is an optimum of another kind of motion to begin
-    at, or a fit of this one to continue. `report` is called with the number of each round. Raises
+    at, or a fit of this one to continue. `report` is called with the number of each round. The
+    iterations end early if the evidence will not come near `rival`, that of another fit. Raises
     `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     model = Model.of(nodes, priors, start, kind)
     point, first, fewest = _begin(model, start, kind, tolerances, like)
-    return optimum([model], [point], tolerances, first, fewest, report).fits([kind])[0]
+    found = optimum([model], [point], tolerances, first, fewest, report, rival + NEGLIGIBLE)
+    return found.fits([kind])[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +142,12 @@ def optimum(
     first: int,
     fewest: int,
     report: Callable[[int], object] | None = None,
+    limit: float = math.inf,
 ) -> Optimum:
     """Iterate from initial points to the optimum of all windows.
 
-    `first` is the number of the first round, `fewest` that from which the iterations may end.
+    `first` is the number of the first round, `fewest` that from which the iterations may end. They
+    end early if the evidence will not come below `limit`.
     Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     models, points, every = list(models), list(points), range(len(models))
@@ -158,6 +167,8 @@ def optimum(
         converged = rounds > fewest and share == 1.0 and moved < tolerances.step
         converged = converged and abs(evidence - before) < tolerances.evidence
         if converged or rounds == tolerances.rounds:
+            break
+        if rounds > fewest and 0.0 <= before - evidence < (evidence - limit) / tolerances.ahead:
             break
         before = evidence
         if rounds > tolerances.undamped:

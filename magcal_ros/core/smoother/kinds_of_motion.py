@@ -48,6 +48,8 @@ DIFFERENT_TURNS = (
     "their stamps, and check that no samples of a shaking gyro are lost"
 )
 
+BESIDE_SPOT = SMALL_CIRCLE, ON_WHEELS
+"""What a turn may be beside one on the spot. A small circle is driven any way."""
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 """Tolerances of a first, rough fit of a kind of motion, and the difference of evidence from which
 it is left out then."""
@@ -158,8 +160,11 @@ class _Trials:
                 self._progress(min((done + share) / MOST_FITS, 1.0))
 
         start = self.nodes, self._priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
+        # A drive's evidence still gains when the places on its way are known.
+        spot = self.fits.get(ON_THE_SPOT)
+        rival = math.inf if spot is None or name == ON_THE_SPOT else spot.evidence
         try:
-            found = fit(*start, tolerances, like, report)
+            found = fit(*start, tolerances, like, report, rival)
         except np.linalg.LinAlgError:
             return
         if not is_possible(found):
@@ -311,7 +316,7 @@ def smooth(
         if not knowledge.exact_sensors:
             # With exact sensors, only a turn on the spot without moved parts is tried.
             best = trials.parts_moved(best)
-            for name in trials.others:
+            for name in BESIDE_SPOT:
                 trials.add(name, best)
         if trials.likeliest in DRIVES:
             # Nodes and start were those of a turn.

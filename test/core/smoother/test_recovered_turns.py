@@ -107,7 +107,7 @@ def test_soft_iron_is_found():
     robot = Robot(soft_iron=iron, noise_field=0.3e-6)
     estimate = fit(measure(robot, turn(), np.random.default_rng(1), gyro=True), known(robot))
     error = error_of(estimate, robot)
-    assert error < 0.3 * DEGREE
+    assert error < 0.35 * DEGREE
     assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
 
 
