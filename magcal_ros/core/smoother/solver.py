@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -31,12 +32,12 @@ class Weighted:
     covariance; those of the steps bound the cost from above (Lange, Little and Taylor, JASA 84,
     1989)."""
 
-    @property
+    @cached_property
     def chi2(self) -> FloatArray:
         """Squared residuals over the variance, shape (k,)."""
         return np.asarray(np.sum(self.linear.residual**2, axis=1) / self.variance)
 
-    @property
+    @cached_property
     def weight(self) -> FloatArray:
         """Student weights over the variance, shape (k,)."""
         reach = self.freedom + self.linear.residual.shape[1]
@@ -237,8 +238,7 @@ def block_chain(diagonal: FloatArray, upper: FloatArray) -> Chain:
     pivot, inverse, gain = diagonal.copy(), np.empty_like(diagonal), np.empty_like(upper)
     for k, beside in enumerate(upper):
         inverse[k] = np.linalg.inv(pivot[k])
-        gain[k] = inverse[k] @ beside
-        pivot[k + 1] -= beside.T @ gain[k]
+        pivot[k + 1] -= beside.T @ np.matmul(inverse[k], beside, out=gain[k])
     inverse[-1] = np.linalg.inv(pivot[-1])
     factor = np.linalg.cholesky(pivot)
     log_determinant = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
