@@ -20,6 +20,11 @@ AFTER_OTHERS := nice -n 15
 BY_TWO := --numprocesses 2 --dist worksteal
 BY_THREE := --numprocesses 3 --dist worksteal
 
+# Each process would rewrite the asserts of all tests, to say more where one fails: seconds of a
+# core. Instead what failed runs once more with the words, and has failed all the same.
+PLAIN := --assert=plain
+ALONE := --last-failed --last-failed-no-failures none
+
 .PHONY: demo test lint types unit ros nightly bench soak matrix docs pictures clean
 
 demo: $(VENV)/.demo
@@ -33,11 +38,14 @@ lint: $(VENV)/.test
 	$(AFTER_OTHERS) $(BIN)/ruff check .
 	$(AFTER_OTHERS) $(BIN)/ruff format --check .
 
+# The package. `make nightly` checks what measures it and what makes its cases, too.
 types: $(VENV)/.test
-	$(AFTER_OTHERS) $(BIN)/mypy
+	$(AFTER_OTHERS) $(BIN)/mypy magcal_ros
+
+UNIT_TESTS := $(AFTER_OTHERS) $(BIN)/python -m pytest -q --ignore test/ros
 
 unit: $(VENV)/.test
-	$(AFTER_OTHERS) $(BIN)/python -m pytest -q $(BY_TWO) --ignore test/ros
+	$(UNIT_TESTS) $(PLAIN) $(BY_TWO) || { $(UNIT_TESTS) $(ALONE); exit 1; }
 
 # A robot that turns itself is stopped, rightly, when the machine stalls for .3 s. A test that
 # this ended, by the node's own words, is run again; a test that failed otherwise is not.
@@ -45,7 +53,6 @@ STALLED := --reruns 3 --only-rerun 'keeps? the machine busy'
 
 # What failed beside the other jobs is run once more alone: a fault of ours fails again.
 ROS_TESTS := $(BIN)/python -m pytest -q -o cache_dir=.pytest_cache/ros test/ros
-ALONE := --last-failed --last-failed-no-failures none
 
 # Each process has a DDS domain of its own.
 ros: $(VENV)/.test
@@ -54,6 +61,7 @@ ros: $(VENV)/.test
 
 # Everything once more, with statistics over many seeds and ten times as many random cases.
 nightly: $(VENV)/.test
+	$(BIN)/mypy
 	$(BIN)/python -m pytest -m '' --hypothesis-profile nightly --timeout=1800
 	$(BIN)/python benchmarks/soak.py --hours 0.5 --rate 400
 

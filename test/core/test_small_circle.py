@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -57,6 +58,11 @@ def test_without_a_rest_sigma_holds_it_and_says_why():
 CIRCLE = {"course": lambda time: 1.0 + 0.0 * time, "rest": 0.0, "inwards": (0.0, 1.0, 0.0)}
 
 
+@cache
+def on_the_circle():
+    return judged(**CIRCLE)
+
+
 def test_an_imu_that_is_mounted_sideways_is_in_the_sigma_of_a_circle_by_wheels():
     """Ahead is its y axis, which a parameter may say."""
     sideways = CIRCLE | {"inwards": (-1.0, 0.0, 0.0), "wheels": 1.0}
@@ -68,7 +74,7 @@ def test_an_imu_that_is_mounted_sideways_is_in_the_sigma_of_a_circle_by_wheels()
 
 
 def test_without_a_rest_the_speed_of_the_wheels_shows_it():
-    error, sigma, _ = judged(**CIRCLE)
+    error, sigma, _ = on_the_circle()
     by_wheels, smaller, _ = judged(**CIRCLE, wheels=1.0)
     assert by_wheels < 0.5 * error
     assert smaller < 0.7 * sigma
@@ -76,6 +82,6 @@ def test_without_a_rest_the_speed_of_the_wheels_shows_it():
 
 
 def test_a_speed_that_nobody_fills_in_says_nothing():
-    error, sigma, _ = judged(**CIRCLE)
+    error, sigma, _ = on_the_circle()
     with_zeros, same, _ = judged(**CIRCLE, wheels=0.0)
     assert (with_zeros, same) == (error, sigma)

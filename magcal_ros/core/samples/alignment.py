@@ -16,7 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import chained, exp_rotations, signed_permutations, skews
+from magcal_ros.core.geometry.rotations import (
+    chained,
+    crossed,
+    exp_rotations,
+    signed_permutations,
+    skews,
+)
 from magcal_ros.core.samples.window import Stretch
 
 
@@ -228,7 +234,7 @@ class AlignmentFit:
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
         rate = (1.0 + state[:, SCALE, None, None]) * self.rate - state[:, None, BIAS]
         # What was measured a second ago was less turned by this.
-        late = np.cross(rate, body)
+        late = crossed(rate, body)
         seen = body + state[:, LAG, None, None] * late
         soft = np.eye(3) + state[:, SOFT].reshape(-1, 1, 3, 3)
         count, n = body.shape[:2]

@@ -7,13 +7,14 @@ R <- exp(phi) R; all derivatives are of the prediction.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle
 from magcal_ros.core.geometry.rotations import (
+    crossed,
     exp_rotations,
     rotation_from_rpy,
     rotation_vectors,
@@ -71,6 +72,7 @@ class Linear:
     shared: FloatArray | None = None
     """By the shared unknowns; those of the centres of `Places` may be left out at the end. Shape
     (k, d, s)."""
+    _chosen: dict[bytes, FloatArray] = field(default_factory=dict, init=False, repr=False)
 
     def part(self, components: slice) -> Linear:
         """Return some components of the residuals."""
@@ -80,7 +82,11 @@ class Linear:
     def by(self, free: IntArray) -> FloatArray:
         """Return the derivatives by the free shared unknowns, without those left out."""
         assert self.shared is not None
-        return self.shared[:, :, free[free < self.shared.shape[2]]]
+        # Equations, sizes and costs all ask for the same ones.
+        asked = free.tobytes()
+        if asked not in self._chosen:
+            self._chosen[asked] = self.shared[:, :, free[free < self.shared.shape[2]]]
+        return self._chosen[asked]
 
 
 def installation(shared: FloatArray) -> FloatArray:
@@ -179,14 +185,14 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     for k in range(6):
         by[:, :, AT["soft_iron"].start + k] = turned @ ELEMENT_MATRICES[k]
     by[:, :, SHIELDING] = turned @ LEVEL
-    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: _about_x(shared).T @ Y}
-    axes |= dict.fromkeys((YAW, TURNED), turn @ Z)
+    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: _about_x(shared).T @ Y, YAW: turn @ Z}
+    turned_street = inside_street @ turn.T
     for k, axis in axes.items():
-        across = np.cross(turned, axis)
-        by[:, :, k] = across @ bend.T + np.cross(inside_street @ turn.T, axis)
+        by[:, :, k] = crossed(turned, axis) @ bend.T + crossed(turned_street, axis)
+    by[:, :, TURNED] = by[:, :, YAW]
     by[:, :, AT["latency"].start] = np.einsum(
-        "nij,nj->ni", by_earth, np.cross(rate, earth)
-    ) + np.einsum("nij,nj->ni", by_street, np.cross(rate, street))
+        "nij,nj->ni", by_earth, crossed(rate, earth)
+    ) + np.einsum("nij,nj->ni", by_street, crossed(rate, street))
     return Linear(nodes.field - predicted, here, None, by)
 
 
@@ -237,7 +243,7 @@ def force(course: Course, state: State) -> Linear:
     sideways = mean @ QUARTER.T @ level.T
     # Of w x (w x r) and of the turning about up, with w = measured - bias.
     by[:, :, AT["gyro_bias"]] = (
-        skews(np.cross(rate, arm)) + spin @ skews(arm[None])[0] - sideways[:, :, None] * up
+        skews(crossed(rate, arm)) + spin @ skews(arm[None])[0] - sideways[:, :, None] * up
     )
     return Linear(nodes.force - predicted, here, there, by)
 

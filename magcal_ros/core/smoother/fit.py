@@ -19,7 +19,7 @@ from magcal_ros.core.smoother.sizes import (
     expected_square,
     noise_sizes,
 )
-from magcal_ros.core.smoother.solver import Solution, Weighted, chain_of
+from magcal_ros.core.smoother.solver import Solution, Weighted, log_determinants
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, UNKNOWNS, KindOfMotion
 
@@ -235,16 +235,20 @@ def marginal_gradient(
     there.
     """
     prior, out = prior_at(model, point), np.zeros(SHARED)
+    cases = []
     for which, step in STEPS.items():
         shared = point.state.shared.copy()
         shared[which] += step
         moved = weigh(model, replace(point, state=replace(point.state, shared=shared)))
-        parts = [
-            replace(part, linear=replace(moved[name].linear, residual=part.linear.residual))
-            for name, part in weighted.items()
-        ]
-        out[which] = chain_of(parts, prior).log_determinant - solution.chain.log_determinant
-        out[which] /= step
+        cases.append(
+            [
+                replace(part, linear=replace(moved[name].linear, residual=part.linear.residual))
+                for name, part in weighted.items()
+            ]
+        )
+    found = log_determinants(cases, prior)
+    for (which, step), each in zip(STEPS.items(), found, strict=True):
+        out[which] = (each - solution.chain.log_determinant) / step
     return out
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -30,6 +31,11 @@ def density(fields: Fields, at: np.ndarray) -> np.ndarray:
     return found
 
 
+@cache
+def density_anywhere() -> np.ndarray:
+    return density(ANYWHERE, GRID)
+
+
 def posterior(prior: EarthPrior, information: np.ndarray, at: np.ndarray):
     total = prior.information + information
     mean = np.linalg.solve(total, prior.information @ prior.mean + information @ at)
@@ -47,7 +53,7 @@ def test_mean_and_evidence_are_those_of_the_mixture(level, down, sigma) -> None:
     found, gain = ANYWHERE.seen(prior, *posterior(prior, information, at))
     off = GRID - at
     likely = np.exp(-0.5 * np.einsum("ni,ij,nj->n", off, information, off))
-    by_all = density(ANYWHERE, GRID) * likely
+    by_all = density_anywhere() * likely
     expected = by_all @ GRID / by_all.sum()
     mean, covariance = posterior(found, information, at)
     assert mean == pytest.approx(expected, abs=0.1)
