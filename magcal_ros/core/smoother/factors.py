@@ -7,7 +7,7 @@ R <- exp(phi) R; all derivatives are of the prediction.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,7 +72,6 @@ class Linear:
     shared: FloatArray | None = None
     """By the shared unknowns; those of the centres of `Places` may be left out at the end. Shape
     (k, d, s)."""
-    _chosen: dict[bytes, FloatArray] = field(default_factory=dict, init=False, repr=False)
 
     def part(self, components: slice) -> Linear:
         """Return some components of the residuals."""
@@ -82,11 +81,7 @@ class Linear:
     def by(self, free: IntArray) -> FloatArray:
         """Return the derivatives by the free shared unknowns, without those left out."""
         assert self.shared is not None
-        # Equations, sizes and costs all ask for the same ones.
-        asked = free.tobytes()
-        if asked not in self._chosen:
-            self._chosen[asked] = self.shared[:, :, free[free < self.shared.shape[2]]]
-        return self._chosen[asked]
+        return self.shared[:, :, free[free < self.shared.shape[2]]]
 
 
 def installation(shared: FloatArray) -> FloatArray:
