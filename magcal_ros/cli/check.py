@@ -15,7 +15,7 @@ from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.monitoring.recheck import SENTENCES, STATES, Recheck, check
+from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.disk import plain, write_atomically
@@ -99,7 +99,7 @@ def _words(result: Recheck, notes: list[str]) -> str:
     against = [f for f in result.findings if STATES[f.grade] != "holds"]
     found = [_row(finding) for finding in result.findings]
     by_chance = [f for f, row in zip(result.findings, found, strict=True) if row[-1] == "chance"]
-    title = f"{SENTENCES[result.state]}." if result.is_judged else NOTHING_SEEN
+    title = f"{result.sentence}." if result.is_judged else NOTHING_SEEN
     rows = [("", "raw", "corrected", "want", "stale", ""), *found]
     text = f"{title}\n\n{common.table(rows)}\n"
     text += common.bullets("What contradicts it:", [f.words for f in against if f.is_judged])
