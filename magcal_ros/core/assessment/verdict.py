@@ -14,9 +14,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.bounds import (
     ALLOWED_SIGMAS,
-    DRIVE_BOUNDS,
     FULL_ARC_DEG,
-    HEADING_BOUNDS,
     UPRIGHT,
     bounds_of,
 )
@@ -215,8 +213,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
             figures.setdefault(Figure.SIDEWAYS_ACCELERATION, angle)
     if window is not None and was_turned_over(window):
         del figures[Figure.AXIS_LEAN]
-    bounds = DRIVE_BOUNDS if _is_drive(figures) else bounds_of(estimate)
-    bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
+    bounds = bounds_of(estimate)
     stands = window is not None and usual_lean(window) * DEGREES <= UPRIGHT.good
     context = estimate, figures, knowledge, ROLLED if stands else Z_NOT_UP
     checks = [_check(bound, *context) for bound in bounds if bound.figure in figures]
