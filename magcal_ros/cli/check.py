@@ -17,6 +17,7 @@ from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
+from magcal_ros.core.session.recorded import Gathering, fault_of_drive
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.disk import plain, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
@@ -180,6 +181,10 @@ def run_drive(options: argparse.Namespace) -> int:
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it", sys.stderr
         ):
             story = replayed(knowledge, begun, repaired, travel)
+            if story.ended is None:
+                gathering = Gathering(knowledge.mounting, source.imu_topic, source.field_topic)
+                gathering.take(repaired, travel)
+                story = replace(story, fault=fault_of_drive(gathering, knowledge))
         if story.seconds == 0.0:
             raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO)
         frames = source.field_frame, source.imu_frame
@@ -199,7 +204,7 @@ def run_drive(options: argparse.Namespace) -> int:
 
 
 def _drive_words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
-    lines = [summary_of(story)]
+    lines = [common.with_options(summary_of(story))]
     lines += [f"At the end: {story.course}."] if story.course else []
     lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
     lines += common.bullets("About the recording:", notes).strip("\n").splitlines()
