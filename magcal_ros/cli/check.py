@@ -15,8 +15,9 @@ from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.monitoring.recheck import SENTENCES, STATES, Recheck, check
+from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
+from magcal_ros.core.session.recorded import Gathering, fault_of_drive
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.disk import plain, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
@@ -99,7 +100,7 @@ def _words(result: Recheck, notes: list[str]) -> str:
     against = [f for f in result.findings if STATES[f.grade] != "holds"]
     found = [_row(finding) for finding in result.findings]
     by_chance = [f for f, row in zip(result.findings, found, strict=True) if row[-1] == "chance"]
-    title = f"{SENTENCES[result.state]}." if result.is_judged else NOTHING_SEEN
+    title = f"{result.sentence}." if result.is_judged else NOTHING_SEEN
     rows = [("", "raw", "corrected", "want", "stale", ""), *found]
     text = f"{title}\n\n{common.table(rows)}\n"
     text += common.bullets("What contradicts it:", [f.words for f in against if f.is_judged])
@@ -180,6 +181,10 @@ def run_drive(options: argparse.Namespace) -> int:
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it", sys.stderr
         ):
             story = replayed(knowledge, begun, repaired, travel)
+            if story.ended is None:
+                gathering = Gathering(knowledge.mounting, source.imu_topic, source.field_topic)
+                gathering.take(repaired, travel)
+                story = replace(story, fault=fault_of_drive(gathering, knowledge))
         if story.seconds == 0.0:
             raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO)
         frames = source.field_frame, source.imu_frame
@@ -199,7 +204,7 @@ def run_drive(options: argparse.Namespace) -> int:
 
 
 def _drive_words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
-    lines = [summary_of(story)]
+    lines = [common.with_options(summary_of(story))]
     lines += [f"At the end: {story.course}."] if story.course else []
     lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
     lines += common.bullets("About the recording:", notes).strip("\n").splitlines()

@@ -25,10 +25,12 @@ from magcal_ros.core.doctor.health import TUNING, Finding, looked_at, not_shown,
 from magcal_ros.core.doctor.page import Page, examine
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.frame_tree import pose_in_words
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_course
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
+from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.disk import FileTrouble, plain, write_atomically
@@ -158,6 +160,11 @@ def _recorded(options: argparse.Namespace) -> Heard:
         reference = reference_in_use(options, source.place, newest)
         travel = source.travel
     complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
+    fields = [each.field for each in samples if isinstance(each, FieldSample)]
+    if fields and likely_field_unit(usual_size(np.array(fields))):
+        # The page has a line on it, by the usual size of the field in place of the largest.
+        largest = likely_field_unit(gathering.streams.largest_field)
+        complaints = [words for words in complaints if words != largest]
     more = tuple(looked_at("recording", "recording", words, words) for words in complaints)
     left = None if options.turned is None else options.turned == "left"
     return Heard(samples, Knowledge(reference.field, mounting), left, more, travel=travel)

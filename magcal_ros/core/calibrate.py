@@ -141,7 +141,8 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
 def judged(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Outcome:
     """Grade an estimate; its residuals are of the rows of `window`."""
     verdict = judge(estimate, knowledge, window)
-    calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
+    evidence = verdict.evidence(estimate).made_with(knowledge.reference)
+    calibration = Calibration.from_estimate(estimate, evidence)
     return Outcome(verdict, calibration, estimate, window=window)
 
 

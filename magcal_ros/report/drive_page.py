@@ -87,6 +87,11 @@ def summary_of(story: DriveStory) -> str:
         if len(changed) > 1:
             said = f"{len(changed)} calibrations from driving were put in force"
         said += f", and {back} taken back" if back else ""
+    elif story.fault:
+        said = (
+            "no calibration was in force, and none was found; the sensors may be the cause: "
+            f"{story.fault}"
+        )
     elif story.begun is None:
         said = "no calibration was in force, and the drive did not show enough for one"
         waits = any(made.verb is Verb.PROBATION for _, made in story.decisions)
@@ -97,7 +102,7 @@ def summary_of(story: DriveStory) -> str:
         )
     else:
         said = "the calibration in force stayed: no other was proved better"
-    words = f"{drove}: {said}. At the end: {story.doing}."
+    words = f"{drove}: {said}." + ("" if story.fault else f" At the end: {story.doing}.")
     if story.ended is not None:
         # A decision gives the first of these, and the grade is of it; `magcal fit` gives both.
         heading = math.degrees(predicted_heading_sigma(story.ended))

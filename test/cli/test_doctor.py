@@ -17,11 +17,11 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample
 NED = np.diag([1.0, -1.0, -1.0])
 
 
-def record(folder, axes):
+def record(folder, axes, scale=1.0):
     window, knowledge = wrong_case(axes, np.random.default_rng(2), "lift")
     folder.mkdir()
     imu = np.column_stack([window.time + 1.0, window.specific_force, window.angular_rate])
-    mag = np.column_stack([window.time + 1.0, window.field])
+    mag = np.column_stack([window.time + 1.0, scale * window.field])
     for name, rows, head in (
         ("imu.csv", imu, "t,ax,ay,az,gx,gy,gz"),
         ("mag.csv", mag, "t,mx,my,mz"),
@@ -37,6 +37,14 @@ def test_good_sensors_are_called_good(tmp_path, capsys):
     assert "x forward, y left, z up" in said
     assert "wrong" not in said
     assert "What to do" not in said
+
+
+def test_a_wrong_unit_is_said_once_in_numbers_as_published(tmp_path, capsys):
+    assert main(["doctor", *record(tmp_path / "bag", np.eye(3), scale=1e6)]) == 4
+    said = capsys.readouterr().out
+    assert said.count("looks like microtesla published as tesla") == 1
+    assert re.search(r"field: unit +usually \d\d\.\d T as published", said)
+    assert "e+" not in said
 
 
 def test_the_orientation_in_a_bag_is_compared_with_the_field(tmp_path, capsys):

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from drives import write_bag, write_csv
+from drives import drive, write_bag, write_csv
 from simulated.drive import Vehicle, simulated_drive
 from simulated.legs import Leg, city
 from simulated.travel import travel
@@ -120,3 +120,36 @@ def test_a_recording_without_a_gyro_is_told_that_a_drive_needs_one(tmp_path, cap
     assert main(["drive", str(folder), "--output", str(out)]) == 3
     assert "the recording has no gyro" in capsys.readouterr().err
     assert not out.exists()
+
+
+def rewritten(folder, name, columns, scale, into):
+    """Write a folder of tables again, some columns of one of them times a number."""
+    into.mkdir()
+    for file in folder.iterdir():
+        (into / file.name).write_text(file.read_text())
+    head, *rows = (into / name).read_text().splitlines()
+    values = np.array([[float(value) for value in row.split(",")] for row in rows])
+    values[:, columns] *= scale
+    np.savetxt(into / name, values, delimiter=",", header=head, comments="", fmt="%.12g")
+    return into
+
+
+def test_a_drive_with_a_gyro_in_degrees_is_told_so(tmp_path, capsys):
+    """And not that it did not show enough."""
+    good = write_csv(tmp_path / "good", drive(800.0))
+    folder = rewritten(good, "imu.csv", slice(4, 7), math.degrees(1.0), tmp_path / "csv")
+    assert main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
+    said = capsys.readouterr().out
+    assert "the sensors may be the cause" in said
+    assert "degrees/s published as rad/s" in said
+    assert "did not show enough" not in said
+    assert "degrees/s published as rad/s" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_drive_with_a_field_in_microtesla_is_told_so(driven, tmp_path, capsys):
+    """And not that it has no gyro."""
+    folder = rewritten(driven, "mag.csv", slice(1, 4), 1e6, tmp_path / "csv")
+    assert main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
+    said = capsys.readouterr().err
+    assert "microtesla published as tesla" in said
+    assert "no gyro" not in said

@@ -67,7 +67,11 @@ class TestEveryMethod:
         )
         assert evidence.reasons == tuple(check.words for check in verdict.checks)
         assert evidence.not_shown == verdict.not_shown
-        assert evidence.figures == estimate.figures
+        used = {
+            "reference_strength": ROBOT.strength,
+            "reference_inclination": ROBOT.inclination,
+        }
+        assert evidence.figures == {**estimate.figures, **used}
         assert not evidence.accepted_by_user
 
     @pytest.mark.parametrize(

@@ -20,12 +20,14 @@ INSTALLATION = Bound(
     when_refused=SITS_OTHERWISE,
 )
 """Rotation of the magnetometer from its nominal pose."""
+SIZE_READ = "the sensor reads the Earth's field larger or smaller than the reference by"
 AGAINST_REFERENCE: tuple[Bound, ...] = (
     Bound(
         Figure.RADIUS_MISFIT,
         (3.0, 10.0, 25.0),
-        "radius of the field against the reference",
-        "check reference.strength_ut and inclination_deg, or look for soft iron and steel nearby",
+        SIZE_READ,
+        "check the sensor's scale, and reference.strength_ut and inclination_deg, or look for soft "
+        "iron and steel nearby",
         unit="%",
     ),
     Bound(
@@ -175,11 +177,17 @@ ALLOWED_SIGMAS = 2.0
 
 
 def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
-    """Return the bounds of a turn, adapted to its motors' field and the sigma of its arc."""
-    return tuple(_adapted(bound, estimate) for bound in TURN_BOUNDS)
+    """Return the bounds of what was fitted, adapted to its figures."""
+    bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in estimate.figures else TURN_BOUNDS
+    bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in estimate.figures else bounds
+    return tuple(_adapted(bound, estimate) for bound in bounds)
 
 
 def _adapted(bound: Bound, estimate: Estimate) -> Bound:
+    if bound.figure is Figure.RADIUS_MISFIT:
+        is_larger = estimate.figures.get(Figure.RADIUS_RATIO, 1.0) > 1.0
+        which = "larger" if is_larger else "smaller"
+        return replace(bound, words=SIZE_READ.replace("larger or smaller", which))
     if bound.figure is Figure.MOTOR_FIELD and estimate.motors is not None:
         by_gyro = Figure.GYRO_CARRIED in estimate.figures
         remedy = MOTORS_TAKEN_OFF if by_gyro else MOTORS_PARTLY_SHOWN

@@ -14,9 +14,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.bounds import (
     ALLOWED_SIGMAS,
-    DRIVE_BOUNDS,
     FULL_ARC_DEG,
-    HEADING_BOUNDS,
     UPRIGHT,
     bounds_of,
 )
@@ -43,7 +41,13 @@ from magcal_ros.core.calibration.heading_sigma import (
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.units import Z_NOT_UP, likely_acceleration_unit, likely_field_unit
+from magcal_ros.core.samples.units import (
+    ROLLED,
+    Z_NOT_UP,
+    likely_acceleration_unit,
+    likely_field_unit,
+    was_turned_over,
+)
 from magcal_ros.core.samples.window import Window
 
 
@@ -179,6 +183,10 @@ FLAGS = {
 AGAIN = "turn once more, evenly, away from moving iron"
 DRIVE_ELSEWHERE = "drive elsewhere, evenly, away from moving iron"
 NO_REFERENCE = "the size of the field: the reference field is not known"
+WHICH_WAY_UP = (
+    "whether the IMU's z points up when the robot stands: the sensor was turned over, so nothing "
+    "shows it"
+)
 LEVEL_ONLY = (
     "the hard iron along the vertical axis: its error may be larger than its sigma, so without the "
     "position rely on the heading on level ground only"
@@ -203,9 +211,12 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
             steady = figures.get(Figure.STEADY_ACCELERATION)
             angle = sideways_acceleration(window) if steady is None else math.atan(steady)
             figures.setdefault(Figure.SIDEWAYS_ACCELERATION, angle)
-    bounds = DRIVE_BOUNDS if _is_drive(figures) else bounds_of(estimate)
-    bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
-    checks = [_check(b, estimate, figures, knowledge) for b in bounds if b.figure in figures]
+    if window is not None and was_turned_over(window):
+        del figures[Figure.AXIS_LEAN]
+    bounds = bounds_of(estimate)
+    stands = window is not None and usual_lean(window) * DEGREES <= UPRIGHT.good
+    context = estimate, figures, knowledge, ROLLED if stands else Z_NOT_UP
+    checks = [_check(bound, *context) for bound in bounds if bound.figure in figures]
     doubt = check_reference(estimate, figures, knowledge)
     if doubt is not None:
         checks.append(doubt)
@@ -233,12 +244,20 @@ def _is_full(arc: float) -> bool:
 
 
 def _check(
-    bound: Bound, estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge
+    bound: Bound,
+    estimate: Estimate,
+    figures: Mapping[Figure, float],
+    knowledge: Knowledge,
+    against_lean: str,
 ) -> Check:
-    """Grade one figure, allowing for the uncertainty of the reference."""
+    """Grade one figure, allowing for the uncertainty of the reference.
+
+    `against_lean` is the remedy for an axis that is not upright.
+    """
     figure = figures[bound.figure]
-    if bound.after_full and figures[Figure.AXIS_LEAN] * DEGREES > UPRIGHT.good:
-        bound = replace(bound, remedy=Z_NOT_UP)
+    leans = figures.get(Figure.AXIS_LEAN, 0.0) * DEGREES > UPRIGHT.good
+    if bound.figure is Figure.AXIS_LEAN or (bound.after_full and leans):
+        bound = replace(bound, remedy=against_lean)
     elif bound.after_full and _is_full(figures[Figure.ARC]):
         bound = replace(bound, remedy=bound.after_full)
     if bound.figure is Figure.HEADING_SIGMA:
@@ -326,8 +345,10 @@ def _not_shown(
         found.append(GYRO_UNUSED if has_gyro else NO_GYRO)
     if not knowledge.reference.is_complete:
         found.append(NO_REFERENCE)
-        if _is_drive(figures):
+        if _is_drive(figures) and Figure.AXIS_LEAN in figures:
             found.append(LEVEL_ONLY)
+    if Figure.AXIS_LEAN not in figures:
+        found.append(WHICH_WAY_UP)
     return tuple(found)
 
 

@@ -13,6 +13,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, freeze
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
+from magcal_ros.core.knowledge import ReferenceField
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,16 @@ class Evidence:
     accepted_by_user: bool = False  # whether a person put it in force against the verdict
     figures: Mapping[str, float] = field(default_factory=dict)
     """Figures of the method, SI, by the names of `Figure`; other versions may have others."""
+
+    def made_with(self, reference: ReferenceField) -> Evidence:
+        """Return the same evidence with the reference field that was used, if it is known."""
+        if not reference.is_complete:
+            return self
+        used = {
+            Figure.REFERENCE_STRENGTH.value: reference.strength.value,
+            Figure.REFERENCE_INCLINATION.value: reference.inclination.value,
+        }
+        return replace(self, figures={**self.figures, **used})
 
     def figure(self, name: Figure, default: float) -> float:
         """Return a figure, or `default` where it was not measured."""

@@ -41,6 +41,10 @@ class Figure(str, Enum):
     ITERATIONS = "iterations"  # steps of the optimisation from the search's optimum to the last
     AXIAL_IRON = "axial_iron"
     """Hard iron along the turn's axis where only the reference field shows it, tesla."""
+    REFERENCE_STRENGTH = "reference_strength"
+    REFERENCE_INCLINATION = "reference_inclination"
+    """The reference field that the calibration was made with, tesla and radians; absent if it was
+    not known."""
     INSTALLATION_ANGLE = "installation_angle"  # radians of the whole installation error
     INSTALLATION_YAW_SIGMA = "installation_yaw_sigma"
     """Standard deviation of the installation's yaw, radians; absent where nothing shows it."""

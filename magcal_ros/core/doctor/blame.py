@@ -295,7 +295,7 @@ def _accused(
     names = " or ".join(said)
     if len(said) > 1:
         evidence = f"{names} contradicts the other sensors"
-        asked = f"this movement does not show which of them has wrong axes: {LIFT}. "
+        asked = f"{names} has wrong axes, and this movement does not show which: {LIFT}. "
         asked += f"Either {'; or '.join(said.values())}"
         if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
             asked += f"; or {FIELD_POINTS_UP}"

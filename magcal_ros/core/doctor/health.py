@@ -176,26 +176,31 @@ def repeats(values: FloatArray) -> BoolArray:
     return same
 
 
+def _in_words(field: float, unit: str) -> str:
+    """Write a field in microtesla, or as it is published if that has the wrong `unit`."""
+    return f"{field:.3g} T as published" if unit else f"{field * 1e6:.3g} µT"
+
+
 def field_findings(field: FloatArray) -> list[Finding]:
     """Look at raw field samples in tesla, shape (n, 3), in the order in which they came."""
     size = usual_size(field)
     unit = likely_field_unit(size)
     line = wrong if unit else looked_at
-    words = f"usually {size * 1e6:.3g} µT, hard iron included"
+    words = f"usually {_in_words(size, unit)}, hard iron included"
     found = [line("field_unit", "field: unit", words, unit)]
     step = max(_step(field[:, axis]) for axis in range(3))
     words = "choose a finer range of the sensor, or average in the driver"
-    evidence = f"steps of {step * 1e6:.2g} µT" if step else "no steps seen"
+    evidence = f"steps of {_in_words(step, unit)}" if step else "no steps seen"
     found.append(
         looked_at("resolution", "field: resolution", evidence, words * (step > TUNING.coarse))
     )
     full = [axis for axis in range(3) if saturated(field, axis).any()]
-    largest = float(np.abs(field).max()) * 1e6
+    largest = float(np.abs(field).max())
     words = (
         f"{_axes(full)} reached the end of the range: choose a wider range, or move the sensor "
         "away from magnets"
     )
-    line, evidence = wrong if full else looked_at, f"at most {largest:.3g} µT on an axis"
+    line, evidence = wrong if full else looked_at, f"at most {_in_words(largest, unit)} on an axis"
     found.append(line("saturation", "field: range", evidence, words * bool(full)))
     found.append(alive_finding("field", field))
     return found
@@ -319,12 +324,13 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
     The streams are clean, and `factor` makes rad/s of the gyro's numbers.
     """
     field = float(white_noise(log.field).max())
-    is_noisy = field > TUNING.field_noise and not likely_field_unit(usual_size(log.field))
+    unit = likely_field_unit(usual_size(log.field))
+    is_noisy = field > TUNING.field_noise and not unit
     words = (
         "the field is noisy: average in the driver, and move the sensor away from motors and their "
         "wires"
     )
-    evidence = f"{field * 1e6:.2f} µT per sample"
+    evidence = f"{_in_words(field, unit)} per sample"
     found = [looked_at("field_noise", "field: noise", evidence, words * is_noisy)]
     if log.has_gyro:
         rate = factor * float(white_noise(log.rate).max())

@@ -241,6 +241,8 @@ def motors_finding(log: SensorLog, way: Way, lag_is_shown: bool) -> Finding:
         f"({words}) ± {off * 1e6:.1f} µT while the robot turns: up to {math.degrees(turned):.0f}° "
         "of heading"
     )
+    if strength <= TUNING.motors:
+        evidence = f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT while the robot turns"
     remedy = MOVE_THE_SENSOR if turned > TUNING.turned_too_far else TURN_BETWEEN_RESTS
     remedy += "" if lag_is_shown else OR_LATE
     return looked_at("motors", MOTORS, evidence, remedy * is_seen)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from magcal_ros.core.assessment.verdict import NO_REFERENCE
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.earth_field.wmm import (
     EARTH_RADIUS,
     VALIDITY,
@@ -317,20 +318,25 @@ def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
 def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
     """Return the warning that a calibration was made in another field; empty if it was not.
 
-    It is empty for a calibration that was made without a reference.
+    The references are compared: steel at the place of the turn bends the field, but does not move
+    it. It is empty for a calibration that was made without a reference; a file from before, which
+    does not store it, has the field that was found.
     """
     if NO_REFERENCE in calibration.evidence.not_shown or not reference.is_complete:
         return ""
     strength, dip = reference.strength, reference.inclination
+    evidence = calibration.evidence
+    size = evidence.figure(Figure.REFERENCE_STRENGTH, calibration.strength)
+    angle = evidence.figure(Figure.REFERENCE_INCLINATION, calibration.inclination)
     is_same = (
-        abs(calibration.strength - strength.value) <= CLEAR * strength.sigma
-        and abs(calibration.inclination - dip.value) <= CLEAR * dip.sigma
+        abs(size - strength.value) <= CLEAR * strength.sigma
+        and abs(angle - dip.value) <= CLEAR * dip.sigma
     )
     if is_same or strength.is_exact or dip.is_exact:
         return ""
     return (
-        f"the calibration was made in a field of {calibration.strength * 1e6:.1f} µT, inclination "
-        f"{math.degrees(calibration.inclination):.1f}°, but here it is {strength.value * 1e6:.1f} "
+        f"the calibration was made in a field of {size * 1e6:.1f} µT, inclination "
+        f"{math.degrees(angle):.1f}°, but here it is {strength.value * 1e6:.1f} "
         f"µT, inclination {math.degrees(dip.value):.1f}°: if it was made elsewhere, calibrate "
         "again here"
     )

@@ -72,6 +72,11 @@ class SelfCalibration:
         sought = "a calibration" if self._in_force is None else "a better calibration"
         return f"looking for {sought}, {self.recorder.seconds / 60.0:.0f} min of driving remembered"
 
+    @property
+    def _compared(self) -> Calibration | None:
+        """What anything new has to be better than: the proposal, or else what is in force."""
+        return self._in_force if self.proposal is None else self.proposal
+
     def forget(self) -> None:
         """Forget the drive and its results: the sensors have changed, or the mode has."""
         self.recorder.begin_anew()
@@ -129,7 +134,7 @@ class SelfCalibration:
         self._is_pending, self._is_outdated = True, False
         self._looked = self.recorder.clock
         self._round += 1
-        in_force, windows = self._in_force, KEEPING.windows
+        in_force, windows = self._compared, KEEPING.windows
         contests = {kind.value: each.steps for kind, each in self._on_probation.items()}
         if self._trial is not None:
             contests[TRIAL] = (self._trial,)
@@ -160,7 +165,7 @@ class SelfCalibration:
         return made
 
     def _weigh(self, findings: Findings) -> list[Decision]:
-        in_force = self._in_force
+        in_force = self._compared
         if in_force is None:
             return self._begin(findings)
         made = self._tried(findings)
@@ -201,6 +206,10 @@ class SelfCalibration:
         why = proof.stands()
         if why:
             self._trial, self._not_before = None, trial.since
+            if self.proposal is not None and is_same(trial.calibration, self._in_force):
+                self.proposal = None
+                words = f"the proposal is withdrawn, as what is in force is better: {why}"
+                return [Decision(findings.clock, Verb.DROPPED, words)]
             words = f"the earlier calibration was better after all: {why}"
             return [self._change(findings.clock, trial.calibration, words, Verb.ROLLED_BACK)]
         if proof.seconds > KEEPING.longest_trial:
@@ -250,7 +259,6 @@ class SelfCalibration:
             for each in findings.candidates
             if self._is_believable(each)
             and (is_another(each, in_force) or is_finer(each, in_force))
-            and not self._is_offered(each)
         ]
         if not good:
             return []
@@ -259,21 +267,21 @@ class SelfCalibration:
             # On the road since, both are about as likely: their sigmas are the proof.
             known = math.degrees(known_sigma(in_force))
             words = (
-                f"{best.in_words}: it agrees with the calibration in force, which was known to "
-                f"±{known:.1f}°"
+                f"{best.in_words}: it agrees with the calibration {self._which}, which was known "
+                f"to ±{known:.1f}°"
             )
             return [self._change(findings.clock, best.calibration, words)]
         if Kind.ALL in self._on_probation:
             return []
         self._on_probation[Kind.ALL] = Probation.of(best)
         apart = math.degrees(difference(in_force, best.calibration))
-        words = f"{best.in_words} differs by {apart:.1f}° from what is in force"
+        words = f"{best.in_words} differs by {apart:.1f}° from what is {self._which}"
         return [Decision(findings.clock, Verb.PROBATION, words)]
 
     def _notice(self, findings: Findings, in_force: Calibration) -> list[Decision]:
         """Say that the hard iron seems to have changed, and put the new one on probation."""
         since = findings.since_change
-        if since is None or Kind.IRON in self._on_probation or self._is_offered(since):
+        if since is None or Kind.IRON in self._on_probation:
             return []
         sigma = math.hypot(since.sigma, calibration_sigma(in_force))
         apart = difference(in_force, since.calibration)
@@ -291,19 +299,17 @@ class SelfCalibration:
 
     def _is_believable(self, candidate: DriveCandidate) -> bool:
         largest, few = KEEPING.largest_sigma, KEEPING.fewest_sectors
-        if candidate.kind is Kind.IRON and self._in_force is not None:
+        if candidate.kind is Kind.IRON and self._compared is not None:
             few = KEEPING.fewest_for_iron
             # What is plainly broken gives way to what is known roughly.
-            apart = difference(self._in_force, candidate.calibration)
+            apart = difference(self._compared, candidate.calibration)
             largest = max(largest, KEEPING.plainly * apart)
         return candidate.sigma <= largest and candidate.sectors >= few
 
-    def _is_offered(self, candidate: DriveCandidate) -> bool:
-        """Whether the present proposal is as good, so that no second one is needed."""
-        waits = self.proposal
-        if waits is None or is_another(candidate, waits):
-            return False
-        return candidate.sigma > KEEPING.much_better * known_sigma(waits)
+    @property
+    def _which(self) -> str:
+        """What is compared, in words."""
+        return "in force" if self.proposal is None else "proposed"
 
     def _change(
         self, clock: float, calibration: Calibration, words: str, verb: Verb = Verb.APPLIED
@@ -313,6 +319,8 @@ class SelfCalibration:
         calibration = replace(calibration, evidence=evidence)
         if self.mode is Mode.PROPOSE:
             self.proposal, verb = calibration, Verb.PROPOSED
+            if self._in_force is not None:
+                self._trial = Step(clock, self._in_force)
         return Decision(clock, verb, words, calibration)
 
 

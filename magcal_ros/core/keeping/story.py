@@ -56,6 +56,7 @@ class DriveStory:
     doing: str  # what went on at the end, in words
     path: DrivePath | None  # None where no calibration tells a heading
     course: str = ""  # how the compass goes against course at the end, in words; or empty
+    fault: str = ""  # what may be wrong with the sensors, where no calibration was found
 
 
 def replayed(

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_ros.core.assessment.bounds import SIGMA
+from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
@@ -59,7 +60,7 @@ def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate |
     change = find_change(nodes.between(first), job.in_force, job.knowledge)
     if change is None or change.gain < KEEPING.notice_proof:
         return None
-    return candidate_of(change.fit, Kind.IRON, job.in_force, change.since, clock)
+    return candidate_of(change.fit, Kind.IRON, job, change.since, clock)
 
 
 def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
@@ -69,7 +70,7 @@ def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandida
         return None
     start = max(job.changed, clock - KEEPING.look_back)
     fitted = drives.fit_iron(nodes.between(start), job.in_force.correction, job.knowledge)
-    return None if fitted is None else candidate_of(fitted, Kind.IRON, job.in_force, start, clock)
+    return None if fitted is None else candidate_of(fitted, Kind.IRON, job, start, clock)
 
 
 def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate | None:
@@ -77,7 +78,7 @@ def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveC
         fitted = drives.fit_drive(job.log, nodes.between(start), job.knowledge)
     except Refusal:
         return None
-    return candidate_of(fitted, Kind.ALL, job.in_force, start, end)
+    return candidate_of(fitted, Kind.ALL, job, start, end)
 
 
 def prove(nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowledge) -> Proof:
@@ -106,10 +107,10 @@ def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:
 
 
 def candidate_of(
-    fitted: drives.DriveFit, kind: Kind, before: Calibration | None, start: float, end: float
+    fitted: drives.DriveFit, kind: Kind, job: DriveJob, start: float, end: float
 ) -> DriveCandidate:
-    """Make a candidate of a fit to the road between two stamps, driven with `before` in force."""
-    posterior = fitted.posterior
+    """Make a candidate of a fit to the road between two stamps."""
+    posterior, before, reference = fitted.posterior, job.in_force, job.knowledge.reference
     sigma, covariance = posterior.heading_sigma, posterior.covariance
     if kind is Kind.IRON and before is not None:
         # The matrix is the old one's, and so is its uncertainty.
@@ -136,11 +137,20 @@ def candidate_of(
         0.01 if before is None else before.noise_up,
         posterior.strength,
         posterior.inclination,
-        Evidence(METHOD, "good", SIGMA.check(sigma).grade.value, words, figures=figures),
+        Evidence(
+            METHOD,
+            "good",
+            SIGMA.check(sigma).grade.value,
+            words,
+            not_shown=() if reference.is_complete else (NO_REFERENCE, LEVEL_ONLY),
+            figures=figures,
+        ),
         motors,
     )
     # Two more figures of the same evidence follow from it.
     by_place = local_sigma(calibration)
     figures[Figure.LOCAL_SIGMA.value] = by_place
     figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, by_place)
+    evidence = calibration.evidence.made_with(reference)
+    calibration = replace(calibration, evidence=evidence)
     return DriveCandidate(kind, calibration, sigma, fitted.sectors, start, end)

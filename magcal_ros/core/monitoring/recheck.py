@@ -8,11 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade
-from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE, TUNING, Verdict
 from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroSwing
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import known_sigma
+from magcal_ros.core.calibration.heading_sigma import (
+    CHECKED_TILT,
+    calibration_sigma,
+    known_sigma,
+)
 from magcal_ros.core.doctor.latency import drove_while_turning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
@@ -115,6 +119,8 @@ class Recheck:
     verdict: Verdict
     """Its quality says whether the calibration holds, its confidence how much of it was seen."""
     estimate: Estimate  # the old numbers with the fresh residuals, as a report shows them
+    slopes: str = ""
+    """Why the calibration's file does not show the heading on slopes; empty if it does."""
 
     @property
     def findings(self) -> tuple[Check, ...]:
@@ -130,6 +136,11 @@ class Recheck:
     def state(self) -> str:
         """One of `STATES`."""
         return STATES[self.verdict.quality]
+
+    @property
+    def sentence(self) -> str:
+        """The state, and where it holds."""
+        return sentence_of(self.state, self.slopes)
 
 
 def check(window: Window, calibration: Calibration, drive: DriveLog | None = None) -> Recheck:
@@ -166,9 +177,31 @@ def check(window: Window, calibration: Calibration, drive: DriveLog | None = Non
     is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_field_gap
     no_swing = LOST_GYRO if is_lost else NO_GYRO
     not_shown = (NO_YAW, no_swing) if swing is None else (NO_YAW,)
-    verdict = Verdict(tuple(checks), not_shown)
+    slopes = slopes_of(calibration)
+    verdict = Verdict(tuple(checks), not_shown + ((slopes,) if slopes else ()))
     estimate = _on_fresh_samples(calibration, window, up, arc, swing)
-    return Recheck(replace(verdict, says=_summary(verdict)), estimate)
+    return Recheck(replace(verdict, says=_summary(verdict, slopes)), estimate, slopes)
+
+
+def slopes_of(calibration: Calibration) -> str:
+    """Return why a calibration's file does not show the heading on slopes; empty if it does."""
+    unseen = calibration.evidence.not_shown
+    level, tilted = calibration_sigma(calibration), calibration_sigma(calibration, CHECKED_TILT)
+    least, times = TUNING.costly
+    is_costly = tilted > max(times * level, least)
+    if NO_REFERENCE not in unseen or not (is_costly or LEVEL_ONLY in unseen):
+        return ""
+    error = f"±{math.degrees(tilted):.1f}°{'' if is_costly else ' or more'} (1σ) at 10° of tilt"
+    return (
+        "the heading on slopes: the calibration was made without a position, so its hard iron "
+        f"along the vertical axis is uncertain, and the heading is wrong by {error}; give the "
+        "position when you calibrate again, or turn on ramps"
+    )
+
+
+def sentence_of(state: str, slopes: str) -> str:
+    """Return a state in words; `slopes` is empty if the calibration shows them."""
+    return SENTENCES[state] + (" on level ground" if slopes and state == "holds" else "")
 
 
 def _own(figure: Figure, calibration: Calibration) -> float:
@@ -257,11 +290,11 @@ def _figures(
     return found, GyroSwing(heading[gyro.rows], gyro.deviation, rms)
 
 
-def _summary(verdict: Verdict) -> str:
+def _summary(verdict: Verdict, slopes: str) -> str:
     """Return the state, and what speaks against the calibration."""
     state = STATES[verdict.quality]
     if state == "holds":
-        return f"{SENTENCES[state]}."
+        return f"{sentence_of(state, slopes)}."
     causes = (c for c in verdict.checks if c.aspect is Aspect.QUALITY)
     words = "; ".join(c.words for c in causes if STATES[c.grade] == state)
     return f"{SENTENCES[state]}: {words}."

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.attitude import usual_size
+from magcal_ros.core.geometry.attitude import unit, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.streams import STREAMS, SWAY, Drop, Streams
 from magcal_ros.core.samples.window import Window
@@ -68,6 +68,16 @@ Z_NOT_UP = (
     "upwards at rest)"
 )
 
+ROLLED = (
+    "the robot was rolled or pitched rather than turned; turn it a full circle about its vertical "
+    "axis"
+)
+TURNED_OVER = (
+    "the sensor was turned over, through all orientations; the method ellipsoid is for this, if "
+    "the axes of magnetometer and IMU are parallel; without it, turn the robot upright, about its "
+    "vertical axis"
+)
+
 ACCELERATION_UNITS: tuple[tuple[float, float, str, str], ...] = (
     (0.8, 1.2, "g", "9.80665"),
     (800.0, 1200.0, "milli-g", "0.00980665"),
@@ -95,7 +105,18 @@ MISLED_BY_AXES = (
 """Refusals that wrong axes can cause."""
 
 LEAST_UPRIGHT = 0.5
-"""Share of gravity on a body's z from which z counts as up: less than 60 degrees of lean."""
+"""Share of gravity on a body's z from which z counts as up: less than 60 degrees of lean. Also the
+length of the mean direction of gravity from which a sensor has a usual orientation."""
+
+
+def was_turned_over(window: Window) -> bool:
+    """Return whether the sensor had no usual orientation, as one that is turned over by hand.
+
+    Then the mean of its directions of gravity is short, and nothing shows which side is up on the
+    robot.
+    """
+    mean = unit(window.specific_force).mean(axis=0)
+    return float(np.linalg.norm(mean)) < LEAST_UPRIGHT
 
 
 def explained(refusal: Refusal, window: Window) -> Refusal:
@@ -108,7 +129,10 @@ def explained(refusal: Refusal, window: Window) -> Refusal:
     hint = likely_field_unit(usual_size(window.field))
     if not hint and refusal.reason in MISLED_BY_AXES:
         force = window.specific_force.mean(axis=0)
-        hint = Z_NOT_UP if force[2] < LEAST_UPRIGHT * float(np.linalg.norm(force)) else ""
+        if was_turned_over(window):
+            hint = TURNED_OVER
+        elif force[2] < LEAST_UPRIGHT * float(np.linalg.norm(force)):
+            hint = Z_NOT_UP
         hint = hint or bursts_in_words(window.time) or _slow_gyro_in_words(window)
     return Refusal(refusal.reason, f"{str(refusal).rstrip('.')}; {hint}") if hint else refusal
 

@@ -103,6 +103,11 @@ class Gathering:
         self._choose()
 
     @property
+    def has_samples(self) -> bool:
+        """Whether any pair of field and acceleration was made."""
+        return self._session.has_samples
+
+    @property
     def repeats(self) -> int:
         """How many field samples repeat the one before; they are left out."""
         return self.streams.field_drops[Drop.REPEATED]
@@ -191,6 +196,21 @@ def fit_gathered(
     if drive is None and method == METHODS[0]:
         drive = calibrate_drive(log, knowledge)
     return drive if drive and drive.verdict.accepted else Outcome.refused(window)
+
+
+def fault_of_drive(gathering: Gathering, knowledge: Knowledge) -> str:
+    """Return what may be wrong with the sensors of a drive without a result; empty if nothing.
+
+    A Refusal if the drive could not be read at all, with what was wrong with its samples.
+    """
+    newest, log = gathering.streams.newest_imu, gathering.drive()
+    has_gyro = newest is not None and math.isfinite(newest.rate[0])
+    if has_gyro and not gathering.has_samples:
+        gathering.window()
+    if not len(log):
+        return ""
+    nothing = Refusal(Reason.TOO_FEW_SAMPLES, "")
+    return str(blamed_on_sensors(nothing, log.window, knowledge)).rstrip(".")
 
 
 def fit_several(

@@ -300,6 +300,9 @@ def stepped(model: Model, point: Point, solution: Solution, share: float) -> Poi
     shared[model.free] = solution.shared[:free]
     shared[SHARED:] = solution.shared[free:]
     state = point.state.moved(share * solution.local, share * shared)
+    if state.is_backward and model.nodes.tied_to is None:
+        # A start may be off by half a turn, and a level field that goes through zero shows it.
+        state = state.turned_about()
     return replace(point, state=state, course=course_at(model, state))
 
 

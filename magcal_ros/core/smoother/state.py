@@ -11,7 +11,7 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.smoother.nodes import Nodes
-from magcal_ros.core.smoother.unknowns import ATTITUDE, EARTH, SHARED, Lengths
+from magcal_ros.core.smoother.unknowns import ATTITUDE, EARTH, SHARED, STREET, Lengths
 
 SECTORS = 12  # of heading
 
@@ -34,6 +34,23 @@ class State:
         values[:, ATTITUDE] = 0.0
         centres = self.centres + shared[SHARED:].reshape(-1, 3)
         return State(turned, values, self.shared + shared[:SHARED], centres)
+
+    @property
+    def is_backward(self) -> bool:
+        """Whether the level field points to the south: then all headings are off by half a turn."""
+        return bool(self.shared[EARTH][0] < 0.0)
+
+    def turned_about(self) -> State:
+        """Return the same state with the world's axes turned by half a turn about up.
+
+        Field, gravity and gyro are explained equally well. Not for a state without a gyro, whose
+        nodes have other unknowns.
+        """
+        about = np.array([-1.0, -1.0, 1.0])
+        values, shared = self.local.copy(), self.shared.copy()
+        values[:, STREET] *= about
+        shared[EARTH] *= [-1.0, 1.0]
+        return State(self.attitude * about, values, shared, self.centres * about)
 
     @property
     def yaw(self) -> FloatArray:

@@ -337,7 +337,10 @@ class TestWhatTheEstimateItselfShows:
         verdict = judge(estimate(figures=figures), vague)
         assert verdict.quality is Grade.EXCELLENT
         words = grade_of(verdict, "radius_misfit").words
-        assert words.startswith("radius of the field against the reference 20% ± 26% (2σ)")
+        larger = "the sensor reads the Earth's field larger than the reference by"
+        assert words.startswith(f"{larger} 20% ± 26% (2σ)")
+        small = judge(estimate(figures={"radius_ratio": 0.8}), vague)
+        assert "smaller than the reference by 20%" in grade_of(small, "radius_misfit").words
 
 
 class TestGravity:

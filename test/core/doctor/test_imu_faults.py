@@ -119,7 +119,7 @@ def test_what_a_level_turn_cannot_tell_is_one_question_and_no_order(seeds):
         asked += line.key == "axes"
         if line.key == "axes":
             assert (
-                "this movement does not show which of them has wrong axes: lift the nose"
+                "has wrong axes, and this movement does not show which: lift the nose"
                 in line.remedy
             )
     assert asked

@@ -203,6 +203,23 @@ def test_a_calibration_from_another_field_is_told(known):
     assert made_elsewhere(calibration, dataclasses.replace(there, strength=Belief(5e-5))) == ""
 
 
+def test_a_field_that_steel_bends_is_no_other_place(known):
+    """The one that is found may be far from the reference, here as well as at any other time."""
+    here = resolve(NOTHING, LOCAL, MUNICH, YEAR).field
+    weak = dataclasses.replace(known.calibration, strength=44e-6)
+    assert made_elsewhere(weak, here) == ""
+    there = resolve(NOTHING, LOCAL, SYDNEY, YEAR).field
+    assert "inclination 64" in made_elsewhere(weak, there)
+
+
+def test_of_a_file_from_before_the_field_that_was_found_counts(known):
+    here = resolve(NOTHING, LOCAL, MUNICH, YEAR).field
+    evidence = dataclasses.replace(known.calibration.evidence, figures={})
+    old = dataclasses.replace(known.calibration, evidence=evidence)
+    assert made_elsewhere(old, here) == ""
+    assert "44.0 µT" in made_elsewhere(dataclasses.replace(old, strength=44e-6), here)
+
+
 def test_a_calibration_without_a_reference_says_nothing_about_its_place(unknown):
     calibration = unknown.calibration
     there = resolve(NOTHING, LOCAL, SYDNEY, YEAR).field

@@ -77,6 +77,7 @@ class Keeper:
 
 
 FAR = (6e-6, 0.0, 0.0)
+SLIGHT = (0.1e-6, 0.0, 0.0)
 
 
 def test_headings_differ_by_the_iron_over_the_level_field():
@@ -177,6 +178,41 @@ def test_what_waits_for_a_word_is_offered_once():
     keeper.note(findings(120.0, since=came))
     assert keeper.note(findings(140.0, since=came, iron=PROVED)) == [Verb.PROPOSED]
     assert keeper.note(findings(160.0, since=came)) == []
+
+
+def test_with_nothing_in_force_it_is_proposed_once():
+    keeper = Keeper(mode=Mode.PROPOSE)
+    keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 2.0)))
+    assert keeper.note(findings(140.0, sized(SLIGHT, 140.0, 2.0))) == [Verb.PROPOSED]
+    for clock in (160.0, 180.0, 200.0):
+        assert keeper.note(findings(clock, sized(SLIGHT, clock, 1.8))) == []
+    assert keeper.machine.proposal is not None
+
+
+def test_the_next_proposal_has_to_be_better_than_the_one_that_waits():
+    keeper = Keeper(calibration(FAR), Mode.PROPOSE)
+    keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 2.0)))
+    assert keeper.note(findings(180.0, all=PROVED)) == [Verb.PROPOSED]
+    machine = keeper.machine
+    # Fits and proofs are against the proposal from now on, not against what is in force.
+    assert machine.job(BOSTON).in_force is machine.proposal
+    machine.fail()
+    assert keeper.note(findings(200.0, sized(SLIGHT, 200.0, 1.9))) == []
+    assert keeper.note(findings(220.0, sized((-6e-6, 0.0, 0.0), 220.0, 1.9))) == [Verb.PROBATION]
+    assert "from what is proposed" in machine.decisions[-1].words
+
+
+def test_a_proposal_is_withdrawn_if_what_is_in_force_is_better_after_all():
+    old = calibration()
+    keeper = Keeper(old, Mode.PROPOSE)
+    keeper.note(findings(120.0, candidate(FAR, 120.0)))
+    keeper.note(findings(180.0, all=PROVED))
+    (step,) = keeper.machine.job(BOSTON).contests[TRIAL]
+    assert step.calibration is old
+    keeper.machine.fail()
+    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [Verb.DROPPED]
+    assert keeper.machine.proposal is None
+    assert keeper.machine.decisions[-1].calibration is None
 
 
 def sized(iron, end, sigma_deg, seconds=120.0):

@@ -11,9 +11,12 @@ from simulated.drive import Fence, Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
 
-from magcal_ros.core.keeping.jobs import Kind, Step
-from magcal_ros.core.keeping.worker import prove
-from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.earth_field.reference import made_elsewhere
+from magcal_ros.core.keeping.jobs import DriveJob, Kind, Step
+from magcal_ros.core.keeping.worker import answer, prove
+from magcal_ros.core.knowledge import Belief, Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
@@ -54,6 +57,26 @@ def road():
 def whole(road):
     """What all of the road says of the right calibration."""
     return proved(road, step(road.time[0], RIGHT))
+
+
+@pytest.mark.parametrize("knowledge", [BOSTON, Knowledge()])
+def test_a_candidate_says_whether_the_reference_was_known(knowledge):
+    """Without it, a place that is met later is not another one than that of the drive."""
+    rng = np.random.default_rng(4)
+    drive = simulated_drive(travel(city(rng, 130.0), rng, rate=10.0), rng, Vehicle(ROBOT))
+    log = log_of(Window(drive.time, drive.field, drive.force, drive.rate))
+    job = DriveJob(log, knowledge, None, (120.0,), -math.inf, -math.inf, {})
+    (found,) = answer(job).candidates
+    evidence = found.calibration.evidence
+    is_known = knowledge is BOSTON
+    assert (NO_REFERENCE in evidence.not_shown) is not is_known
+    assert (LEVEL_ONLY in evidence.not_shown) is not is_known
+    found_with = evidence.figure(Figure.REFERENCE_STRENGTH, 0.0)
+    assert found_with == pytest.approx(51.3e-6 if is_known else 0.0)
+    elsewhere = replace(
+        BOSTON.reference, inclination=Belief(0.5, 0.02), strength=Belief(4e-5, 1e-6)
+    )
+    assert bool(made_elsewhere(found.calibration, elsewhere)) is is_known
 
 
 def test_the_right_one_explains_the_road_in_both_halves(whole):

@@ -7,7 +7,9 @@ from drives import ROBOT
 from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.assessment.verdict import LEVEL_ONLY
 from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.recheck import (
     NO_GYRO,
     RECHECK_BOUNDS,
@@ -45,6 +47,24 @@ def test_a_good_one_holds_on_a_fresh_turn(calibration, gyro, arc):
     assert result.verdict.summary == "The calibration holds."
     assert ("gyro_compass_difference" in figures(result)) == gyro
     assert (NO_GYRO in result.verdict.not_shown) == (not gyro)
+
+
+@pytest.mark.parametrize("said", [(), (LEVEL_ONLY,)])
+def test_one_made_without_a_position_holds_on_level_ground(said):
+    """A turn says so by its sigma on slopes, a drive by what it does not show."""
+    made = calibrate(window(), Knowledge()).calibration
+    if said:
+        unseen = (*made.evidence.not_shown, *said)
+        covariance = made.covariance.copy()
+        covariance[11], covariance[:, 11] = 0.0, 0.0
+        evidence = dataclasses.replace(made.evidence, not_shown=unseen)
+        made = dataclasses.replace(made, evidence=evidence, covariance=covariance)
+    result = check(window(seed=2), made)
+    assert result.state == "holds"
+    assert result.verdict.summary == "The calibration holds on level ground."
+    (slopes,) = [words for words in result.verdict.not_shown if "slopes" in words]
+    assert "made without a position" in slopes
+    assert ("or more" in slopes) is bool(said)
 
 
 @pytest.mark.parametrize("gyro", [True, False])

@@ -1,0 +1,81 @@
+"""A sensor that is turned over by hand, through all orientations."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from simulated.turns import Motion, measure
+
+from magcal_ros.core.assessment.verdict import LEVEL_ONLY, WHICH_WAY_UP
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.units import explained, was_turned_over
+from magcal_ros.core.simulation import Robot, heading_errors
+
+ROBOT = Robot()
+
+
+def turned_over(seed, seconds=40.0, size=0.8):
+    """Return the movement of a hand: slow turns about axes that wander, from an upright rest."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 0.02)
+    frequency, phase = rng.uniform(0.03, 0.15, (2, 3, 3))[0], rng.uniform(0.0, math.tau, (3, 3))
+    rate = size * np.sin(math.tau * frequency * time[:, None, None] + phase).sum(axis=2)
+    rate *= np.clip(time / 3.0 - 1.0, 0.0, 1.0)[:, None]
+    attitude, attitudes = Rotation.identity(), []
+    for step in Rotation.from_rotvec(rate * 0.02):
+        attitudes.append(attitude.as_matrix())
+        attitude = step * attitude
+    return Motion(time, np.array(attitudes))
+
+
+@functools.cache
+def window_of(seed):
+    return measure(ROBOT, turned_over(seed), np.random.default_rng(seed), gyro=True)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_it_is_calibrated_without_a_reference(seed):
+    outcome = calibrate(window_of(seed), Knowledge())
+    assert outcome.verdict.accepted, outcome.verdict.summary
+    # A level field to the south is the same world seen from behind.
+    assert abs(outcome.estimate.inclination) < 0.5 * math.pi
+    errors = heading_errors(outcome.calibration.correction, ROBOT)
+    assert math.degrees(np.sqrt(np.mean((errors - errors.mean()) ** 2))) < 1.0
+
+
+def test_nothing_is_said_of_z_but_that_it_is_not_shown():
+    window = window_of(1)
+    assert was_turned_over(window)
+    verdict = calibrate(window, Knowledge()).verdict
+    assert not any("z points" in check.words for check in verdict.checks)
+    assert WHICH_WAY_UP in verdict.not_shown
+    assert LEVEL_ONLY not in verdict.not_shown
+
+
+def test_a_refusal_names_the_method_for_it():
+    words = str(explained(Refusal(Reason.AXES_DISAGREE, "the axes disagree"), window_of(1)))
+    assert "ellipsoid" in words
+    assert "z points" not in words
+
+
+@pytest.mark.parametrize("method", ["ellipsoid", "min_max"])
+def test_the_methods_for_it_take_any_median_orientation(method):
+    robot = Robot(roll=0.0, pitch=0.0)
+    window = measure(robot, turned_over(2), np.random.default_rng(2), gyro=True)
+    verdict = calibrate(window, robot.knowledge(), method).verdict
+    assert not any("z points" in words for words in verdict.reasons)
+
+
+def test_a_boat_that_rolls_is_told_to_turn():
+    """Its z points up, and the axis that it rolls about lies."""
+    time = np.arange(0.0, 40.0, 0.05)
+    roll = Rotation.from_rotvec(0.95 * np.sin(time)[:, None] * [1.0, 0.0, 0.0])
+    window = measure(ROBOT, Motion(time, roll.as_matrix()), np.random.default_rng(1), gyro=False)
+    assert not was_turned_over(window)
+    verdict = calibrate(window, ROBOT.knowledge()).verdict
+    assert not verdict.accepted
+    assert not any("z points" in words for words in verdict.reasons)
