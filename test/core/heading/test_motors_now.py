@@ -115,7 +115,7 @@ def test_noise_that_is_subtracted_with_unknown_motors_is_counted_once():
 
 
 def test_iron_along_the_axis_does_not_change_the_field_of_a_robot_that_turns():
-    stamps, runs, told = turning(12.0)
+    _, runs, told = turning(12.0)
     sigmas = [
         errors(motors(), told, np.outer(runs, STEP), runs, now=follower(motors(), iron))[1]
         for iron in (np.zeros((3, 3)), np.diag([0.0, 0.0, 3e-6]) ** 2)
