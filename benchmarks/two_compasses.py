@@ -7,6 +7,9 @@ first, the better one. Failover is the time until the failed one takes no part, 
 headings come again; the step is the change of the published heading beyond the robot's own turning
 in the two seconds after it, in sigmas. "Better alone" is the fused yaw of whichever magnetometer
 does better alone. NEES is the squared error over the variance.
+
+By chance the ratio of ten drives is .7 to 1.2 where the first one is dead: of 24 drives after the
+fault it is .84.
 """
 
 from __future__ import annotations

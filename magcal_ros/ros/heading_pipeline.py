@@ -95,7 +95,7 @@ class Sensor:
             return f"nothing has arrived on {self.topic}: {why}"
         silent = self.age()
         if silent > SILENT_AFTER:
-            return f"{self.topic} has been silent for {silent:.0f} s"
+            return f"{self.topic} has been silent for {silent:.0f} s: check its driver and cable"
         if self.publishers > 1:
             return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
         if self.changes - self._changes_at_look[0] > 1:

@@ -171,7 +171,8 @@ class Magnetometers:
     def when_done(self, listener: Tell) -> None:
         """Call back once with the conclusion of the turns that are under way."""
         waiting = self._busy or self.heard[:1]
-        told_together({each.topic: each.control.when_done for each in waiting}, listener)
+        asked = {each.topic: each.control.when_done for each in waiting}
+        told_together(asked, listener, of_turns)
 
     def finish(self) -> Conclusion | None:
         """End the turns now and fit what there is; None means the fits are under way."""
@@ -212,25 +213,43 @@ def _accepted(
     ask(note)
 
 
-def told_together(asked: Mapping[str, Ask], tell: Tell) -> None:
-    """Ask several, by the topics of their magnetometers, and join the answers."""
-    answers: dict[str, Conclusion] = {}
-
-    def note(topic: str, conclusion: Conclusion) -> None:
-        answers[topic] = conclusion
-        if len(answers) == len(asked):
-            tell(joined({each: answers[each] for each in asked}))
-
-    for topic, ask in asked.items():
-        ask(partial(note, topic))
-
-
 def joined(conclusions: Mapping[str, Conclusion]) -> Conclusion:
     """Return one conclusion of several; only if all succeeded it is a success."""
     if len(conclusions) == 1:
         return next(iter(conclusions.values()))
     words = "; ".join(f"{topic}: {each.message}" for topic, each in conclusions.items())
     return Conclusion(all(each.success for each in conclusions.values()), words)
+
+
+def of_turns(conclusions: Mapping[str, Conclusion]) -> Conclusion:
+    """Return one conclusion of the turns of several; if one was calibrated it is a success.
+
+    It begins with those that were not.
+    """
+    together = joined(conclusions)
+    missing = [topic for topic, each in conclusions.items() if not each.success]
+    if len(missing) in (0, len(conclusions)):
+        return together
+    names = " and ".join(missing)
+    words = f"this turn did not calibrate {names}: mend what is said of it, and calibrate again"
+    return Conclusion(True, f"{words}. {together.message}")
+
+
+def told_together(
+    asked: Mapping[str, Ask],
+    tell: Tell,
+    join: Callable[[Mapping[str, Conclusion]], Conclusion] = joined,
+) -> None:
+    """Ask several, by the topics of their magnetometers, and join the answers."""
+    answers: dict[str, Conclusion] = {}
+
+    def note(topic: str, conclusion: Conclusion) -> None:
+        answers[topic] = conclusion
+        if len(answers) == len(asked):
+            tell(join({each: answers[each] for each in asked}))
+
+    for topic, ask in asked.items():
+        ask(partial(note, topic))
 
 
 CALLS = QoSProfile(depth=100)

@@ -226,7 +226,7 @@ class TestSensor:
         sensor.heard("a")
         now[0] = 3.5
         assert sensor.age() == 3.5
-        assert sensor.complaint() == "/mag has been silent for 4 s"
+        assert sensor.complaint() == "/mag has been silent for 4 s: check its driver and cable"
 
     def test_names_that_alternate_are_a_complaint_until_they_stop(self):
         sensor, _ = self.sensor()

@@ -88,7 +88,8 @@ def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tm
     turning, while_moving = drive(0.6, 3.0)
     assert max(rest, turning) < math.radians(3.0)
     level = 48e-6 * math.cos(math.radians(65.0))
-    assert while_moving - at_rest > 0.5 * (SIGMA / level) ** 2
+    # A rest a moment ago has shown the place, and so a part of what the motors add.
+    assert while_moving - at_rest > 0.15 * (SIGMA / level) ** 2
     assert while_moving - at_rest < 4.0 * (SIGMA / level) ** 2
     actor.run(PATIENCE, 0.6, lambda: actor.status["motors"]["moves"])
     told = actor.status["motors"]["inputs"]

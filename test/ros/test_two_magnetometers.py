@@ -10,10 +10,12 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import MagneticField
-from support import DEGREE, PATIENCE, ROBOT
+from support import DEGREE, PATIENCE, REFERENCE, ROBOT
 
 from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.session.turn_machine import Conclusion
 from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.ros.magnetometers import joined, of_turns
 from magcal_ros.ros.preflight import inspect
 from magcal_ros.ros.rehearsal import set_time
 
@@ -153,6 +155,38 @@ def test_one_turn_calibrates_both_and_one_heading_outlives_either(start_node, ac
     assert loaded.success, loaded.message
     assert all(f"loaded {path}" in loaded.message for path in files)
     assert robot.answer(robot.call("save")).success
+
+
+def test_one_that_falls_silent_during_the_turn_does_not_spoil_the_others(
+    start_node, actor, ros_home
+):
+    start_node({**REFERENCE, "window.silence_s": 3.0})
+    robot = actor(speed=8.0)
+    pair = Pair(robot)
+    robot.run(PATIENCE, stop=lambda: len(robot.status["magnetometers"]) == 2)
+
+    def follow(progress):
+        if progress["arc_deg"] > 20.0:
+            pair.silent = {"imu/mag_2"}
+
+    answer = robot.calibrate(follow)
+    assert answer.success, answer.message
+    assert answer.message.startswith("this turn did not calibrate /imu/mag_2: ")
+    assert "/imu/mag_2 has been silent" in answer.message
+    assert f"saved to {ros_home / 'magcal' / 'calibrator.mag_link.yaml'}" in answer.message
+    calibrated = {topic: entry["calibrated"] for topic, entry in entries(robot).items()}
+    assert calibrated == {"/imu/mag": True, "/imu/mag_2": False}
+
+
+def test_turns_are_a_success_if_one_of_them_is():
+    good, bad = Conclusion(True, "excellent"), Conclusion(False, "silent; nothing was seen")
+    assert of_turns({"/a": good}) == good
+    assert of_turns({"/a": good, "/b": good}) == joined({"/a": good, "/b": good})
+    assert not of_turns({"/a": bad, "/b": bad}).success
+    for found in (of_turns({"/a": good, "/b": bad}), of_turns({"/b": bad, "/a": good})):
+        assert found.success
+        assert found.message.startswith("this turn did not calibrate /b: ")
+        assert "/b: silent; nothing was seen" in found.message
 
 
 def test_a_node_for_one_magnetometer_listens_to_no_other(start_node):

@@ -17,7 +17,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.motors_now import MotorsNow
+from magcal_ros.core.heading.motors_now import MotorDoubt, MotorsNow
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import Up
 
@@ -101,7 +101,7 @@ class Compass:
                 for each, gain in zip(motors.inputs, motors.gain, strict=True)
             )
             if self._now is None:
-                own = field_variance(self.calibration)
+                own = level_field_covariance(self.calibration)
                 matrix = self.calibration.correction.matrix
                 self._now = MotorsNow(motors, matrix, own, self._noise)
             self._now.use(motors)
@@ -128,8 +128,8 @@ class Compass:
 
     def at_rest(
         self, stamp: float, raw: Triple, rate: Triple | None, running: Running
-    ) -> tuple[Triple, FloatArray | None]:
-        """Return the corrected field without what motors add, and the covariance of the latter.
+    ) -> tuple[Triple, MotorDoubt | None]:
+        """Return the corrected field without what motors add, and what is not known of it.
 
         Stamps go on (`MotorsNow.add`); None where no motors are known.
         """
@@ -141,7 +141,7 @@ class Compass:
         field: Triple,
         force: Triple,
         tilt_variance: float | None = None,
-        motors: FloatArray | None = None,
+        motors: MotorDoubt | None = None,
     ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
@@ -149,7 +149,7 @@ class Compass:
 
         `field` is in tesla, `force` in m/s², or up as a unit vector. `tilt_variance` is that of up
         in either direction, rad²; that of a single accelerometer reading unless given. `motors`
-        (3, 3) is the covariance of what motors add to the field, tesla².
+        are the errors of a field from which that of the motors was subtracted.
 
         In the magnetic ENU axes of the moment let body x be (xe, xn, xu) and the field
         (0, mn, mu). A small error of the attitude, a turn (pe, pn) about east and north that the
@@ -180,10 +180,12 @@ class Compass:
         variance = tilt * (by_east * by_east + by_north * by_north)
         g, q = np.array((ex / level, ey / level, ez / level)), np.array((mx, my, mz, -1.0))
         errors = (g[:, None] * q).ravel() @ self._errors
-        noise = float(g @ self._noise @ g)
-        passing = float(g @ (self._local if motors is None else self._local + motors) @ g)
+        new, passing = self._noise, self._local
+        if motors is not None:
+            new, passing = motors.noise, passing + motors.lasting
+        noise, other = float(g @ new @ g), float(g @ passing @ g)
         lasting = float(errors @ errors)
-        variance += lasting + noise + passing
+        variance += lasting + noise + other
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
@@ -199,6 +201,20 @@ def field_variance(calibration: Calibration) -> float:
     rows = np.diag(_body_covariance(calibration)).reshape(3, 4)
     matrix, offset = rows[:, :3].sum() / 3.0, rows[:, 3].sum()
     return float(calibration.strength**2 * matrix + offset) / 3.0
+
+
+def level_field_covariance(calibration: Calibration) -> FloatArray:
+    """Return the covariance of the corrected field by the calibration's own, (3, 3), tesla².
+
+    The mean over all headings on the level, where a turn has shown the sum of hard iron and of what
+    the installation makes of the vertical field better than either.
+    """
+    whole = _body_covariance(calibration).reshape(3, 4, 3, 4)
+    level = calibration.strength * math.cos(calibration.inclination)
+    upward = -calibration.strength * math.sin(calibration.inclination)
+    squares = np.diag([0.5 * level**2, 0.5 * level**2, upward**2, 1.0])
+    squares[2, 3] = squares[3, 2] = -upward
+    return np.asarray(np.einsum("iajb,ab->ij", whole, squares))
 
 
 def _body_covariance(calibration: Calibration) -> FloatArray:

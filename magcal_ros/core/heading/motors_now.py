@@ -16,7 +16,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.geometry.rotations import exp_rotation, skew
 from magcal_ros.core.geometry.vec3 import Triple, length
 
 
@@ -33,9 +33,13 @@ class RunningTuning:
     settles: float = 0.7  # seconds at rest after which the current is that of rest
     idle: float = 5.0  # seconds over which that is averaged
     body_length: float = 4.0  # seconds over which what no input shows is alike
-    unseen: float = 0.25
-    """Share of what an input shows by which the motors' field differs from it, along its direction:
-    at an even speed the currents of wheels vary by a fifth to a third, with the floor and bends."""
+    unseen: float = 0.1
+    unseen_spread: float = 1.0
+    """Share of what the inputs show by which the motors' field differs from it, along its
+    direction: median, and standard deviation of its natural logarithm. Where nobody reports the
+    currents of wheels, they vary by a fifth to a third, with the floor and bends; a field that is
+    switched on with the motors hardly varies."""
+    unseen_lasts: float = 300.0  # seconds of motion over which it is the same
     late_share: float = 0.03  # of the time in which motors run unseen, or do not
     longest: float = 0.5  # seconds that this lasts at most
     latency: float = 0.2  # seconds by which a speed or a current may be late
@@ -118,11 +122,14 @@ class PlaceFieldTuning:
 
     field: float = 100.0  # µT of the Earth's field and all around it, before the first sample
     longest: float = 1.0  # seconds without a sample after which the field of the place is unknown
-    street: float = 2.0  # µT per axis by which places differ
+    street: float = 1.0
+    street_spread: float = 1.0
+    """µT per axis by which places differ: median, and standard deviation of its natural logarithm
+    (as of the unknown "street")."""
     street_length: float = 30.0  # metres over which they are alike
     passing: float = 0.03  # µT per root second by which the field changes while the robot stands
-    walk: float = 0.002  # rad per root second of the gyro's random walk
-    turn_error: float = 0.01  # share of an angle that a gyro gets wrong, as a random walk
+    walk: float = 0.001  # rad per root second of the gyro's random walk, as for the fused yaw
+    turn_error: float = 0.005  # share of a turn that a gyro gets wrong, per root radian, likewise
     latency: float = 0.01  # seconds by which gyro and field may be apart
     beside: float = 0.15  # metres of the magnetometer from the pivot
     unknown_speed: float = 0.3  # m/s of a robot that moves and does not tell its speed
@@ -137,48 +144,85 @@ class PlaceFieldTuning:
     ) -> FloatArray:
         """Return the covariance that a propagated field of the place gains, µT², shape (3, 3).
 
-        `place` (3,) is the field in µT, body axes, `turned` (3,) the radians by which the robot has
-        turned, `faster` (3,) the rad/s by which the turn rate has grown, and `way` the metres that
-        the magnetometer has gone, zero at rest.
+        That by which places differ is not part of it (`passed`). `place` (3,) is the field in µT,
+        body axes, `turned` (3,) the radians by which the robot has turned, `faster` (3,) the rad/s
+        by which the turn rate has grown, and `way` the metres that the magnetometer has gone, zero
+        at rest.
         """
         lost = self.turn_error**2 * math.sqrt(float(turned @ turned))
         lost += self.latency**2 * float(faster @ faster)
         lost += self.walk**2 * seconds if way > 0.0 else 0.0
-        passed = 2.0 * self.street**2 * way / self.street_length + self.passing**2 * seconds
+        passing = self.passing**2 * seconds
         return np.asarray(
-            (lost * float(place @ place) + passed) * EYE - lost * place[:, None] * place
+            (lost * float(place @ place) + passing) * EYE - lost * place[:, None] * place
         )
+
+    def passed(self, way: float) -> float:
+        """Return the variance that it gains by a way, for places that differ by 1 µT, µT²."""
+        return 2.0 * way / self.street_length
 
 
 PLACE_FIELD = PlaceFieldTuning()
 
 
-class _Answer(NamedTuple):
-    """What a sample shows if the motors may add so much that no input shows."""
+def _log_normal(median: float, spread: float, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return sizes on a grid of the logarithm, and their prior odds."""
+    odds = np.exp(-0.5 * (steps / spread) ** 2)
+    return median * np.exp(steps), odds / odds.sum()
 
-    likelihood: float
-    step: FloatArray
-    covariance: FloatArray
-    left: FloatArray
-    doubt: FloatArray
+
+_SHARES, _SHARE_ODDS = _log_normal(RUNNING.unseen, RUNNING.unseen_spread, np.linspace(-1.5, 2, 6))
+_STREETS, _STREET_ODDS = _log_normal(
+    PLACE_FIELD.street, PLACE_FIELD.street_spread, np.linspace(-1.2, 1.2, 3)
+)
+UNSEEN, STREET = (each.ravel() for each in np.meshgrid(_SHARES, _STREETS))
+"""Pairs that are tried of the share that no input shows and the size of the places' field, µT."""
+ODDS = np.outer(_STREET_ODDS, _SHARE_ODDS).ravel()
+"""Their prior odds."""
+
+
+class MotorDoubt(NamedTuple):
+    """Errors of a sample's field from which the motors' part was subtracted, tesla².
+
+    What is subtracted follows the sample, its noise included: that part of the noise is gone.
+    """
+
+    lasting: FloatArray  # covariance (3, 3) but for the sample's noise
+    noise: FloatArray  # covariance (3, 3) of what is left of the sample's noise
+
+
+class _Answer(NamedTuple):
+    """What a sample shows, for each pair that is tried."""
+
+    likelihood: FloatArray  # logarithms, (g,)
+    step: FloatArray  # (g, 6)
+    covariance: FloatArray  # (g, 6, 6)
+    left: FloatArray  # (g, 3)
+    lasting: FloatArray  # (g, 3, 3)
+    noise: FloatArray  # (g, 3, 3)
 
 
 class MotorsNow:
     """Follows the field of the place and what is left of the motors' field.
 
+    How much no input shows of the motors' field is not known: a filter for each of `UNSEEN` runs
+    beside the others, and `odds` are their probabilities by the samples so far.
+
     `matrix` (3, 3) is from the magnetometer's axes to those of the body, and `noise` (3, 3) the
-    covariance of a corrected sample, tesla². `iron_variance` is that of the corrected field per
-    axis by the calibration's own uncertainty, tesla²: that part does not turn as the field of the
-    place does.
+    covariance of a corrected sample, tesla². `iron` (3, 3) is that of the corrected field by the
+    calibration's own uncertainty, tesla²: that part does not turn as the field of the place does.
     """
 
     def __init__(
-        self, motors: MotorField, matrix: FloatArray, iron_variance: float, noise: FloatArray
+        self, motors: MotorField, matrix: FloatArray, iron: FloatArray, noise: FloatArray
     ) -> None:
         self._matrix = matrix
-        self._iron = iron_variance * MICROTESLA**2
+        self._iron = iron * MICROTESLA**2
+        self._of_sample = noise
         self._noise = noise * MICROTESLA**2 + 1e-4 * EYE
-        self._mean, self._covariance = np.zeros(6), np.zeros((6, 6))
+        self._mean = np.zeros((len(UNSEEN), 6))
+        self._covariance = np.zeros((len(UNSEEN), 6, 6))
+        self.odds: FloatArray = ODDS
         self._rate, self._before = np.zeros(3), AT_REST
         self._stamp, self._late_since = -math.inf, math.nan
         self._values = self._change = np.zeros(0)
@@ -195,7 +239,7 @@ class MotorsNow:
         self._ripple = (motors.ripple * MICROTESLA) ** 2
         usual = self._gains * np.array(motors.usual)[:, None]
         self._whole = usual.T @ usual
-        most = self._whole + self._level(Running(1.0), np.array(motors.usual))
+        most = self._whole + self._mean_of(self._level(Running(1.0), np.array(motors.usual)))
         # Motors that a sample's own noise hides are not worth the time.
         self._is_felt = bool(np.trace(most) > np.trace(self._noise))
         late = (MotorInput.SPEED, MotorInput.CURRENT, MotorInput.ABS_SPEED)
@@ -205,79 +249,104 @@ class MotorsNow:
 
     def add(
         self, stamp: float, field: Triple, rate: Triple | None, running: Running
-    ) -> tuple[Triple, FloatArray]:
-        """Take a corrected sample; returns it less K u and what is left, and the latter's doubt.
+    ) -> tuple[Triple, MotorDoubt]:
+        """Take a corrected sample; returns it less K u and what is left, and its errors.
 
         `field` is in tesla, body axes, `rate` in rad/s, less the gyro's bias, None without a gyro.
-        Returns a field likewise, and the covariance (3, 3) of what was subtracted, tesla².
         """
         if running.moving == 0.0 and (not self._is_felt or rate is None):
-            return field, np.zeros((3, 3))
+            return field, MotorDoubt(np.zeros((3, 3)), self._of_sample)
         values, doubt = self._motors.known(running)
         if not self._is_felt or rate is None:
             return self._by_inputs(field, running, values, doubt)
         self._predict(stamp, rate, running, values)
         known = values @ self._gains
         measured = MICROTESLA * np.array(field) - known
-        change = np.diag(np.square(self._latency * self._change))
-        unknown = self._gains.T @ (doubt + change) @ self._gains
+        unknown = self._gains.T @ doubt @ self._gains
         otherwise = known[:, None] * known if running.moving > 0.0 else self._whole
-        answers = [self._answer(measured, unknown + each) for each in (0.0, otherwise)]
-        late = self._late(stamp, answers[1].likelihood - answers[0].likelihood)
+        one, other = self._answers(measured, unknown, unknown + otherwise)
+        late = self._late(stamp, other.likelihood - one.likelihood)
         if late is None:
             # What lasts is no start or stop: another motor, or at rest another place.
             self._forget(PLACE if running.moving == 0.0 else LEFT, self._whole + otherwise)
-            answers, late = [self._answer(measured, unknown)] * 2, 0.0
-        one, other = answers
-        self._mean = self._mean + one.step + late * (other.step - one.step)
+            one, other = self._answers(measured, unknown, unknown)
+            late = np.zeros(len(UNSEEN))
+        elif running.moving > 0.0:
+            self._weigh(one.likelihood, late)
+        each, whole = late[:, None], late[:, None, None]
+        self._mean = self._mean + one.step + each * (other.step - one.step)
         self._covariance = _mixed(late, one.covariance, other.covariance, other.step - one.step)
-        left = one.left + late * (other.left - one.left)
-        spread = _mixed(late, one.doubt, other.doubt, other.left - one.left)
-        x, y, z = ((measured - left) / MICROTESLA).tolist()
-        return (x, y, z), spread / MICROTESLA**2
+        left = one.left + each * (other.left - one.left)
+        spread = _mixed(late, one.lasting, other.lasting, other.left - one.left)
+        noise = self._mean_of(one.noise + whole * (other.noise - one.noise))
+        mean = self.odds @ left
+        spread = self._mean_of(spread) + (left - mean).T @ (self.odds[:, None] * (left - mean))
+        x, y, z = ((measured - mean) / MICROTESLA).tolist()
+        return (x, y, z), MotorDoubt(spread / MICROTESLA**2, noise / MICROTESLA**2)
 
     def _by_inputs(
         self, field: Triple, running: Running, values: FloatArray, doubt: FloatArray
-    ) -> tuple[Triple, FloatArray]:
+    ) -> tuple[Triple, MotorDoubt]:
         """Return a sample less K u alone: what samples cannot show need not be followed."""
         x, y, z = (values @ self._gains / MICROTESLA).tolist()
-        spread = self._level(running, values) + self._gains.T @ doubt @ self._gains
-        return (field[0] - x, field[1] - y, field[2] - z), spread / MICROTESLA**2
+        spread = self._mean_of(self._level(running, values)) + self._gains.T @ doubt @ self._gains
+        known = MotorDoubt(spread / MICROTESLA**2, self._of_sample)
+        return (field[0] - x, field[1] - y, field[2] - z), known
+
+    def _mean_of(self, each: FloatArray) -> FloatArray:
+        """Return the mean over the shares that are tried, by their odds."""
+        return np.asarray(np.tensordot(self.odds, each, 1))
 
     def _level(self, running: Running, values: FloatArray) -> FloatArray:
-        """Return the covariance of what motors add beside K u, µT²."""
+        """Return the covariance of what motors add beside K u, µT², (g, 3, 3)."""
         by_gains = (self._by_gains @ values) @ values
-        known = RUNNING.unseen * (values @ self._gains)
-        return np.asarray(running.moving * self._ripple * EYE + by_gains + known[:, None] * known)
+        known = values @ self._gains
+        beside = running.moving * self._ripple * EYE + by_gains
+        return np.asarray(beside + np.square(UNSEEN)[:, None, None] * (known[:, None] * known))
 
-    def _late(self, stamp: float, odds: float) -> float | None:
+    def _late(self, stamp: float, odds: FloatArray) -> FloatArray | None:
         """Return the probability that motors run otherwise than is seen; None if that lasts."""
         share = RUNNING.late_share
-        late = share / (share + (1.0 - share) * math.exp(min(-odds, 300.0)))
-        if late < 0.5:
+        late = share / (share + (1.0 - share) * np.exp(np.minimum(-odds, 300.0)))
+        if self.odds @ late < 0.5:
             self._late_since = math.nan
         elif math.isnan(self._late_since):
             self._late_since = stamp
         elif stamp - self._late_since > RUNNING.longest:
             self._late_since = math.nan
             return None
-        return late
+        return np.asarray(late)
 
-    def _answer(self, measured: FloatArray, unknown: FloatArray) -> _Answer:
+    def _weigh(self, likelihood: FloatArray, late: FloatArray) -> None:
+        """Learn from a sample which share is likely."""
+        seen = likelihood - np.log1p(-np.minimum(late, 1.0 - 1e-12))
+        odds = self.odds * np.exp(seen - seen.max())
+        self.odds = odds / odds.sum()
+
+    def _answers(
+        self, measured: FloatArray, unknown: FloatArray, otherwise: FloatArray
+    ) -> tuple[_Answer, _Answer]:
+        """Return what a sample shows under two covariances of what no input shows of it."""
         mean, covariance = self._mean, self._covariance
-        off = measured - mean[PLACE] - mean[LEFT]
-        both = covariance[:, PLACE] + covariance[:, LEFT]
-        inverse = np.linalg.inv(both[PLACE] + both[LEFT] + unknown + self._noise)
-        gain = both @ inverse
-        left = both[LEFT] + unknown
-        seen = left @ inverse
-        return _Answer(
-            0.5 * (math.log(np.linalg.det(inverse)) - float(off @ inverse @ off)),
-            gain @ off,
-            covariance - gain @ both.T,
-            mean[LEFT] + seen @ off,
-            covariance[LEFT, LEFT] + unknown - seen @ left.T,
+        either = np.stack([unknown, otherwise])[:, None]
+        off = (measured - mean[:, PLACE] - mean[:, LEFT])[:, :, None]
+        both = covariance[:, :, PLACE] + covariance[:, :, LEFT]
+        inverse = np.linalg.inv(both[:, PLACE] + both[:, LEFT] + either + self._noise)
+        left = both[:, LEFT] + either
+        missed, seen = inverse @ off, left @ inverse
+        rest = EYE - seen
+        # What is left is wrong by a share of the sample's noise, which is in the sample, too.
+        lasting = covariance[:, LEFT, LEFT] + either - seen @ left.swapaxes(2, 3)
+        lasting = lasting - seen @ self._noise @ seen.swapaxes(2, 3)
+        found = (
+            0.5 * (np.log(np.linalg.det(inverse)) - np.sum(off * missed, axis=(2, 3))),
+            (both @ missed)[:, :, :, 0],
+            covariance - both @ inverse @ both.swapaxes(1, 2),
+            mean[:, LEFT] + (left @ missed)[:, :, :, 0],
+            lasting,
+            rest @ self._noise @ rest.swapaxes(2, 3),
         )
+        return _Answer(*(each[0] for each in found)), _Answer(*(each[1] for each in found))
 
     def _predict(self, stamp: float, rate: Triple, running: Running, values: FloatArray) -> None:
         seconds, self._stamp = stamp - self._stamp, stamp
@@ -295,30 +364,37 @@ class MotorsNow:
         self._change = self._change + share * (changed / seconds - self._change)
         turned = seconds * moves * (now - 0.5 * faster)
         keeps = math.exp(-seconds / RUNNING.body_length) if moves and moved else 0.0
+        if moves:
+            self.odds = self.odds + seconds / RUNNING.unseen_lasts * (ODDS - self.odds)
         step = np.zeros((6, 6))
         step[PLACE, PLACE], step[LEFT, LEFT] = exp_rotation(-turned), keeps * EYE
-        self._mean = step @ self._mean
+        self._mean = self._mean @ step.T
         covariance = step @ self._covariance @ step.T
         way = seconds * moves * PLACE_FIELD.way(running.speed, rate)
-        covariance[PLACE, PLACE] += (
-            PLACE_FIELD.change(self._mean[PLACE], turned, faster, way, seconds)
-            + self._iron * math.sqrt(float(turned @ turned)) * EYE
-        )
+        place = self.odds @ self._mean[:, PLACE]
+        covariance[:, PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, way, seconds)
+        passed = PLACE_FIELD.passed(way) * np.square(STREET)
+        across = skew(turned) / math.sqrt(max(math.sqrt(float(turned @ turned)), 1e-12))
+        iron = across @ self._iron @ across.T
+        covariance[:, PLACE, PLACE] += passed[:, None, None] * EYE + iron
         # So large that in the latency it changes by as much as the inputs do.
         late = 0.5 * RUNNING.body_length / RUNNING.latency * self._latency**2
         level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains
-        covariance[LEFT, LEFT] += (1.0 - keeps**2) * level
-        covariance[LEFT, LEFT] += keeps**2 * (self._by_gains @ changed) @ changed
+        covariance[:, LEFT, LEFT] += (1.0 - keeps**2) * level
+        covariance[:, LEFT, LEFT] += keeps**2 * (self._by_gains @ changed) @ changed
         self._covariance = covariance
 
     def _forget(self, which: slice, level: FloatArray) -> None:
         """Begin anew with a place of which nothing is known, or with motors of such a size."""
-        self._mean[which] = 0.0
-        self._covariance[which] = self._covariance[:, which] = 0.0
-        self._covariance[which, which] = PLACE_FIELD.field**2 * EYE if which is PLACE else level
+        self._mean[:, which] = 0.0
+        self._covariance[:, which] = self._covariance[:, :, which] = 0.0
+        unknown = PLACE_FIELD.field**2 * EYE if which is PLACE else level
+        self._covariance[:, which, which] = unknown
 
 
-def _mixed(share: float, one: FloatArray, other: FloatArray, apart: FloatArray) -> FloatArray:
-    """Return the covariance of a mixture of two, whose means are so far apart."""
-    spread = one + share * (other - one) + share * (1.0 - share) * apart[:, None] * apart
-    return np.asarray(0.5 * (spread + spread.T))
+def _mixed(share: FloatArray, one: FloatArray, other: FloatArray, apart: FloatArray) -> FloatArray:
+    """Return the covariances of mixtures of two each, whose means are so far apart."""
+    part = share[:, None, None]
+    apart = apart[:, :, None] * apart[:, None, :]
+    spread = one + part * (other - one) + part * (1.0 - part) * apart
+    return np.asarray(0.5 * (spread + spread.swapaxes(1, 2)))

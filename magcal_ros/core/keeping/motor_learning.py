@@ -39,6 +39,7 @@ class LearningTuning:
     body_length: float = 4.0  # seconds over which it is alike
     freedom: float = 5.0  # degrees of freedom of the Student distribution of samples
     pace: float = 0.01  # share by which sizes of noise and inputs follow one block
+    street: float = 2.0  # µT per axis by which places differ
     iron_walk: float = 0.003  # µT per root second by which the hard iron drifts
     usual: float = 0.05  # µT, median of the field of an input at its usual size
     spread: float = 2.0  # sigma of its natural logarithm, as of `motors_moving`
@@ -259,6 +260,8 @@ class MotorLearning:
         self._covariance = step @ self._covariance @ step.T
         place = self._mean[PLACE]
         self._covariance[PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, way, seconds)
+        passed = TUNING.street**2 * PLACE_FIELD.passed(way)
+        self._covariance[PLACE, PLACE] += passed * np.eye(3)
         level = self._ripple if moves else TUNING.body
         self._covariance[BODY, BODY] += level**2 * (1.0 - keeps**2) * np.eye(3)
         self._covariance[IRON, IRON] += TUNING.iron_walk**2 * seconds * np.eye(3)

@@ -7,7 +7,7 @@ R <- exp(phi) R; all derivatives are of the prediction.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from magcal_ros.core.smoother.unknowns import (
     BODY_FIELD,
     EARTH,
     HEADING_DRIFT,
+    HEADING_RATE,
     LOCAL,
     ROLL_PITCH,
     SHARED,
@@ -353,3 +354,11 @@ def process(state: State, which: slice, keeps: FloatArray) -> Linear:
     here[:, :, which] = -keeps[:, None, None] * np.eye(width)
     there[:, :, which] = np.eye(width)
     return Linear(residual, here, there)
+
+
+def heading_drift(state: State, keeps: FloatArray, seconds: FloatArray) -> Linear:
+    """Return the residuals of headings that drift at random, and evenly over so many seconds."""
+    drift = process(state, HEADING_DRIFT, keeps)
+    drift.here[:, :, HEADING_RATE] = -seconds[:, None, None]
+    evenly = seconds[:, None] * state.local[:-1, HEADING_RATE]
+    return replace(drift, residual=drift.residual + evenly)

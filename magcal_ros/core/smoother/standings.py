@@ -31,6 +31,7 @@ from magcal_ros.core.smoother.unknowns import (
     BODY_FIELD,
     EARTH,
     HEADING_DRIFT,
+    HEADING_RATE,
     LOCAL,
     MICROTESLA,
     SHARED,
@@ -55,16 +56,20 @@ class Drift(NamedTuple):
 
     sigma: float  # degrees
     lasts: float  # seconds over which it is correlated
+    rate: float = 1e-4  # degrees per second, sigma of the rate at which it drifts evenly
 
 
+INTEGRATED = math.degrees(FUSION.integrated_rate)
 NO_DRIFT = Drift(1e-3, FUSION.wander_lasts)
 DRIFTS: dict[Drift, float] = {
     Drift(0.7, 0.3 * FUSION.wander_lasts): 0.3,
     Drift(2.0, FUSION.wander_lasts): 0.3,
     Drift(6.0, 3.0 * FUSION.wander_lasts): 0.3,
+    Drift(2.0, FUSION.wander_lasts, INTEGRATED): 0.1,
 }
 """Drifts with their prior odds against none. Reflections by walls and trees turn antennas a metre
-apart by some degrees for minutes, on every second robot; what is larger lasts longer."""
+apart by some degrees for minutes, on every second robot; what is larger lasts longer. A
+device that integrates a gyro drifts evenly from its start: one of ten."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +196,9 @@ class Standings:
             found["turn"] = known(turn, self.turned_sigma**2)
             keeps = np.exp(-self.seconds / drift.lasts)
             variance = drift.sigma**2 * (1.0 - keeps**2) + LEAST_VARIANCE
-            found["drift"] = known(factors.process(state, HEADING_DRIFT, keeps), variance)
+            found["drift"] = known(factors.heading_drift(state, keeps, self.seconds), variance)
+            still = factors.process(state, HEADING_RATE, np.ones(len(keeps)))
+            found["drift rate"] = known(still, LEAST_VARIANCE * ones[1:])
             variance = size**2 * (1.0 - self.keeps**2) + LEAST_VARIANCE
             found["street"] = known(factors.process(state, STREET, self.keeps), variance)
         return found
@@ -200,7 +207,8 @@ class Standings:
         """Return the priors for sizes as of `weighed`."""
         local = np.full_like(state.local, 1.0)
         local[:, : LOCAL - 8] = LEAST_VARIANCE
-        local[0, HEADING_DRIFT], local[0, STREET] = drift.sigma**-2.0, size**-2.0
+        local[0, HEADING_DRIFT], local[0, HEADING_RATE] = drift.sigma**-2.0, drift.rate**-2.0
+        local[0, STREET] = size**-2.0
         local[1:, STREET] = LEAST_VARIANCE
         local[:, BODY_FIELD] = rms_size(SIZES["body_field"]) ** -2.0
         free = self.free
@@ -234,6 +242,7 @@ class Standings:
         misfit = self._misfit(weighted, prior)
         cost = misfit + solution.log_determinant + _log_steps(self.keeps, size, 3)
         cost += _log_steps(np.exp(-self.seconds / drift.lasts), drift.sigma, 1)
+        cost += 2.0 * math.log(drift.rate)
         return StandingOptimum(state, whole, cost, misfit)
 
     def _misfit(self, weighted: dict[str, Weighted], prior: Prior) -> float:

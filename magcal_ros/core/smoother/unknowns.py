@@ -23,8 +23,9 @@ ACCELERATION = slice(11, 13)
 local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT),
 lasting change of the velocity (m/s², level axes of the body)."""
 LOCAL = 13
-HEADING_DRIFT = slice(3, 4)
-"""At standings, in place of the velocity: the part of a device's heading that drifts, degrees."""
+HEADING_DRIFT, HEADING_RATE = slice(3, 4), slice(4, 5)
+"""At standings, in place of the velocity: the part of a device's heading that drifts, degrees, and
+the rate at which it does so evenly, degrees per second."""
 RATE, CLIMB = slice(5, 6), 6
 """Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s,
 and the accelerometer's velocity upward, m/s."""

@@ -25,7 +25,7 @@ from magcal_ros.core.geometry.attitude import (
 )
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.heading.compass import Compass, quaternion_from_rpy
-from magcal_ros.core.heading.motors_now import RUNNING
+from magcal_ros.core.heading.motors_now import ODDS, UNSEEN
 
 angle = st.floats(-math.pi, math.pi)
 tilt = st.floats(-1.4, 1.4)
@@ -228,6 +228,10 @@ def test_rpy_from_rotation_agrees_with_the_heading():
     assert heading[:3] == pytest.approx(expected)
 
 
+UNSEEN_SIGMA = math.sqrt(float(ODDS @ UNSEEN**2))
+"""Share of the motors' field that no input shows, before any sample."""
+
+
 class TestMotors:
     RUNNING = Running(1.0, 0.4, 0.7, 3.0)
 
@@ -260,7 +264,7 @@ class TestMotors:
         drawn = rng.multivariate_normal(np.zeros(18), joint, 4000)
         matrix = found.correction.matrix + drawn[:, :9].reshape(-1, 3, 3)
         moved = drawn[:, 9:12] + np.einsum("k,nkj->nj", u, drawn[:, 12:].reshape(-1, 2, 3))
-        moved += np.outer(RUNNING.unseen * rng.standard_normal(4000), u @ found.motors.gain)
+        moved += np.outer(UNSEEN_SIGMA * rng.standard_normal(4000), u @ found.motors.gain)
         fields = np.einsum("nij,nj->ni", matrix, raw - found.correction.hard_iron - moved)
         yaws = yaw_from_up_and_field(up, fields)
         args = tuple(field.tolist()), tuple(up.tolist())
@@ -292,7 +296,7 @@ class TestMotors:
         known = replace(found.motors, covariance=np.zeros((6, 6)))
         seen_so = self.heading(replace(found, motors=known), raw + told, up, doubt)
         apart = seen_so.yaw_variance - seen_so.lasting_variance
-        unseen = RUNNING.unseen * float(east @ found.correction.matrix @ told / (east @ east))
+        unseen = UNSEEN_SIGMA * float(east @ found.correction.matrix @ told / (east @ east))
         expected = turned**2 + unseen**2
         assert apart - seen_so.noise_variance == pytest.approx(expected, rel=1e-6)
         assert seen_so.yaw == pytest.approx(sure.yaw)

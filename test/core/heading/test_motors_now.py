@@ -1,12 +1,14 @@
 """What motors add while nobody tells it yet: the field of the place cannot change so fast."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from long_form import first_of
 
 from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.geometry.rotations import exp_rotation
-from magcal_ros.core.heading.motors_now import MotorsNow
+from magcal_ros.core.heading.motors_now import UNSEEN, MotorsNow
 
 PERIOD, NOISE, RATE = 0.04, 0.2e-6, (0.0, 0.0, 0.4)
 EARTH = np.array([18e-6, 5e-6, -42e-6])
@@ -21,21 +23,21 @@ def motors(ripple=0.2e-6):
     return MotorField(inputs, gain, covariance, np.zeros((12, 6)), ripple, (1.0, 3.0))
 
 
-def follower(known):
-    return MotorsNow(known, np.eye(3), (0.2e-6) ** 2, NOISE**2 * np.eye(3))
+def follower(known, iron=(0.2e-6) ** 2 * np.eye(3)):
+    return MotorsNow(known, np.eye(3), iron, NOISE**2 * np.eye(3))
 
 
-def errors(known, told, added, turns, seed=0):
+def errors(known, told, added, turns, seed=0, now=None):
     """Errors of the field of the place, and its sigmas, shape (n, 3)."""
-    rng, now = np.random.default_rng(seed), follower(known)
+    rng, now = np.random.default_rng(seed), now or follower(known)
     field, off, sigma = EARTH, [], []
     for k, (running, more, is_turning) in enumerate(zip(told, added, turns, strict=True)):
         rate = np.array(RATE) * is_turning
         field = exp_rotation(-rate * PERIOD) @ field
         noise = NOISE * rng.standard_normal(3)
         found, doubt = now.add(k * PERIOD, tuple(field + more + noise), tuple(rate), running)
-        off.append(np.array(found) - noise - field)
-        sigma.append(np.sqrt(np.diag(doubt)))
+        off.append(np.array(found) - field)
+        sigma.append(np.sqrt(np.diag(doubt.lasting + doubt.noise)))
     return np.array(off), np.array(sigma)
 
 
@@ -81,6 +83,46 @@ def test_a_current_that_nobody_reports_differs_from_what_the_speed_shows(seed):
     assert np.mean((off[60:] / sigma[60:]) ** 2) < 1.5
 
 
+def turning(seconds):
+    """A robot that stands for two seconds and then turns."""
+    stamps = np.arange(int(seconds / PERIOD)) * PERIOD
+    runs = stamps > 2.0
+    told = [Running(1.0, 0.4, 0.0, 0.0, 1.0) if each else AT_REST for each in runs]
+    return stamps, runs, told
+
+
+def test_motors_that_the_inputs_show_are_soon_believed():
+    """They may differ from what inputs show, but by how much is learnt."""
+    stamps, runs, told = turning(30.0)
+    now = follower(motors())
+    found = errors(motors(), told, np.outer(runs, STEP), runs, now=now)
+    assert now.odds @ UNSEEN < 0.05
+    off, sigma = (each[stamps > 10.0] for each in found)
+    assert sigma.max() < 0.04 * np.linalg.norm(STEP)
+    assert 0.4 < np.mean((off / sigma) ** 2) < 1.5
+
+
+def test_noise_that_is_subtracted_with_unknown_motors_is_counted_once():
+    """Right after a start the place is known better than a sample shows it."""
+    known = replace(motors(), covariance=(5e-6) ** 2 * np.eye(6))
+    stamps, runs, told = turning(2.5)
+    steps = STEP + np.random.default_rng(9).normal(0.0, 5e-6, (30, 3))
+    found = [errors(known, told, np.outer(runs, s), runs, k) for k, s in enumerate(steps)]
+    soon = (stamps > 2.1) & (stamps < 2.4)
+    off, sigma = (np.concatenate([each[k][soon] for each in found]) for k in (0, 1))
+    assert sigma.max() < 1.3 * NOISE
+    assert np.mean((off / sigma) ** 2) < 1.4
+
+
+def test_iron_along_the_axis_does_not_change_the_field_of_a_robot_that_turns():
+    _, runs, told = turning(12.0)
+    sigmas = [
+        errors(motors(), told, np.outer(runs, STEP), runs, now=follower(motors(), iron))[1]
+        for iron in (np.zeros((3, 3)), np.diag([0.0, 0.0, 3e-6]) ** 2)
+    ]
+    assert np.allclose(*sigmas, rtol=1e-9)
+
+
 def test_another_place_is_not_taken_for_motors_for_long():
     """A field that changes for good beside a robot that stands, just as motors would change it."""
     stamps = np.arange(100) * PERIOD
@@ -99,4 +141,4 @@ def test_motors_that_noise_hides_leave_a_robot_at_rest_as_it_is():
     field = (1e-5, 2e-5, -4e-5)
     found, doubt = follower(none).add(0.0, field, (0.0, 0.0, 0.0), AT_REST)
     assert found == field
-    assert not doubt.any()
+    assert not doubt.lasting.any()

@@ -147,6 +147,22 @@ def test_headings_of_a_device_that_drift_are_in_sigma_and_right_ones_cost_little
         assert said < (0.9 * DEGREE) ** 2
 
 
+def test_a_device_that_integrates_a_gyro_may_drift_evenly_from_the_start():
+    """By .12°/s, which is 24° in the end."""
+    squares = []
+    for seed in range(86_200, 86_204):
+        robot, kept = by_antennas(seed, 0.0)
+        told = [
+            replace(each, heading=wrapped(each.heading + 0.6 * DEGREE * k))
+            for k, each in enumerate(kept)
+        ]
+        found = fit_headings(told, knowledge(), SIZES["street"]).posterior
+        squares.append((np.mean(off(found.correction, robot) ** 2), found.heading_sigma**2))
+    off_by, said = np.mean(squares, axis=0)
+    assert off_by < (2.5 * DEGREE) ** 2
+    assert off_by < 1.5 * said
+
+
 @pytest.mark.parametrize(
     ("read", "named"),
     [
