@@ -12,17 +12,11 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.smoother.unknowns import FIELDS_ON_EARTH, MICROTESLA
 
-LEAST_INFORMATION = 1e-6  # 1/µT², of the samples, along any direction
-LEAST_SHARE = 0.2  # of the samples' information that is left where two fields are likely
 LEVEL_SIGMA = 2.0  # µT, of a level field that is measured at the start
 
 
 class EarthPrior(NamedTuple):
-    """A Gaussian prior of level and downward field, µT.
-
-    One that stands for several fields may have negative information: where the samples lie between
-    two likely fields, the posterior is wider than the samples alone have it.
-    """
+    """A Gaussian prior of level and downward field, µT."""
 
     mean: FloatArray  # shape (2,)
     information: FloatArray  # shape (2, 2)
@@ -88,31 +82,23 @@ class Fields:
 
     def seen(
         self, prior: EarthPrior, mean: FloatArray, covariance: FloatArray
-    ) -> tuple[EarthPrior, float]:
-        """Return the Gaussian that gives the same posterior as all fields, and what they gain.
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Return by how much the posterior moves, its covariance, and the gain in log evidence.
 
-        By one step of expectation propagation (Minka, Expectation Propagation for Approximate
-        Bayesian Inference, UAI 2001). `mean` and `covariance` are the posterior under `prior`:
-        without it they are what the samples say. The gain is the log evidence by all fields less
-        that by `prior`.
+        `mean` and `covariance` are the posterior under `prior`; without that prior they are what
+        the samples say, which the posterior of all fields follows from. Where the samples lie
+        between two likely fields, it is wider than the samples alone have it.
         """
-        posterior = np.linalg.inv(covariance)
-        values, vectors = np.linalg.eigh(posterior - prior.information)
-        values = np.maximum(values, LEAST_INFORMATION)
-        by_samples = (vectors * values) @ vectors.T
-        drawn = posterior @ mean - prior.information @ prior.mean
-        middle, spread, likely = self._given(by_samples, drawn)
-        # The posterior information in units of that of the samples.
-        root = vectors * np.sqrt(values)
-        over = vectors / np.sqrt(values)
-        share, axes = np.linalg.eigh(over.T @ np.linalg.inv(spread) @ over)
-        total = (root @ axes * np.maximum(share, LEAST_SHARE)) @ (root @ axes).T
-        information = total - by_samples
-        found = EarthPrior(np.linalg.solve(information, total @ middle - drawn), information)
-        alone = Fields(
-            np.ones(1), prior.mean[None], np.asarray(np.linalg.inv(prior.information))[None]
-        )
-        return found, likely - alone._given(by_samples, drawn)[2]
+        by_posterior = np.linalg.inv(covariance)
+        values, vectors = np.linalg.eigh(by_posterior - prior.information)
+        by_samples = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        # With the mean as the origin: the samples may be far more precise than the fields.
+        drawn = prior.information @ (mean - prior.mean)
+        spread = np.asarray(np.linalg.inv(prior.information))
+        before = Fields(np.ones(1), (prior.mean - mean)[None], spread[None])
+        fields = Fields(self.shares, self.means - mean, self.covariances)
+        shift, spread, likely = fields._given(by_samples, drawn)
+        return shift, spread, likely - before._given(by_samples, drawn)[2]
 
     def _given(
         self, information: FloatArray, drawn: FloatArray

@@ -187,33 +187,44 @@ def optimum(
                 stands = replace(stands, groups=effect_factors(model, whole, solution))
             points[k] = stands
         points = agreed(models, points)
-    if not models[0].priors.fields.is_known:
-        points, joint, gain = _among_fields(models, points, joint)
-        evidence -= 2.0 * gain
     windows = zip(models, points, joint.weighted, joint.solutions, strict=True)
     wide = agreed(models, [_widened(*each) for each in windows])
     doubted = Joint.at(models, wide, is_expected=True)
+    if not models[0].priors.fields.is_known:
+        means = [earth_of(*each) for each in zip(models, points, joint.solutions, strict=True)]
+        joint, gain = _among_fields(models, joint, means)
+        doubted, _ = _among_fields(models, doubted, means)
+        taken = zip(models, points, joint.solutions, strict=True)
+        points = [stepped(model, point, solution, 1.0) for model, point, solution in taken]
+        evidence -= 2.0 * gain
     return Optimum(models, points, joint, wide, doubted, evidence, rounds, converged, moved)
 
 
-def _among_fields(
-    models: Sequence[Model], points: Sequence[Point], joint: Joint
-) -> tuple[list[Point], Joint, float]:
-    """Return the optimum by all fields that the Earth may have, and the gain in log evidence.
+def earth_of(model: Model, point: Point, solution: Solution) -> FloatArray:
+    """Return the posterior mean of level and downward field, µT, shape (2,)."""
+    return np.asarray(point.state.shared[EARTH] + solution.shared[model.rows_of_earth])
 
-    The iterations know one wide Gaussian: with several, they could end at any of them.
+
+def _among_fields(
+    models: Sequence[Model], joint: Joint, means: Sequence[FloatArray]
+) -> tuple[Joint, float]:
+    """Return the step to the optimum by all fields that the Earth may have, and what they gain.
+
+    The iterations know one wide Gaussian: with several, they could end at any of them. `means` are
+    the posterior means of level and downward field (2,) under that one. The gain is that of the log
+    evidence.
     """
-    found, gain = list(points), 0.0
-    for k, (model, point, solution) in enumerate(zip(models, points, joint.solutions, strict=True)):
-        at = np.searchsorted(model.free, np.arange(EARTH.start, EARTH.stop))
-        spread = solution.covariance[np.ix_(at, at)]
-        mean = point.state.shared[EARTH] + solution.shared[at]
-        earth, gain = model.priors.fields.seen(point.earth, mean, spread)
-        found[k] = replace(point, earth=earth)
-    step = Joint.at(models, found)
-    solved = zip(models, found, step.solutions, strict=True)
-    found = [stepped(model, point, solution, 1.0) for model, point, solution in solved]
-    return found, Joint.at(models, found), gain
+    found, gain = [], 0.0
+    for model, solution, mean in zip(models, joint.solutions, means, strict=True):
+        at, known = model.rows_of_earth, solution.covariance
+        spread = known[np.ix_(at, at)]
+        shift, wanted, gain = model.priors.fields.seen(model.earth, mean, spread)
+        by_earth = np.linalg.solve(spread, known[at]).T
+        covariance = known + by_earth @ (wanted - spread) @ by_earth.T
+        moved = by_earth @ shift
+        local = -solution.follow @ moved
+        found.append(replace(solution, local=local, shared=moved, covariance=covariance))
+    return replace(joint, solutions=found), gain
 
 
 def _robust(model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution) -> Point:

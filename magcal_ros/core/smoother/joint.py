@@ -217,7 +217,7 @@ def _cost_of_shared(model: Model, point: Point, names: Iterable[str]) -> float:
     for name in names:
         at = AT[name]
         if name == "earth":
-            cost += point.earth.cost(point.state.shared[at])
+            cost += model.earth.cost(point.state.shared[at])
             continue
         seen = scales[at] > 0.0
         scale = scales[at][seen]

@@ -218,11 +218,6 @@ class _Trials:
         self._priors = priors
         return usual
 
-    @property
-    def likeliest(self) -> str:
-        """The kind of motion of the greatest evidence."""
-        return min(self.fits, key=lambda name: self.fits[name].evidence)
-
     def drives(self) -> None:
         """Fit all other kinds of motion, for a robot that certainly did not turn on the spot."""
         self._begin(WHILE_DRIVING)
@@ -318,9 +313,6 @@ def smooth(
             best = trials.parts_moved(best)
             for name in BESIDE_SPOT:
                 trials.add(name, best)
-        if trials.likeliest in DRIVES:
-            # Nodes and start were those of a turn.
-            trials.drives()
     else:
         trials.drives()
     return trials.mixed()

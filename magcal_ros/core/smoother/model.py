@@ -51,6 +51,7 @@ class Model:
     axes: FloatArray  # the body's level axes (`level_axes`). Shape (3, 3).
     priors: Priors
     kind: KindOfMotion
+    earth: EarthPrior  # of the iterations
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -79,7 +80,13 @@ class Model:
                 sizes={**priors.sizes, **begins},
             ),
             kind,
+            priors.fields.about(start.shared[EARTH]),
         )
+
+    @property
+    def rows_of_earth(self) -> IntArray:
+        """Where level and downward field are among the free unknowns, shape (2,)."""
+        return np.searchsorted(self.free, np.arange(EARTH.start, EARTH.stop))
 
     @property
     def speed(self) -> FloatArray:
@@ -119,7 +126,6 @@ class Point:
     sizes: dict[str, float]  # of the noises (`SIZES`)
     groups: dict[str, float]  # factors of the sigmas of the shared unknowns (`Unknown`)
     places: Places
-    earth: EarthPrior
     doubt: FloatArray = field(repr=False)
     """Variance of the nodes' velocities, both axes together, (m/s)². Shape (n,)."""
     marginal: FloatArray | None = field(default=None, repr=False)
@@ -141,7 +147,6 @@ class Point:
             },
             _usual_groups(model.priors, state),
             model.no_places,
-            model.priors.fields.about(state.shared[EARTH]),
             np.full(len(model.nodes), float(model.speed @ model.speed)),
         )
 
@@ -353,10 +358,10 @@ def prior_at(model: Model, point: Point) -> Prior:
     information = np.zeros((count, count))
     free = model.free
     information[free, free] = model.scales(point.groups)[free] ** -2.0
-    information[EARTH, EARTH] = point.earth.information
+    information[EARTH, EARTH] = model.earth.information
     information[SHARED:, SHARED:] = np.kron(places.information, np.eye(3)) / sizes["street"] ** 2
     offset = np.concatenate([model.priors.mean - state.shared, -state.centres.ravel()])
-    offset[EARTH] = point.earth.mean - state.shared[EARTH]
+    offset[EARTH] = model.earth.mean - state.shared[EARTH]
     counted = counted_unknowns(model, places)
     known, offset = information[np.ix_(counted, counted)], offset[counted]
     if point.marginal is not None:

@@ -103,7 +103,7 @@ def _with_one_prior(models: Sequence[Model], yaw_sigma: float) -> list[Model]:
         if model.priors.sizes["street"].usual > NOTHING:
             its_scale[AT["place"]] = UNKNOWNS["place"].sigma
         priors = replace(model.priors, scale=its_scale, mean=its_mean, fields=first.fields)
-        out.append(replace(model, priors=priors))
+        out.append(replace(model, priors=priors, earth=models[0].earth))
     return out
 
 
