@@ -187,6 +187,20 @@ def optimum(
                 stands = replace(stands, groups=effect_factors(model, whole, solution))
             points[k] = stands
         points = agreed(models, points)
+    return _with_covariance(models, points, joint, evidence, (rounds, converged, moved))
+
+
+def _with_covariance(
+    models: list[Model],
+    points: list[Point],
+    joint: Joint,
+    evidence: float,
+    end: tuple[int, bool, float],
+) -> Optimum:
+    """Return the optimum with its covariance, by all fields that the Earth may have.
+
+    `end` are the rounds, whether they converged, and the last step of the answer.
+    """
     windows = zip(models, points, joint.weighted, joint.solutions, strict=True)
     wide = agreed(models, [_widened(*each) for each in windows])
     doubted = Joint.at(models, wide, is_expected=True)
@@ -197,7 +211,7 @@ def optimum(
         taken = zip(models, points, joint.solutions, strict=True)
         points = [stepped(model, point, solution, 1.0) for model, point, solution in taken]
         evidence -= 2.0 * gain
-    return Optimum(models, points, joint, wide, doubted, evidence, rounds, converged, moved)
+    return Optimum(models, points, joint, wide, doubted, evidence, *end)
 
 
 def earth_of(model: Model, point: Point, solution: Solution) -> FloatArray:
