@@ -64,7 +64,7 @@ def test_streets_are_no_change(seed):
 
 @pytest.mark.nightly
 def test_what_the_calibration_itself_is_uncertain_by_is_no_change():
-    drive = driven(4, 90.0)
+    drive = driven(4, 120.0)
     off = {"iron": (6e-6, 0.0, 0.0)}
     rough, sure = (gain(drive, sigma=math.radians(sigma), **off) for sigma in (10.0, 0.3))
     assert rough < KEEPING.notice_proof < sure
