@@ -201,11 +201,12 @@ def fit_gathered(
 def fault_of_drive(gathering: Gathering, knowledge: Knowledge) -> str:
     """Return what may be wrong with the sensors of a drive without a result; empty if nothing.
 
-    A Refusal if the drive could not be read at all, with what was wrong with its samples.
+    Raises `Refusal` if no field and acceleration belong together, with the reason.
     """
     newest, log = gathering.streams.newest_imu, gathering.drive()
     has_gyro = newest is not None and math.isfinite(newest.rate[0])
     if has_gyro and not gathering.has_samples:
+        # It has no samples, and says why.
         gathering.window()
     if not len(log):
         return ""

@@ -178,14 +178,14 @@ def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
     """Return the fit of corrected nodes; None if it fails."""
     try:
         state, about = start(inside, priors)
-        shared = about.mean.copy()
+        mean = about.mean.copy()
         # What a calibration left of the hard iron is about zero.
-        shared[AT["iron"]] = priors.mean[AT["iron"]]
-        about = replace(about, mean=shared.copy())
-        shared[AT["gyro_bias"]] = state.shared[AT["gyro_bias"]]
-        shared[EARTH] = state.shared[EARTH]
-        begun = replace(state, shared=shared)
-        return fit(inside, about, begun, KINDS[ON_WHEELS], TOLERANCES)
+        mean[AT["iron"]] = priors.mean[AT["iron"]]
+        shared = mean.copy()
+        for which in (AT["gyro_bias"], EARTH):
+            shared[which] = state.shared[which]
+        begun, held = replace(state, shared=shared), replace(priors, mean=mean)
+        return fit(inside, held, begun, KINDS[ON_WHEELS], TOLERANCES)
     except np.linalg.LinAlgError:
         return None
 

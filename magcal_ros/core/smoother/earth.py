@@ -77,17 +77,17 @@ class Fields:
 
     def at_level(self, level: float) -> FloatArray:
         """Return the expected level and downward field where a level field was measured, µT."""
-        along = np.tile([1.0, 0.0], (len(self.shares), 1))
-        return self._measured(along, level, LEVEL_SIGMA).gaussian.mean
+        information = np.array([LEVEL_SIGMA**-2.0, 0.0])
+        return self._given(np.diag(information), information * level)[0]
 
     def seen(
         self, prior: EarthPrior, mean: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, FloatArray, float]:
         """Return by how much the posterior moves, its covariance, and the gain in log evidence.
 
-        `mean` and `covariance` are the posterior under `prior`; without that prior they are what
-        the samples say, which the posterior of all fields follows from. Where the samples lie
-        between two likely fields, it is wider than the samples alone have it.
+        `mean` and `covariance` are the posterior under `prior`. That prior is removed from them,
+        and what the samples alone show is combined with all fields. Where that lies between two
+        likely fields, the new covariance is larger than that of the samples alone.
         """
         by_posterior = np.linalg.inv(covariance)
         values, vectors = np.linalg.eigh(by_posterior - prior.information)

@@ -26,7 +26,7 @@ from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, UNKNO
 STEPS = {EARTH.stop - 1: 0.1, AT["sway_arm"].stop - 1: 0.01}
 """Of the downward field, µT, and the height above the pivot, m, by which derivatives are taken."""
 NEGLIGIBLE = 20.0
-"""Minus twice the log evidence by which a fit is worse than another one and has no weight."""
+"""Difference of minus twice the log evidence from which the worse of two fits has no weight."""
 SETTLED = 0.2
 """Step of the answer, in its own sigmas, of a fit whose last rounds still change something else."""
 
@@ -45,7 +45,7 @@ class Tolerances:
     """Rounds in which the sigmas of effects keep their usual sizes, until the rest fits."""
     gaussian: int = 5  # rounds in which all residuals count fully
     ahead: int = 10
-    """Rounds for which the last gain of evidence is assumed to last, to see what is hopeless."""
+    """Rounds that may each gain as much as the last one; a fit that stays behind even then ends."""
     undamped: int = 20
     """Rounds in which each step is taken as a whole, though it may go back on the one before."""
 
@@ -224,9 +224,9 @@ def _among_fields(
 ) -> tuple[Joint, float]:
     """Return the step to the optimum by all fields that the Earth may have, and what they gain.
 
-    The iterations know one wide Gaussian: with several, they could end at any of them. `means` are
+    The iterations use one wide Gaussian: with several, they could end at any of them. `means` are
     the posterior means of level and downward field (2,) under that one. The gain is that of the log
-    evidence.
+    evidence; all windows share the field, so that each has the same.
     """
     found, gain = [], 0.0
     for model, solution, mean in zip(models, joint.solutions, means, strict=True):

@@ -129,12 +129,6 @@ class _Trials:
         self._state, self._priors = start(self.nodes, priors)
         self.fits = {}
 
-    @property
-    def others(self) -> list[str]:
-        """The kinds of motion that are not fitted yet, in a fixed order."""
-        kinds = DRIVES if self._samples.rolls else KINDS
-        return [name for name in kinds if name not in self.fits]
-
     def on_the_spot(self) -> Fit | None:
         """Return a coarse fit of a turn on the spot if it explains the samples, else None."""
         if self._samples.rolls:
@@ -223,8 +217,8 @@ class _Trials:
         self._begin(WHILE_DRIVING)
         self._without_false_rests()
         fits = self.fits
-        for name in self.others:
-            if name != ON_THE_SPOT:
+        for name in DRIVES if self._samples.rolls else KINDS:
+            if name != ON_THE_SPOT and name not in fits:
                 self.add(name, tolerances=ROUGHLY)
         self._started = max(self._started, len(KINDS))
         least = min((each.evidence for each in fits.values()), default=0.0)
