@@ -4,7 +4,9 @@ Each robot calibrates with one turn, in which it stops three times on the way (`
 before and after it). Then it drives for five minutes: it stands, drives, bends and turns on the
 spot. Its motors add a field of so many microtesla, at their largest, in one of these shapes: a step
 with motion, in proportion to speed, to turn rate, to a current with a ripple of a fifth, and a step
-that changes side with the direction of turn. The current comes at 8 Hz, a tenth of a second late.
+that changes side with the direction of turn. "current, holds" is the current of a robot that also
+holds itself by its motors while it stands, by 0 to 3 A. The current comes at 8 Hz, a tenth of a
+second late.
 "turn" takes the motors as the turn showed them, "drive" goes on learning them; "none" takes off
 nothing.
 
@@ -34,15 +36,16 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import FieldDoubt
-from magcal_ros.core.heading.motors_now import MotionSense
+from magcal_ros.core.heading.motion_sense import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up.follower import UpFollower
 
-SHAPES = ("step", "speed", "turn rate", "current", "current, no battery", "side")
+SHAPES = ("step", "speed", "turn rate", "current", "current, no battery", "current, holds", "side")
 SIZES = (0.0, 2.0, 7.0, 20.0)
 WAYS = ("none", "turn", "drive")
 FASTEST, QUICKEST = 1.0, 0.8
@@ -78,6 +81,9 @@ def motors_of(shape: str, truth: Travel, rng: np.random.Generator) -> tuple[Floa
     ripple = exponential_noise(rng, len(level), truth.period, 0.5)[:, 0]
     load = np.abs(truth.speed) / FASTEST + np.abs(level) / QUICKEST
     current = 4.0 * load * (1.0 + 0.2 * ripple) + 0.3 * moves
+    if shape.endswith("holds"):
+        stand = np.cumsum(np.abs(np.diff(moves.astype(int), prepend=int(moves[0]))))
+        current += rng.uniform(0.0, 3.0, stand.max() + 1)[stand] * ~moves
     shapes = {
         "step": moves.astype(float),
         "speed": truth.speed / FASTEST,
@@ -94,7 +100,7 @@ class Robotic:
 
     drive: Drive
     turn_until: float
-    battery: tuple[tuple[float, float], ...]
+    battery: Messages
     knowledge: Knowledge
 
 
@@ -134,7 +140,7 @@ def calibrated(robotic: Robotic) -> Calibration | None:
     drive = robotic.drive
     rows = drive.time <= robotic.turn_until
     window = Window(drive.time[rows], drive.field[rows], drive.force[rows], drive.rate[rows])
-    outcome = calibrate(collected(window), robotic.knowledge)
+    outcome = calibrate(collected(window, robotic.battery), robotic.knowledge)
     return outcome.calibration if outcome.verdict.accepted else None
 
 
@@ -161,7 +167,8 @@ def headings(
             while waiting is not None and waiting[0] <= sample.stamp:
                 current, waiting = float(waiting[1]), next(battery, None)
             up.add_field(sample.stamp, sample.field)
-            now = sense.at(sample.stamp, up.rate, up.is_at_rest, speed, current)
+            reference = math.nan if compass.motors is None else compass.motors.reference
+            now = sense.at(sample.stamp, up.rate, up.is_at_rest, speed, current, reference)
             if learning is not None:
                 learning.add(sample.stamp, sample.field, up.rate, now)
                 if sample.stamp - learnt > 1.0:

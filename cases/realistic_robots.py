@@ -21,6 +21,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
+from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session
@@ -97,9 +98,10 @@ def driven(
     return Motion(time, exp_rotations(lean) @ rotation_about(UP_ENU, -yaw) @ slope)
 
 
-def collected(window: Window) -> Window:
-    """Return what a session makes of samples."""
+def collected(window: Window, currents: Messages = ()) -> Window:
+    """Return what a session makes of samples, and of a battery's messages."""
     session = Session(Limits(), Mounting(), 0.0)
+    session.note_currents(*currents)
     rates = window.angular_rate
     rates = np.full_like(window.field, math.nan) if rates is None else rates
     rows = zip(window.time, window.field, window.specific_force, rates, strict=True)

@@ -144,7 +144,8 @@ def gather(
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
     with at_work(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
-        gathering.take(repaired, source.travel)
+        # Samples without the field of the motors do not follow their current.
+        gathering.take(repaired, source.travel, source.currents if known is None else ())
     newest = gathering.streams.field_stamps.newest
     reference = reference_in_use(options, source.place, newest)
     imus, fields = repaired.read

@@ -19,6 +19,7 @@ from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept, Several
+from magcal_ros.core.samples.battery import with_one_reference
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window
 
@@ -200,6 +201,9 @@ def calibrate_turns(
         return calibrate(windows[0], knowledge, method)
     from magcal_ros.core.multi_turn.joined import join, survey
 
+    batteries = with_one_reference([window.battery for window in windows])
+    both = zip(windows, batteries, strict=True)
+    windows = [w if w.battery is b else replace(w, battery=b) for w, b in both]
     turns, joint, several = join(survey(windows, called, knowledge), knowledge)
     members = [turn for turn in turns if not turn.unfit]
     turn = (members or turns)[-1]

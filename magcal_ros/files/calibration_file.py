@@ -259,6 +259,7 @@ def _motors_entry(motors: MotorField | None) -> dict[str, Any] | None:
         "field": motors.gain.tolist(),
         "usual": [float(each) for each in motors.usual],
         "ripple": float(motors.ripple),
+        "reference_current": None if math.isnan(motors.reference) else float(motors.reference),
         "covariance": motors.covariance.tolist(),
         "covariance_with_calibration": motors.beside.tolist(),
     }
@@ -269,6 +270,7 @@ def _motors(document: Mapping[str, Any]) -> MotorField | None:
     entry = document.get("motors")
     if entry is None:
         return None
+    reference = entry.get("reference_current")
     return MotorField(
         tuple(MotorInput(str(each)) for each in entry["inputs"]),
         _numbers(entry["field"]),
@@ -276,6 +278,7 @@ def _motors(document: Mapping[str, Any]) -> MotorField | None:
         _numbers(entry["covariance_with_calibration"]),
         _positive(entry["ripple"], "motors.ripple"),
         tuple(_positive(each, "motors.usual") for each in entry["usual"]),
+        math.nan if reference is None else _finite(reference, "motors.reference_current"),
     )
 
 

@@ -23,7 +23,7 @@ from magcal_ros.core.geometry.attitude import (
 from magcal_ros.core.geometry.shapes import Circle
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motors_now import MotionSense
+from magcal_ros.core.heading.motion_sense import MotionSense
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
 from magcal_ros.core.samples.streams import ImuSample

@@ -17,6 +17,7 @@ from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch
+from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import Drop, FieldSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
@@ -145,6 +146,11 @@ class Magnetometer:
     def wheel_speed(self, stamp: float) -> float:
         """Return what wheels say, m/s; NaN without a measurement near a stamp, seconds."""
         return self._pipeline.travel.travelling.wheel_speed(stamp)
+
+    @property
+    def currents(self) -> Messages:
+        """The battery's newest message, if there is one."""
+        return self._pipeline.motors.currents
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self.compass = None if calibration is None else Compass(calibration)
@@ -278,7 +284,7 @@ class Control:
         if self.turn.state is tm.TurnState.COLLECTING:
             for pair in self._pairer.take():
                 speed = self._magnetometer.wheel_speed(pair.field.stamp)
-                self.tell(self.turn.take, pair, now(), speed)
+                self.tell(self.turn.take, pair, now(), speed, self._magnetometer.currents)
 
     def tell(self, happened: Callable[..., T], *facts: Any) -> T:
         """Report an event to the turn and carry out its commands; returns its answer."""

@@ -13,10 +13,11 @@ from sensor_msgs.msg import BatteryState
 
 from magcal_ros.core.calibration.correction import MotorField, MotorInput, Running
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motors_now import MotionSense
+from magcal_ros.core.heading.motion_sense import MotionSense
 from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.messages import seconds
+from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros.threads import SENSOR_DATA
@@ -24,7 +25,6 @@ from magcal_ros.ros.travel import Travel
 
 BETTER = 0.7  # share of a sigma that is kept, below which what was learnt is kept instead
 PAUSE = 60  # seconds of learning between two writings of the file
-SILENT = 1.5  # seconds without a message after which the current counts as unknown
 
 
 class Commands:
@@ -102,7 +102,14 @@ class Motors:
         current = self._current if abs(stamp - self._received) < SILENT else math.nan
         speed = self._travelling.wheel_speed(stamp)
         speed = self.commands.speed_near(stamp) if math.isnan(speed) else speed
-        return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current)
+        motors = None if self._compass is None else self._compass.motors
+        reference = math.nan if motors is None else motors.reference
+        return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current, reference)
+
+    @property
+    def currents(self) -> Messages:
+        """The battery's newest message, if there is one."""
+        return () if math.isnan(self._current) else ((self._received, self._current),)
 
     def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
         """Learn from a sample; returns it without what the motors add, as a compass knows them."""

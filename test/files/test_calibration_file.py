@@ -105,7 +105,13 @@ def everything_of(motors):
     if motors is None:
         return None
     arrays = motors.gain, motors.covariance, motors.beside
-    return (*(each.tobytes() for each in arrays), motors.inputs, motors.ripple, motors.usual)
+    return (
+        *(each.tobytes() for each in arrays),
+        motors.inputs,
+        motors.ripple,
+        motors.usual,
+        motors.reference,
+    )
 
 
 def with_motors():
@@ -119,6 +125,7 @@ def with_motors():
         joint[:12, 12:],
         2e-7,
         (1.0, 0.4),
+        -0.5,
     )
     return replace(example(), covariance=joint[:12, :12], motors=motors)
 
@@ -160,6 +167,11 @@ class TestRoundTrip:
         write_calibration(tmp_path / "a", with_motors(), ORIGIN)
         assert everything(read_calibration(tmp_path / "a")[0]) == everything(with_motors())
 
+    def test_without_a_current_of_the_calibration_it_is_that_at_rest(self, tmp_path):
+        write_calibration(tmp_path / "a", with_motors(), ORIGIN)
+        with_change(tmp_path / "a", lambda document: document["motors"].pop("reference_current"))
+        assert math.isnan(read_calibration(tmp_path / "a")[0].motors.reference)
+
     @pytest.mark.parametrize(
         "change",
         [
@@ -171,6 +183,7 @@ class TestRoundTrip:
             lambda motors: motors["field"][0].__setitem__(0, 1.0),
             lambda motors: motors["covariance"][0].__setitem__(1, 1.0),
             lambda motors: motors.update(usual=[1.0]),
+            lambda motors: motors.update(reference_current=math.inf),
         ],
     )
     def test_impossible_motors_are_refused(self, tmp_path, change):

@@ -54,6 +54,8 @@ class House:
     def wheel_speed(self, _):
         return math.nan
 
+    currents = ()
+
     def describe_silence(self):
         return "/mag has been silent"
 
@@ -205,4 +207,23 @@ def test_the_wheels_speed_comes_with_the_samples():
     control.finish()
     window = control.turn.last_window
     np.testing.assert_allclose(window.speed, 1e-3 * (window.time - 1000.0))
+    control.shut_down()
+
+
+def test_the_current_of_the_battery_comes_with_the_samples():
+    class Holding(House):
+        """A robot whose battery tells another current with every sample."""
+
+        @property
+        def currents(self):
+            self.told += 1
+            return ((999.0 + 0.1 * self.told, -1.0 - 0.01 * self.told),)
+
+    house = Holding()
+    house.told = 0
+    control = begun_in(house)
+    control.finish()
+    battery = control.turn.last_window.battery
+    assert len(battery.time) > 50
+    np.testing.assert_allclose(battery.current, -1.0 - 0.1 * (battery.time - 999.0))
     control.shut_down()

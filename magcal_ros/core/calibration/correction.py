@@ -101,8 +101,13 @@ class Running(NamedTuple):
     moving: float = 0.0  # probability that it moves
     turn_rate: float = 0.0  # rad/s about the body's z; NaN where it is unknown, as of the others
     speed: float = 0.0  # m/s, negative backwards
-    current: float = 0.0  # amperes, of a constant sign convention
+    current: float = 0.0  # amperes beyond `MotorField.reference`, of a constant sign convention
     side: float = 0.0  # one while it turns left, minus one to the right, between them at low rates
+
+    @property
+    def runs(self) -> bool:
+        """Whether motors run: the robot moves, or they draw a current while it stands."""
+        return self.moving > 0.0 or abs(self.current) > 0.0
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -126,6 +131,10 @@ class MotorField:
     """Standard deviation of the field while the robot moves, beside K u, tesla per axis."""
     usual: tuple[float, ...]
     """Root mean square of each input while the robot moves, for an input that is not measured."""
+    reference: float = math.nan
+    """Amperes of the robot that the calibration is for; NaN where it is for the robot at rest,
+    whatever its current is then. A robot that holds itself by its motors adds the field of the
+    current beyond it, also at rest."""
 
     def __post_init__(self) -> None:
         count = len(self.inputs)
@@ -189,6 +198,7 @@ class MotorField:
             self.beside @ split.T,
             self.ripple,
             (*self.usual, self.usual[at]),
+            self.reference,
         )
 
     def and_of(self, older: MotorField) -> MotorField:
@@ -205,6 +215,7 @@ class MotorField:
             np.hstack([self.beside, np.zeros((PARAMETERS, count))]),
             self.ripple,
             (*self.usual, *(older.usual[k] for k in rows)),
+            self.reference,
         )
 
     def improves_on(self, other: MotorField | None, share: float) -> bool:

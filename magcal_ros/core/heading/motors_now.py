@@ -1,4 +1,4 @@
-"""Whether motors run, and what field they add at the moment.
+"""What field the motors add at the moment.
 
 Inputs come late and leave out a ripple: a current is reported some tenths of a second after it
 flows, and that a robot moves is seen after its motors have started. The field of the place cannot
@@ -17,98 +17,8 @@ import numpy as np
 from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation, skew
-from magcal_ros.core.geometry.vec3 import Triple, length
-
-
-@dataclass(frozen=True)
-class RunningTuning:
-    """When a robot moves, and how well the inputs show what its motors add."""
-
-    rate: float = 0.03  # rad/s from which it turns, as for the smoother (`Lengths.moving`)
-    speed: float = 0.01  # m/s from which it drives: below a step of a wheel's encoder
-    turning: float = 0.1  # rad/s at which it surely turns to one side
-    slow: float = 0.05  # m/s below which it is about to stop, and twice `rate` likewise
-    edge: float = 0.1  # seconds after a start or stop in which it is not known what runs
-    slowing: float = 0.3  # the same after the robot got slow
-    settles: float = 0.7  # seconds at rest after which the current is that of rest
-    idle: float = 5.0  # seconds over which that is averaged
-    body_length: float = 4.0  # seconds over which what no input shows is alike
-    unseen: float = 0.1
-    unseen_spread: float = 1.0
-    """Share of what the inputs show by which the motors' field differs from it, along its
-    direction: median, and standard deviation of its natural logarithm. Where nobody reports the
-    currents of wheels, they vary by a fifth to a third, with the floor and bends; a field that is
-    switched on with the motors hardly varies."""
-    unseen_lasts: float = 300.0  # seconds of motion over which it is the same
-    late_share: float = 0.03  # of the time in which motors run unseen, or do not
-    longest: float = 0.5  # seconds that this lasts at most
-    latency: float = 0.2  # seconds by which a speed or a current may be late
-
-
-RUNNING = RunningTuning()
-
-
-class MotionSense:
-    """Follows whether a robot moves; `newest` is what the motors did when it was asked last."""
-
-    def __init__(self) -> None:
-        self._moves: bool | None = None
-        self._is_slow = True
-        self._since = self._slow_since = -math.inf
-        self._stamp = self._idle = math.nan
-        self.newest = Running(0.5, math.nan, math.nan, math.nan, math.nan)
-
-    def at(
-        self, stamp: float, rate: Triple | None, is_at_rest: bool, speed: float, current: float
-    ) -> Running:
-        """Return what the motors do at a stamp, seconds; stamps go on or jump.
-
-        `rate` is less the gyro's bias, rad/s, body axes; None without a gyro. `is_at_rest` is
-        whether the IMU shows that the robot stands, or rolls on evenly. `speed` and `current` are
-        in m/s and amperes, NaN where they are unknown. Of the current only what is beyond that at
-        rest counts: the calibration is that of the robot at rest.
-        """
-        if stamp == self._stamp:
-            return self.newest
-        seconds, self._stamp = stamp - self._stamp, stamp
-        turns = 0.0 if rate is None else length(rate)
-        drives = 0.0 if math.isnan(speed) else abs(speed)
-        moves: bool | None = False if is_at_rest else None
-        if turns > RUNNING.rate or drives > RUNNING.speed:
-            moves = True
-        elif not math.isnan(speed):
-            # Wheels that stand do not show a turn on the spot; the gyro would.
-            moves = None if rate is None else False
-        if moves is not self._moves:
-            # What is not known at first was as it is now.
-            self._since = -math.inf if self._moves is None else stamp
-            self._moves = moves
-        is_slow = turns < 2.0 * RUNNING.rate and drives < RUNNING.slow
-        if is_slow and not self._is_slow:
-            self._slow_since = stamp
-        self._is_slow = is_slow
-        is_edge = 0.0 <= stamp - self._since < RUNNING.edge
-        is_edge = is_edge or (moves is True and 0.0 <= stamp - self._slow_since < RUNNING.slowing)
-        share = 0.5 if moves is None or is_edge else float(moves)
-        turn_rate = math.nan if rate is None else rate[2] * float(moves is not False)
-        driven = speed * float(moves is not False)
-        side = max(-1.0, min(1.0, turn_rate / RUNNING.turning))
-        if is_edge and moves is False:
-            # Motors of a turn that has just ended may still run to its side.
-            side = self.newest.side
-        beyond = self._beyond_rest(moves, seconds, current)
-        self.newest = Running(share, turn_rate, driven, beyond, side)
-        return self.newest
-
-    def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
-        """Return by how much a current, if known, is beyond that at rest, and follow the latter."""
-        rests = moves is False and self._stamp - self._since > RUNNING.settles
-        if rests and not math.isnan(current):
-            share = min(max(seconds, 0.0) / RUNNING.idle, 1.0)
-            old = current if math.isnan(self._idle) else self._idle
-            self._idle = old + share * (current - old)
-        return 0.0 * current if moves is False else current - self._idle
-
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.heading.motion_sense import RUNNING
 
 MICROTESLA = 1e6
 PLACE, LEFT = slice(0, 3), slice(3, 6)
@@ -254,7 +164,7 @@ class MotorsNow:
 
         `field` is in tesla, body axes, `rate` in rad/s, less the gyro's bias, None without a gyro.
         """
-        if running.moving == 0.0 and (not self._is_felt or rate is None):
+        if not running.runs and (not self._is_felt or rate is None):
             return field, MotorDoubt(np.zeros((3, 3)), self._of_sample)
         values, doubt = self._motors.known(running)
         if not self._is_felt or rate is None:
@@ -350,7 +260,8 @@ class MotorsNow:
 
     def _predict(self, stamp: float, rate: Triple, running: Running, values: FloatArray) -> None:
         seconds, self._stamp = stamp - self._stamp, stamp
-        moves, moved = running.moving > 0.0, self._before.moving > 0.0
+        before = self._before
+        moves, moved = running.moving > 0.0, before.moving > 0.0
         level = self._level(running, values)
         now = np.array(rate)
         changed, self._values = values - self._values, values
@@ -363,7 +274,9 @@ class MotorsNow:
         share = min(seconds / RUNNING.latency, 1.0)
         self._change = self._change + share * (changed / seconds - self._change)
         turned = seconds * moves * (now - 0.5 * faster)
-        keeps = math.exp(-seconds / RUNNING.body_length) if moves and moved else 0.0
+        # Motors may hold a robot that stands.
+        alike = moves is moved and running.runs and before.runs
+        keeps = math.exp(-seconds / RUNNING.body_length) if alike else 0.0
         if moves:
             self.odds = self.odds + seconds / RUNNING.unseen_lasts * (ODDS - self.odds)
         step = np.zeros((6, 6))

@@ -86,6 +86,7 @@ class MotorLearning:
         motors = calibration.motors
         ripple = TUNING.body if motors is None else motors.ripple * MICROTESLA
         self._ripple = max(ripple, TUNING.body)
+        self._reference = math.nan if motors is None else motors.reference
         self._squares = np.square([USUAL_SIZES[each] for each in INPUTS])
         if motors is not None:
             for each, usual in zip(motors.inputs, motors.usual, strict=True):
@@ -198,6 +199,7 @@ class MotorLearning:
             beside,
             self._ripple / MICROTESLA,
             tuple(math.sqrt(self._squares[k]) for k in which),
+            self._reference,
         )
 
     def _forget_place(self) -> None:
@@ -217,8 +219,10 @@ class MotorLearning:
         u = np.where(known, u, 0.0)
         moves = u[0] > 0.0
         self._predict(block, moves)
-        # At rest all inputs are zero, also those that fall silent there.
-        is_known = not moves or known[[self._is_used(each) for each in INPUTS]].all()
+        # At rest all inputs are zero, also those that fall silent there; not what holds a robot.
+        is_known = known[CURRENT] or math.isnan(self._reference)
+        if moves:
+            is_known = known[[self._is_used(each) for each in INPUTS]].all()
         if not (is_known and block.clear and is_even):
             return
         raw = np.asarray(block.field) / count

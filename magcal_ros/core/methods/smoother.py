@@ -19,7 +19,13 @@ from magcal_ros.core.samples.drive_log import DriveLog, log_of
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import check_length, drive_nodes
-from magcal_ros.core.smoother.factors import QUARTER, distortion, soft_iron, turned_by
+from magcal_ros.core.smoother.factors import (
+    QUARTER,
+    distortion,
+    of_the_motors,
+    soft_iron,
+    turned_by,
+)
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
 from magcal_ros.core.smoother.kinds_of_motion import (
@@ -33,6 +39,7 @@ from magcal_ros.core.smoother.turn_by_field import rival_gap, smooth_by_field
 from magcal_ros.core.smoother.unknowns import (
     AT,
     BODY_FIELD,
+    CURRENT_LATE,
     DRIVES,
     MICROTESLA,
     ON_THE_SPOT,
@@ -212,8 +219,8 @@ def _swing(found: Smoothed) -> GyroSwing:
     """Return compass less corrected gyro by sectors of heading, while the robot moves."""
     best, nodes = found.fit, found.nodes
     shared, course = best.state.shared, best.point.course
-    motors = course.moving[:, None] * shared[AT["motors_moving"]]
-    motors = motors + nodes.rate[:, 2:] * shared[AT["motors_rate"]]
+    run = of_the_motors(course, shared)
+    motors = sum(share * shared[AT[name]] for name, share in run.items())
     motors = motors + best.state.local[:, BODY_FIELD]
     back = np.linalg.inv(distortion(shared))
     body = (nodes.field - shared[AT["iron"]] - motors) @ back.T
@@ -255,6 +262,10 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     at_rate = np.zeros((3, len(shared)))
     at_rate[:, AT["motors_moving"]] = np.eye(3)
     at_rate[:, AT["motors_rate"]] = turning * np.eye(3)
+    if found.nodes.currents is not None:
+        beyond, _ = found.nodes.currents.at(shared[CURRENT_LATE])
+        usual = float(np.median(beyond[best.point.course.moving > 0.0]))
+        at_rate[:, AT["motors_current"]] = usual * np.eye(3)
     size = float(np.linalg.norm(at_rate @ shared))
     doubt = math.sqrt(float(np.trace(at_rate @ best.covariance @ at_rate.T)))
     share = float(np.trace(soft_iron(shared)[:2, :2])) / 2.0

@@ -22,6 +22,7 @@ from magcal_ros.core.geometry.arrays import (
 )
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors_near
+from magcal_ros.core.samples.battery import Battery, Messages, battery_of
 from magcal_ros.core.samples.rest import FORCE, RATE, SPAN, RestBeside
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
@@ -99,6 +100,7 @@ class Window:
     """Of a bias known before, which was taken off too, rad/s per axis; infinite without one."""
     speed: FloatArray | None = None
     """Of the wheels, m/s ahead, NaN where it was not measured; None if it never was. Shape (n,)."""
+    battery: Battery | None = None  # its current; None if that was not measured throughout
 
     def __post_init__(self) -> None:
         freeze(self, time=(-1,))
@@ -165,6 +167,18 @@ class Window:
     def with_steps(self, steps: Steps) -> Window:
         """Return the window with the steps that all samples of an IMU with a gyro show."""
         return replace(self, missed=steps.beyond(self._straight))
+
+    def with_battery(self, messages: Messages) -> Window:
+        """Return the window with the current by messages, if that is known."""
+        if not len(messages) or not len(self):
+            return self
+        begin, end = float(self.time[0]), float(self.time[-1])
+        for rest in self.rests:
+            begin, end = (
+                min(begin, rest.beside - rest.seconds),
+                max(end, rest.beside + rest.seconds),
+            )
+        return replace(self, battery=battery_of(messages, begin, end))
 
     @property
     def _straight(self) -> Steps:

@@ -23,9 +23,10 @@ from magcal_ros.core.doctor.page import blamed_on_sensors
 from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motors_now import MotionSense
+from magcal_ros.core.heading.motion_sense import MotionSense
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
+from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.drive_log import DriveLog, DriveRecorder
 from magcal_ros.core.samples.streams import (
     STREAMS,
@@ -84,10 +85,20 @@ class Gathering:
         """How many messages of IMU and field came."""
         self._drive = DriveRecorder(LONGEST_DRIVE)
         self._replay = TravelReplay(())
+        self._currents: Messages = ()
 
-    def take(self, readings: Iterable[Reading], travel: Sequence[TravelSample] = ()) -> None:
-        """Take everything, in the order in which it was recorded; travel by stamp."""
-        streams = self.streams
+    def take(
+        self,
+        readings: Iterable[Reading],
+        travel: Sequence[TravelSample] = (),
+        currents: Messages = (),
+    ) -> None:
+        """Take everything, in the order in which it was recorded; travel by stamp.
+
+        `currents` are those of the battery, by stamp (s, A).
+        """
+        streams, self._currents = self.streams, currents
+        self._session.note_currents(*currents)
         if travel:
             self._replay = TravelReplay(travel)
         for reading in self._replay.readings(readings):
@@ -154,6 +165,7 @@ class Gathering:
                 self._choose()
                 self._best = self._session
                 self._session = Session(Limits(), self.mounting, 0.0, longer=LONGER)
+                self._session.note_currents(*self._currents)
             travelling = self._replay.travelling
             self._session.add(pair, 0.0, travelling.wheel_speed(pair.field.stamp))
             if math.isfinite(pair.imu.rate[0]):
@@ -250,14 +262,12 @@ def _window_or_refusal(gathering: Gathering) -> Window | Refusal:
 
 AnyReading = TypeVar("AnyReading", bound=ImuSample | FieldSample | None)
 
-SILENT = 1.5  # seconds without a message after which speed and current count as unknown
-
 
 def without_motors(
     readings: Iterable[AnyReading],
     calibration: Calibration,
     travel: Iterable[TravelSample],
-    currents: Sequence[tuple[float, float]],
+    currents: Messages,
 ) -> Iterator[AnyReading | FieldSample]:
     """Yield the readings; raw fields are those of the robot with its motors off.
 
@@ -277,7 +287,8 @@ def without_motors(
             up.add_field(stamp, reading.field)
             rate = up.rate if up.is_propagated else None
             inputs = _newest(speeds, stamp), _newest(currents, stamp)
-            running = sense.at(stamp, rate, up.is_at_rest, *inputs)
+            reference = calibration.motors.reference
+            running = sense.at(stamp, rate, up.is_at_rest, *inputs, reference)
             field, _ = compass.at_rest(stamp, reading.field, rate, running)
             x, y, z = back.undo(np.array(field)).tolist()
             yield FieldSample(stamp, (x, y, z))
@@ -285,7 +296,7 @@ def without_motors(
         yield reading
 
 
-def _newest(values: Sequence[tuple[float, float]], stamp: float) -> float:
+def _newest(values: Messages, stamp: float) -> float:
     """Return the newest of some values (stamp in s, value) at a stamp; NaN if it is unknown."""
     row = bisect_right(values, (stamp, math.inf))
     since, value = values[row - 1] if row else (-math.inf, math.nan)

@@ -146,6 +146,7 @@ class Session:
         self._to_body = mounting.to_body
         self._started = self._last_pair = self._last_turning = now
         self._buffer = np.empty((1024, COLUMNS))
+        self._currents: list[tuple[float, float]] = []
         self._size = 0
         self._turned = self._looked_at = 0.0
         self._sigma, self._seen = math.inf, 0.0
@@ -173,6 +174,7 @@ class Session:
             return
         if stamp < newest:
             self._size, self._turned = 0, 0.0
+            self._currents.clear()
             self._sigma, self._seen = math.inf, 0.0
             self.was_set_back = True
         if self._size == len(self._buffer):
@@ -182,6 +184,10 @@ class Session:
         self._buffer[self._size] = (stamp, *pair.field.field, *imu.force, *imu.rate, *since, speed)
         self._size += 1
         self._last_pair = now
+
+    def note_currents(self, *messages: tuple[float, float]) -> None:
+        """Take messages of the battery, a repeated one once: stamp, seconds, and amperes."""
+        self._currents += [each for each in messages if each not in self._currents[-1:]]
 
     def look(self) -> Window:
         """Return `window`; the heading sigma that its fit predicts comes to `note_sigma`."""
@@ -222,7 +228,8 @@ class Session:
         if _rate_if_any(rows) is None:
             rows, rests, _ = apart_from_rests(rows)
             rows = rows[self._kept(rows)]
-            return Window(rows[:, 0], rows[:, FIELD], rows[:, FORCE], rests=rests)
+            window = Window(rows[:, 0], rows[:, FIELD], rows[:, FORCE], rests=rests)
+            return window.with_battery(self._currents)
         rows = rows[np.isfinite(rows[:, RATE]).all(axis=1)]
         rows, rests, sigma = apart_from_rests(rows, self._gyro)
         steps, kept = steps_of(rows), self._kept(rows)
@@ -234,7 +241,7 @@ class Session:
         sensors = rows[:, FIELD], rows[:, FORCE], rows[:, RATE]
         speed = rows[:, SPEED] if np.isfinite(rows[:, SPEED]).any() else None
         window = Window(rows[:, 0], *sensors, rests=rests, sigma_before=sigma, speed=speed)
-        return window.with_steps(steps.over(kept))
+        return window.with_steps(steps.over(kept)).with_battery(self._currents)
 
     def _kept(self, rows: FloatArray) -> IntArray:
         """Return which rows stay when they are thinned to equal angles."""

@@ -16,6 +16,7 @@ from magcal_ros.core.calibrate import JOINS, Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.multi_turn.result import Kept
+from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.rotation import planned_duration
@@ -197,9 +198,12 @@ class TurnMachine:
             )
         return ""
 
-    def take(self, pair: Pair, now: float, speed: float = math.nan) -> None:
-        """Take a field sample with the IMU at its stamp, and the wheels' speed, m/s; else NaN."""
+    def take(
+        self, pair: Pair, now: float, speed: float = math.nan, currents: Messages = ()
+    ) -> None:
+        """Take a field sample with the IMU at its stamp, speed (m/s or NaN), new currents."""
         if isinstance(self._stage, Collecting):
+            self._stage.session.note_currents(*currents)
             self._stage.session.add(pair, now, speed)
             self.robot.take(pair, now)
 

@@ -29,6 +29,7 @@ from magcal_ros.core.smoother.unknowns import (
     ATTITUDE,
     BIAS_UP,
     BODY_FIELD,
+    CURRENT_LATE,
     EARTH,
     HEADING_DRIFT,
     HEADING_RATE,
@@ -131,6 +132,16 @@ def distortion(shared: FloatArray) -> FloatArray:
     return soft_iron(shared) @ installation(shared)
 
 
+def of_the_motors(course: Course, shared: FloatArray) -> dict[str, FloatArray]:
+    """Return the inputs of the motors' field by its unknowns, each of shape (n, 1)."""
+    nodes = course.nodes
+    found = {"motors_moving": course.moving[:, None], "motors_rate": nodes.rate[:, 2:]}
+    if nodes.currents is not None:
+        beyond, _ = nodes.currents.at(shared[CURRENT_LATE])
+        found["motors_current"] = beyond[:, None]
+    return found
+
+
 def magnetic(course: Course, state: State, places: Places) -> Linear:
     """Return the residuals of the field at the nodes, µT (doc/smoother.md, the model)."""
     nodes, shared = course.nodes, state.shared
@@ -149,14 +160,9 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     by_earth, by_street = full @ nodes.inside, turn @ nodes.inside
     inside_earth = np.einsum("nij,nj->ni", nodes.inside, earth)
     inside_street = np.einsum("nij,nj->ni", nodes.inside, street)
-    count = len(nodes)
-    of_the_body = {
-        "iron": np.ones((count, 1)),
-        "motors_moving": course.moving[:, None],
-        "motors_rate": nodes.rate[:, 2:],
-        "drift": course.span[:, None],
-        "added": added,
-    }
+    count, motors = len(nodes), of_the_motors(course, shared)
+    of_the_body = {"iron": np.ones((count, 1)), **motors, "drift": course.span[:, None]}
+    of_the_body["added"] = added
     predicted = inside_earth @ full.T + inside_street @ turn.T + state.local[:, BODY_FIELD]
     predicted += sum(share * shared[AT[name]] for name, share in of_the_body.items())
     here = np.zeros((count, 3, LOCAL))
@@ -176,6 +182,9 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     by[:, :, AT["came"].start] = comes[:, None] * step
     for name, share in of_the_body.items():
         by[:, :, AT[name]] = share[:, :, None] * np.eye(3)
+    if nodes.currents is not None:
+        _, later = nodes.currents.at(shared[CURRENT_LATE])
+        by[:, :, CURRENT_LATE] = later[:, None] * shared[AT["motors_current"]]
     by[:, :, EARTH] = (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0]
     turned = inside_earth @ turn.T
     for k in range(6):

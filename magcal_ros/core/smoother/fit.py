@@ -15,13 +15,14 @@ from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.sizes import (
+    as_large_as_all,
     effect_factors,
     expected_square,
     noise_sizes,
 )
 from magcal_ros.core.smoother.solver import Solution, Weighted, log_determinants
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, UNKNOWNS, KindOfMotion
+from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, KindOfMotion
 
 STEPS = {EARTH.stop - 1: 0.1, AT["sway_arm"].stop - 1: 0.01}
 """Of the downward field, µT, and the height above the pivot, m, by which derivatives are taken."""
@@ -371,8 +372,8 @@ def _widened(
     """Return the point with the sizes' posterior mean squares, for the covariance.
 
     The yaw error of axes out of square is known from the size of the soft iron only, which counts
-    by its mean square. The motors' field may be a step or proportional to the rate. An even turn
-    cannot separate them, so that each may be as large as both together.
+    by its mean square. The motors' field may be a step, or proportional to the
+    rate or the current. An even turn cannot separate them: each may be as large as all together.
     """
     _, shown, _ = noise_sizes(model, point, weighted, solution)
     beliefs = model.priors.sizes
@@ -382,18 +383,5 @@ def _widened(
     }
     expected = effect_factors(model, point, solution, frozenset({"soft_iron"}))
     groups = point.groups | {name: expected[name] for name in ("soft_iron", "axes")}
-    groups |= _as_large_as_both(point)
+    groups |= as_large_as_all(point)
     return replace(point, sizes=wide, groups=groups)
-
-
-def _as_large_as_both(point: Point) -> dict[str, float]:
-    """Return the factors of the motors' priors (`Unknown`) by which each may be the whole field."""
-    shared, course = point.state.shared, point.course
-    rate = course.nodes.rate[course.moving > 0.0, 2]
-    usual_rate = math.sqrt(float(np.sum(rate**2)) / max(len(rate), 1))
-    usual = {"motors_moving": 1.0, "motors_rate": usual_rate + 1e-3}
-    size = sum(float(np.linalg.norm(shared[AT[name]])) * by for name, by in usual.items())
-    return {
-        name: max(point.groups[name], size / (math.sqrt(3.0) * by * UNKNOWNS[name].sigma[0]))
-        for name, by in usual.items()
-    }

@@ -22,8 +22,10 @@ from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
     BODY_FIELD,
+    CURRENT_LATE,
     EARTH,
     KINDS,
+    MOTORS,
     ON_THE_SPOT,
     RATE,
     SHARED,
@@ -64,11 +66,15 @@ class Model:
         if not kind.traffic:
             # A turn is too short for the gyro's bias to change.
             scale[AT["bias_walk"]] = 0.0
+        if nodes.currents is not None and scale[AT["motors_moving"]].all():
+            per_ampere = 1.0 / nodes.currents.battery.largest
+            scale[AT["motors_current"]] = per_ampere * np.array(UNKNOWNS["motors_current"].sigma)
+            scale[CURRENT_LATE] = UNKNOWNS["current_late"].sigma[0]
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         # Wheels change their velocity less to the side than ahead.
         begun = zip(CHANGES, (1.0, math.sqrt(kind.aside)), strict=True)
         begins = {n: priors.sizes[n]._replace(start=kind.begins * by) for n, by in begun}
-        spread = {**priors.spread, **dict.fromkeys(("motors_moving", "motors_rate"), kind.motors)}
+        spread = {**priors.spread, **dict.fromkeys(MOTORS, kind.motors)}
         return cls(
             nodes,
             axes,

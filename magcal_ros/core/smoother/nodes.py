@@ -7,14 +7,14 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, block_means, trapezoids
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, block_means
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import RestBeside
-from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window, white_noise
+from magcal_ros.core.smoother.currents import Currents
+from magcal_ros.core.smoother.gyro_steps import gyro_steps
 from magcal_ros.core.smoother.rests import rests
 from magcal_ros.core.smoother.unknowns import MICROTESLA
-from magcal_ros.core.up.follower import unseen_angles
 
 LINKS = ("seconds", "turned", "angle", "force", "along", "swing", "samples", "unseen")
 """What the nodes hold of the links between them."""
@@ -68,6 +68,7 @@ class Nodes:
     tied_to: FloatArray | None = None
     """Without a gyro: axes as columns, the last one along the axis of the turn. The rates are then
     those that the field shows, and serve to average. Shape (3, 3)."""
+    currents: Currents | None = None  # of the battery; None if it was not measured
 
     def __len__(self) -> int:
         return len(self.time)
@@ -83,6 +84,8 @@ class Nodes:
                 changes[each.name] = value[links]
             elif isinstance(value, np.ndarray) and each.name != "tied_to":
                 changes[each.name] = value[first:last]
+            elif isinstance(value, Currents):
+                changes[each.name] = value.part(slice(first, last))
         return replace(self, **changes)
 
     @property
@@ -152,7 +155,7 @@ def nodes_of(
     rate, time = window.angular_rate, window.time
     assert rate is not None
     field = window.field @ to_body.T * MICROTESLA
-    steps, unseen, velocity, intervals = _steps(window)
+    steps, unseen, velocity, intervals = gyro_steps(window)
     attitude = chained(exp_rotations(-steps)[None])[0]
     lost = np.diff(time) > longest_step
     first = _first_rows(time, steps, unseen, spacing, lost)
@@ -180,6 +183,7 @@ def nodes_of(
         float(np.median(white_noise(field))),
         block_means(window.specific_force, first),
         None if window.wheel_speed is None else block_means(window.wheel_speed, first),
+        currents=_currents(window, first),
     )
     nodes = _untied(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
     return _with_rests(nodes, window, attitude, middle, to_body)
@@ -202,73 +206,6 @@ def _untied(nodes: Nodes, lost: BoolArray) -> Nodes:
     )
 
 
-def _steps(window: Window) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what the IMU shows from each sample to the next, (n - 1, ...).
-
-    Angles, radians; the variances of their errors; the velocity by the specific force in body axes,
-    m/s; and over how many intervals between IMU samples these were integrated.
-
-    Over m intervals the error of the trapezoidal rule is smaller by m**2 than over one
-    (Euler-Maclaurin), and the variance of the angle that the samples miss is smaller by m**5.
-    """
-    time, rate = window.time, window.angular_rate
-    assert rate is not None
-    turned, unseen = _turned(time, rate)
-    angle, velocity, intervals = window.steps
-    many = np.maximum(intervals, 1.0)[:, None]  # zero where the IMU sent no sample
-    return (
-        angle + (turned - trapezoids(time, rate)) / many**2,
-        unseen / many**5,
-        velocity,
-        intervals,
-    )
-
-
-def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the angles between samples, radians, and the variances of their errors, (n - 1, 3).
-
-    A polynomial through six samples underrates the sway where samples come at hardly more than
-    twice its frequency, and the fit would take that for a stronger field. There it is interpolated
-    as what has no frequencies beyond the fastest sway.
-    """
-    usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-    if SWAY / 3.0 < usual < SWAY and len(time) > 2:
-        steps, unseen = _band_limited(time, rate)
-        # Faster sway beside a hole would be extrapolated into it.
-        hole = np.flatnonzero(np.diff(time) > SWAY)
-        steps[hole] = trapezoids(time, rate)[hole]
-        unseen[hole] = unseen_angles(time, rate)[hole]
-        return steps, unseen
-    bend, twist = np.zeros_like(rate), np.zeros_like(rate)
-    bend[1:-1] = np.diff(rate, 2, axis=0)
-    twist[2:-2] = np.diff(rate, 4, axis=0)
-    value = rate - bend / 12.0 + twist * (11.0 / 720.0)
-    return trapezoids(time, value), unseen_angles(time, rate)
-
-
-def _band_limited(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Integrate rates as a Gaussian process: a constant, and equal power up to the fastest sway."""
-    size, level, noise = min(12, len(time)), 30.0, 1e-3
-    row = np.arange(len(time) - 1)
-    rows = np.clip(row - size // 2 + 1, 0, len(time) - size)[:, None] + np.arange(size)
-    at, step = time[rows] - time[row][:, None], np.diff(time)[:, None]
-    place, weight = np.polynomial.legendre.leggauss(4)
-    inside, share = 0.5 * (place + 1.0) * step, 0.5 * weight * step
-
-    def alike(first: FloatArray, second: FloatArray) -> FloatArray:
-        return np.asarray(np.sinc((first[:, :, None] - second[:, None, :]) / SWAY) + level)
-
-    along = np.einsum("nq,nqj->nj", share, alike(inside, at))
-    weights = np.linalg.solve(alike(at, at) + noise * np.eye(size), along[:, :, None])[:, :, 0]
-    whole = np.einsum("nq,nqp,np->n", share, alike(inside, inside), share)
-    missed = np.maximum(whole - np.einsum("nj,nj->n", weights, along), 0.0)
-    power = np.zeros_like(rate)
-    # Of white noise, a second difference has six times the variance.
-    power[1:-1] = np.diff(rate, 2, axis=0) ** 2 / 6.0
-    unseen = 0.5 * missed[:, None] * (power[:-1] + power[1:])
-    return np.einsum("nj,njk->nk", weights, rate[rows]), unseen
-
-
 def _first_rows(
     time: FloatArray, steps: FloatArray, unseen: FloatArray, spacing: Spacing, lost: BoolArray
 ) -> IntArray:
@@ -282,6 +219,15 @@ def _first_rows(
     first = np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
     # What is left over at the end is no node of its own, which would look quiet.
     return first[:-1] if len(first) > 1 and clock[-1] - clock[first[-1]] < 0.5 else first
+
+
+def _currents(window: Window, first: IntArray) -> Currents | None:
+    """Return the currents in the nodes, of which `first` are the first rows."""
+    if window.battery is None:
+        return None
+    time, last = window.time, np.append(first[1:], len(window)) - 1
+    beside = 0.5 * float(np.median(np.diff(time)))
+    return Currents(window.battery, time[first] - beside, time[last] + beside)
 
 
 def _quiet(window: Window, field: FloatArray, first: IntArray) -> BoolArray:
@@ -394,4 +340,5 @@ def _with_rest(nodes: Nodes, rest: RestBeside, to_rest: FloatArray, to_body: Flo
         None if nodes.speed is None else put(nodes.speed, np.zeros(2), at),
         nodes.added_from,
         nodes.tied_to,
+        None if nodes.currents is None else nodes.currents.with_rest(at, *sorted((far, near))),
     )

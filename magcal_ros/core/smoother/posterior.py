@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +26,10 @@ from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
     AT,
+    CURRENT_LATE,
     EARTH,
     MICROTESLA,
+    MOTORS,
     ROLL_PITCH,
     SHARED,
     SHIELDING,
@@ -34,8 +37,8 @@ from magcal_ros.core.smoother.unknowns import (
     YAW,
 )
 
-MOTORS = {MotorInput.MOVING: "motors_moving", MotorInput.TURN_RATE: "motors_rate"}
-"""The unknowns of the motors' field by input."""
+INPUTS = MotorInput.MOVING, MotorInput.TURN_RATE, MotorInput.CURRENT
+"""The inputs of the motors' unknowns (`MOTORS`); the current is the last, as it may be unknown."""
 ONE_WAY = 0.8  # mean sign of the turn rate beyond which a turn went one way
 
 
@@ -44,8 +47,9 @@ class Posterior:
     """A calibration with its covariance, SI units."""
 
     numbers: FloatArray
-    """The twelve, then the motors' field while moving and per turn rate (`MOTORS`). Shape (18,)."""
-    joint: FloatArray  # their covariance. Shape (18, 18).
+    """The twelve, then the motors' field while moving, per turn rate and, with a battery, per
+    ampere (`INPUTS`). Shape (18,) or (21,)."""
+    joint: FloatArray  # their covariance. Shape (18, 18) or (21, 21).
     by_offset: FloatArray
     """The part of it that knowing the accelerometer's offset would take away. Shape (12, 12)."""
     strength: float
@@ -92,8 +96,9 @@ def posterior_at(state: State, known: FloatArray, to_sensor: FloatArray) -> Post
     up = unit(np.median(state.attitude[:, :, 2], axis=0))
     correction = correction_of(shared, to_sensor, up)
     jacobian = _by_shared(shared, correction, to_sensor, up)
-    by_motors = np.zeros((6, SHARED))
-    for k, name in enumerate(MOTORS.values()):
+    known_by = 3 if known[AT["motors_current"], AT["motors_current"]].any() else 2
+    by_motors = np.zeros((3 * known_by, SHARED))
+    for k, name in enumerate(MOTORS[:known_by]):
         by_motors[3 * k : 3 * k + 3, AT[name]] = to_sensor / MICROTESLA
     both = np.vstack([jacobian, by_motors])
     joint = both @ known @ both.T
@@ -113,21 +118,32 @@ def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
     """Return the motors' field of a fit; None if the model had no motors."""
     if not (np.diag(found.joint)[PARAMETERS:] > 0.0).all():
         return None
-    moves = fit.point.course.moving > 0.0
-    rate = fit.point.course.nodes.rate[moves, 2]
+    course = fit.point.course
+    moves = course.moving > 0.0
+    rate, currents = course.nodes.rate[moves, 2], course.nodes.currents
+    gain = found.numbers[PARAMETERS:].reshape(-1, 3)
+    usual = [1.0, _usual(rate)]
+    if currents is not None:
+        usual.append(_usual(currents.at(fit.state.shared[CURRENT_LATE])[0][moves]))
     motors = MotorField(
-        tuple(MOTORS),
-        found.numbers[PARAMETERS:].reshape(-1, 3),
+        INPUTS[: len(gain)],
+        gain,
         found.joint[PARAMETERS:, PARAMETERS:],
         found.joint[:PARAMETERS, PARAMETERS:],
         fit.point.sizes["motors_noise"] / MICROTESLA,
-        (1.0, float(np.sqrt(np.mean(rate**2))) if len(rate) else 0.0),
+        tuple(usual[: len(gain)]),
+        math.nan if currents is None else currents.battery.reference,
     )
     side = float(np.mean(np.sign(rate))) if len(rate) else 0.0
     if abs(side) <= ONE_WAY:
         return motors
     motors = motors.with_twin(MotorInput.MOVING, MotorInput.SIDE, side)
     return motors.with_twin(MotorInput.TURN_RATE, MotorInput.ABS_TURN_RATE, side)
+
+
+def _usual(values: FloatArray) -> float:
+    """Return the root mean square; zero of no values."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def correction_of(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> Correction:

@@ -14,6 +14,7 @@ from magcal_ros.core.smoother.earth import Fields
 from magcal_ros.core.smoother.unknowns import (
     ALIKE,
     AT,
+    CURRENT_LATE,
     EARTH,
     EXACT_IRON,
     IRON_OVER_AXES,
@@ -23,6 +24,7 @@ from magcal_ros.core.smoother.unknowns import (
     SHARED,
     SIZES,
     UNKNOWNS,
+    USUALLY_LATE,
     Lengths,
     Size,
 )
@@ -141,10 +143,14 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         "added",
         "entered",
         "came",
+        # Only with a battery are these free (`Model.of`).
+        "motors_current",
+        "current_late",
     ):
         scale[AT[name]] = 0.0
     fields = Fields.of(knowledge.reference)
     mean[EARTH] = fields.gaussian.mean
+    mean[CURRENT_LATE] = USUALLY_LATE
     most = {name: each.most for name, each in UNKNOWNS.items()}
     sizes = dict(SIZES)
     if knowledge.exact_sensors:

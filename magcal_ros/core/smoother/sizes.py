@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.smoother.factors import Linear
+from magcal_ros.core.smoother.factors import Linear, of_the_motors
 from magcal_ros.core.smoother.model import Model, Point, counted_unknowns
 from magcal_ros.core.smoother.solver import Solution, Weighted
-from magcal_ros.core.smoother.unknowns import AT, VELOCITY, Size
+from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS, VELOCITY, Size
 
 SMALLEST = 4.0
 """Spreads below the median to which a size may fall; what is smaller makes no difference."""
@@ -198,3 +198,24 @@ def _factor(
         return float(np.exp(x[np.argmax(likely)]))
     odds = np.exp(likely - likely.max())
     return math.sqrt(float(odds @ square[:, 0] / np.sum(odds)))
+
+
+def as_large_as_all(point: Point) -> dict[str, float]:
+    """Return the factors of the motors' priors (`Unknown`) by which each may be the whole field."""
+    shared, course = point.state.shared, point.course
+    runs = course.moving > 0.0
+    usual = {
+        name: math.sqrt(float(np.sum(values[runs] ** 2)) / max(int(runs.sum()), 1))
+        for name, values in of_the_motors(course, shared).items()
+    }
+    usual["motors_moving"] = 1.0
+    usual["motors_rate"] += 1e-3
+    size = sum(float(np.linalg.norm(shared[AT[name]])) * by for name, by in usual.items())
+    sigma = {name: UNKNOWNS[name].sigma[0] for name in usual}
+    if course.nodes.currents is not None:
+        sigma["motors_current"] /= course.nodes.currents.battery.largest
+        usual["motors_current"] += 1e-3
+    return {
+        name: max(point.groups[name], size / (math.sqrt(3.0) * by * sigma[name]))
+        for name, by in usual.items()
+    }

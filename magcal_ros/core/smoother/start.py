@@ -19,15 +19,16 @@ from magcal_ros.core.geometry.rotations import (
 )
 from magcal_ros.core.geometry.shapes import Circle, fit_circle_robustly, plane_normal
 from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.smoother.factors import of_the_motors
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.state import Course, State, level_axes
-from magcal_ros.core.smoother.unknowns import AT, EARTH, LOCAL, MICROTESLA, SHARED
+from magcal_ros.core.smoother.unknowns import AT, EARTH, LOCAL, MICROTESLA, MOTORS, SHARED
 
 BIASES = (0.0, 0.01, -0.01, 0.025, -0.025, 0.05, -0.05, 0.1, -0.1)
 """rad/s about up of the gyro's bias that are tried."""
 SMOOTHED = 4.0  # seconds over which up is averaged
-MOTORS = 20.0
+LARGEST_MOTORS = 20.0
 """µT of the motors' field, over the usual misfit of a node in µT: what the start allows for."""
 DRIFTED = 100.0  # seconds in which the yaw by the gyro drifts too little to harm the start
 Z = np.array([0.0, 0.0, 1.0])
@@ -38,17 +39,20 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
 
     Turned to level axes, the field is `m = R c + h + k u + l w` with one vector c of the Earth's
     field, one h of hard iron, and the motors' k while the robot moves (u) and l per turn rate (w),
-    which is linear. Installation and soft iron begin at zero.
+    which is linear. A current adds a term of the same form. Installation and soft iron begin at
+    zero.
     """
     up, level, yaw = held_by_gyro(nodes)
     run = np.concatenate([[0], np.cumsum(~nodes.is_tied)])
     longest = run == np.bincount(run).argmax()
     piece = _pieces(nodes.time[longest])
     best: tuple[float, float, FloatArray, FloatArray] | None = None
+    largest = 1.0 if nodes.currents is None else nodes.currents.battery.largest
     axes, along = level_axes(np.median(up, axis=0)), np.median(up, axis=0)
     for bias in biases:
         course = Course.of(nodes, axes, bias * along, priors.lengths)
-        motors = np.stack([course.moving, nodes.rate[:, 2]], axis=1)
+        motors = np.hstack(list(of_the_motors(course, priors.mean).values()))
+        motors[:, 2:] /= largest
         turned = level @ rotation_about(Z, -(yaw - bias * (nodes.time - nodes.time[0])))
         rows = nodes.field[longest], turned[longest], motors[longest], piece
         found, drifted, misfit = _linear(*rows, -float(priors.mean[EARTH][1]))
@@ -64,7 +68,8 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     shared = priors.mean.copy()
     shared[AT["iron"]] = found[3:6]
     if priors.scale[AT["motors_moving"]].any():
-        shared[AT["motors_moving"]], shared[AT["motors_rate"]] = found[6:9], found[9:]
+        for name, field in zip(MOTORS, found[6:].reshape(-1, 3), strict=False):
+            shared[AT[name]] = field / (largest if name == "motors_current" else 1.0)
     shared[AT["gyro_bias"]] = bias * along
     about = priors.about(found[3:6], axes)
     shared[AT["mounting_yaw"]] = about.mean[AT["mounting_yaw"]]
@@ -131,9 +136,11 @@ def _linear(
     level = level.reshape(count, 3, 2 * pieces)
     rows = np.concatenate([level, turned[:, :, 2:], eye, *by_motors], axis=2)
     unknowns = rows.shape[2]
-    known = np.zeros((7, unknowns))
-    known[0, 2 * pieces], known[1:, -6:] = 1.0 / 3.0, np.eye(6) / MOTORS
-    expected = np.append(upward / 3.0, np.zeros(6))
+    count_motors = 3 * motors.shape[1]
+    known = np.zeros((1 + count_motors, unknowns))
+    known[0, 2 * pieces] = 1.0 / 3.0
+    known[1:, -count_motors:] = np.eye(count_motors) / LARGEST_MOTORS
+    expected = np.append(upward / 3.0, np.zeros(count_motors))
     weight = np.ones(count)
     for _ in range(12):
         scale = np.repeat(np.sqrt(weight), 3)

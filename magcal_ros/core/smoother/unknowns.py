@@ -189,7 +189,20 @@ UNKNOWNS: dict[str, Unknown] = {
         "the field where a turn was made less that of the other turns, world axes",
         "a few metres apart in the open: .02 to .3",
     ),
+    "motors_current": Unknown(
+        (0.05,) * 3,
+        2.0,
+        600.0,
+        "µT",
+        "field at the largest current of the battery; per ampere in a state",
+        "most: none, some 20",
+    ),
+    "current_late": Unknown(
+        (0.1,), 0.0, 1.0, "s", "by how much the current is late, about `USUALLY_LATE`", "drivers"
+    ),
 }
+MOTORS = "motors_moving", "motors_rate", "motors_current"
+USUALLY_LATE = 0.1  # seconds by which a battery tells its current late
 
 IRON_OVER_AXES = 0.4  # median distortion by soft iron over that by gains and crooked axes
 MODULE = ("axes", "gyro_bias", "gyro_matrix", "force_offset")
@@ -334,3 +347,4 @@ ROLL_PITCH, YAW = AT["installation"], AT["axes"].start
 SHIELDING = AT["shielding"].start
 TURNED = AT["turned"].start
 EARTH = AT["earth"]
+CURRENT_LATE = AT["current_late"].start

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.heading.motors_now import MotionSense
+from magcal_ros.core.heading.motion_sense import MotionSense
 
 STILL = (0.001, -0.002, 0.001)
 TURNS = (0.0, 0.0, 0.3)
@@ -50,6 +50,18 @@ def test_only_the_current_beyond_that_at_rest_counts():
     assert found[40:60] == pytest.approx([-3.0] * 20)
     assert found[60:] == [0.0] * 33
     assert sense.at(4.0, TURNS, False, 0.0, -3.5).current == pytest.approx(-3.0, abs=0.05)
+
+
+def test_beyond_a_reference_a_current_at_rest_counts_too():
+    sense = MotionSense()
+    for k, (rate, amps) in enumerate([(STILL, -0.5), (STILL, -2.5), (TURNS, -3.5)]):
+        found = sense.at(k, rate, True, 0.0, amps, -0.5)
+        assert found.current == amps + 0.5
+        assert found.runs is (k > 0)
+    for stamp in (8.0, 9.0):
+        found = sense.at(stamp, STILL, True, 0.0, math.nan, -0.5)
+    assert math.isnan(found.current)
+    assert not found.runs
 
 
 def test_a_robot_about_to_stop_is_in_doubt():

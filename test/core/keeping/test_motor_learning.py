@@ -10,7 +10,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import INPUTS, Correction, MotorInput, Running
 from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.rotations import exp_rotation
-from magcal_ros.core.heading.motors_now import MotionSense
+from magcal_ros.core.heading.motion_sense import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 
 STEP = 0.05

@@ -52,6 +52,8 @@ class House:
     def wheel_speed(self, _):
         return math.nan
 
+    currents = ()
+
     def run(self, work, then, _):
         then(work())
 

@@ -35,6 +35,9 @@ STEP = 1e-6
 @pytest.fixture(scope="module")
 def course() -> Course:
     window = measure(Robot(), turn(samples=60, duration=6.0), np.random.default_rng(3), gyro=True)
+    stamps = np.arange(window.time[0], window.time[-1] + 0.1, 0.1)
+    currents = np.random.default_rng(8).uniform(-4.0, 0.0, len(stamps))
+    window = window.with_battery(np.column_stack([stamps, currents]))
     axes = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
     return Course.of(nodes_of(window, np.eye(3)), axes, np.zeros(3), Lengths())
 
@@ -56,6 +59,7 @@ def state(course: Course) -> State:
     local[:, :3] = 0.0
     local[:, RATE] = nodes.rate @ turn_axes(course)[:, 2:] + 0.01 * local[:, RATE]
     shared = priors_of(Robot().knowledge()).mean + 1e-3 * rng.standard_normal(SHARED)
+    shared[AT["motors_current"]] = [1.0, -2.0, 0.5]
     return State(np.array(attitude), local, shared, rng.standard_normal((4, 3)))
 
 

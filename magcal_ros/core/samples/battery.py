@@ -1,0 +1,71 @@
+"""The current of a battery while a robot turns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray, freeze
+
+Messages: TypeAlias = Sequence[tuple[float, float]]
+"""Stamps, seconds, and currents, amperes."""
+SILENT = 1.5  # seconds without a message after which a current counts as unknown
+LEAST = 0.05
+"""Share of the messages whose current may be below the reference: motors that brake may give a
+current back, which passes zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Battery:
+    """The current of a battery over time.
+
+    A calibration by it is that of the robot at the current `reference`. That is the least current
+    of the turn: usually what the electronics draw while no motor runs. They always draw it, so that
+    its field is part of the hard iron. Motors that hold the robot add the field of what they draw
+    beyond it, also at rest.
+    """
+
+    time: FloatArray  # stamps, seconds, increasing. Shape (k,).
+    current: FloatArray  # amperes of a constant sign convention. Shape (k,).
+    reference: float  # amperes
+
+    def __post_init__(self) -> None:
+        freeze(self, time=(-1,), current=(len(self.time),))
+
+    @property
+    def largest(self) -> float:
+        """The largest current, A, without its sign."""
+        return float(np.abs(self.current).max())
+
+
+def battery_of(messages: Messages, begin: float, end: float) -> Battery | None:
+    """Return the current from one moment to another by messages.
+
+    None if it was not measured throughout, or if it is constant, as in drivers that fill in a
+    number: then it shows nothing.
+    """
+    known = {stamp: current for stamp, current in messages if np.isfinite([stamp, current]).all()}
+    rows = np.array(sorted(known.items())).reshape(-1, 2)
+    rows = rows[(rows[:, 0] > begin - SILENT) & (rows[:, 0] < end + SILENT)]
+    gaps = np.diff(np.concatenate([[begin], rows[:, 0], [end]]))
+    if gaps.max() > SILENT or not np.ptp(rows[:, 1]):
+        return None
+    by_size = rows[np.argsort(np.abs(rows[:, 1])), 1]
+    reference = float(by_size[int(LEAST * len(rows))])
+    return Battery(rows[:, 0], rows[:, 1], reference)
+
+
+def with_one_reference(batteries: Sequence[Battery | None]) -> list[Battery | None]:
+    """Return the currents of several turns beyond the same reference, the least of all.
+
+    None for all if it was not measured in each: a field that follows the current has no other
+    explanation in the turn without it.
+    """
+    known = [each for each in batteries if each is not None]
+    if len(known) < len(batteries):
+        return [None] * len(batteries)
+    least = min((each.reference for each in known), key=abs)
+    return [replace(each, reference=least) for each in known]

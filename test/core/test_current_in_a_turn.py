@@ -1,0 +1,110 @@
+"""The field that follows the current of a battery, during a turn."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from currents import ELECTRONICS, LARGEST, turn_with_current
+from long_form import first_of
+from realistic_robots import collected, heading_error
+
+from magcal_ros.core.calibrate import calibrate, calibrate_turns
+from magcal_ros.core.calibration.correction import Correction, MotorInput
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
+from magcal_ros.core.keeping.motor_learning import MotorLearning
+from magcal_ros.core.session.recorded import Gathering
+
+SIZE = 10e-6
+
+
+def fitted(shape, number, size=SIZE, *, battery=True, **how):
+    scene, known, messages = turn_with_current(shape, size, number, **how)
+    outcome = calibrate(collected(scene.window, messages if battery else ()), known)
+    return scene, outcome
+
+
+def at_current(calibration, current):
+    """Return the correction of the robot at a current, A."""
+    motors = calibration.motors
+    gain = motors.gain[motors.inputs.index(MotorInput.CURRENT)]
+    iron = calibration.correction.hard_iron + (current - motors.reference) * gain
+    return Correction(calibration.correction.matrix, iron)
+
+
+@pytest.mark.parametrize("course", first_of(["even", "stops"]))
+def test_a_robot_that_holds_itself_is_calibrated_for_motors_without_current(course):
+    scene, outcome = fitted("hold", 3, course=course)
+    found = outcome.calibration
+    motors = found.motors
+    at = motors.inputs.index(MotorInput.CURRENT)
+    # The battery tells currents as negative.
+    assert np.linalg.norm(motors.gain[at]) == pytest.approx(
+        SIZE / LARGEST, abs=3 * motors.sigma(at)
+    )
+    assert motors.sigma(at) < 0.1 * SIZE / LARGEST
+    error = heading_error(scene, at_current(found, -ELECTRONICS))
+    assert error < 3.0 * calibration_sigma(found) < math.radians(2.0)
+    _, without = fitted("hold", 3, battery=False, course=course)
+    assert heading_error(scene, without.calibration.correction) > 2.0 * error
+
+
+def test_a_current_that_explains_nothing_costs_nothing():
+    for shape, size in (("none", 0.0), ("step, hold", SIZE)):
+        _, with_it = fitted(shape, 5, size)
+        scene, without = fitted(shape, 5, size, battery=False)
+        sigmas = [calibration_sigma(each.calibration) for each in (with_it, without)]
+        assert sigmas[0] < 1.15 * sigmas[1]
+        assert heading_error(scene, with_it.calibration.correction) < 3.0 * sigmas[0]
+        motors = with_it.calibration.motors
+        at = motors.inputs.index(MotorInput.CURRENT)
+        assert np.linalg.norm(motors.gain[at]) < 3.0 * motors.sigma(at) + 0.02e-6
+
+
+def test_without_a_battery_the_motors_have_no_current():
+    _, outcome = fitted("hold", 3, battery=False)
+    motors = outcome.calibration.motors
+    assert MotorInput.CURRENT not in motors.inputs
+    assert math.isnan(motors.reference)
+
+
+def test_learning_while_driving_begins_with_what_the_turn_has_shown():
+    _, outcome = fitted("hold", 3)
+    known = outcome.calibration.motors
+    learning = MotorLearning(outcome.calibration).motors
+    here, there = (each.inputs.index(MotorInput.CURRENT) for each in (known, learning))
+    assert learning.reference == known.reference
+    assert learning.gain[there] == pytest.approx(known.gain[here], abs=0.01e-6)
+    assert learning.sigma(there) == pytest.approx(known.sigma(here), rel=0.01)
+
+
+def test_several_turns_share_the_current():
+    turns = [turn_with_current("hold", SIZE, number, course="even") for number in (3, 3)]
+    windows = [collected(scene.window, messages) for scene, _, messages in turns]
+    shifted = replace(windows[1].battery, reference=windows[1].battery.reference - 1.0)
+    windows[1] = replace(windows[1], battery=shifted)
+    scene, known, _ = turns[0]
+    outcome = calibrate_turns(windows, known)
+    found = outcome.calibration
+    assert found.motors.reference == windows[0].battery.reference
+    error = heading_error(scene, at_current(found, -ELECTRONICS))
+    assert error < 3.0 * calibration_sigma(found)
+
+
+def test_a_recording_gives_its_currents_to_the_fit():
+    scene, known, messages = turn_with_current("hold", SIZE, 3)
+    from magcal_ros.core.samples.streams import FieldSample, ImuSample
+
+    window = scene.window
+    rows = zip(*(each.tolist() for each in (window.time, window.field)), strict=True)
+    imu = zip(window.time.tolist(), window.specific_force, window.angular_rate, strict=True)
+    readings = []
+    for (stamp, field), (_, force, rate) in zip(rows, imu, strict=True):
+        readings += [
+            ImuSample(stamp + 1.0, tuple(force), tuple(rate)),
+            FieldSample(stamp + 1.0, tuple(field)),
+        ]
+    gathering = Gathering(known.mounting)
+    gathering.take(readings, (), [(stamp + 1.0, current) for stamp, current in messages])
+    assert gathering.window().battery.reference == pytest.approx(-ELECTRONICS, abs=3.0)
+    assert gathering.window().battery is not None
