@@ -223,15 +223,21 @@ def _published(
     compass, follower, sense = Compass(calibration), UpFollower(), MotionSense()
     rate = window.angular_rate
     rates = np.full(window.field.shape, math.nan) if rate is None else rate
-    rows = (window.time, window.field, window.specific_force, rates, up)
+    currents = np.full(len(window), math.nan)
+    if window.battery is not None:
+        currents = np.interp(window.time, window.battery.time, window.battery.current)
+    rows = (window.time, window.field, window.specific_force, rates, up, currents)
     fields, sigmas = list[Triple](), list[float]()
-    for stamp, raw, force, turn, upwards in zip(*(each.tolist() for each in rows), strict=True):
+    for stamp, raw, force, turn, upwards, current in zip(
+        *(each.tolist() for each in rows), strict=True
+    ):
         running = sense.newest
         if calibration.motors is not None:
             follower.add(ImuSample(stamp, force, turn))
             follower.add_field(stamp, raw)
             turn = follower.rate if follower.is_propagated else None
-            running = sense.at(stamp, turn, follower.is_at_rest, math.nan, math.nan)
+            still, reference = follower.is_at_rest, calibration.motors.reference
+            running = sense.at(stamp, turn, still, math.nan, current, reference)
         field, motors = compass.at_rest(stamp, raw, turn, running)
         heading = compass.heading(field, upwards, motors=motors)
         fields.append(field)

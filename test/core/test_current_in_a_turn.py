@@ -12,7 +12,10 @@ from realistic_robots import collected, heading_error
 from magcal_ros.core.calibrate import calibrate, calibrate_turns
 from magcal_ros.core.calibration.correction import Correction, MotorInput
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.motion_sense import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import Gathering
 
 SIZE = 10e-6
@@ -93,18 +96,48 @@ def test_several_turns_share_the_current():
 
 def test_a_recording_gives_its_currents_to_the_fit():
     scene, known, messages = turn_with_current("hold", SIZE, 3)
-    from magcal_ros.core.samples.streams import FieldSample, ImuSample
-
-    window = scene.window
-    rows = zip(*(each.tolist() for each in (window.time, window.field)), strict=True)
-    imu = zip(window.time.tolist(), window.specific_force, window.angular_rate, strict=True)
+    window = replace(scene.window, time=scene.window.time + 100.0)
+    messages = [(stamp + 100.0, current) for stamp, current in messages]
+    sensors = window.time, window.field, window.specific_force, window.angular_rate
     readings = []
-    for (stamp, field), (_, force, rate) in zip(rows, imu, strict=True):
-        readings += [
-            ImuSample(stamp + 1.0, tuple(force), tuple(rate)),
-            FieldSample(stamp + 1.0, tuple(field)),
-        ]
+    for stamp, field, force, rate in zip(*(each.tolist() for each in sensors), strict=True):
+        readings += [ImuSample(stamp, force, rate), FieldSample(stamp, field)]
     gathering = Gathering(known.mounting)
-    gathering.take(readings, (), [(stamp + 1.0, current) for stamp, current in messages])
-    assert gathering.window().battery.reference == pytest.approx(-ELECTRONICS, abs=3.0)
-    assert gathering.window().battery is not None
+    gathering.take(readings, (), messages)
+    found, live = gathering.window().battery, collected(window, messages).battery
+    assert np.array_equal(found.current, live.current)
+    assert found.reference == live.reference
+
+
+def test_a_hold_current_is_subtracted_at_rest():
+    scene, outcome = fitted("hold", 3)
+    found = outcome.calibration
+    compass, sense, motors = Compass(found), MotionSense(), found.motors
+    rng, gain = np.random.default_rng(4), motors.gain[motors.inputs.index(MotorInput.CURRENT)]
+    seen = []
+    for k in range(600):
+        stamp, holding = 0.05 * k, -3.0 if k % 200 < 100 else 0.0
+        current = -ELECTRONICS + holding
+        raw = scene.robot.hard_iron + scene.robot.field_enu + rng.normal(0.0, 0.3e-6, 3)
+        raw += (current - motors.reference) * gain
+        running = sense.at(stamp, (0.0, 0.0, 0.0), True, math.nan, current, motors.reference)
+        assert running.moving == 0.0 or k == 0
+        field, doubt = compass.at_rest(stamp, tuple(raw), (0.0, 0.0, 0.0), running)
+        seen.append(field)
+        # A tenth of the field follows no input.
+        assert 0.0 <= np.trace(doubt.lasting) < SIZE**2 / 4.0
+    expected = compass.correct(tuple(scene.robot.hard_iron + scene.robot.field_enu))
+    off = np.reshape(seen, (-1, 100, 3))[:, 30:].mean(axis=1) - expected
+    assert np.abs(off).max() < 0.3e-6
+
+
+def test_without_a_gyro_the_current_is_used_too():
+    scene, known, messages = turn_with_current("hold", SIZE, 3)
+    window = replace(scene.window, angular_rate=None)
+    found = calibrate(collected(window, messages), known).calibration
+    motors = found.motors
+    at = motors.inputs.index(MotorInput.CURRENT)
+    assert np.linalg.norm(motors.gain[at]) == pytest.approx(
+        SIZE / LARGEST, abs=3 * motors.sigma(at)
+    )
+    assert heading_error(scene, at_current(found, -ELECTRONICS)) < 3.0 * calibration_sigma(found)
