@@ -23,6 +23,7 @@ from magcal_ros.core.smoother.priors import priors_of
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.unknowns import (
     AT,
+    BEYOND_USUAL,
     DRIVES,
     KINDS,
     LATE,
@@ -61,7 +62,6 @@ PART, FEWEST_OF_PART = 200.0, 100
 MOST_FITS = 3 * len(KINDS)
 """Of a drive: each kind of motion roughly, to the end, and from the best of the others."""
 LATE_BY = 0.1  # initial delay of the field, seconds, of the iterations of `LATE`
-BEYOND_USUAL = 2.0  # factor of the motors' usual size from which a late field is tried
 BENT = "installation", "soft_iron", "axes", "iron"
 """Unknowns that would explain the field of a part that is moved on the robot."""
 LARGEST_GAIN = 3.0

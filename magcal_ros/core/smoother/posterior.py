@@ -26,6 +26,7 @@ from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
     AT,
+    BEYOND_USUAL,
     CURRENT_LATE,
     EARTH,
     MICROTESLA,
@@ -115,24 +116,29 @@ def posterior_at(state: State, known: FloatArray, to_sensor: FloatArray) -> Post
 
 
 def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
-    """Return the motors' field of a fit; None if the model had no motors."""
+    """Return the motors' field of a fit; None if the model had no motors.
+
+    The current is one of its inputs if the turn has found a field that follows it. A turn by hand
+    shows the current of the electronics alone, and nothing of the motors' field.
+    """
     if not (np.diag(found.joint)[PARAMETERS:] > 0.0).all():
         return None
     course = fit.point.course
     moves = course.moving > 0.0
     rate, currents = course.nodes.rate[moves, 2], course.nodes.currents
-    gain = found.numbers[PARAMETERS:].reshape(-1, 3)
-    usual = [1.0, _usual(rate)]
-    if currents is not None:
+    usual, reference = [1.0, _usual(rate)], math.nan
+    if currents is not None and fit.point.groups["motors_current"] > BEYOND_USUAL:
         usual.append(_usual(currents.at(fit.state.shared[CURRENT_LATE])[0][moves]))
+        reference = currents.battery.reference
+    rows = slice(PARAMETERS, PARAMETERS + 3 * len(usual))
     motors = MotorField(
-        INPUTS[: len(gain)],
-        gain,
-        found.joint[PARAMETERS:, PARAMETERS:],
-        found.joint[:PARAMETERS, PARAMETERS:],
+        INPUTS[: len(usual)],
+        found.numbers[rows].reshape(-1, 3),
+        found.joint[rows, rows],
+        found.joint[:PARAMETERS, rows],
         fit.point.sizes["motors_noise"] / MICROTESLA,
-        tuple(usual[: len(gain)]),
-        math.nan if currents is None else currents.battery.reference,
+        tuple(usual),
+        reference,
     )
     side = float(np.mean(np.sign(rate))) if len(rate) else 0.0
     if abs(side) <= ONE_WAY:
