@@ -16,7 +16,7 @@ from magcal_ros.core.calibration.heading_sigma import (
     known_sigma,
 )
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.drive_log import DriveLog
+from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ class Step(NamedTuple):
 class DriveJob:
     """One look at a drive; all that a worker needs, and it can be sent to one."""
 
-    log: DriveLog  # the last minutes
+    log: Window  # the last minutes
     knowledge: Knowledge
     in_force: Calibration | None
     windows: tuple[float, ...]

@@ -15,7 +15,7 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, u
 from magcal_ros.core.geometry.rotations import chained, rotation_vectors_near
 from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
-from magcal_ros.core.samples.drive_log import DriveLog, log_of
+from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import check_length, drive_nodes
@@ -83,14 +83,14 @@ def fit_drive(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     return fit_log(log_of(window), knowledge, window)
 
 
-def fit_log(log: DriveLog, knowledge: Knowledge, window: Window | None = None) -> Estimate:
+def fit_log(log: Window, knowledge: Knowledge, window: Window | None = None) -> Estimate:
     """Return the estimate of a drive's log.
 
     The estimate's residuals are those of the rows of `window`, by default of the log. Raises
     `Refusal` if the drive does not determine a calibration.
     """
     check_length(drive_nodes(log, knowledge.mounting.to_body))
-    window = log.window if window is None else window
+    window = log if window is None else window
     found = smooth(log, knowledge)
     estimate = estimate_of(found, window, knowledge)
     check(found, estimate, window, knowledge)

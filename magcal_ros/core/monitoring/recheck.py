@@ -38,7 +38,6 @@ from magcal_ros.core.monitoring.change import (
     rule_of,
 )
 from magcal_ros.core.samples.coverage import BINS, Coverage
-from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import SensorLog, Window
 from magcal_ros.core.smoother.drives import drive_nodes, fit_iron
@@ -143,7 +142,7 @@ class Recheck:
         return sentence_of(self.state, self.slopes)
 
 
-def check(window: Window, calibration: Calibration, drive: DriveLog | None = None) -> Recheck:
+def check(window: Window, calibration: Calibration, drive: Window | None = None) -> Recheck:
     """Look at a fresh turn through a calibration; `drive` tells iron from streets."""
     up = up_of(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
@@ -342,7 +341,7 @@ def up_of(window: Window) -> FloatArray:
     return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
 
 
-def _iron_of(drive: DriveLog, calibration: Calibration) -> tuple[float, float, float] | None:
+def _iron_of(drive: Window, calibration: Calibration) -> tuple[float, float, float] | None:
     """Return added iron over the level field, its sigma, and that field, T; None where unknown."""
     reference = ReferenceField(
         Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),

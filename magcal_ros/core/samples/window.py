@@ -99,6 +99,10 @@ class Window:
     """Of a bias known before, which was taken off too, rad/s per axis; infinite without one."""
     speed: FloatArray | None = None
     """Of the wheels, m/s ahead, NaN where it was not measured; None if it never was. Shape (n,)."""
+    rested: BoolArray | None = None
+    """Where a recorder saw the robot stand; None where nobody has looked. Shape (n,)."""
+    longest_step: float = math.inf
+    """Seconds between samples; across longer gaps the gyro is not integrated."""
 
     def __post_init__(self) -> None:
         freeze(self, time=(-1,))
@@ -130,7 +134,10 @@ class Window:
     @property
     def rolls(self) -> bool:
         """Whether the wheels' speed shows that the robot drives."""
-        return self.speed is not None and rolls_at(self.speed)
+        if self.speed is None:
+            return False
+        known = self.speed[np.isfinite(self.speed)]
+        return bool(len(known)) and float(np.median(np.abs(known))) > ROLLS
 
     @property
     def imu_gap(self) -> float:
@@ -150,17 +157,13 @@ class Window:
 
     def take(self, rows: BoolArray | IntArray) -> Window:
         """Return the window of the chosen rows, a mask or increasing indices."""
-        rate = self.angular_rate
-        taken = replace(
-            self,
-            time=self.time[rows],
-            field=self.field[rows],
-            specific_force=self.specific_force[rows],
-            angular_rate=None if rate is None else rate[rows],
-            speed=None if self.speed is None else self.speed[rows],
-            missed=None,
-        )
-        return taken if self.missed is None else taken.with_steps(self.steps.over(_indices(rows)))
+        columns = ("time", "field", "specific_force", "angular_rate", "speed", "rested")
+        every = {name: getattr(self, name) for name in columns}
+        found = {name: each[rows] for name, each in every.items() if each is not None}
+        taken = replace(self, missed=None, **found)
+        if self.missed is None:
+            return taken
+        return taken.with_steps(self.steps.over(np.arange(len(self))[rows]))
 
     def with_steps(self, steps: Steps) -> Window:
         """Return the window with the steps that all samples of an IMU with a gyro show."""
@@ -170,16 +173,6 @@ class Window:
     def _straight(self) -> Steps:
         rate = np.zeros((len(self), 3)) if self.angular_rate is None else self.angular_rate
         return Steps.straight(self.time, self.specific_force, rate)
-
-
-def rolls_at(speed: FloatArray) -> bool:
-    """Return whether a speed (n,), m/s, NaN where it was not measured, is that of a drive."""
-    known = speed[np.isfinite(speed)]
-    return bool(len(known)) and float(np.median(np.abs(known))) > ROLLS
-
-
-def _indices(rows: BoolArray | IntArray) -> IntArray:
-    return np.flatnonzero(rows) if rows.dtype == np.bool_ else rows.astype(np.int64)
 
 
 def white_noise(values: FloatArray) -> FloatArray:
