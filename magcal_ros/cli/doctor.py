@@ -9,7 +9,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -222,16 +222,7 @@ def page_in_words(page: Page) -> str:
 def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, Any]:
     """Return the page for programs."""
     return {
-        "findings": [
-            {
-                "key": f.key,
-                "name": f.name,
-                "grade": f.grade.value,
-                "evidence": f.evidence,
-                "remedy": f.remedy,
-            }
-            for f in page.findings
-        ],
+        "findings": [asdict(finding) for finding in page.findings],
         "mount_rpy_deg": page.mount_rpy_deg,
         "written": written,
         "exit": int(status),
