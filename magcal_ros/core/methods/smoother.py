@@ -11,6 +11,7 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Estimate, GyroSwing, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import accumulated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit, usual_size
 from magcal_ros.core.geometry.rotations import chained, rotation_vectors_near
 from magcal_ros.core.knowledge import CLEAR, Knowledge
@@ -229,7 +230,7 @@ def _arc(found: Smoothed, window: Window) -> float:
     between = attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2)
     steps = rotation_vectors_near(between, -nodes.angle)
     # The steps of a sway cancel each other, however fast it is; those of the turn add up.
-    turned = np.insert(np.cumsum(steps, axis=0), 0, 0.0, axis=0)
+    turned = accumulated(steps)
     main = np.linalg.svd(turned - turned.mean(axis=0), full_matrices=False)[2][0]
     angle = turned @ main
     # The first and the last samples lie half a node beyond the middles.

@@ -18,8 +18,8 @@ from magcal_ros.core.calibration.heading_sigma import (
     known_sigma,
 )
 from magcal_ros.core.doctor.latency import drove_while_turning
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
+from magcal_ros.core.geometry.arrays import FloatArray, integral
+from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field, yaw_rate
 from magcal_ros.core.knowledge import (
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
@@ -220,14 +220,11 @@ def _records(
 ) -> FloatArray:
     """Return one record (n, 7) of each visit to a sector of heading, columns as of `Record`."""
     field = correction.apply(window.field)
-    across = 1.0 - up[:, 0] ** 2
-    is_good = across > 1.0 - CHANGE.steepest_nose
+    is_good = up[:, 0] ** 2 < CHANGE.steepest_nose
     turned = rate = np.full(len(window), math.nan)
     if window.angular_rate is not None:
-        rate = np.sum(window.angular_rate[:, 1:] * up[:, 1:], axis=1)
-        rate = rate / np.maximum(across, 1.0 - CHANGE.steepest_nose)
-        steps = 0.5 * np.diff(window.time) * (rate[1:] + rate[:-1])
-        turned = np.where(is_good, np.append(0.0, np.cumsum(steps)), math.nan)
+        rate = yaw_rate(window.angular_rate, up)
+        turned = np.where(is_good, integral(window.time, rate), math.nan)
     is_parted = (np.diff(window.time) > STREAMS.longest_field_gap) | (np.diff(is_good) != 0)
     path = np.append(0, np.cumsum(is_parted))
     visit = np.floor((window.time - window.time[0]) / CHANGE.longest_visit)

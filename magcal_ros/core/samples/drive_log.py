@@ -19,7 +19,7 @@ from magcal_ros.core.samples.rest import (
     RATE,
     SPAN,
     SPEED,
-    sigma_later,
+    GyroAtRest,
 )
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, ImuSpan, Pair
 from magcal_ros.core.samples.window import Steps, Window, steps_of
@@ -203,7 +203,7 @@ class DriveRecorder:
             clocks = np.maximum([rest.clock for rest in self._rested], first)
             biases = np.array([rest.rate for rest in self._rested])
             rate = rate - interpolated(time, clocks, biases)
-            sigma = sigma_later(biases[-1].tolist(), self._rested[-1].sigma)
+            sigma = GyroAtRest(biases[-1].tolist(), self._rested[-1].sigma).later_sigma
             step = np.diff(time, prepend=first)[:, None]
             rows[:, ANGLE] -= (rows[:, RATE] - rate) * step
             rows[:, RATE] = rate
