@@ -139,9 +139,7 @@ def run(drive: Drive, only: str, asked_every: float | None) -> list[Line]:
     if only in "drive" and drive.everything.angular_rate is not None:
         # All of it by the smoother, whatever turns are in it.
         log = log_of(drive.everything)
-        found.append(
-            fitted(drive, "drive", log.window, floor, calibrate_drive(log, drive.knowledge))
-        )
+        found.append(fitted(drive, "drive", log, floor, calibrate_drive(log, drive.knowledge)))
     return found
 
 

@@ -9,7 +9,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,6 @@ from magcal_ros.cli import recorded
 from magcal_ros.cli.common import Exit, bullets, command, reference_in_use, tell_result
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.doctor.course import CourseSeen
 from magcal_ros.core.doctor.guide import ASKED, Guide
 from magcal_ros.core.doctor.health import TUNING, Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.page import Page, examine
@@ -27,7 +26,7 @@ from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.frame_tree import pose_in_words
-from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_course
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.units import likely_field_unit
@@ -86,7 +85,7 @@ class Heard:
         page = page.with_more(more)
         if self.travel and page.used is not None:
             course = recorded_course(page.used.compass, self.samples, self.travel)
-            page = page.with_course(_course_seen(course, self.knowledge.reference))
+            page = page.with_course(*_course_seen(course, self.knowledge.reference))
         return page.with_more((self._description(page),)) if self.described else page
 
     def _description(self, page: Page) -> Finding:
@@ -170,15 +169,14 @@ def _recorded(options: argparse.Namespace) -> Heard:
     return Heard(samples, Knowledge(reference.field, mounting), left, more, travel=travel)
 
 
-def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> CourseSeen:
+def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> tuple[Belief, Belief]:
     if course is None:
-        return CourseSeen()
+        return Belief.unknown(), Belief.unknown()
     north, offset, mounting = field.declination or 0.0, course.offset, course.mounting
-    yaw = 0.0 if mounting is None else mounting.yaw
+    yaw, sigma = (0.0, 0.0) if mounting is None else (mounting.yaw, mounting.sigma)
     gap = math.remainder(offset.offset - north - yaw, math.tau)
-    if mounting is None:
-        return CourseSeen(gap, offset.sigma)
-    return CourseSeen(gap, math.hypot(offset.sigma, mounting.sigma), yaw, mounting.sigma)
+    imu_yaw = Belief.unknown() if mounting is None else Belief(yaw, sigma)
+    return Belief(gap, math.hypot(offset.sigma, sigma)), imu_yaw
 
 
 def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
@@ -222,16 +220,7 @@ def page_in_words(page: Page) -> str:
 def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, Any]:
     """Return the page for programs."""
     return {
-        "findings": [
-            {
-                "key": f.key,
-                "name": f.name,
-                "grade": f.grade.value,
-                "evidence": f.evidence,
-                "remedy": f.remedy,
-            }
-            for f in page.findings
-        ],
+        "findings": [asdict(finding) for finding in page.findings],
         "mount_rpy_deg": page.mount_rpy_deg,
         "written": written,
         "exit": int(status),

@@ -17,7 +17,7 @@ from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma, common_figures
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma, every_figure
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import Knowledge, Mounting
@@ -278,7 +278,7 @@ def _found(estimate: Estimate, window: Window | None) -> list[tuple[str, str, st
         for axis in ("roll", "pitch"):
             angle = math.degrees(getattr(estimate.installation, axis))
             rows.append((f"installation_{axis}_deg", f"installation {axis}", f"{angle:.2f}", "°"))
-    figures = common_figures(estimate) | dict(estimate.figures)
+    figures = every_figure(estimate)
     if Figure.HEADINGS_DRIVEN in figures:
         driven = f"{figures[Figure.HEADINGS_DRIVEN]:.0f}"
         rows.insert(0, ("headings_driven", "headings driven", driven, "of 12"))
@@ -333,6 +333,6 @@ def _row(method: str, outcome: Outcome) -> tuple[str, ...]:
     if estimate is None:
         return method, accepted, "-", "-", "-"
     iron = ", ".join(f"{value * 1e6:.2f}" for value in estimate.correction.hard_iron)
-    figures = common_figures(estimate) | dict(estimate.figures)
+    figures = every_figure(estimate)
     sigma = f"{math.degrees(figures[Figure.HEADING_SIGMA]):.2f}°"
     return method, accepted, iron, sigma, f"{100.0 * figures[Figure.RESIDUAL_RATIO]:.1f}%"

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from magcal_ros.core.multi_turn.result import Kept, Several
 from magcal_ros.core.samples.battery import with_one_reference
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window
-
-if TYPE_CHECKING:
-    from magcal_ros.core.samples.drive_log import DriveLog
 
 # What only a fit needs is imported by the functions that fit: a node that starts on a saved
 # calibration would wait for it before its first message.
@@ -147,7 +144,7 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window | None = Non
     return Outcome(verdict, calibration, estimate, window=window)
 
 
-def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
+def calibrate_drive(log: Window, knowledge: Knowledge) -> Outcome:
     """Fit the log of a drive and grade the result; the samples are the rows of the log."""
     from magcal_ros.core.doctor.page import wrong_reading
     from magcal_ros.core.methods.smoother import fit_log
@@ -155,15 +152,14 @@ def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
     if not len(log):
         words = "no drive was found: there are no samples with a gyro in which the robot moved"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
-    window = log.window
-    wrong = wrong_reading(window, knowledge)
+    wrong = wrong_reading(log, knowledge)
     if wrong is not None:
-        return Outcome.refused(wrong, window)
+        return Outcome.refused(wrong, log)
     try:
         estimate = fit_log(log, knowledge)
     except Refusal as refusal:
-        return Outcome.refused(refusal, window)
-    return _judged_by_axes_too(estimate, knowledge, window)
+        return Outcome.refused(refusal, log)
+    return _judged_by_axes_too(estimate, knowledge, log)
 
 
 def calibrate_turns(

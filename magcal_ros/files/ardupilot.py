@@ -24,6 +24,7 @@ import numpy as np
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.files import logs
 from magcal_ros.files.dataflash import BINARY, DataFlash, read_dataflash
 from magcal_ros.files.disk import FileTrouble, plain
@@ -191,7 +192,7 @@ class _Telemetry:
             return
         if kind in RAW_KINDS:
             stamp = self._by_own_clock(m)
-            force = (value * logs.GRAVITY for value in (m.xacc, m.yacc, m.zacc))
+            force = (value * STANDARD_GRAVITY for value in (m.xacc, m.yacc, m.zacc))
             row = [1e-3 * value for value in (*force, m.xgyro, m.ygyro, m.zgyro)]
             self._imus[RAW_KINDS[kind]].extend((stamp, *row))
             self._mags[RAW_KINDS[kind]].extend((stamp, m.xmag, m.ymag, m.zmag))

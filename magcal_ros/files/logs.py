@@ -30,7 +30,6 @@ LONGEST_READING = 600.0
 FLU_FROM_FRD = np.array([1.0, -1.0, -1.0])
 """Forward, right, down to forward, left, up; and the other way."""
 
-GRAVITY = 9.80665
 FIX_3D = 3
 """Kind of a receiver's fix from which it has a place."""
 

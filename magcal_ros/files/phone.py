@@ -18,6 +18,7 @@ import numpy as np
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.files import logs
 from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.recording import Recording, read_header, read_numbers
@@ -34,7 +35,7 @@ NAMES = logs.Names(
 FORCE, RATE, FIELD = "m/s^2", "rad/s", "T"
 MICRO = re.compile(r"[µμu]T")
 UNIT = re.compile(r"\(([^()]*)\)\s*$")
-LEAST_GRAVITY = 0.5 * logs.GRAVITY
+LEAST_GRAVITY = 0.5 * STANDARD_GRAVITY
 """m/s². An accelerometer whose usual reading is less had gravity taken off."""
 
 
@@ -119,7 +120,7 @@ def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str])
     if force is None:
         force = read("AccelerometerUncalibrated")
         if force is not None and np.median(np.linalg.norm(force[:, 1:], axis=1)) < LEAST_GRAVITY:
-            force[:, 1:] *= logs.GRAVITY
+            force[:, 1:] *= STANDARD_GRAVITY
     if force is not None and _points_down(path, headers):
         force[:, 1:] *= -1.0
     rate = read("Gyroscope")

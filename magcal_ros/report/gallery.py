@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
 from magcal_ros.report import turn_views
 from magcal_ros.report.turn import Corrected, Turn
 
@@ -149,7 +149,7 @@ def _means(deviation: FloatArray, heading: FloatArray) -> FloatArray:
     for number in range(BINS):
         here = where == number
         if here.any():
-            found[number] = np.angle(np.mean(np.exp(1j * deviation[here])))
+            found[number] = mean_angle(deviation[here])
     return found
 
 

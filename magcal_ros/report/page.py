@@ -22,7 +22,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     CHECKED_TILT,
     calibration_sigma,
-    common_figures,
+    every_figure,
 )
 from magcal_ros.core.doctor.health import Finding
 from magcal_ros.core.doctor.page import Page
@@ -302,7 +302,7 @@ FIGURES: dict[Figure, tuple[str, str]] = {
 
 def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
     """Return what a user wants to know first."""
-    figures = common_figures(estimate) | dict(estimate.figures)
+    figures = every_figure(estimate)
     sigma = np.sqrt(np.maximum(np.diag(estimate.covariance)[9:], 0.0))
     iron, sigma = estimate.correction.hard_iron * MICRO, sigma * MICRO
     level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
@@ -350,7 +350,7 @@ def all_numbers(estimate: Estimate) -> list[Row]:
         Row("noise of one field sample (1σ)", f"{estimate.noise_field * MICRO:.3g} µT"),
         Row("noise of one tilt (1σ)", f"{estimate.noise_up * DEGREES:.3g}°"),
     ]
-    figures = (common_figures(estimate) | dict(estimate.figures)).items()
+    figures = every_figure(estimate).items()
     return rows + [figure_row(name, value) for name, value in figures]
 
 

@@ -16,9 +16,11 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, int
 from magcal_ros.core.geometry.attitude import (
     body_from_enu,
     field_in_enu,
+    mean_angle,
     unit,
     wrap_angle,
     yaw_from_up_and_field,
+    yaw_rate,
 )
 from magcal_ros.core.geometry.shapes import Circle
 from magcal_ros.core.geometry.vec3 import Triple
@@ -167,11 +169,7 @@ def _gyro_angle(window: Window, up: FloatArray) -> FloatArray | None:
     """Return the yaw that the gyro saw since the first sample, radians, left positive."""
     if window.angular_rate is None or len(window) < 2:
         return None
-    # The rate of a yaw is (w_y sin roll + w_z cos roll) / cos pitch, on any slope.
-    level = np.hypot(up[:, 1], up[:, 2])
-    across = np.einsum("ni,ni->n", window.angular_rate[:, 1:], up[:, 1:])
-    rate = across / np.maximum(level, 0.05) ** 2
-    return integral(window.time, rate)
+    return integral(window.time, yaw_rate(window.angular_rate, up))
 
 
 def _correct(
@@ -253,7 +251,7 @@ def _reference(
         inliers = np.ones(len(yaw), dtype=np.bool_)
     if gyro is None:
         return _smooth_course(time, yaw, inliers)
-    start = float(np.angle(np.mean(np.exp(1j * (yaw - gyro)[inliers]))))
+    start = mean_angle((yaw - gyro)[inliers])
     error = wrap_angle(yaw - gyro - start)
     columns = np.column_stack([np.ones_like(time), gyro - gyro.mean(), time - time.mean()])
     weight = INDEPENDENT_SAMPLES / (max(int(inliers.sum()), 1) * COMPASS_SIGMA**2)

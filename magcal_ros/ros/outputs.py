@@ -29,6 +29,7 @@ from magcal_ros.core.heading.compass import Compass, Heading, Moment
 from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.turn_machine import TurnMachine, TurnState
 from magcal_ros.core.up.follower import UpFollower
@@ -357,11 +358,9 @@ def turn_markers(
 def _circle(circle: Circle, points: FloatArray) -> list[Marker]:
     around = np.linspace(0.0, 2.0 * np.pi, 73)
     drawn = [_marker("circle", Marker.LINE_STRIP, CIRCLE, circle.at(around), LINE_WIDTH)]
-    phases = np.sort(circle.phase(points))
-    gaps = np.diff(np.append(phases, phases[0] + 2.0 * np.pi))
-    widest = int(np.argmax(gaps))
-    if gaps[widest] > SMALLEST_GAP:
-        hole = phases[widest] + np.linspace(0.0, gaps[widest], 37)
+    seen = Coverage.of(circle.phase(points))
+    if seen.gap > SMALLEST_GAP:
+        hole = seen.gap_centre + seen.gap * np.linspace(-0.5, 0.5, 37)
         width = 3.0 * LINE_WIDTH
         drawn.append(_marker("missing", Marker.LINE_STRIP, MISSING, circle.at(hole), width))
     return drawn

@@ -215,15 +215,12 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
     )
 
 
-def _of_sensors(node: Node, kind: str, other_than: str = "") -> list[str]:
+def _of_sensors(node: Node, kind: str) -> list[str]:
     """Return the topics of a type that somebody publishes, without those of a calibrator."""
     return [
         topic
         for topic, kinds in node.get_topic_names_and_types()
-        if kind in kinds
-        and topic != other_than
-        and not topic.endswith(OURS)
-        and node.count_publishers(topic)
+        if kind in kinds and not topic.endswith(OURS) and node.count_publishers(topic)
     ]
 
 

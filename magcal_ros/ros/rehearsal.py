@@ -18,7 +18,7 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rpy_from_rotation
 from magcal_ros.core.messages import ABSENT, seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -244,4 +244,4 @@ class Rehearsal:
         self.run(PATIENCE, stop=lambda: len(self._settled_yaws) >= SAMPLES_PER_HEADING)
         if not self._settled_yaws:
             raise MagcalError("no yaw is published")
-        return float(np.angle(np.mean(np.exp(1j * np.array(self._settled_yaws)))))
+        return mean_angle(np.array(self._settled_yaws))

@@ -16,8 +16,8 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.keeping.jobs import DriveJob, Findings, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import FieldSample, Pairer
+from magcal_ros.core.samples.window import Window
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
@@ -153,7 +153,7 @@ def run_with_low_priority(job: DriveJob) -> Findings:
     return answer(job)
 
 
-def write_page(parent: Path, story: DriveStory, log: DriveLog) -> Path:
+def write_page(parent: Path, story: DriveStory, log: Window) -> Path:
     """Draw the page on a decision, with the map of what is remembered; returns it."""
     from magcal_ros.core.keeping.story import path_of_log
     from magcal_ros.report import new_folder

@@ -34,7 +34,7 @@ from magcal_ros.core.calibration.heading_sigma import (
     CHECKED_TILT,
     axis_share,
     calibration_sigma,
-    common_figures,
+    every_figure,
     sideways_acceleration,
     usual_lean,
 )
@@ -200,7 +200,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
         Figure.SAMPLES: float(np.count_nonzero(estimate.inliers)),
         Figure.AXIS_LEAN: math.acos(min(max(float(estimate.axis[2]), -1.0), 1.0)),
     }
-    figures |= common_figures(estimate) | dict(estimate.figures)
+    figures |= every_figure(estimate)
     has_gyro = window is not None and window.angular_rate is not None
     if window is not None and has_gyro:
         if axis_share(window) < TUNING.one_axis:

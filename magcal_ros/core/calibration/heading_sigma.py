@@ -18,8 +18,8 @@ CHECKED_TILT = math.radians(10.0)
 HEADINGS = 24
 
 
-def common_figures(estimate: Estimate) -> dict[Figure, float]:
-    """Return the figures of every estimate, and those that follow from its own figures."""
+def every_figure(estimate: Estimate) -> dict[Figure, float]:
+    """Return an estimate's own figures, what follows from them, and those that all have."""
     residual = estimate.residual[estimate.inliers]
     rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else math.inf
     figures = {
@@ -36,7 +36,7 @@ def common_figures(estimate: Estimate) -> dict[Figure, float]:
         figures[Figure.RADIUS_MISFIT] = abs(estimate.figures[Figure.RADIUS_RATIO] - 1.0)
     if Figure.ELLIPSE_RATIO in estimate.figures and not estimate.figures.get(Figure.SOFT_IRON):
         figures[Figure.ELLIPSE_EXCESS] = estimate.figures[Figure.ELLIPSE_RATIO] - 1.0
-    return figures
+    return figures | dict(estimate.figures)
 
 
 def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:

@@ -14,7 +14,7 @@ from magcal_ros.core.doctor.explanations import Way
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import is_mirrored, rotation_from_rpy, spoken
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import FIELD, IRON, SOFT
 
 NAME = "axes: yaw by course"
@@ -33,18 +33,6 @@ class AxesYawTuning:
 
 
 TUNING = AxesYawTuning()
-
-
-@dataclass(frozen=True)
-class CourseSeen:
-    """What a drive shows of the compass, radians; NaN where it does not."""
-
-    gap: float = math.nan
-    sigma: float = math.nan
-    """Yaw of the compass less course, less declination, less the IMU's yaw where it is known."""
-    imu_yaw: float = math.nan
-    imu_sigma: float = math.nan
-    """Of the IMU in the vehicle, to the left, by the vehicle's own acceleration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,24 +68,26 @@ def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
 
 
 def course_findings(
-    used: AxesInUse, seen: CourseSeen
+    used: AxesInUse, gap: Belief, imu_yaw: Belief
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
     """Return the lines, and the mounting that corrects the yaw where it is wrong.
 
-    The course was compared with the compass that `used` makes; `seen` is the result.
+    `gap` is the yaw of the compass that `used` makes less course, less declination, less the IMU's
+    yaw where it is known. `imu_yaw` is that of the IMU in the vehicle, to the left, by the
+    vehicle's own acceleration. Both are in radians.
     """
     lines = []
-    knows_imu = seen.imu_sigma < TUNING.vague
+    knows_imu = imu_yaw.sigma < TUNING.vague
     if knows_imu:
-        lines.append(_imu_yaw(seen))
-    if not seen.sigma < TUNING.vague:
+        lines.append(_imu_yaw(imu_yaw))
+    if not gap.sigma < TUNING.vague:
         return [*lines, not_shown("field_yaw", NAME, LONGER)], None
-    quarters = round(seen.gap / (0.5 * math.pi))
+    quarters = round(gap.value / (0.5 * math.pi))
     evidence = (
-        f"the compass is {math.degrees(seen.gap):+.0f} ± {math.degrees(seen.sigma):.0f}° off the "
+        f"the compass is {math.degrees(gap.value):+.0f} ± {math.degrees(gap.sigma):.0f}° off the "
         "course"
     )
-    if not quarters % 4 or abs(seen.gap - 0.5 * math.pi * quarters) > TUNING.near:
+    if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > TUNING.near:
         return [*lines, looked_at("field_yaw", NAME, evidence)], None
     axes = np.rint(used.axes @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
     mount = mount_of(axes, used.pose)
@@ -112,15 +102,15 @@ def course_findings(
     return [*lines, wrong("field_yaw", NAME, evidence, either)], None
 
 
-def _imu_yaw(seen: CourseSeen) -> Finding:
-    degrees = math.degrees(seen.imu_yaw)
+def _imu_yaw(seen: Belief) -> Finding:
+    degrees = math.degrees(seen.value)
     evidence = (
-        f"x points {abs(degrees):.0f} ± {math.degrees(seen.imu_sigma):.0f}° to the "
+        f"x points {abs(degrees):.0f} ± {math.degrees(seen.sigma):.0f}° to the "
         f"{'left' if degrees >= 0.0 else 'right'} of the front"
     )
     remedy = (
         f"turn the IMU's axes in the driver or its joint in the URDF by {degrees:.0f}° about z, or "
         f"set `vehicle_yaw_deg: {degrees:.0f}.0`"
     )
-    is_off = abs(seen.imu_yaw) > TUNING.near
+    is_off = abs(seen.value) > TUNING.near
     return looked_at("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)

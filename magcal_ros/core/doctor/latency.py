@@ -36,7 +36,7 @@ from magcal_ros.core.samples.alignment import (
     inefficiency,
     turned,
 )
-from magcal_ros.core.samples.window import SensorLog, StretchTuning, stretch_of_log, white_noise
+from magcal_ros.core.samples.window import SensorLog, stretch_of_log, white_noise
 
 OF_FIELD = replace(WIDE, field_floor=1e-3, freedom=10.0)
 OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
@@ -69,7 +69,6 @@ class Latency(NamedTuple):
 
 
 TUNING = LatencyTuning()
-EACH_SAMPLE = StretchTuning(fewest=TUNING.most, most=TUNING.most)
 
 
 def field_latency(log: SensorLog, way: Way) -> Latency | None:
@@ -120,7 +119,7 @@ def rows_in(seconds: float, time: FloatArray) -> int:
 
 def _of_the_field(log: SensorLog, way: Way, lag: float) -> tuple[AlignmentFit, FloatArray] | None:
     """Return the fit of the field by each sample, and where it begins."""
-    part = stretch_of_log(log, lag, EACH_SAMPLE)
+    part = stretch_of_log(log, lag, TUNING.most, TUNING.most)
     if part is None:
         return None
     state = way.state[None].copy()
@@ -132,7 +131,7 @@ def _of_the_field(log: SensorLog, way: Way, lag: float) -> tuple[AlignmentFit, F
 def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> AlignmentFit | None:
     """Return the fit of the force to a gyro of these axes (3, 3); None for too few samples."""
     gravity = replace(log, field_time=log.imu_time, field=log.force)
-    part = stretch_of_log(gravity, lag, EACH_SAMPLE)
+    part = stretch_of_log(gravity, lag, TUNING.most, TUNING.most)
     if part is None:
         return None
     return AlignmentFit(part, np.eye(3)[None], gyro[None], OF_FORCE, with_up=False)

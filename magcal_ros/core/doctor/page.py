@@ -13,7 +13,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
 from magcal_ros.core.doctor.blame import LIFT, NOSE, AxesFound, parameter_line
-from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
+from magcal_ros.core.doctor.course import AxesInUse, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Way, rate_factors
 from magcal_ros.core.doctor.health import (
     Finding,
@@ -37,7 +37,7 @@ from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.knowledge import CLEAR, Knowledge
+from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, UP
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
@@ -70,10 +70,10 @@ class Page:
         """Return the page with more lines."""
         return replace(self, findings=(*self.findings, *findings))
 
-    def with_course(self, seen: CourseSeen) -> Page:
+    def with_course(self, gap: Belief, imu_yaw: Belief) -> Page:
         """Return the page with what the course shows of the axes' yaw, which no turn can show."""
         assert self.used is not None
-        lines, mount = course_findings(self.used, seen)
+        lines, mount = course_findings(self.used, gap, imu_yaw)
         page = self.with_more(lines)
         return page if mount is None else replace(page, mount_rpy_deg=mount)
 

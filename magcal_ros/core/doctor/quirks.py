@@ -201,10 +201,3 @@ def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
         "vector of a BNO08x)"
     )
     return [looked_at("orientation", "IMU: orientation", words, NO_NORTH)]
-
-
-def as_markdown() -> str:
-    """Return the table for people."""
-    rows = ["| driver | what it does | what corrects it | named in |", "|---|---|---|---|"]
-    rows += [f"| {each.driver} | {each.habit} | {each.remedy} | `{each.line}` |" for each in QUIRKS]
-    return "\n".join(rows) + "\n"

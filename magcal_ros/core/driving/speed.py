@@ -289,7 +289,7 @@ class OwnAcceleration:
         since, gravity = self._gravity or (math.inf, force)
         is_known = self.is_used and 0.0 <= stamp - since <= OWN.oldest
         if not is_known or frame.axes is None or stamp < self._pauses_until:
-            if self._gives:  # a force that is corrected for moments only would mislead
+            if self._gives:
                 self._pauses_until = stamp + OWN.oldest
             self._gives = False
             return None

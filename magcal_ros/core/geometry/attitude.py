@@ -72,6 +72,15 @@ def field_in_enu(strength: float, inclination: float, declination: float = 0.0) 
     )
 
 
+def yaw_rate(rate: FloatArray, up: FloatArray) -> FloatArray:
+    """Return how fast yaw changes, rad/s, (n,), by the gyro (n, 3) and up (n, 3) in body axes.
+
+    It is (w_y sin roll + w_z cos roll) / cos pitch, on any slope.
+    """
+    across = np.maximum(1.0 - up[:, 0] ** 2, 0.0025)  # nose up or down there is no yaw
+    return np.asarray(np.sum(rate[:, 1:] * up[:, 1:], axis=1) / across)
+
+
 def wrap_angle(angle: FloatArray | float) -> FloatArray:
     """Return angles in radians, wrapped into (-pi, pi]."""
     return np.asarray(np.pi - np.mod(np.pi - np.asarray(angle), 2.0 * np.pi))
@@ -80,6 +89,11 @@ def wrap_angle(angle: FloatArray | float) -> FloatArray:
 def wrapped(angle: float) -> float:
     """Return one angle in radians, wrapped into [-pi, pi]; plain floats are fast."""
     return math.remainder(angle, math.tau)
+
+
+def mean_angle(angles: FloatArray) -> float:
+    """Return the mean of directions in one plane, radians in (-pi, pi]."""
+    return float(np.angle(np.exp(1j * angles).mean()))
 
 
 def true_yaw(magnetic_yaw: float, declination: float) -> float:

@@ -98,10 +98,10 @@ def _climbed(joints: list[FrameJoint]) -> FloatArray:
     return pose
 
 
-def _some(frames: frozenset[str], most: int = 12) -> str:
+def _some(frames: frozenset[str]) -> str:
     """Return the first names, and how many more there are."""
-    rest = len(frames) - most
-    return ", ".join(sorted(frames)[:most] or ["none"]) + (f" and {rest} more" if rest > 0 else "")
+    rest = len(frames) - 12
+    return ", ".join(sorted(frames)[:12] or ["none"]) + (f" and {rest} more" if rest > 0 else "")
 
 
 STEEPEST_GROUND = math.radians(35.0)

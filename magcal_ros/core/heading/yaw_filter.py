@@ -70,6 +70,8 @@ class FusionTuning:
 
 
 FUSION = FusionTuning()
+BIAS_WALK = FUSION.bias_walk * math.exp(FUSION.walk_spread**2)
+"""Root mean square of how much a gyro's bias walks, rad/s per root second."""
 UNKNOWN_YAW = math.pi**2 / 3.0
 """Variance of a yaw of which nothing is known, rad²."""
 
@@ -270,8 +272,7 @@ class GyroLoss:
         self._turns: FloatArray = (FUSION.rest_turn * np.exp(FUSION.rest_spread * third)) ** 2
         self._lasts: FloatArray = FUSION.heading_lasts * np.exp(FUSION.lasts_spread * fourth)
         kind = kinds.astype(int)
-        integrated = FUSION.bias_walk * math.exp(FUSION.walk_spread**2)
-        self._wanders: FloatArray = np.array([0.0, FUSION.heading_wander, integrated])[kind] ** 2
+        self._wanders: FloatArray = np.array([0.0, FUSION.heading_wander, BIAS_WALK])[kind] ** 2
         self._drift_rates: FloatArray = np.array([0.0, 0.0, FUSION.integrated_rate])[kind] ** 2
         part = self._lasts / FUSION.heading_tau
         self._left: FloatArray = 2.0 * part * (1.0 - part * (1.0 - np.exp(-1.0 / part)))

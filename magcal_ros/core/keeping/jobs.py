@@ -15,8 +15,9 @@ from magcal_ros.core.calibration.heading_sigma import (
     headings_apart,
     known_sigma,
 )
+from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.drive_log import DriveLog
+from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True)
@@ -115,8 +116,7 @@ def difference(old: Calibration, new: Calibration) -> float:
     The constant is taken off: no drive shows it.
     """
     apart = headings_apart(new.correction, old.correction, new.strength, new.inclination)
-    turn = np.exp(1j * apart)
-    return math.sqrt(float(np.mean(np.angle(turn / turn.mean()) ** 2)))
+    return math.sqrt(float(np.mean(wrap_angle(apart - mean_angle(apart)) ** 2)))
 
 
 class Verb(str, Enum):
@@ -211,7 +211,7 @@ class Step(NamedTuple):
 class DriveJob:
     """One look at a drive; all that a worker needs, and it can be sent to one."""
 
-    log: DriveLog  # the last minutes
+    log: Window  # the last minutes
     knowledge: Knowledge
     in_force: Calibration | None
     windows: tuple[float, ...]

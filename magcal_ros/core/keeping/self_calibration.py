@@ -119,7 +119,7 @@ class SelfCalibration:
 
         The speed is in m/s, NaN where it is unknown. Returns whether a look is due.
         """
-        if self.mode is Mode.OFF or not math.isfinite(pair.imu.rate[0]):
+        if self.mode is Mode.OFF or not math.isfinite(sum(pair.imu.rate)):
             return False
         if not self.recorder.add(pair, speed):
             return False

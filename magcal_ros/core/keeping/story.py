@@ -20,7 +20,6 @@ from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.recheck import up_of
-from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import (
     STREAMS,
     FieldSample,
@@ -30,6 +29,7 @@ from magcal_ros.core.samples.streams import (
     Streams,
     TravelSample,
 )
+from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,11 +141,11 @@ def path_along(
     return DrivePath(place - place[0], error, is_measured, bool(known.any()))
 
 
-def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:
+def path_of_log(log: Window, calibration: Calibration) -> DrivePath | None:
     """Return the path of what is remembered of a drive; None of less than a few seconds."""
     if len(log) < 10:
         return None
     every = max(1, round(KEEPING.map_every / float(np.median(np.diff(log.time)))))
-    up = up_of(log.window)[::every]
-    time, field, speed = (values[::every] for values in (log.time, log.field, log.speed))
-    return path_along(calibration, time, field, up, speed)
+    up, speed = up_of(log), np.full(len(log), math.nan) if log.speed is None else log.speed
+    rows = (values[::every] for values in (log.time, log.field, up, speed))
+    return path_along(calibration, *rows)

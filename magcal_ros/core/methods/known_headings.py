@@ -13,6 +13,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, wrapped
 from magcal_ros.core.knowledge import CLEAR, Knowledge
+from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.smoother.headings import (
     HeadingAgreement,
     agreement_of,
@@ -91,7 +92,7 @@ def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STAND
         covariance=posterior.covariance,
         installation=Installation(float(roll), float(pitch), float(shared[YAW])),
         axis=unit(np.mean([unit(each.force) for each in standings], axis=0)),
-        arc=_arc(standings),
+        arc=math.tau - Coverage.of(np.array([each.heading for each in standings])).gap,
         strength=posterior.strength,
         inclination=posterior.inclination,
         noise_field=max(each.noise_field for each in standings),
@@ -101,13 +102,6 @@ def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STAND
         figures=figures,
         message="converged",
     )
-
-
-def _arc(standings: Sequence[Standing]) -> float:
-    """Return the radians of the circle that the headings span."""
-    yaw = np.sort([each.heading % math.tau for each in standings])
-    gaps = np.diff(np.append(yaw, yaw[0] + math.tau))
-    return math.tau - float(gaps.max())
 
 
 def _refuse_contradiction(

@@ -11,11 +11,12 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Estimate, GyroSwing, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import accumulated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit, usual_size
 from magcal_ros.core.geometry.rotations import chained, rotation_vectors_near
 from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
-from magcal_ros.core.samples.drive_log import DriveLog, log_of
+from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import check_length, drive_nodes
@@ -90,14 +91,14 @@ def fit_drive(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     return fit_log(log_of(window), knowledge, window)
 
 
-def fit_log(log: DriveLog, knowledge: Knowledge, window: Window | None = None) -> Estimate:
+def fit_log(log: Window, knowledge: Knowledge, window: Window | None = None) -> Estimate:
     """Return the estimate of a drive's log.
 
     The estimate's residuals are those of the rows of `window`, by default of the log. Raises
     `Refusal` if the drive does not determine a calibration.
     """
     check_length(drive_nodes(log, knowledge.mounting.to_body))
-    window = log.window if window is None else window
+    window = log if window is None else window
     found = smooth(log, knowledge)
     estimate = estimate_of(found, window, knowledge)
     check(found, estimate, window, knowledge)
@@ -236,7 +237,7 @@ def _arc(found: Smoothed, window: Window) -> float:
     between = attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2)
     steps = rotation_vectors_near(between, -nodes.angle)
     # The steps of a sway cancel each other, however fast it is; those of the turn add up.
-    turned = np.insert(np.cumsum(steps, axis=0), 0, 0.0, axis=0)
+    turned = accumulated(steps)
     main = np.linalg.svd(turned - turned.mean(axis=0), full_matrices=False)[2][0]
     angle = turned @ main
     # The first and the last samples lie half a node beyond the middles.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, trapezoids
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU, unit
 from magcal_ros.core.geometry.rotations import (
     roll_pitch_between,
@@ -74,8 +74,7 @@ def enter(window: Window, mounting: Mounting) -> TipSamples:
     down = -window.specific_force @ FRD_FROM_FLU
     turned = None
     if window.angular_rate is not None:
-        rate = window.angular_rate @ FRD_FROM_FLU
-        turned = 0.5 * (rate[1:] + rate[:-1]) * np.diff(window.time)[:, None]
+        turned = trapezoids(window.time, window.angular_rate @ FRD_FROM_FLU)
     return TipSamples(
         down=down / np.linalg.norm(down, axis=1).mean(),
         raw=window.field,
@@ -272,11 +271,11 @@ def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) ->
         )
     sense = _sense(samples, axis, circle)
     circles = [c for s, c in ((1, circle), (-1, circle.flipped())) if sense in (0, s)]
-    found = [
-        Candidate(roll, pitch, c, _gravity_dot_field(rotation_from_rpy(roll, pitch).T, axis, c))
-        for c in circles
-        for roll, pitch in roll_pitch_between(axis.direction, c.normal)
-    ]
+    found = []
+    for c in circles:
+        for roll, pitch in roll_pitch_between(axis.direction, c.normal):
+            product = axis.across * (c.offsets @ rotation_from_rpy(roll, pitch).T)
+            found.append(Candidate(roll, pitch, c, float(np.sum(product, axis=1).mean())))
     if not found:
         raise Refusal(
             Reason.NO_SOLUTION,
@@ -284,10 +283,6 @@ def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) ->
             "and the magnetometer are on the same body and that their axes are right-handed.",
         )
     return sorted(found, key=lambda candidate: candidate.angle)
-
-
-def _gravity_dot_field(rotation: FloatArray, axis: TurnAxis, circle: FieldCircle) -> float:
-    return float(np.sum(axis.across * (circle.offsets @ rotation), axis=1).mean())
 
 
 def _sense(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:

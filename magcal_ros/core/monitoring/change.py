@@ -27,7 +27,7 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage
 
 
@@ -204,7 +204,7 @@ def compass_less_gyro(records: FloatArray, heading: FloatArray, sigmas: float) -
     columns, gaps = [], []
     for rows in pieces:
         gap = yaw[rows] - turned[rows]
-        gap = wrap_angle(gap - np.angle(np.mean(np.exp(1j * gap))))
+        gap = wrap_angle(gap - mean_angle(gap))
         gaps.append(gap - gap.mean())
         columns.append(basis[rows] - basis[rows].mean(axis=0))
     every, gap = np.concatenate(pieces), np.concatenate(gaps)

@@ -18,8 +18,8 @@ from magcal_ros.core.calibration.heading_sigma import (
     known_sigma,
 )
 from magcal_ros.core.doctor.latency import drove_while_turning
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
+from magcal_ros.core.geometry.arrays import FloatArray, integral
+from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field, yaw_rate
 from magcal_ros.core.knowledge import (
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
@@ -38,7 +38,6 @@ from magcal_ros.core.monitoring.change import (
     rule_of,
 )
 from magcal_ros.core.samples.coverage import BINS, Coverage
-from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import SensorLog, Window
 from magcal_ros.core.smoother.drives import drive_nodes, fit_iron
@@ -143,7 +142,7 @@ class Recheck:
         return sentence_of(self.state, self.slopes)
 
 
-def check(window: Window, calibration: Calibration, drive: DriveLog | None = None) -> Recheck:
+def check(window: Window, calibration: Calibration, drive: Window | None = None) -> Recheck:
     """Look at a fresh turn through a calibration; `drive` tells iron from streets."""
     up = up_of(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
@@ -221,14 +220,11 @@ def _records(
 ) -> FloatArray:
     """Return one record (n, 7) of each visit to a sector of heading, columns as of `Record`."""
     field = correction.apply(window.field)
-    across = 1.0 - up[:, 0] ** 2
-    is_good = across > 1.0 - CHANGE.steepest_nose
+    is_good = up[:, 0] ** 2 < CHANGE.steepest_nose
     turned = rate = np.full(len(window), math.nan)
     if window.angular_rate is not None:
-        rate = np.sum(window.angular_rate[:, 1:] * up[:, 1:], axis=1)
-        rate = rate / np.maximum(across, 1.0 - CHANGE.steepest_nose)
-        steps = 0.5 * np.diff(window.time) * (rate[1:] + rate[:-1])
-        turned = np.where(is_good, np.append(0.0, np.cumsum(steps)), math.nan)
+        rate = yaw_rate(window.angular_rate, up)
+        turned = np.where(is_good, integral(window.time, rate), math.nan)
     is_parted = (np.diff(window.time) > STREAMS.longest_field_gap) | (np.diff(is_good) != 0)
     path = np.append(0, np.cumsum(is_parted))
     visit = np.floor((window.time - window.time[0]) / CHANGE.longest_visit)
@@ -342,7 +338,7 @@ def up_of(window: Window) -> FloatArray:
     return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
 
 
-def _iron_of(drive: DriveLog, calibration: Calibration) -> tuple[float, float, float] | None:
+def _iron_of(drive: Window, calibration: Calibration) -> tuple[float, float, float] | None:
     """Return added iron over the level field, its sigma, and that field, T; None where unknown."""
     reference = ReferenceField(
         Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),

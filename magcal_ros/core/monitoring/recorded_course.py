@@ -16,7 +16,7 @@ from magcal_ros.core.driving.chords import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import wrap_angle, wrapped
+from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle, wrapped
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.monitoring.change import CHANGE
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample
@@ -127,7 +127,7 @@ def against_own_yaw(
     stamps, compass_yaw = np.array(inside).T
     own = np.interp(stamps, yaw[:, 0], np.unwrap(yaw[:, 1]))
     gaps = wrap_angle(compass_yaw - (declination or 0.0) - own)
-    middle = math.atan2(float(np.sin(gaps).mean()), float(np.cos(gaps).mean()))
+    middle = mean_angle(gaps)
     offset = middle + float(np.median(wrap_angle(gaps - middle)))
     scatter = 1.4826 * float(np.median(np.abs(wrap_angle(gaps - offset))))
     north = "with the declination, which is not known"

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import add, sub
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import (
-    BoolArray,
-    FloatArray,
-    accumulated,
-    block_means,
-    interpolated,
-)
+from magcal_ros.core.geometry.arrays import FloatArray, accumulated, block_means, interpolated
 from magcal_ros.core.geometry.vec3 import plus, scaled
 from magcal_ros.core.samples.rest import (
     ANGLE,
@@ -25,10 +19,10 @@ from magcal_ros.core.samples.rest import (
     RATE,
     SPAN,
     SPEED,
-    sigma_later,
+    GyroAtRest,
 )
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, ImuSpan, Pair
-from magcal_ros.core.samples.window import Steps, Window, rolls_at, steps_of
+from magcal_ros.core.samples.window import Steps, Window, steps_of
 
 
 @dataclass(frozen=True)
@@ -53,69 +47,24 @@ class RecorderTuning:
 TUNING = RecorderTuning()
 
 
-@dataclass(frozen=True, eq=False)
-class DriveLog:
-    """Means over short stretches, one row each."""
-
-    time: FloatArray  # seconds, increasing. Shape (m,).
-    field: FloatArray  # raw field, tesla. Shape (m, 3).
-    force: FloatArray  # specific force, m/s², body axes. Shape (m, 3).
-    rate: FloatArray  # rad/s, body axes. Shape (m, 3).
-    speed: FloatArray  # m/s ahead; NaN where it was not measured. Shape (m,).
-    bias_sigma: float = math.inf
-    """rad/s per axis by which `rate` may still be biased, where a rest has shown the gyro's bias
-    and it was taken off; infinite where none has."""
-    rested: BoolArray | None = None
-    """Where a recorder saw the robot stand; None where nobody has looked. Shape (m,)."""
-    missed: Steps | None = None
-    """What the IMU samples between the rows add to straight lines between them."""
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    @property
-    def rolls(self) -> bool:
-        """Whether the wheels' speed shows that the robot drives."""
-        return rolls_at(self.speed)
-
-    @property
-    def window(self) -> Window:
-        """The same rows as samples."""
-        rows = (self.time, self.field, self.force, self.rate)
-        speed = self.speed if np.isfinite(self.speed).any() else None
-        return Window(*rows, self.missed, sigma_before=self.bias_sigma, speed=speed)
-
-    def between(self, start: float, end: float) -> DriveLog:
-        """Return the rows of a span of stamps, both ends included, seconds."""
-        first, last = np.searchsorted(self.time, [start, np.nextafter(end, np.inf)])
-        rows, steps = slice(first, last), slice(first, max(last - 1, first))
-        columns = ("time", "field", "force", "rate", "speed", "rested")
-        found = {name: getattr(self, name) for name in columns}
-        found = {name: each[rows] for name, each in found.items() if each is not None}
-        missed = None if self.missed is None else Steps(*(each[steps] for each in self.missed))
-        return replace(self, missed=missed, **found)
-
-
-def log_of(window: Window) -> DriveLog:
-    """Average a window that has a gyro."""
+def log_of(window: Window) -> Window:
+    """Average a window that has a gyro, as a recorder of a drive does."""
     assert window.angular_rate is not None
     block = ((window.time - window.time[0]) / TUNING.row).astype(int)
     first = np.flatnonzero(np.diff(block, prepend=-1))
-    time, rate = block_means(window.time, first), block_means(window.angular_rate, first)
-    force, missed = block_means(window.specific_force, first), None
-    if window.missed is not None:
-        sums = (block_means(accumulated(each), first) for each in window.steps)
-        steps = Steps(*(np.diff(each, axis=0) for each in sums))
-        missed = steps.beyond(Steps.straight(time, force, rate))
-    return DriveLog(
-        time,
+    log = Window(
+        block_means(window.time, first),
         block_means(window.field, first),
-        force,
-        rate,
-        np.full(len(first), np.nan) if window.speed is None else block_means(window.speed, first),
-        window.bias_sigma,
-        missed=missed,
+        block_means(window.specific_force, first),
+        block_means(window.angular_rate, first),
+        sigma_before=window.bias_sigma,
+        speed=None if window.speed is None else block_means(window.speed, first),
+        longest_step=STREAMS.longest_field_gap,
     )
+    if window.missed is None:
+        return log
+    sums = (block_means(accumulated(each), first) for each in window.steps)
+    return log.with_steps(Steps(*(np.diff(each, axis=0) for each in sums)))
 
 
 RESTED, WIDTH = COLUMNS, COLUMNS + 1
@@ -240,8 +189,8 @@ class DriveRecorder:
                 self.begun = math.nan
         self._begin_piece()
 
-    def log(self) -> DriveLog:
-        """Return everything that is kept, by the drive's own clock.
+    def log(self) -> Window:
+        """Return everything that is kept, by the drive's own clock, a row a tenth of a second.
 
         The gyro's bias is taken off the rates where rests have shown it, between two of them as it
         changes from one to the other.
@@ -254,21 +203,21 @@ class DriveRecorder:
             clocks = np.maximum([rest.clock for rest in self._rested], first)
             biases = np.array([rest.rate for rest in self._rested])
             rate = rate - interpolated(time, clocks, biases)
-            sigma = sigma_later(biases[-1].tolist(), self._rested[-1].sigma)
+            sigma = GyroAtRest(biases[-1].tolist(), self._rested[-1].sigma).later_sigma
             step = np.diff(time, prepend=first)[:, None]
             rows[:, ANGLE] -= (rows[:, RATE] - rate) * step
             rows[:, RATE] = rate
-        force, rate = rows[:, FORCE], rows[:, RATE]
-        return DriveLog(
+        log = Window(
             time,
             rows[:, FIELD],
-            force,
-            rate,
-            rows[:, SPEED],
-            sigma,
-            rows[:, RESTED] > 0.0,
-            steps_of(rows).beyond(Steps.straight(time, force, rate)) if len(rows) else None,
+            rows[:, FORCE],
+            rows[:, RATE],
+            sigma_before=sigma,
+            speed=rows[:, SPEED] if np.isfinite(rows[:, SPEED]).any() else None,
+            rested=rows[:, RESTED] > 0.0,
+            longest_step=STREAMS.longest_field_gap,
         )
+        return log.with_steps(steps_of(rows)) if len(rows) else log
 
     def _close(self) -> bool:
         """End a row, and a chunk of them now and then."""

@@ -43,12 +43,7 @@ class GyroAtRest(NamedTuple):
     @property
     def later_sigma(self) -> float:
         """Sigma of the bias that is left when this is taken off later on, rad/s per axis."""
-        return sigma_later(self.rate, self.sigma)
-
-
-def sigma_later(rate: Triple, sigma: float) -> float:
-    """Return the sigma of what is left of a bias by a rest, rad/s per axis, when it is old."""
-    return math.hypot(sigma, CHANGES_BY * length(rate))
+        return math.hypot(self.sigma, CHANGES_BY * length(self.rate))
 
 
 class LongestRest(NamedTuple):

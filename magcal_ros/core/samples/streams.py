@@ -159,7 +159,9 @@ class Streams:
         if reason is None and p * p + q * q + r * r > STREAMS.largest_rate**2:
             reason = Drop.TOO_LARGE
         has_rate = math.isfinite(p + q + r)
-        if reason is None and not has_rate and self._gyro_was_heard(sample.stamp):
+        # A rate came so shortly before that the gyro cannot be absent.
+        has_gyro = abs(sample.stamp - self._last_rate) < STREAMS.longest_gyro_step
+        if reason is None and not has_rate and has_gyro:
             reason = Drop.NOT_FINITE
         reason = reason or self.imu_stamps.check(sample.stamp)
         if reason is not None:
@@ -172,10 +174,6 @@ class Streams:
         self._imu.append(sample)
         self.lead_at_imu = self.field_stamps.newest - sample.stamp
         return True
-
-    def _gyro_was_heard(self, stamp: float) -> bool:
-        """Return whether a rate came so shortly before a stamp that the gyro cannot be absent."""
-        return abs(stamp - self._last_rate) < STREAMS.longest_gyro_step
 
     def add_field(self, sample: FieldSample) -> bool:
         """Take a field sample; returns whether a corrected field may be made of it.

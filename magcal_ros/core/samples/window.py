@@ -28,6 +28,8 @@ from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
 NO_ORIENTATION = (math.nan,) * 4
 ROLLS = 0.2  # m/s of the speed of the wheels from which a robot certainly drives
+LONGEST = 60.0  # seconds of a log that are looked at; the field of a drive does not stay the same
+WIDEST_BLOCK = math.radians(4.0)  # radians of turn that are averaged
 NEIGHBOURS, SPIKE = 9, 4.5
 """A spike is so many robust sigmas from the median of so many samples, itself among them."""
 
@@ -101,6 +103,10 @@ class Window:
     speed: FloatArray | None = None
     """Of the wheels, m/s ahead, NaN where it was not measured; None if it never was. Shape (n,)."""
     battery: Battery | None = None  # its current; None if that was not measured throughout
+    rested: BoolArray | None = None
+    """Where a recorder saw the robot stand; None where nobody has looked. Shape (n,)."""
+    longest_step: float = math.inf
+    """Seconds between samples; across longer gaps the gyro is not integrated."""
 
     def __post_init__(self) -> None:
         freeze(self, time=(-1,))
@@ -132,7 +138,10 @@ class Window:
     @property
     def rolls(self) -> bool:
         """Whether the wheels' speed shows that the robot drives."""
-        return self.speed is not None and rolls_at(self.speed)
+        if self.speed is None:
+            return False
+        known = self.speed[np.isfinite(self.speed)]
+        return bool(len(known)) and float(np.median(np.abs(known))) > ROLLS
 
     @property
     def imu_gap(self) -> float:
@@ -152,17 +161,13 @@ class Window:
 
     def take(self, rows: BoolArray | IntArray) -> Window:
         """Return the window of the chosen rows, a mask or increasing indices."""
-        rate = self.angular_rate
-        taken = replace(
-            self,
-            time=self.time[rows],
-            field=self.field[rows],
-            specific_force=self.specific_force[rows],
-            angular_rate=None if rate is None else rate[rows],
-            speed=None if self.speed is None else self.speed[rows],
-            missed=None,
-        )
-        return taken if self.missed is None else taken.with_steps(self.steps.over(_indices(rows)))
+        columns = ("time", "field", "specific_force", "angular_rate", "speed", "rested")
+        every = {name: getattr(self, name) for name in columns}
+        found = {name: each[rows] for name, each in every.items() if each is not None}
+        taken = replace(self, missed=None, **found)
+        if self.missed is None:
+            return taken
+        return taken.with_steps(self.steps.over(np.arange(len(self))[rows]))
 
     def with_steps(self, steps: Steps) -> Window:
         """Return the window with the steps that all samples of an IMU with a gyro show."""
@@ -184,16 +189,6 @@ class Window:
     def _straight(self) -> Steps:
         rate = np.zeros((len(self), 3)) if self.angular_rate is None else self.angular_rate
         return Steps.straight(self.time, self.specific_force, rate)
-
-
-def rolls_at(speed: FloatArray) -> bool:
-    """Return whether a speed (n,), m/s, NaN where it was not measured, is that of a drive."""
-    known = speed[np.isfinite(speed)]
-    return bool(len(known)) and float(np.median(np.abs(known))) > ROLLS
-
-
-def _indices(rows: BoolArray | IntArray) -> IntArray:
-    return np.flatnonzero(rows) if rows.dtype == np.bool_ else rows.astype(np.int64)
 
 
 def white_noise(values: FloatArray) -> FloatArray:
@@ -271,21 +266,6 @@ class SensorLog:
         return bool(len(self.rate) and np.isfinite(self.rate).all(axis=1).mean() > 0.5)
 
 
-@dataclass(frozen=True)
-class StretchTuning:
-    """How a log is averaged."""
-
-    longest: float = 60.0
-    """Seconds of the part that is looked at; the field of a drive does not stay the same."""
-    widest_block: float = math.radians(4.0)  # radians of turn that are averaged
-    fewest: int = 120
-    most: int = 240
-    """Averages."""
-
-
-TUNING = StretchTuning()
-
-
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """Averaged samples with the turns between them."""
@@ -303,21 +283,22 @@ class Stretch:
 
 
 def stretch_of_log(
-    log: SensorLog, lag: float = 0.0, tuning: StretchTuning = TUNING
+    log: SensorLog, lag: float = 0.0, fewest: int = 120, most: int = 240
 ) -> Stretch | None:
     """Average a log of increasing stamps that has a gyro; None where there is too little of it.
 
     Its numbers are finite; `lag` (seconds, by which the field is late) is taken off its stamps.
+    There are from `fewest` to `most` averages.
     """
     field_time = log.field_time - lag
-    span = _liveliest(log, field_time, tuning.longest)
+    span = _liveliest(log, field_time)
     if span is None:
         return None
     imu = (log.imu_time >= span[0]) & (log.imu_time <= span[1])
     time, rate = log.imu_time[imu], log.rate[imu]
     turned = integral(time, rate)
     usual = float(np.linalg.norm(np.diff(turned, axis=0), axis=1).sum())
-    count = int(np.clip(usual / tuning.widest_block, tuning.fewest, tuning.most))
+    count = int(np.clip(usual / WIDEST_BLOCK, fewest, most))
     inside = (field_time >= span[0]) & (field_time <= span[1])
     stamps, field = field_time[inside], log.field[inside]
     block = np.minimum(((stamps - span[0]) / (span[1] - span[0]) * count).astype(int), count - 1)
@@ -347,9 +328,7 @@ def stretch_of_log(
     )
 
 
-def _liveliest(
-    log: SensorLog, field_time: FloatArray, longest: float
-) -> tuple[float, float] | None:
+def _liveliest(log: SensorLog, field_time: FloatArray) -> tuple[float, float] | None:
     """Return from when to when the robot turns most, where no gap of the gyro lies between."""
     if min(len(log.imu_time), len(field_time)) < 20:
         return None
@@ -362,12 +341,12 @@ def _liveliest(
             continue
         size = np.linalg.norm(log.rate[rows], axis=1)
         done = integral(time, size)
-        begin = low + np.arange(0.0, max(high - longest - low, 0.0) + 0.5, 1.0)
-        gained = np.interp(np.minimum(begin + longest, high), time, done)
+        begin = low + np.arange(0.0, max(high - LONGEST - low, 0.0) + 0.5, 1.0)
+        gained = np.interp(np.minimum(begin + LONGEST, high), time, done)
         gained -= np.interp(begin, time, done)
         k = int(np.argmax(gained))
         if gained[k] > most:
-            best = (float(begin[k]), float(min(begin[k] + longest, high)))
+            best = (float(begin[k]), float(min(begin[k] + LONGEST, high)))
             most = float(gained[k])
     return best
 

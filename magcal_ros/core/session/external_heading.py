@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
-from magcal_ros.core.geometry.attitude import wrapped
+from magcal_ros.core.geometry.attitude import mean_angle, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
-from magcal_ros.core.heading.yaw_filter import FUSION, UNKNOWN_YAW
+from magcal_ros.core.heading.yaw_filter import BIAS_WALK, FUSION, UNKNOWN_YAW
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, HeadingSample
 
@@ -77,10 +79,9 @@ def mean_heading(heard: Sequence[HeadingSample], is_true: bool) -> ExternalHeadi
     """Return the mean heading of a robot at rest; None where none was heard."""
     if not heard:
         return None
-    east = sum(math.cos(each.yaw) for each in heard)
-    north = sum(math.sin(each.yaw) for each in heard)
+    yaw = mean_angle(np.array([each.yaw for each in heard]))
     # The errors of a receiver's messages are correlated: the mean is no more certain.
-    return ExternalHeading(math.atan2(north, east), max(each.sigma for each in heard), is_true)
+    return ExternalHeading(yaw, max(each.sigma for each in heard), is_true)
 
 
 METHOD = "known_headings"
@@ -98,10 +99,6 @@ def replaces(found: Calibration, before: Calibration | None) -> bool:
     if before is None:
         return calibration_sigma(found) < ENOUGH
     return is_by_headings(before) and calibration_sigma(found) < calibration_sigma(before)
-
-
-BIAS_WALK = FUSION.bias_walk * math.exp(FUSION.walk_spread**2)
-"""Root mean square of how much a gyro's bias walks, rad/s per root second."""
 
 
 class GyroTurn(NamedTuple):

@@ -27,7 +27,7 @@ from magcal_ros.core.heading.motion_sense import MotionSense
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
 from magcal_ros.core.samples.battery import SILENT, Messages
-from magcal_ros.core.samples.drive_log import DriveLog, DriveRecorder
+from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.samples.streams import (
     STREAMS,
     Drop,
@@ -123,7 +123,7 @@ class Gathering:
         """How many field samples repeat the one before; they are left out."""
         return self.streams.field_drops[Drop.REPEATED]
 
-    def drive(self) -> DriveLog:
+    def drive(self) -> Window:
         """Return what was driven; nothing without a gyro, or of a field too slow for one."""
         return DriveRecorder(LONGEST_DRIVE).log() if self.slow_field else self._drive.log()
 
@@ -168,7 +168,7 @@ class Gathering:
                 self._session.note_currents(*self._currents)
             travelling = self._replay.travelling
             self._session.add(pair, 0.0, travelling.wheel_speed(pair.field.stamp))
-            if math.isfinite(pair.imu.rate[0]):
+            if math.isfinite(sum(pair.imu.rate)):
                 self._drive.add(pair, travelling.speed)
 
     def _choose(self) -> None:
@@ -223,7 +223,7 @@ def fault_of_drive(gathering: Gathering, knowledge: Knowledge) -> str:
     if not len(log):
         return ""
     nothing = Refusal(Reason.TOO_FEW_SAMPLES, "")
-    return str(blamed_on_sensors(nothing, log.window, knowledge)).rstrip(".")
+    return str(blamed_on_sensors(nothing, log, knowledge)).rstrip(".")
 
 
 def fit_several(

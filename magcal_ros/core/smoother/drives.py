@@ -15,7 +15,7 @@ from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.drive_log import DriveLog
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import (
     BELIEVED,
@@ -23,9 +23,8 @@ from magcal_ros.core.smoother.kinds_of_motion import (
     NO_SOLUTION,
     WHILE_DRIVING,
     is_possible,
-    nodes_of_log,
 )
-from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.nodes import Nodes, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.start import start
@@ -98,19 +97,19 @@ class DriveFit:
         return np.flatnonzero(nodes.time > (nodes.added_from if is_added else -math.inf))
 
 
-def drive_nodes(log: DriveLog, to_body: FloatArray) -> Nodes:
+def drive_nodes(log: Window, to_body: FloatArray) -> Nodes:
     """Return the nodes of a drive; `to_body` as for `nodes_of`."""
-    return nodes_of_log(log, to_body, WHILE_DRIVING)
+    return nodes_of(log, to_body, WHILE_DRIVING)
 
 
-def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
+def fit_drive(log: Window, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     """Return the fit of all twelve numbers to a drive on wheels.
 
     The nodes are those of the log. Raises `Refusal`: `TOO_FEW_SAMPLES` of too short a drive,
     `NO_SOLUTION` if no fit converges.
     """
     check_length(nodes)
-    if not all(living_axes(log.rate)):
+    if not all(living_axes(log.angular_rate)):
         raise Refusal(Reason.AXES_DISAGREE, DEAD_AXES)
     state, about = start(nodes, priors_of(knowledge, log.bias_sigma))
     try:

@@ -10,10 +10,8 @@ import numpy as np
 
 from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray, integral
+from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.drive_log import DriveLog
-from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
@@ -89,17 +87,6 @@ class Smoothed:
         return self.fits[self.mode]
 
 
-def nodes_of_log(log: DriveLog, to_body: FloatArray, spacing: Spacing) -> Nodes:
-    """Return the nodes of a drive's log; parameters as of `nodes_of`."""
-    return nodes_of(
-        log.window,
-        to_body,
-        spacing,
-        rested=log.rested,
-        longest_step=STREAMS.longest_field_gap,
-    )
-
-
 class _Trials:
     """The fits of a window by kind of motion, the best of each as `fits`.
 
@@ -108,7 +95,7 @@ class _Trials:
 
     def __init__(
         self,
-        window: Window | DriveLog,
+        window: Window,
         knowledge: Knowledge,
         progress: Callable[[float], object] | None = None,
     ) -> None:
@@ -119,12 +106,8 @@ class _Trials:
 
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
-        to_body = knowledge.mounting.to_body
-        if isinstance(samples, DriveLog):
-            self.nodes, lives = nodes_of_log(samples, to_body, spacing), living_axes(samples.rate)
-        else:
-            self.nodes = nodes_of(samples, to_body, spacing)
-            lives = living_axes(samples.angular_rate)
+        self.nodes = nodes_of(samples, knowledge.mounting.to_body, spacing)
+        lives = living_axes(samples.angular_rate)
         priors = with_dead_axes(priors_of(knowledge, samples.bias_sigma), lives)
         self._state, self._priors = start(self.nodes, priors)
         self.fits = {}
@@ -240,8 +223,7 @@ class _Trials:
     def _without_false_rests(self) -> None:
         """Drop the rests if that is more likely: driving on a smooth road may look like a rest."""
         self.add(ON_WHEELS, tolerances=ROUGHLY)
-        is_certain = isinstance(self._samples, DriveLog) and self._samples.rested is not None
-        if is_certain or not self.nodes.quiet.any():
+        if self._samples.rested is not None or not self.nodes.quiet.any():
             return
         resting, rested = self.nodes, self.fits.pop(ON_WHEELS, None)
         self.nodes = replace(resting, quiet=np.zeros(len(resting), dtype=np.bool_))
@@ -265,36 +247,31 @@ class _Trials:
         return mixed(self.fits, self.nodes, self._knowledge, usual)
 
 
-def liveliest_part(samples: Window | DriveLog) -> Window | DriveLog | None:
+def liveliest_part(window: Window) -> Window | None:
     """Return the part of a long window in which the force changes most.
 
     None of a short window, and where that part has too few samples.
     """
-    time = samples.time
+    time, force = window.time, window.specific_force
     if len(time) == 0 or time[-1] - time[0] < 2.0 * PART:
         return None
-    force = samples.force if isinstance(samples, DriveLog) else samples.specific_force
     deviation = np.sum((force - np.median(force, axis=0)) ** 2, axis=1)
     done = integral(time, deviation)
     begin = np.arange(time[0], time[-1] - PART, 0.1 * PART)
     gained = np.interp(begin + PART, time, done) - np.interp(begin, time, done)
     first = float(begin[np.argmax(gained)])
     rows = (time >= first) & (time <= first + PART)
-    if np.count_nonzero(rows) < FEWEST_OF_PART:
-        return None
-    if isinstance(samples, DriveLog):
-        return samples.between(first, first + PART)
-    return samples.take(rows)
+    return None if np.count_nonzero(rows) < FEWEST_OF_PART else window.take(rows)
 
 
 def smooth(
-    window: Window | DriveLog,
+    window: Window,
     knowledge: Knowledge,
     progress: Callable[[float], object] | None = None,
 ) -> Smoothed:
     """Fit a window for each kind of motion, and weight the fits by their evidence.
 
-    The window or log has a gyro. `progress` is called with the share of the work that is done, 0 to
+    The window has a gyro. `progress` is called with the share of the work that is done, 0 to
     1. Raises `Refusal` if no fit converges.
     """
     trials = _Trials(window, knowledge, progress)

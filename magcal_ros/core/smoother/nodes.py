@@ -138,26 +138,14 @@ class Nodes:
         return np.asarray(self.angle / self.seconds[:, None])
 
 
-def nodes_of(
-    window: Window,
-    to_body: FloatArray,
-    spacing: Spacing = Spacing(),
-    *,
-    rested: BoolArray | None = None,
-    longest_step: float = math.inf,
-) -> Nodes:
-    """Return the nodes of a window with a gyro.
-
-    `to_body` (3, 3) is `Mounting.to_body`. `rested` (n,) says where the robot rested, if that is
-    known. `longest_step` is in seconds between samples; across longer gaps the gyro is not
-    integrated.
-    """
-    rate, time = window.angular_rate, window.time
+def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) -> Nodes:
+    """Return the nodes of a window with a gyro; `to_body` (3, 3) is `Mounting.to_body`."""
+    rate, time, rested = window.angular_rate, window.time, window.rested
     assert rate is not None
     field = window.field @ to_body.T * MICROTESLA
     steps, unseen, velocity, intervals = gyro_steps(window)
     attitude = chained(exp_rotations(-steps)[None])[0]
-    lost = np.diff(time) > longest_step
+    lost = np.diff(time) > window.longest_step
     first = _first_rows(time, steps, unseen, spacing, lost)
     last = np.append(first[1:], len(time))
     middle = (first + last - 1) // 2

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
-from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.attitude import mean_angle, unit
 from magcal_ros.core.geometry.rotations import (
     chained,
     minimal_rotation,
@@ -95,8 +95,7 @@ def _aligned(
     """
     seen = np.einsum("nji,nj->ni", turned[rows], field[rows] - found[3:6])
     apart = np.arctan2(seen[:, 1], seen[:, 0]) - math.atan2(found[1], found[0])
-    mean = float(np.angle(np.exp(1j * apart).mean()))
-    return np.asarray(turned[rows] @ rotation_about(Z, np.array([mean]))[0])
+    return np.asarray(turned[rows] @ rotation_about(Z, np.array([mean_angle(apart)]))[0])
 
 
 def _up(nodes: Nodes, path: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     arc_sigma,
     calibration_sigma,
-    common_figures,
+    every_figure,
     predicted_heading_sigma,
     sideways_acceleration,
 )
@@ -46,7 +46,7 @@ class TestPredictedHeadingSigma:
         one = replace(one, figures={Figure.LOCAL_FIELD: 0.4e-6})
         assert predicted_heading_sigma(one) == pytest.approx(0.5 / 25.0)
         assert calibration_sigma(one) == pytest.approx(0.3 / 25.0)
-        figures = common_figures(one)
+        figures = every_figure(one)
         assert figures[Figure.LOCAL_SIGMA] == pytest.approx(0.4 / 25.0)
         assert figures[Figure.HEADING_SIGMA] == predicted_heading_sigma(one)
 
@@ -92,34 +92,34 @@ class TestCommonFigures:
         residual[:80] = 0.5e-6
         residual[80:] = 40e-6
         inliers = np.arange(100) < 80
-        figures = common_figures(estimate(residual=residual, inliers=inliers))
+        figures = every_figure(estimate(residual=residual, inliers=inliers))
         assert figures["residual_ratio"] == pytest.approx(0.5 / 25.0)
         assert figures["outlier_share"] == pytest.approx(0.2)
 
     @pytest.mark.filterwarnings("ignore:Mean of empty slice", "ignore:invalid value")
     def test_no_believed_sample_is_an_infinite_residual(self):
-        figures = common_figures(estimate(inliers=np.zeros(500, dtype=bool)))
+        figures = every_figure(estimate(inliers=np.zeros(500, dtype=bool)))
         assert figures["residual_ratio"] == math.inf
         assert figures["outlier_share"] == 1.0
 
     def test_the_installation_angle_is_there_where_the_method_knows_it(self):
-        known = common_figures(estimate(installation=Installation(0.3, 0.0)))
+        known = every_figure(estimate(installation=Installation(0.3, 0.0)))
         assert known["installation_angle"] == pytest.approx(0.3)
-        assert "installation_angle" not in common_figures(estimate(installation=None))
+        assert "installation_angle" not in every_figure(estimate(installation=None))
 
     @pytest.mark.parametrize("ratio", [0.9, 1.1])
     def test_a_radius_too_small_misfits_as_much_as_one_too_large(self, ratio):
-        figures = common_figures(estimate(figures={"radius_ratio": ratio}))
+        figures = every_figure(estimate(figures={"radius_ratio": ratio}))
         assert figures["radius_misfit"] == pytest.approx(0.1)
 
     def test_a_circle_has_no_ellipse_excess(self):
-        assert common_figures(estimate(figures={"ellipse_ratio": 1.0}))["ellipse_excess"] == 0.0
-        assert "ellipse_excess" not in common_figures(estimate())
-        assert "radius_misfit" not in common_figures(estimate())
+        assert every_figure(estimate(figures={"ellipse_ratio": 1.0}))["ellipse_excess"] == 0.0
+        assert "ellipse_excess" not in every_figure(estimate())
+        assert "radius_misfit" not in every_figure(estimate())
 
     def test_the_sigmas_are_those_predicted(self):
         one = estimate(correction=SKEWED, covariance=small_covariance())
-        figures = common_figures(one)
+        figures = every_figure(one)
         assert figures["heading_sigma"] == predicted_heading_sigma(one, 0.0)
         tilted = predicted_heading_sigma(one, math.radians(10.0))
         assert figures["heading_sigma_tilted"] == tilted != figures["heading_sigma"]

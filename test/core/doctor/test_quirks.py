@@ -17,7 +17,6 @@ from magcal_ros.core.doctor.quirks import (
     AK8963_IN_MPU9250,
     QUIRKS,
     WRAP,
-    as_markdown,
 )
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
@@ -167,8 +166,3 @@ def test_a_field_that_points_up_is_told_as_a_simulators(seed):
     knowledge = replace(case.knowledge, reference=replace(known, inclination=other))
     lines = wrong_lines(replace(case, knowledge=knowledge), case.log)
     assert any("NED" in line for line in lines)
-
-
-def test_the_page_for_people_shows_the_same_table():
-    page = Path(__file__).parents[3] / "doc" / "drivers.md"
-    assert as_markdown() in page.read_text(encoding="utf-8")

@@ -50,7 +50,7 @@ def test_what_came_while_the_imu_was_silent_is_no_part_of_the_drive():
     machine = SelfCalibration(Mode.APPLY)
     replayed(Knowledge(), None, readings, (), machine)
     log = machine.recorder.log()
-    steps = log.window.steps
+    steps = log.steps
     assert np.isfinite(steps.angle).all()
     assert (steps.intervals > 0.0).all()
     assert np.diff(log.time).max() > 1.4

@@ -29,7 +29,7 @@ def driven():
 
 def iron_added(drive, calibration):
     """What a check finds of it; None where a drive does not show it."""
-    checks = check(drive.window, calibration, drive=drive).verdict.checks
+    checks = check(drive, calibration, drive=drive).verdict.checks
     return next((each for each in checks if each.figure is Figure.HARD_IRON_CHANGE), None)
 
 
@@ -59,8 +59,8 @@ def test_a_check_counts_what_the_drive_shows(driven):
 
 def test_a_short_drive_shows_nothing(driven):
     window, calibration = driven
-    start = float(window.time[0])
-    assert iron_added(log_of(window).between(start, start + 20.0), calibration) is None
+    part = window.take(window.time <= window.time[0] + 20.0)
+    assert iron_added(log_of(part), calibration) is None
 
 
 @pytest.mark.nightly
