@@ -92,6 +92,9 @@ class HealthTuning:
 
 
 TUNING = HealthTuning()
+TURN_ON_THE_SPOT = (
+    "a turn on the spot between two rests can be calibrated all the same, a drive cannot"
+)
 
 
 def numbers_findings(name: str, are_numbers: BoolArray) -> list[Finding]:
@@ -227,10 +230,19 @@ def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None
         return looked_at("frozen", f"{name}: axes alive", evidence)
     verb, them = ("never changes", "it") if len(still) == 1 else ("never change", "them")
     words = f"the {name}'s {_axes(still)} {verb}: the driver does not read {them}"
-    up = -1 if force is None else int(np.argmax(np.abs(force.mean(axis=0))))
-    if up in still and len(still) == 2:
-        words += f", and publishes the turn about {'xyz'[up]} as {'xyz'[3 - sum(still)]}"
+    if force is not None:
+        up = up_axis(force)
+        if up not in still:
+            words = f"{words}, or the {name} does not measure {them}; {TURN_ON_THE_SPOT}"
+            return looked_at("frozen", f"{name}: axes alive", evidence, words)
+        if len(still) == 2:
+            words += f", and publishes the turn about {'xyz'[up]} as {'xyz'[3 - sum(still)]}"
     return wrong("frozen", f"{name}: axes alive", evidence, words)
+
+
+def up_axis(force: FloatArray) -> int:
+    """Return the axis that is closest to the vertical by specific force (n, 3)."""
+    return int(np.argmax(np.abs(force.mean(axis=0))))
 
 
 def unchanging(values: FloatArray) -> list[int]:

@@ -24,6 +24,7 @@ from magcal_ros.core.doctor.health import (
     noise_findings,
     not_shown,
     stuck_axes,
+    up_axis,
 )
 from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
 from magcal_ros.core.doctor.motion import (
@@ -277,14 +278,13 @@ def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
 
 
 def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose gyro is frozen, dead in an axis, or in another unit."""
+    """Return the refusal of a turn whose gyro is frozen, dead in z, or in another unit."""
     rate = window.angular_rate
     if rate is None or len(window) < 3:
         return None
     if rate.any() and not np.ptp(rate, axis=0).any():
         return _by_the_page(window, knowledge, ("frozen",))
-    if dead_axes(rate):
-        # What the robot leans by is hidden, and the gyro's turn cannot be followed in space.
+    if up_axis(window.specific_force) in dead_axes(rate):
         return Refusal(
             Reason.AXES_DISAGREE,
             f"{alive_finding('gyro', rate, window.specific_force).remedy}; correct the driver, or "

@@ -44,8 +44,8 @@ NOISELESS = 1e-6
 """Bend of a rate from sample to sample, over its largest value, below which it has no noise."""
 Z = np.array([0.0, 0.0, 1.0])
 DEAD_AXES = (
-    "the gyro measures about its z axis only, so that acceleration and lean of a robot that "
-    "drives cannot be separated; turn once on the spot, or repair the gyro"
+    "an axis of the gyro never changes, so that acceleration and lean of a robot that drives "
+    "cannot be separated; turn once on the spot, and rest for some seconds before and after"
 )
 
 
