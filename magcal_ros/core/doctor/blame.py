@@ -28,6 +28,7 @@ from magcal_ros.core.samples.window import SensorLog
 
 NOSE = "lift the nose by 20° while the robot turns"
 LIFT = f"{NOSE}, or drive over a kerb"
+GIVE_DIP = ", and give the place or the field's inclination"
 DRIVE = "; or drive straight, where a receiver's course shows the yaw"
 SIGN = (
     "gravity has the wrong sign: REP-145 requires +9.81 on z at rest, so negate "
@@ -142,9 +143,13 @@ class AxesFound:
         """What is wrong and the line to change, if gyro and accelerometer are right; else empty."""
         if self.right:
             return ""
+        return f"{self.ways}. To tell which, {self.movement}" if self.movement else self.ways
+
+    @property
+    def ways(self) -> str:
+        """What is wrong if gyro and accelerometer are right, without what tells the ways apart."""
         ways = named(self.candidates, self._say)
-        words = f"the magnetometer's axes do not match the IMU's: {ways}"
-        return f"{words}. To tell which, {self.movement}" if self.movement else words
+        return f"the magnetometer's axes do not match the IMU's: {ways}"
 
     @property
     def movement(self) -> str:
@@ -158,7 +163,7 @@ class AxesFound:
                 "give the place or the field's inclination: only this shows whether all axes are "
                 "reversed"
             )
-        dip = "" if self.dip_known else ", and give the place or the field's inclination"
+        dip = "" if self.dip_known else GIVE_DIP
         level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)
         return f"{LIFT}{dip}{DRIVE if level else ''}"
 
@@ -281,22 +286,25 @@ def _accused(
         names = " and ".join(culprits[0])
         evidence = f"other axes of {names} explain the movement better"
         return Blame((looked_at("axes", "axes", evidence, BOTH),))
+    is_clear = len(culprits) == 1
     said, axes = {}, None
     for (sensor,) in culprits:
         ways = [k for k in fewest if rank[k] == (sensor,)]
         if sensor == "magnetometer":
             axes = AxesFound(_distinct(explanations.field[ways]), False, knowledge)
-            said[sensor] = axes.words
+            said[sensor] = axes.words if is_clear else axes.ways
             continue
         words, slip = SAID[sensor]
         candidates = _distinct(explanations.gyro[ways])
-        which = f". To tell which, {LIFT}" if len(candidates) > WEIGHED.most_named else ""
+        is_asked = is_clear and len(candidates) > WEIGHED.most_named
+        which = f". To tell which, {LIFT}" if is_asked else ""
         said[sensor] = words.format(named(candidates, slip)) + which
     names = " or ".join(said)
-    if len(said) > 1:
+    if not is_clear:
         evidence = f"{names} contradicts the other sensors"
-        asked = f"{names} has wrong axes, and this movement does not show which: {LIFT}. "
-        asked += f"Either {'; or '.join(said.values())}"
+        is_opposite = axes is not None and not axes.dip_known and len(axes.candidates) > 1
+        asked = f"{names} has wrong axes, and this movement does not show which: "
+        asked += f"{LIFT}{GIVE_DIP if is_opposite else ''}. Either {'; or '.join(said.values())}"
         if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
             asked += f"; or {FIELD_POINTS_UP}"
         return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], axes)
