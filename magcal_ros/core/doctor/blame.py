@@ -38,6 +38,7 @@ UPSIDE_DOWN = (
     "the IMU's z points down, but REP-103 requires x forward, y left, z up: turn the IMU's axes "
     "in the driver (by 180° about x if they are x forward, y right, z down), or mount it upright"
 )
+STAND = "let the robot stand upright for a few seconds, and turn it about its vertical axis alone"
 WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is positive"
 
 
@@ -49,9 +50,10 @@ def upright(
     Return a line, and whether gravity's sign is what errs; None where that or the IMU's axes do.
     `turned_left` is what the user says of the turn; None where that was not asked.
     """
-    usual = np.median(log.force, axis=0)
-    usual = usual / max(float(np.linalg.norm(usual)), 1e-9)
-    name = "accelerometer: up"
+    name, usual = "accelerometer: up", _usual_up(log)
+    if np.linalg.norm(usual) < LEAST_UPRIGHT:
+        return not_shown("gravity_sign", name, STAND), False
+    usual = usual / np.linalg.norm(usual)
     evidence = f"up is ({usual[0]:.2f}, {usual[1]:.2f}, {usual[2]:.2f})"
     if usual[2] > LEAST_UPRIGHT:
         return looked_at("gravity_sign", name, evidence), False
@@ -64,6 +66,20 @@ def upright(
         False: ("imu_axes", UPSIDE_DOWN),
     }[flipped]
     return wrong(key, name, evidence, words), flipped
+
+
+def _usual_up(log: SensorLog) -> FloatArray:
+    """Return the usual direction of the force, which is short if it has none.
+
+    Only the quarter with the slowest rates counts: in a hand that swings the sensor, what is felt
+    is mostly no gravity.
+    """
+    force = log.force
+    if log.has_gyro:
+        slowest = np.argsort(np.linalg.norm(log.rate, axis=1), kind="stable")
+        force = force[slowest[: 1 + len(slowest) // 4]]
+    size = np.linalg.norm(force, axis=1, keepdims=True)
+    return np.asarray(np.median(force / np.maximum(size, 1e-9), axis=0))
 
 
 def sideways(up: FloatArray) -> str:
