@@ -63,7 +63,7 @@ def run_check(options: argparse.Namespace) -> int:
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
     notes += [own] if own else []
     try:
-        window = gathered.gathering.window()
+        window = gathered.gathering.window(gathered.reference.field)
         result = check(window, calibration, drive=gathered.gathering.drive())
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}

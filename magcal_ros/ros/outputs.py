@@ -273,6 +273,9 @@ class FusedOutput:
             message = f"the field is not the calibrated one and {detector.trust.value}"
             if detector.trust is Trust.IGNORED and detector.last is not None:
                 message += f": {detector.last.in_words}; the gyro alone propagates the yaw"
+        elif self.yaw.dispute is not None and self.yaw.is_disputed:
+            level = DiagnosticStatus.WARN
+            message = self.yaw.dispute.in_words
         values |= wire.yaw_values(heading)
         return wire.diagnostic("Fused", message, values, level)
 

@@ -28,6 +28,7 @@ from magcal_ros.core.samples.window import SensorLog
 
 NOSE = "lift the nose by 20° while the robot turns"
 LIFT = f"{NOSE}, or drive over a kerb"
+GIVE_DIP = ", and give the place or the field's inclination"
 DRIVE = "; or drive straight, where a receiver's course shows the yaw"
 SIGN = (
     "gravity has the wrong sign: REP-145 requires +9.81 on z at rest, so negate "
@@ -37,6 +38,7 @@ UPSIDE_DOWN = (
     "the IMU's z points down, but REP-103 requires x forward, y left, z up: turn the IMU's axes "
     "in the driver (by 180° about x if they are x forward, y right, z down), or mount it upright"
 )
+STAND = "let the robot stand upright for a few seconds, and turn it about its vertical axis alone"
 WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is positive"
 
 
@@ -48,9 +50,10 @@ def upright(
     Return a line, and whether gravity's sign is what errs; None where that or the IMU's axes do.
     `turned_left` is what the user says of the turn; None where that was not asked.
     """
-    usual = np.median(log.force, axis=0)
-    usual = usual / max(float(np.linalg.norm(usual)), 1e-9)
-    name = "accelerometer: up"
+    name, usual = "accelerometer: up", _usual_up(log)
+    if np.linalg.norm(usual) < LEAST_UPRIGHT:
+        return not_shown("gravity_sign", name, STAND), False
+    usual = usual / np.linalg.norm(usual)
     evidence = f"up is ({usual[0]:.2f}, {usual[1]:.2f}, {usual[2]:.2f})"
     if usual[2] > LEAST_UPRIGHT:
         return looked_at("gravity_sign", name, evidence), False
@@ -63,6 +66,20 @@ def upright(
         False: ("imu_axes", UPSIDE_DOWN),
     }[flipped]
     return wrong(key, name, evidence, words), flipped
+
+
+def _usual_up(log: SensorLog) -> FloatArray:
+    """Return the usual direction of the force, which is short if it has none.
+
+    Only the quarter with the slowest rates counts: in a hand that swings the sensor, what is felt
+    is mostly no gravity.
+    """
+    force = log.force
+    if log.has_gyro:
+        slowest = np.argsort(np.linalg.norm(log.rate, axis=1), kind="stable")
+        force = force[slowest[: 1 + len(slowest) // 4]]
+    size = np.linalg.norm(force, axis=1, keepdims=True)
+    return np.asarray(np.median(force / np.maximum(size, 1e-9), axis=0))
 
 
 def sideways(up: FloatArray) -> str:
@@ -142,9 +159,13 @@ class AxesFound:
         """What is wrong and the line to change, if gyro and accelerometer are right; else empty."""
         if self.right:
             return ""
+        return f"{self.ways}. To tell which, {self.movement}" if self.movement else self.ways
+
+    @property
+    def ways(self) -> str:
+        """What is wrong if gyro and accelerometer are right, without what tells the ways apart."""
         ways = named(self.candidates, self._say)
-        words = f"the magnetometer's axes do not match the IMU's: {ways}"
-        return f"{words}. To tell which, {self.movement}" if self.movement else words
+        return f"the magnetometer's axes do not match the IMU's: {ways}"
 
     @property
     def movement(self) -> str:
@@ -158,7 +179,7 @@ class AxesFound:
                 "give the place or the field's inclination: only this shows whether all axes are "
                 "reversed"
             )
-        dip = "" if self.dip_known else ", and give the place or the field's inclination"
+        dip = "" if self.dip_known else GIVE_DIP
         level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)
         return f"{LIFT}{dip}{DRIVE if level else ''}"
 
@@ -281,22 +302,25 @@ def _accused(
         names = " and ".join(culprits[0])
         evidence = f"other axes of {names} explain the movement better"
         return Blame((looked_at("axes", "axes", evidence, BOTH),))
+    is_clear = len(culprits) == 1
     said, axes = {}, None
     for (sensor,) in culprits:
         ways = [k for k in fewest if rank[k] == (sensor,)]
         if sensor == "magnetometer":
             axes = AxesFound(_distinct(explanations.field[ways]), False, knowledge)
-            said[sensor] = axes.words
+            said[sensor] = axes.words if is_clear else axes.ways
             continue
         words, slip = SAID[sensor]
         candidates = _distinct(explanations.gyro[ways])
-        which = f". To tell which, {LIFT}" if len(candidates) > WEIGHED.most_named else ""
+        is_asked = is_clear and len(candidates) > WEIGHED.most_named
+        which = f". To tell which, {LIFT}" if is_asked else ""
         said[sensor] = words.format(named(candidates, slip)) + which
     names = " or ".join(said)
-    if len(said) > 1:
+    if not is_clear:
         evidence = f"{names} contradicts the other sensors"
-        asked = f"{names} has wrong axes, and this movement does not show which: {LIFT}. "
-        asked += f"Either {'; or '.join(said.values())}"
+        is_opposite = axes is not None and not axes.dip_known and len(axes.candidates) > 1
+        asked = f"{names} has wrong axes, and this movement does not show which: "
+        asked += f"{LIFT}{GIVE_DIP if is_opposite else ''}. Either {'; or '.join(said.values())}"
         if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
             asked += f"; or {FIELD_POINTS_UP}"
         return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], axes)

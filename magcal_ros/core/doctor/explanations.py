@@ -152,6 +152,11 @@ class Explanations:
         axes_fit = bool(self.rms[self.plain] < WEIGHED.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
 
+    def is_better(self, other: Explanations) -> bool:
+        """Whether axes as they are given explain the movement better than any do in the other."""
+        own = self.rms[self.plain]
+        return bool(own < min(WEIGHED.worst_fit, float(other.rms.min())))
+
     def way(self, k: int) -> Way:
         """Return one way."""
         values = self.gyro[k], self.field[k], self.parameters[k], self.sigma[k]
@@ -340,27 +345,55 @@ KNOWN: tuple[tuple[float, str], ...] = (
     (1.0 / STANDARD_GRAVITY, "rates multiplied by gravity, as accelerations are"),
 )
 """What makes rad/s of rates that people have published, and how it comes to be."""
+FEWEST_SPANS = 3  # that show the unit
 
 
 def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
     """Return what may make rad/s of the gyro's rates, 1 or a known slip; None if they are rad/s.
 
     The way that the field goes in a short time is its size times the angle; the size is that of the
-    field's changing part, which is right within a factor two for a quarter turn or more. A field
-    that changes from place to place goes farther than the gyro turns, and is no slip. A field that
-    does not move shows nothing of the unit, which is then 1.
+    field's changing part, which is right within a factor two for a quarter turn or more. Where
+    neither gyro nor field shows the unit, it is 1.
+    """
+    for rough in (_by_the_gyro(stretch), _by_the_field(stretch)):
+        if rough is None:
+            continue
+        if 1.0 / WEIGHED.plain < rough < WEIGHED.plain:
+            return None
+        known = (1.0, *(factor for factor, _ in KNOWN))
+        near = tuple(f for f in known if rough / WEIGHED.below < f < rough * WEIGHED.above)
+        if near:
+            return near
+    return (1.0,)
+
+
+def _by_the_gyro(stretch: Stretch) -> float | None:
+    """Return the way of the field over the gyro's angle, in the spans with the largest angles.
+
+    What a street adds to it is seen where the gyro does not turn.
+    """
+    first, last, turn = _turns_in(stretch, WEIGHED.spans[0])
+    way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
+    turned = np.linalg.norm(turn, axis=1)
+    most = float(np.max(turned, initial=0.0))
+    quick, slow = turned > 0.5 * most, turned < 0.1 * most
+    if quick.sum() < FEWEST_SPANS:
+        return None
+    street = float(np.median(way[slow])) if slow.sum() >= FEWEST_SPANS else 0.0
+    by_turning = float(np.median(way[quick])) ** 2 - street**2
+    return math.sqrt(by_turning) / float(np.median(turned[quick])) if by_turning > 0.0 else None
+
+
+def _by_the_field(stretch: Stretch) -> float | None:
+    """Return the same in the spans with the largest ways of the field; None if it does not move.
+
+    A field that changes from place to place goes farther than the gyro turns, and is no slip.
     """
     for span in WEIGHED.spans:
         first, last, turn = _turns_in(stretch, span)
         way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
         moved = way > max(WEIGHED.moved, 0.5 * float(np.max(way, initial=0.0)))
-        if moved.sum() >= 3:
-            break
-    else:
-        return (1.0,)
-    turned = np.linalg.norm(turn[moved], axis=1)
-    rough = float(np.median(way[moved])) / max(float(np.median(turned)), 1e-12)
-    if 1.0 / WEIGHED.plain < rough < WEIGHED.plain:
-        return None
-    known = (1.0, *(factor for factor, _ in KNOWN))
-    return tuple(f for f in known if rough / WEIGHED.below < f < rough * WEIGHED.above)
+        if moved.sum() >= FEWEST_SPANS:
+            turned = np.linalg.norm(turn[moved], axis=1)
+            return float(np.median(way[moved])) / max(float(np.median(turned)), 1e-12)
+    return None

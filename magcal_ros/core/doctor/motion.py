@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.blame import AxesFound, blame, upright
+from magcal_ros.core.doctor.blame import AxesFound, Blame, blame, upright
 from magcal_ros.core.doctor.explanations import (
     KNOWN,
     WEIGHED,
@@ -70,6 +70,9 @@ class MotionTuning:
 TUNING = MotionTuning()
 
 
+GRAVITY_FIRST = "correct the accelerometer as said below, then check again"
+
+
 @dataclass(frozen=True, eq=False)
 class MotionFound:
     """What was found, and by which explanation."""
@@ -120,6 +123,9 @@ def compare(
     if up_is_down and turned_left is not None:
         turned_left = not turned_left
     blamed = blame(explanations, knowledge, turned_left, dead)
+    if stands.is_wrong and not up_is_down and any(each.is_wrong for each in blamed.findings):
+        # They are named in the axes of the IMU, which may be the ones to be corrected.
+        blamed = Blame((not_shown("axes", "axes", GRAVITY_FIRST),), blamed.chosen)
     findings = [_unit(factor, factors is None), stands, *blamed.findings]
     way = None if blamed.chosen is None else explanations.way(blamed.chosen)
     if way is not None:
@@ -139,10 +145,14 @@ def _explained(
     inclination = knowledge.reference.inclination
     slips = [f for f in factors or () if f != 1.0]
     ways = [(explain(replace(log, rate=f * log.rate), inclination, f * bias), f) for f in slips]
-    found = [(float(w.rms.min()), f, w) for w, f in ways if w is not None and w.shows_the_unit]
+    slipped = [(float(w.rms.min()), f, w) for w, f in ways if w is not None]
+    found = [each for each in slipped if each[2].shows_the_unit]
     # Rates that only a slip makes rad/s take the longest to explain as they are.
     if not found or 1.0 in (factors or ()):
         given = explain(log, inclination, bias)
+        if not found and given is not None and 1.0 not in (factors or (1.0,)):
+            # In a street no unit fits the field well.
+            found = [each for each in slipped if each[2].is_better(given)]
         # A gyro that may be right and turned too little shows nothing.
         if not found or given is None or given.fits_well:
             return given, 1.0

@@ -16,7 +16,7 @@ from magcal_ros.core.calibration.correction import INPUTS, PARAMETERS, MotorFiel
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
-from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length
 from magcal_ros.core.heading.motors_now import MotorDoubt, MotorsNow
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import Up
@@ -71,6 +71,22 @@ def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
+
+
+def yaw_ahead(north: Triple, seen: Triple, up: Triple) -> float:
+    """Return by how much the yaw by another north is ahead, radians; north is level."""
+    # North that lies further to the left is a yaw further to the right.
+    return -math.atan2(dot(cross(north, seen), up), dot(north, seen))
+
+
+def levelled(vector: Triple, up: Triple) -> Triple | None:
+    """Return the direction of a vector's level part; None where it has hardly one."""
+    rise = dot(vector, up)
+    level = (vector[0] - rise * up[0], vector[1] - rise * up[1], vector[2] - rise * up[2])
+    size = length(level)
+    if size <= SMALLEST_LEVEL_SHARE * length(vector):
+        return None
+    return (level[0] / size, level[1] / size, level[2] / size)
 
 
 class Compass:

@@ -136,6 +136,11 @@ class DisturbanceDetector:
         self.amplitude_variance = new
         return max(1.0, new / old)
 
+    @property
+    def usual_variance(self) -> float:
+        """Variance of a good field per axis, over its squared strength."""
+        return DISTURBANCE.strength**2 + self._noise + self.amplitude_variance
+
     def _judge(self) -> Trust:
         # A field at the edge must not be heard now and then.
         was_ignored = self.trust is Trust.IGNORED

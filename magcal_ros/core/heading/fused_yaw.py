@@ -27,7 +27,8 @@ from magcal_ros.core.geometry.vec3 import (
     propagated,
     scaled,
 )
-from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading
+from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_ahead
+from magcal_ros.core.heading.dispute import Dispute, Scene
 from magcal_ros.core.heading.disturbance import DISTURBANCE, DisturbanceDetector, Trust
 from magcal_ros.core.heading.yaw_filter import FUSION, GyroLoss, YawFilter
 from magcal_ros.core.samples.streams import STREAMS, enclosing
@@ -67,6 +68,7 @@ class FusedYaw:
         self.detector = DisturbanceDetector(calibration, patience)
         level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
         self._level_share = level * level
+        self._strength = calibration.strength
 
     def restart(self) -> None:
         """Forget where north is; the next compass sample shows it."""
@@ -81,6 +83,9 @@ class FusedYaw:
         self._corrected = self._start_stamp = self._heading_stamp = self._heading_since = -math.inf
         self.last_heading_gap = 0.0  # by which the last of another device was ahead, radians
         self._overruled = 0.0
+        self.dispute: Dispute | None = None
+        """Two explanations of the last field that overruled the yaw; None if none did."""
+        self._disputed_shift = 0.0
         self._headings_ahead: list[float] = []
         self._doubted = 0.0  # variance by all that headings may be while they correct the yaw, rad²
         self._rests: list[tuple[float, float, float]] = []
@@ -161,8 +166,7 @@ class FusedYaw:
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
         """Let the compass correct the yaw.
 
-        `field` is corrected, tesla, body axes, `up` belongs to its `stamp`, and `heading` is what
-        the compass makes of both.
+        `field` is corrected, tesla, body axes; `heading` follows from it and `up` of its `stamp`.
         """
         seen = levelled(field, up.direction)
         if seen is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
@@ -187,7 +191,11 @@ class FusedYaw:
             self._unlearnt = 0.0
         if self.has_external_yaw:
             # A compass that headings calibrate adds nothing to them.
+            self.dispute = None
             return
+        if self.dispute is not None:
+            scene = self._scene(stamp, field, up, then)
+            self.dispute.weigh(scene, since / FUSION.moving_tau)
         if is_new:
             self._filter.yaw_variance += innovation**2
         elif detector.trust is Trust.IGNORED:
@@ -197,7 +205,12 @@ class FusedYaw:
                 missing = FUSION.unknown**2 - self._filter.yaw_variance
                 self._filter.yaw_variance += max(0.0, missing)
             return
-        self._weigh(innovation, heading, compass, min(since, FUSION.noise_tau))
+        if self._weigh(innovation, heading, compass, min(since, FUSION.noise_tau)):
+            self._disputed_shift = then.shift
+            scene, before = self._scene(stamp, field, up, then), self.dispute
+            variance = self._filter.known_spread(self._by_tilt(heading) + heading.noise_variance)
+            odds = 0.0 if before is None else before.after(innovation, variance)
+            self.dispute = Dispute(stamp, innovation, scene, odds)
 
     def take_heading(
         self, stamp: float, yaw: float, variance: float, forward: Triple
@@ -261,7 +274,7 @@ class FusedYaw:
         east = cross(north, up)
         yaw = math.atan2(north[0], east[0])
         roll, pitch = math.atan2(up[1], up[2]), math.atan2(-up[0], math.hypot(up[1], up[2]))
-        variance = max(self._filter.yaw_variance, self._doubted) + self._filter.own_error_variance
+        variance = max(self.yaw_variance, self._doubted) + self._filter.own_error_variance
         return Heading(roll, pitch, yaw, self._up.variance, variance, 0.0, 0.0)
 
     def north_at(self, stamp: float) -> Triple | None:
@@ -277,7 +290,12 @@ class FusedYaw:
     @property
     def yaw_variance(self) -> float:
         """Variance of the propagated yaw but for the calibration's part, rad²."""
-        return self._filter.yaw_variance
+        return self._filter.yaw_variance + (self.dispute.variance if self.dispute else 0.0)
+
+    @property
+    def is_disputed(self) -> bool:
+        """Whether most of the yaw's variance is that the field may be wrong by a dispute."""
+        return 2.0 * (self.dispute.variance if self.dispute else 0.0) > self.yaw_variance
 
     @property
     def _disturbance_variance(self) -> float:
@@ -310,10 +328,24 @@ class FusedYaw:
         own = heading.noise_variance + heading.lasting_variance
         return max(0.0, heading.yaw_variance - own)
 
+    def _scene(self, stamp: float, field: Triple, up: Up, then: _Moment) -> Scene:
+        """Return the level field and what it is compared with while the yaw is disputed."""
+        axis, since = up.direction, then.shift - self._disputed_shift
+        north = propagated(then.north, scaled(axis, -since))
+        level = self._strength * math.sqrt(self._level_share)
+        seconds = 0.0 if self.dispute is None else stamp - self.dispute.stamp
+        drifted = self._filter.bias_variance * seconds**2
+        variance = self._strength**2 * self.detector.usual_variance + level**2 * drifted
+        seen = minus(field, scaled(axis, dot(field, axis)))
+        return Scene(seen, north, axis, level, variance)
+
     def _weigh(
         self, innovation: float, heading: Heading, compass: FloatArray, seconds: float
-    ) -> None:
-        """Correct yaw and bias by how far the compass is from the propagated yaw."""
+    ) -> bool:
+        """Correct yaw and bias by how far the compass is from the propagated yaw.
+
+        Returns whether the field overrules the yaw.
+        """
         following = self._filter
         bent = self._disturbance_variance
         by_tilt = self._by_tilt(heading)
@@ -323,7 +355,8 @@ class FusedYaw:
         is_good = self.detector.trust is Trust.GOOD
         clear = min(doubt - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
         self._overruled = max(0.0, self._overruled + clear * seconds) if is_good else 0.0
-        if self._overruled > FUSION.overruled_after:
+        is_overruled = self._overruled > FUSION.overruled_after
+        if is_overruled:
             following.yaw_variance += innovation**2
             self._overruled = doubt = 0.0
         departed = max(1.0, self.detector.departure**4)
@@ -341,6 +374,7 @@ class FusedYaw:
         else:
             turned = following.observe(innovation, noise, compass)
         self._turn(turned)
+        return is_overruled
 
     def _turn(self, angle: float) -> None:
         assert self._north is not None
@@ -364,19 +398,3 @@ class FusedYaw:
 def _errors_of(heading: Heading) -> FloatArray:
     """Return the errors of a compass as `YawFilter` takes them."""
     return np.array((*heading.lasting, 1.0))
-
-
-def yaw_ahead(north: Triple, seen: Triple, up: Triple) -> float:
-    """Return by how much the yaw by another north is ahead, radians; north is level."""
-    # North that lies further to the left is a yaw further to the right.
-    return -math.atan2(dot(cross(north, seen), up), dot(north, seen))
-
-
-def levelled(vector: Triple, up: Triple) -> Triple | None:
-    """Return the direction of a vector's level part; None where it has hardly one."""
-    rise = dot(vector, up)
-    level = (vector[0] - rise * up[0], vector[1] - rise * up[1], vector[2] - rise * up[2])
-    size = length(level)
-    if size <= SMALLEST_LEVEL_SHARE * length(vector):
-        return None
-    return (level[0] / size, level[1] / size, level[2] / size)

@@ -14,9 +14,9 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, between, minus, plus, propagated, scaled
-from magcal_ros.core.heading.compass import Compass, Heading, Moment
+from magcal_ros.core.heading.compass import Compass, Heading, Moment, levelled, yaw_ahead
 from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDoubt
-from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
+from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up.follower import Up
 

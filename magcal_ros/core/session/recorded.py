@@ -24,7 +24,7 @@ from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.motion_sense import MotionSense
-from magcal_ros.core.knowledge import Knowledge, Mounting
+from magcal_ros.core.knowledge import Knowledge, Mounting, ReferenceField
 from magcal_ros.core.multi_turn.result import TurnFate
 from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.drive_log import DriveRecorder
@@ -144,8 +144,11 @@ class Gathering:
         """Return how much of a turn was seen."""
         return self._session.progress(0.0)
 
-    def window(self) -> Window:
-        """Return what was gathered; a Refusal if it is not enough of a turn."""
+    def window(self, reference: ReferenceField = ReferenceField()) -> Window:
+        """Return what was gathered; a Refusal if it is not enough of a turn.
+
+        The reference field serves to say what is wrong with the sensors then.
+        """
         if not self._session.has_samples:
             words = "no pair of field and acceleration samples could be made"
             silent = [topic for topic, n in zip(self._topics, self.heard, strict=True) if not n]
@@ -156,7 +159,8 @@ class Gathering:
         try:
             self.progress().require_arc(self._session.limits.smallest_arc)
         except Refusal as refusal:
-            raise blamed_on_sensors(refusal, window, Knowledge(mounting=self.mounting)) from refusal
+            known = Knowledge(reference, self.mounting)
+            raise blamed_on_sensors(refusal, window, known) from refusal
         return window
 
     def _collect(self) -> None:
@@ -198,7 +202,7 @@ def fit_gathered(
         drive = calibrate_drive(log, knowledge)
         if drive.verdict.accepted:
             return drive
-    window = _window_or_refusal(gathering)
+    window = _window_or_refusal(gathering, knowledge)
     if isinstance(window, Window):
         outcome = calibrate(window, knowledge, method, progress)
         verdict, slow = outcome.verdict, gathering.slow_field
@@ -219,7 +223,7 @@ def fault_of_drive(gathering: Gathering, knowledge: Knowledge) -> str:
     has_gyro = newest is not None and math.isfinite(newest.rate[0])
     if has_gyro and not gathering.has_samples:
         # It has no samples, and says why.
-        gathering.window()
+        gathering.window(knowledge.reference)
     if not len(log):
         return ""
     nothing = Refusal(Reason.TOO_FEW_SAMPLES, "")
@@ -237,7 +241,7 @@ def fit_several(
     Returns the outcome, and which recording its window is from. A recording without a turn is left
     out, with the reason. Misuse if the method cannot join turns.
     """
-    looked = [_window_or_refusal(gathering) for gathering in gatherings]
+    looked = [_window_or_refusal(gathering, knowledge) for gathering in gatherings]
     windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}
     left_out = {k: found for k, found in enumerate(looked) if isinstance(found, Refusal)}
     if not windows:
@@ -253,9 +257,9 @@ def fit_several(
     return replace(outcome, several=replace(outcome.several, fates=ordered)), newest
 
 
-def _window_or_refusal(gathering: Gathering) -> Window | Refusal:
+def _window_or_refusal(gathering: Gathering, knowledge: Knowledge) -> Window | Refusal:
     try:
-        return gathering.window()
+        return gathering.window(knowledge.reference)
     except Refusal as refusal:
         return refusal
 

@@ -397,3 +397,19 @@ def test_a_turn_between_rests_says_that_its_motors_hide_the_gyros_scale():
     assert lines["motors"].is_wrong
     said = lines["rate_scale"].evidence
     assert re.match(r"not shown: within \d\.\d%; turn once by hand with the motors off ", said)
+
+
+def test_an_imu_in_other_axes_is_not_said_of_the_magnetometer_as_well():
+    case = good_case(np.random.default_rng([5, 7]), "lift")
+    forward_right_down = np.array([1.0, -1.0, -1.0])
+    force, rate = case.log.force * forward_right_down, case.log.rate * forward_right_down
+    page = page_of(case, replace(case.log, force=force, rate=rate))
+    assert len(wrong(page)) == 1
+    assert page.mount_rpy_deg is None
+
+
+def test_the_movement_that_shows_which_sensor_errs_is_asked_for_once():
+    case = good_case(np.random.default_rng([6, 1]), "turn")
+    page = page_of(case, replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0])))
+    (line,) = [f for f in page.findings if f.key == "axes"]
+    assert line.remedy.count("lift the nose") == 1

@@ -5,7 +5,7 @@ import pytest
 from long_form import first_of
 
 from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.geometry.rotations import chained, exp_rotations
 from magcal_ros.core.samples.window import SensorLog
 
 RATE, STEP = 0.36, 1.0 / 30.0
@@ -35,3 +35,19 @@ def test_a_car_that_drove_to_its_circle_has_no_motors(case):
     )
     assert line.is_wrong == is_named
     assert ("the robot drove while it turned" in line.evidence) != is_named
+
+
+def test_a_sensor_that_a_hand_swings_does_not_lie_on_its_side():
+    rng = np.random.default_rng(8)
+    time = np.arange(0.0, 30.0, 0.01)
+    moves = ((time > 3.0) & (time < 27.0))[:, None]
+    swing = np.column_stack([np.sin(0.7 * time), np.sin(1.1 * time), np.sin(0.5 * time)])
+    rate = 12.0 * moves * swing
+    body = chained(exp_rotations(-0.01 * rate[1:])[None])[0]
+    arm = np.array([0.15, 0.0, 0.0])
+    pull = np.cross(rate, np.cross(rate, arm))
+    force = body @ np.array([0.0, 0.0, 9.81]) + pull + 0.05 * rng.normal(size=pull.shape)
+    field = body @ np.array([0.0, 20e-6, -43e-6]) + 0.3e-6 * rng.normal(size=pull.shape)
+    log = SensorLog(time, force, rate + 2e-3 * rng.normal(size=pull.shape), time, field)
+    (line,) = (f for f in examine(log).findings if f.name == "accelerometer: up")
+    assert not line.is_wrong

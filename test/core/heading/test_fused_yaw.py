@@ -453,3 +453,52 @@ def test_headings_of_a_device_that_integrates_a_gyro_are_doubted_where_rests_con
             fused.take_heading(100.0 + since, told, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
     off = fused.heading().yaw - 0.5 * math.pi
     assert abs(off) < 3.0 * math.sqrt(fused.heading().yaw_variance)
+
+
+LEVEL = ROBOT.strength * math.cos(ROBOT.inclination)
+
+
+def magnet_that_turns_the_field(yaw, angle):
+    """Return iron, as the sensor reads it, that turns the level field at a yaw, no more."""
+    north = np.array([math.sin(yaw), math.cos(yaw), 0.0])
+    turned = np.array([math.sin(yaw - angle), math.cos(yaw - angle), 0.0])
+    return np.linalg.solve(ROBOT.true_correction.matrix, LEVEL * (turned - north))
+
+
+class Magnetised(Fusing):
+    """A robot to which a magnet can be added."""
+
+    magnet = np.zeros(3)
+
+    def __call__(self, sample, ride=None):
+        if not isinstance(sample, ImuSample):
+            sample = sample._replace(field=tuple(np.add(sample.field, self.magnet).tolist()))
+        super().__call__(sample, ride)
+
+
+@pytest.mark.parametrize("angle", first_of([1.2, -0.8]))
+def test_a_magnet_that_turns_the_field_is_in_sigma_until_the_robot_turns(angle):
+    fusing = Magnetised()
+    course = driven(fusing)
+    fusing.magnet = magnet_that_turns_the_field(course.ride.magnetic_yaw, angle)
+    course.go(12.0)
+    error, sigma = abs(fusing.errors_deg()[-1]), fusing.sigmas_deg()[-1]
+    assert error > 0.8 * abs(math.degrees(angle))
+    assert sigma > 0.6 * error
+    assert fusing.fused.is_disputed
+    assert "the next turn of the robot shows which" in fusing.fused.dispute.in_words
+    fusing.magnet = np.zeros(3)
+    course.go(15.0)
+    assert abs(fusing.errors_deg()[-1]) < 3.0
+    assert fusing.sigmas_deg()[-1] < 0.5 * sigma
+
+
+def test_a_yaw_that_was_wrong_is_known_again_once_the_robot_has_turned():
+    fusing = Fusing()
+    course = driven(fusing)
+    course.ride.stand(0.0, 0.0, 2.0)
+    course.go(12.0)
+    assert fusing.sigmas_deg()[-1] > 20.0
+    course.go(40.0, yaw_rate=0.2)
+    assert abs(fusing.errors_deg()[-1]) < 3.0
+    assert fusing.sigmas_deg()[-1] < 6.0

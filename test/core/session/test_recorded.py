@@ -211,6 +211,18 @@ class TestRefusals:
         with pytest.raises(Refusal, match="looks like microtesla published as tesla"):
             gathered(samples).window()
 
+    def test_what_is_said_of_wrong_axes_asks_for_no_place_that_was_given(self):
+        def said(knowledge):
+            swapped = (
+                s._replace(rate=s.rate[::-1]) if isinstance(s, ImuSample) else s
+                for s in drive(400.0)
+            )
+            return fit_gathered(gathered(swapped), knowledge).verdict.summary
+
+        asked = "give the place or the field's inclination"
+        assert asked in said(Knowledge())
+        assert asked not in said(knowledge_of(48.0, inclination_deg=65.0))
+
     def test_every_little_data_reason_is_one_that_more_data_mends(self):
         assert all(fitted(drive(arc)).reason in LITTLE_DATA for arc in (0.0, 10.0, 30.0))
 

@@ -1,0 +1,73 @@
+"""A yaw that the field has overruled: it was wrong, or iron came that turns the field.
+
+While the robot does not turn, both explain the same. Iron on the robot turns with it and the field
+of the Earth does not, so the next turn shows which it was.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from magcal_ros.core.geometry.vec3 import Triple, dot, minus, plus, propagated, scaled
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The level field of a moment, and what the Earth's would be by the overruled yaw."""
+
+    seen: Triple  # corrected, level part, tesla, body axes
+    north: Triple  # level and of length one, by the gyro alone since the yaw was overruled
+    up: Triple
+    level: float  # level field of the Earth, tesla
+    variance: float  # of each by places and the gyro, per axis, tesla²
+
+
+class Dispute:
+    """Two explanations of a field that turned by `apart` radians against the gyro at `stamp`."""
+
+    def __init__(self, stamp: float, apart: float, scene: Scene, log_odds: float = 0.0) -> None:
+        self.stamp, self.apart = stamp, apart
+        self._log_odds = log_odds  # of iron against a yaw that was wrong
+        self._iron = minus(scene.seen, scaled(scene.north, scene.level))
+
+    @property
+    def variance(self) -> float:
+        """Variance of the yaw that follows the field, rad²: by as much it is wrong if iron came."""
+        return self.apart**2 / (1.0 + math.exp(-self._log_odds))
+
+    def weigh(self, scene: Scene, share: float) -> None:
+        """Take a moment that counts as this share of an independent measurement."""
+        by_iron = plus(scaled(scene.north, scene.level), self._iron)
+        turned = propagated(scene.north, scaled(scene.up, self.apart))
+        by_earth = scaled(turned, scene.level)
+        off_iron, off_earth = (minus(scene.seen, each) for each in (by_iron, by_earth))
+        # A Cauchy distribution in the level: what passes by must not decide.
+        ratio = (scene.variance + dot(off_earth, off_earth)) / (
+            scene.variance + dot(off_iron, off_iron)
+        )
+        odds = self._log_odds + share * 1.5 * math.log(ratio)
+        self._log_odds = max(-MOST, min(MOST, odds))
+
+    def after(self, apart: float, variance: float) -> float:
+        """Return the log odds of iron where the field turns again, by `apart` radians.
+
+        `variance` is that of the angle, rad². Iron that goes turns it back by as much, other iron
+        by any angle.
+        """
+        off = math.remainder(self.apart + apart, math.tau)
+        density = math.exp(-0.5 * off**2 / variance) / math.sqrt(math.tau * variance)
+        came = 1.0 / (1.0 + math.exp(-self._log_odds))
+        return -math.log1p(math.tau * density * came / max(1.0 - came, math.exp(-MOST)))
+
+    @property
+    def in_words(self) -> str:
+        """One sentence for a person."""
+        return (
+            f"at {self.stamp:.1f} s the field turned by {abs(math.degrees(self.apart)):.0f}° "
+            "against the gyro: either iron came or went, or the yaw was wrong; the next turn of "
+            "the robot shows which"
+        )
+
+
+MOST = 30.0  # log odds beyond which nothing is more certain
