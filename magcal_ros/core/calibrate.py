@@ -21,7 +21,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import Kept, Several
 from magcal_ros.core.samples.battery import with_one_reference
 from magcal_ros.core.samples.streams import SWAY
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import Window, living_axes
 
 # What only a fit needs is imported by the functions that fit: a node that starts on a saved
 # calibration would wait for it before its first message.
@@ -270,8 +270,6 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -
 
     It is infinite where no fit is found.
     """
-    from magcal_ros.core.smoother.without_gyro import living_axes
-
     try:
         if method in ONE_SMOOTHER and living_axes(window.angular_rate)[2]:
             from magcal_ros.core.methods.checks import check_window

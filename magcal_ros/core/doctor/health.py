@@ -19,7 +19,7 @@ from magcal_ros.core.samples.units import (
     slow_words,
 )
 from magcal_ros.core.samples.units import TUNING as DIAGNOSIS
-from magcal_ros.core.samples.window import SensorLog, white_noise
+from magcal_ros.core.samples.window import SensorLog, living_axes, white_noise
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,6 @@ class HealthTuning:
         0.71  # steps of noise that a number shows which rises by half a step each time
     )
     by_chance: float = 1e-6  # probability that an axis stays at one number all the time
-    smooth: float = 1e-4  # share of its largest value by which a rate without noise may bend
     gravity: float = 0.15  # misfit of the usual acceleration
     fewest: int = 50  # samples below which nothing is said of a stream
     field_noise: float = 3e-6
@@ -271,17 +270,8 @@ def stuck_axes(field: FloatArray) -> list[int]:
 
 def dead_axes(rate: FloatArray) -> list[int]:
     """Return the axes of a gyro (n, 3) that its driver does not read; none of an absent one."""
-    dead = unchanging(rate)
-    return dead if 0 < len(dead) < 3 and not is_noiseless(rate) else []
-
-
-def is_noiseless(rate: FloatArray) -> bool:
-    """Return whether rates (n, 3) change without noise: a simulator's may stay at one value."""
-    changed = (np.diff(rate, axis=0) != 0.0).any(axis=1)[1:]
-    bend = np.abs(np.diff(rate, 2, axis=0)).max(axis=1)[changed]
-    if len(bend) < TUNING.fewest:
-        return len(bend) > 0
-    return bool(np.median(bend) < TUNING.smooth * np.abs(rate).max())
+    living = living_axes(rate)
+    return [axis for axis in range(3) if not living[axis]] if any(living) else []
 
 
 def saturated(field: FloatArray, axis: int) -> BoolArray:

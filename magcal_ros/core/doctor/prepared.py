@@ -12,7 +12,7 @@ from magcal_ros.core.doctor import health
 from magcal_ros.core.doctor.health import TUNING, Finding
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
 
 def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
@@ -64,7 +64,7 @@ def prepare(log: SensorLog) -> CleanLog:
         both = np.column_stack([log.force, np.nan_to_num(log.rate)])
         findings += [health.gravity_size_finding(log.force), health.repeats_finding("IMU", both)]
         findings.append(health.alive_finding("accelerometer", log.force))
-        if log.has_gyro and not health.is_noiseless(log.rate):
+        if log.has_gyro and not is_noiseless(log.rate):
             findings.append(health.alive_finding("gyro", log.rate, log.force))
     log = _fresh(log)
     if min(len(log.force), len(log.field)) > TUNING.fewest:
@@ -115,7 +115,7 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
     """Find sensors that say the same while another one moves; keep what is longest without."""
     found = []
     streams = [("accelerometer", log.imu_time, log.force), ("field", log.field_time, log.field)]
-    if log.has_gyro and not health.is_noiseless(log.rate):
+    if log.has_gyro and not is_noiseless(log.rate):
         streams.append(("gyro", log.imu_time, log.rate))
     stuck: list[tuple[float, float]] = []
     for name, time, values in streams:

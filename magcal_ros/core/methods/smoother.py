@@ -18,7 +18,7 @@ from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.units import likely_field_unit
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import Window, living_axes
 from magcal_ros.core.smoother.drives import check_length, drive_nodes
 from magcal_ros.core.smoother.factors import (
     QUARTER,
@@ -50,7 +50,7 @@ from magcal_ros.core.smoother.unknowns import (
     VELOCITY,
     YAW,
 )
-from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
+from magcal_ros.core.smoother.without_gyro import DEAD_AXES
 
 METHOD, DRIVE_METHOD = "maximum_likelihood", "smoother"
 """Names of `fit` and of `fit_drive` in files and in the parameter `method`."""

@@ -32,6 +32,9 @@ LONGEST = 60.0  # seconds of a log that are looked at; the field of a drive does
 WIDEST_BLOCK = math.radians(4.0)  # radians of turn that are averaged
 NEIGHBOURS, SPIKE = 9, 4.5
 """A spike is so many robust sigmas from the median of so many samples, itself among them."""
+NOISELESS, FEWEST_BENDS = 1e-4, 50
+"""Share of its largest value by which a rate without noise bends from sample to sample, and the
+samples below which noise is not looked for."""
 
 
 class Steps(NamedTuple):
@@ -200,6 +203,23 @@ def white_noise(values: FloatArray) -> FloatArray:
     if not len(bends):
         return np.zeros(values.shape[1])
     return np.asarray(np.median(np.abs(bends), axis=0) / 0.6745 / np.sqrt(70.0))
+
+
+def is_noiseless(rate: FloatArray) -> bool:
+    """Return whether rates (n, 3) change without noise: a simulator's may stay at one value."""
+    changed = (np.diff(rate, axis=0) != 0.0).any(axis=1)[1:]
+    bend = np.abs(np.diff(rate, 2, axis=0)).max(axis=1)[changed]
+    if len(bend) < FEWEST_BENDS:
+        return len(bend) > 0
+    return bool(np.median(bend) < NOISELESS * np.abs(rate).max())
+
+
+def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
+    """Return which axes of a gyro (n, 3) measure, shape (3,): without noise all, if any changes."""
+    if rate is None or not len(rate):
+        return False, False, False
+    x, y, z = (bool(spread > 0.0) for spread in np.ptp(rate, axis=0))
+    return (True, True, True) if (x or y or z) and is_noiseless(rate) else (x, y, z)
 
 
 def without_spikes(values: FloatArray) -> BoolArray:

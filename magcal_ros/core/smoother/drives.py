@@ -15,7 +15,7 @@ from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import Window, living_axes
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import (
     BELIEVED,
@@ -38,7 +38,7 @@ from magcal_ros.core.smoother.unknowns import (
     SHARED,
     UNKNOWNS,
 )
-from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
+from magcal_ros.core.smoother.without_gyro import DEAD_AXES
 
 FEWEST = 16  # nodes of the shortest drive that is fitted
 FIXED = 0.01  # spread of the logarithm of a size that is known

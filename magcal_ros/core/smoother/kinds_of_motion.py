@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import Window, living_axes
 from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
@@ -35,7 +35,7 @@ from magcal_ros.core.smoother.unknowns import (
     UNKNOWNS,
     USUAL,
 )
-from magcal_ros.core.smoother.without_gyro import living_axes, with_dead_axes
+from magcal_ros.core.smoother.without_gyro import with_dead_axes
 
 BELIEVED = 0.25
 """Of the evidence, which is minus twice a logarithm; exact evidence would count by a half.

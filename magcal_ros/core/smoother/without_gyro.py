@@ -40,8 +40,6 @@ SMOOTHED = 0.5
 NODE = 0.3  # seconds of a node; a sway of more than 1 Hz is not followed
 AXIS = 0.3  # radians by which the turn's axis may lean from the one that is guessed, per axis
 CIRCLE = 0.6  # metres of the accelerometer from the middle of a small circle: one sigma
-NOISELESS = 1e-6
-"""Bend of a rate from sample to sample, over its largest value, below which it has no noise."""
 Z = np.array([0.0, 0.0, 1.0])
 DEAD_AXES = (
     "an axis of the gyro never changes, so that acceleration and lean of a robot that drives "
@@ -58,20 +56,6 @@ SWAY: Mapping[str, Size] = {
         0.003, 1.2, 4.0, "m/s", "velocity that neither turn nor sway explains", "on the spot: none"
     ),
 }
-
-
-def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
-    """Return which axes of a gyro (n, 3) are not silent, shape (3,).
-
-    A constant axis is silent, except in a simulation without noise.
-    """
-    if rate is None or not len(rate) or not np.ptp(rate, axis=0).any():
-        return False, False, False
-    x, y, z = (bool(spread > 0.0) for spread in np.ptp(rate, axis=0))
-    bend = np.abs(np.diff(rate[:, [x, y, z]], 2, axis=0))
-    if not len(bend) or np.median(bend) < NOISELESS * np.abs(rate).max():
-        return True, True, True
-    return x, y, z
 
 
 def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:

@@ -17,9 +17,8 @@ from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import Window, living_axes
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
-from magcal_ros.core.smoother.without_gyro import living_axes
 
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05)
 
