@@ -39,9 +39,9 @@ def fates_of(outcome):
 def mixed():
     """Two turns that belong together; between and after them another load, a copy, and a stand."""
     rng = np.random.default_rng(8)
-    level, east = window_on(LEVEL, rng, samples=400), window_on(EAST, rng)
-    other = window_on(NORTH, rng, FOREIGN)
-    stood = window_on(NORTH, rng, arc=1e-3)
+    level, east = window_on(LEVEL, rng, samples=400, gyro=True), window_on(EAST, rng, gyro=True)
+    other = window_on(NORTH, rng, FOREIGN, gyro=True)
+    stood = window_on(NORTH, rng, arc=1e-3, gyro=True)
     return calibrate_turns([level, other, east, east.take(np.arange(100, 400)), stood], KNOWN)
 
 
@@ -122,7 +122,7 @@ def test_one_turn_more_never_makes_it_worse(seed):
 
 
 def test_the_yaw_of_the_installation_is_not_claimed_before_it_is_shown():
-    flat = calibrate_turns(windows_on([LEVEL, LEVEL], 5, samples=300), KNOWN)
+    flat = calibrate_turns(windows_on([LEVEL, LEVEL], 5, gyro=True), KNOWN)
     assert flat.estimate.installation.yaw == 0.0
     assert "installation_yaw_sigma" not in flat.estimate.figures
     assert any("yaw of the installation" in words for words in flat.verdict.not_shown)

@@ -147,7 +147,9 @@ def test_ids_are_unique(tmp_path):
 
 
 def test_without_a_gyro_it_says_so(tmp_path):
-    assert "there was no gyro in these samples" in text_of(tmp_path, good(gyro=False))
+    subject = good()
+    blind = replace(subject, window=replace(subject.window, angular_rate=None))
+    assert "there was no gyro in these samples" in text_of(tmp_path, blind)
 
 
 @pytest.mark.nightly
@@ -310,7 +312,7 @@ def test_turns_that_were_put_together_have_a_section(tmp_path):
     rng = np.random.default_rng(1)
     starts = [slope_rpy(tilt, 0.0, 0.3) for tilt in (0.0, math.radians(10.0))]
     rides = [turn(samples=300, start_rpy=start) for start in starts]
-    windows = [measure(robot, ride, rng) for ride in rides]
+    windows = [measure(robot, ride, rng, gyro=True) for ride in rides]
     names = ["<first>", "second", "copy"]
     knowledge = robot.knowledge(1e-6, math.radians(1.0))
     outcome = calibrate_turns([*windows, windows[0]], knowledge, names=names)

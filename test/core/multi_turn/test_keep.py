@@ -17,10 +17,10 @@ def windows():
     rng = np.random.default_rng(1)
     foreign = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([4e-6, 0.0, 0.0]))
     return {
-        "level": window_on(LEVEL, rng, samples=300),
-        "east": window_on(EAST, rng, samples=300),
-        "foreign": window_on(EAST, rng, foreign, samples=300),
-        "still": window_on(LEVEL, rng, arc=1e-3, samples=60),
+        "level": window_on(LEVEL, rng, samples=300, gyro=True),
+        "east": window_on(EAST, rng, samples=300, gyro=True),
+        "foreign": window_on(EAST, rng, foreign, samples=300, gyro=True),
+        "still": window_on(LEVEL, rng, arc=1e-3, samples=60, gyro=True),
     }
 
 
