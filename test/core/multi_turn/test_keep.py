@@ -7,9 +7,18 @@ from slope_turns import EAST, KNOWN, LEVEL, ROBOT, window_on
 
 from magcal_ros.core.calibrate import take_turn
 from magcal_ros.core.errors import Reason
+from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.multi_turn.result import TUNING, Kept, Several, Shown, TurnFate, names_of
 
 METHOD = "maximum_likelihood"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_look():
+    """The axes are right here; to look at them takes five times as long as the fit of a turn."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(joined, "wrong_axes", lambda *_: None)
+        yield
 
 
 @pytest.fixture(scope="module")
