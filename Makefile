@@ -57,7 +57,7 @@ ROS_TESTS := $(BIN)/python -m pytest -q -o cache_dir=.pytest_cache/ros test/ros
 # Each process has a DDS domain of its own.
 ros: $(VENV)/.test
 	$(BIN)/python -c "import rclpy"
-	$(ROS_TESTS) $(BY_THREE) $(STALLED) || $(ROS_TESTS) $(ALONE)
+	$(ROS_TESTS) $(PLAIN) $(BY_THREE) $(STALLED) || $(ROS_TESTS) $(ALONE)
 
 # Everything once more, with statistics over many seeds and ten times as many random cases.
 nightly: $(VENV)/.test

@@ -25,10 +25,10 @@ DRIVE_VEHICLE = Vehicle(
 STORE1, STORE2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 
 
-def drive(turned=400.0, robot=ROBOT, seed=1, start=1000.0, rate=0.5, gyro=True):
-    """What the sensors say while the robot turns by so many degrees."""
-    ride = Ride(robot, np.random.default_rng(seed), start=start, imu_rate=50.0, gyro=gyro)
-    steps = max(50, int(math.radians(turned) / rate * 50.0))
+def drive(turned=400.0, robot=ROBOT, seed=1, start=1000.0, rate=0.5, gyro=True, hertz=25.0):
+    """What the sensors say while the robot turns by so many degrees; the IMU at a rate."""
+    ride = Ride(robot, np.random.default_rng(seed), start=start, imu_rate=hertz, gyro=gyro)
+    steps = max(round(hertz), int(math.radians(turned) / rate * hertz))
     speed = rate if turned else 0.0
     return [sample for _ in range(steps) for sample in ride.step(speed)]
 

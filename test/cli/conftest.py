@@ -6,6 +6,7 @@ import pytest
 from remembered import remembered
 
 from magcal_ros.core.doctor.page import Page
+from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.session import recorded
 from magcal_ros.report import turn
 
@@ -18,6 +19,7 @@ def plain_reports(monkeypatch):
     """Draw no pictures in this process, and do not look at the sensors: it is half of a fit."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr(turn, "examine_window", lambda *_: Page(()))
+    monkeypatch.setattr(joined, "wrong_axes", lambda *_: None)
 
 
 @pytest.fixture(autouse=True)

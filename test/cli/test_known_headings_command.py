@@ -89,28 +89,32 @@ def antenna(stamp, yaw):
 
 def driven(path, sign=1.0):
     """A bag of a robot that turns slowly once, and what its antennas say of it."""
-    ride = Ride(ROBOT, np.random.default_rng(5), start=1000.0, imu_rate=50.0)
+    ride = Ride(ROBOT, np.random.default_rng(5), start=1000.0, imu_rate=25.0)
     samples = []
-    for k in range(50 * 75):
-        new = ride.step(0.09 if k > 100 else 0.0)
+    for k in range(25 * 75):
+        new = ride.step(0.09 if k > 50 else 0.0)
         samples += new
-        if k % 10 == 0:
+        if k % 5 == 0:
             samples.append(antenna(ride.stamp, sign * ride.magnetic_yaw))
     assert any(isinstance(each, FieldSample) for each in samples)
     return write_bag(path, samples)
 
 
-def test_the_headings_of_two_antennas_in_a_bag_calibrate(fit, tmp_path):
-    bag = driven(tmp_path / "bag")
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return driven(tmp_path_factory.mktemp("antennas") / "bag")
+
+
+def test_the_headings_of_two_antennas_in_a_bag_calibrate(fit, bag, tmp_path):
     options = "--imu", "/imu/data_raw", "--heading-topic", "/heading", "--north", "magnetic"
     status, words = fit(bag, *options)
     assert status == 0, words
     assert np.linalg.norm(iron(tmp_path)[:2] - ROBOT.hard_iron[:2]) < 1.5e-6
 
 
-def test_antennas_to_magnetic_north_in_a_bag_are_named_where_true_north_is_said(fit, tmp_path):
+def test_antennas_to_magnetic_north_in_a_bag_are_named_where_true_north_is_said(fit, bag):
     options = "--heading-topic", "/heading", "--north", "true", "--reference-declination-deg", 14
-    status, words = fit(driven(tmp_path / "bag"), "--imu", "/imu/data_raw", *options)
+    status, words = fit(bag, "--imu", "/imu/data_raw", *options)
     assert status == 0, words
     assert "the headings are to magnetic north and not to true north" in " ".join(words.split())
 

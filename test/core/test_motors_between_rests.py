@@ -28,8 +28,12 @@ def test_the_heading_at_rest_is_right_and_the_motors_are_named(case):
     knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     outcome = calibrate(collected(replace(window, field=field)), knowledge)
     gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
-    assert math.sqrt(np.mean(gap**2)) < 0.5 * DEGREE
-    assert Figure.HEADINGS_DRIVEN not in outcome.estimate.figures
+    error, figures = math.sqrt(np.mean(gap**2)), outcome.estimate.figures
+    assert error < 0.5 * DEGREE
+    assert error < 3.0 * predicted_heading_sigma(outcome.estimate, 0.0)
+    assert Figure.HEADINGS_DRIVEN not in figures
+    assert figures[Figure.ON_THE_SPOT] > 0.8
+    assert figures[Figure.MOTOR_FIELD] == pytest.approx(size, rel=0.1)
     assert "between rest and turn the field changes" in outcome.verdict.summary
 
 

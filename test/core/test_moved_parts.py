@@ -24,7 +24,10 @@ def turned(change):
     return math.sqrt(np.mean(gap**2)), calibration_sigma(outcome.estimate, 0.0)
 
 
-@pytest.mark.parametrize(("closes", "most"), [(13.0, 0.5 * DEGREE), (99.0, 2.0 * DEGREE)])
+@pytest.mark.parametrize(
+    ("closes", "most"),
+    [(13.0, 0.5 * DEGREE), pytest.param(99.0, 2.0 * DEGREE, marks=pytest.mark.nightly)],
+)
 def test_a_lid_that_is_opened_is_not_taken_for_soft_iron(closes, most):
     def lid(time):
         return np.clip((time - 8.0) / 0.6, 0.0, 1.0) - np.clip((time - closes) / 0.6, 0.0, 1.0)

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from long_form import first_of
 from scipy.spatial.transform import Rotation
 from simulated.turns import Motion, measure
 
@@ -18,7 +19,7 @@ from magcal_ros.core.simulation import Robot, heading_errors
 ROBOT = Robot()
 
 
-def turned_over(seed, seconds=40.0, size=0.8):
+def turned_over(seed, seconds=25.0, size=1.0):
     """Return the movement of a hand: slow turns about axes that wander, from an upright rest."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, 0.02)
@@ -37,9 +38,14 @@ def window_of(seed):
     return measure(ROBOT, turned_over(seed), np.random.default_rng(seed), gyro=True)
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@functools.cache
+def outcome_of(seed):
+    return calibrate(window_of(seed), Knowledge())
+
+
+@pytest.mark.parametrize("seed", first_of([1, 3]))
 def test_it_is_calibrated_without_a_reference(seed):
-    outcome = calibrate(window_of(seed), Knowledge())
+    outcome = outcome_of(seed)
     assert outcome.verdict.accepted, outcome.verdict.summary
     # A level field to the south is the same world seen from behind.
     assert abs(outcome.estimate.inclination) < 0.5 * math.pi
@@ -48,9 +54,8 @@ def test_it_is_calibrated_without_a_reference(seed):
 
 
 def test_nothing_is_said_of_z_but_that_it_is_not_shown():
-    window = window_of(1)
-    assert was_turned_over(window)
-    verdict = calibrate(window, Knowledge()).verdict
+    assert was_turned_over(window_of(1))
+    verdict = outcome_of(1).verdict
     assert not any("z points" in check.words for check in verdict.checks)
     assert WHICH_WAY_UP in verdict.not_shown
     assert LEVEL_ONLY not in verdict.not_shown
@@ -72,7 +77,7 @@ def test_the_methods_for_it_take_any_median_orientation(method):
 
 def test_a_boat_that_rolls_is_told_to_turn():
     """Its z points up, and the axis that it rolls about lies."""
-    time = np.arange(0.0, 40.0, 0.05)
+    time = np.arange(0.0, 20.0, 0.05)
     roll = Rotation.from_rotvec(0.95 * np.sin(time)[:, None] * [1.0, 0.0, 0.0])
     window = measure(ROBOT, Motion(time, roll.as_matrix()), np.random.default_rng(1), gyro=False)
     assert not was_turned_over(window)

@@ -32,7 +32,7 @@ def read(path):
 
 @pytest.fixture(scope="module")
 def turn():
-    return list(drive(400.0))
+    return list(drive(400.0, hertz=50.0))
 
 
 @pytest.mark.parametrize("write", [write_csv, write_bag])

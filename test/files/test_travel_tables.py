@@ -12,7 +12,7 @@ from magcal_ros.files.sources import open_recording
 
 @pytest.fixture
 def folder(tmp_path):
-    return write_csv(tmp_path / "csv", drive(30.0, start=-0.02))
+    return write_csv(tmp_path / "csv", drive(30.0, start=-0.02, hertz=50.0))
 
 
 def test_speeds_and_fixes_come_by_their_stamps_and_tell_the_place(folder):

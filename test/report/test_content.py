@@ -16,6 +16,7 @@ from magcal_ros.core.assessment.bounds import DRIVE_BOUNDS, HEADING_BOUNDS, TURN
 from magcal_ros.core.assessment.verdict import NO_YAW, judge
 from magcal_ros.core.calibrate import Outcome, calibrate_turns
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 from magcal_ros.report import write_report
@@ -147,7 +148,9 @@ def test_ids_are_unique(tmp_path):
 
 
 def test_without_a_gyro_it_says_so(tmp_path):
-    assert "there was no gyro in these samples" in text_of(tmp_path, good(gyro=False))
+    subject = good()
+    blind = replace(subject, window=replace(subject.window, angular_rate=None))
+    assert "there was no gyro in these samples" in text_of(tmp_path, blind)
 
 
 @pytest.mark.nightly
@@ -305,12 +308,13 @@ def test_all_thresholds_at_once_still_make_a_page(tmp_path):
     assert page.count('class="grade refused"') > 3
 
 
-def test_turns_that_were_put_together_have_a_section(tmp_path):
+def test_turns_that_were_put_together_have_a_section(tmp_path, monkeypatch):
+    monkeypatch.setattr(joined, "wrong_axes", lambda *_: None)
     robot = replace(ROBOT, yaw=math.radians(5.0))
     rng = np.random.default_rng(1)
     starts = [slope_rpy(tilt, 0.0, 0.3) for tilt in (0.0, math.radians(10.0))]
     rides = [turn(samples=300, start_rpy=start) for start in starts]
-    windows = [measure(robot, ride, rng) for ride in rides]
+    windows = [measure(robot, ride, rng, gyro=True) for ride in rides]
     names = ["<first>", "second", "copy"]
     knowledge = robot.knowledge(1e-6, math.radians(1.0))
     outcome = calibrate_turns([*windows, windows[0]], knowledge, names=names)

@@ -111,6 +111,6 @@ def test_the_front_of_the_vehicle_is_known_to_the_fit(start_node, actor, base):
     robot = actor()
     if base:
         describe(robot, "0 0 0", "0 0 0")
-        robot.run(PATIENCE, stop=lambda: robot.yaws)
+        robot.run(PATIENCE, stop=lambda: node._frames.mounting().forward[0] < 0.5)
     forward = node._frames.mounting().forward
     assert forward == pytest.approx([0.0, -1.0, 0.0], abs=1e-9)

@@ -183,9 +183,11 @@ def _fitted(
         variance = _noise_around(left, time)
         weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
         weight /= inefficiency(left / np.sqrt(variance)[:, None])
-        rows = (design * weight[:, None, None]).reshape(-1, count)
-        information = rows.T @ design.reshape(-1, count) + prior
-        step = np.linalg.solve(information, rows.T @ residual.ravel() - slope)
+        root = np.sqrt(weight)[:, None]
+        # The product of one array with itself takes half the time of another.
+        rows = (root[:, None] * design).reshape(-1, count)
+        information = rows.T @ rows + prior
+        step = np.linalg.solve(information, rows.T @ (root * residual).ravel() - slope)
         left = residual - design @ step
     found = np.concatenate([state[0], np.zeros(count - len(fit.prior))]) + step
     return found, np.linalg.inv(information)

@@ -17,6 +17,7 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
+from magcal_ros.core.geometry.rotations import crossed
 
 THINNEST = 1e-6  # width over length of points below which they are a line, or in space a plane
 LARGEST_RADIUS = 1e4  # radii beyond this many times the points' own size are a line or a plane, too
@@ -249,7 +250,7 @@ def _weighted_circle(points: FloatArray, weight: FloatArray) -> Circle:
     normal, first, second = np.linalg.eigh((away * share[:, None]).T @ away)[1].T
     plane = np.stack([first, second], axis=1)
     centre, radius = taubin_circle(away @ plane, share)
-    return Circle(mean + plane @ centre, np.stack([first, np.cross(normal, first), normal]), radius)
+    return Circle(mean + plane @ centre, np.stack([first, crossed(normal, first), normal]), radius)
 
 
 SMALLEST = 1e-9  # clouds smaller than this share of their distance from the origin are one point

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -51,13 +52,13 @@ class Robot:
     def __post_init__(self) -> None:
         freeze(self, hard_iron=(3,), soft_iron=(3, 3), gyro_bias=(3,))
 
-    @property
+    @cached_property
     def distortion(self) -> FloatArray:
         """The matrix from the field in body axes to the raw field, shape (3, 3)."""
         installation = rotation_from_rpy(self.roll, self.pitch, self.yaw).T
         return np.asarray(self.mounting.matrix @ (np.eye(3) + self.soft_iron) @ installation)
 
-    @property
+    @cached_property
     def field_enu(self) -> FloatArray:
         """The reference field in true ENU axes, tesla, shape (3,)."""
         return field_in_enu(self.strength, self.inclination, self.declination)

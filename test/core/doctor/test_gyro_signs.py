@@ -49,7 +49,9 @@ PLACE = knowledge_of(48.0, inclination_deg=64.0)
 
 
 @pytest.mark.parametrize("knowledge", first_of([PLACE, Knowledge()]))
-@pytest.mark.parametrize(("source", "alive"), [(2, 0), (2, 1), (2, 2)])
+@pytest.mark.parametrize(
+    ("source", "alive"), [(2, 0), (2, 2), pytest.param(2, 1, marks=pytest.mark.nightly)]
+)
 def test_a_gyro_with_dead_axes_accuses_no_other_sensor(knowledge, source, alive):
     rest = [Leg(6.0), Leg(25.0, turn_rate=math.tau / 25.0), Leg(6.0)]
     robot = Robot(strength=48e-6, inclination=math.radians(64.0), noise_rate=2e-3)

@@ -157,7 +157,7 @@ def test_nothing_raises_and_every_number_is_usable(lat, lon, year, altitude):
 def window_and_robot():
     field = resolve(NOTHING, LOCAL, MUNICH, YEAR).field
     robot = Robot(strength=field.strength.value, inclination=field.inclination.value)
-    return measure(robot, turn(arc=2 * math.pi), np.random.default_rng(5)), robot
+    return measure(robot, turn(), np.random.default_rng(5), gyro=True), robot
 
 
 @pytest.fixture(scope="module")

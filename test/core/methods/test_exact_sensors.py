@@ -52,7 +52,7 @@ def test_without_noise_the_truth_is_found(axis, arc, gyro):
 def test_known_gains_and_pose_are_taken_off_first():
     mounting = Mounting(np.array([0.5, 1.2, 0.9]), rotation_from_rpy(math.pi, 0.1, 1.0))
     robot = Robot(mounting=mounting, **STILL)
-    window = measure(robot, turn(start_rpy=(0.1, 0.0, 2.0)), np.random.default_rng(1))
+    window = measure(robot, turn(start_rpy=(0.1, 0.0, 2.0)), np.random.default_rng(1), gyro=True)
     estimate = fit(window, robot.knowledge())
     assert rms_deg(estimate, robot, level=False) < 1e-2
     assert estimate.installation.roll == pytest.approx(robot.roll, abs=1e-4)
@@ -117,7 +117,7 @@ def heading_ratio(estimate, robot):
 
 def test_what_the_turn_cannot_show_has_a_large_variance():
     robot = Robot()
-    window = measure(robot, turn(start_rpy=(0.0, 0.0, 1.0)), np.random.default_rng(3))
+    window = measure(robot, turn(start_rpy=(0.0, 0.0, 1.0)), np.random.default_rng(3), gyro=True)
     known = fit(window, robot.knowledge())
     unknown = fit(window, Knowledge())
     assert math.sqrt(known.covariance[11, 11]) < 0.5e-6
@@ -145,7 +145,7 @@ def test_a_passing_disturbance_is_left_out(size):
 def distorted(iron):
     """A robot with such soft iron, and its turn."""
     robot = Robot(soft_iron=np.diag(iron))
-    return robot, measure(robot, turn(), np.random.default_rng(6))
+    return robot, measure(robot, turn(), np.random.default_rng(6), gyro=True)
 
 
 @functools.cache

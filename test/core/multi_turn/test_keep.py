@@ -7,9 +7,18 @@ from slope_turns import EAST, KNOWN, LEVEL, ROBOT, window_on
 
 from magcal_ros.core.calibrate import take_turn
 from magcal_ros.core.errors import Reason
+from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.multi_turn.result import TUNING, Kept, Several, Shown, TurnFate, names_of
 
 METHOD = "maximum_likelihood"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_look():
+    """The axes are right here; to look at them takes five times as long as the fit of a turn."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(joined, "wrong_axes", lambda *_: None)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -17,10 +26,10 @@ def windows():
     rng = np.random.default_rng(1)
     foreign = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([4e-6, 0.0, 0.0]))
     return {
-        "level": window_on(LEVEL, rng, samples=300),
-        "east": window_on(EAST, rng, samples=300),
-        "foreign": window_on(EAST, rng, foreign, samples=300),
-        "still": window_on(LEVEL, rng, arc=1e-3, samples=60),
+        "level": window_on(LEVEL, rng, samples=300, gyro=True),
+        "east": window_on(EAST, rng, samples=300, gyro=True),
+        "foreign": window_on(EAST, rng, foreign, samples=300, gyro=True),
+        "still": window_on(LEVEL, rng, arc=1e-3, samples=60, gyro=True),
     }
 
 

@@ -304,7 +304,14 @@ def test_where_a_recording_was_set_back_the_better_stretch_is_taken(turn_first):
 
 
 @pytest.mark.parametrize("gyro", first_of([True, False]))
-@pytest.mark.parametrize(("imu_rate", "steps"), [(100, 10), (10, 10), (4, 1), (20, 20)])
+@pytest.mark.parametrize(
+    ("imu_rate", "steps"),
+    [
+        (100, 10),
+        (4, 1),
+        *(pytest.param(*row, marks=pytest.mark.nightly) for row in ((10, 10), (20, 20))),
+    ],
+)
 def test_a_field_at_a_tenth_of_the_imus_rate_carries_a_turn(imu_rate, steps, gyro):
     """A field sample a second is half a radian of turn: the robot turns twice, or more slowly."""
     ride = Ride(

@@ -52,8 +52,9 @@ def test_a_clean_turn_is_recovered():
     assert estimate.figures[Figure.GYRO_COMPASS_SWING] < 0.5 * DEGREE
 
 
-@pytest.mark.parametrize("by_rate", first_of([False, True]))
-@pytest.mark.parametrize("size", first_of([3e-6, 20e-6]))
+@pytest.mark.nightly
+@pytest.mark.parametrize("by_rate", [False, True])
+@pytest.mark.parametrize("size", [3e-6, 20e-6])
 def test_rests_tell_the_motors_field_from_hard_iron(size, by_rate):
     motion, window = driven(evenly, ROBOT, 3.0)
     estimate = fit(collected(with_motors(window, motion, size, by_rate=by_rate)), known(ROBOT))

@@ -15,7 +15,7 @@ from magcal_ros.files.sources import open_recording
 
 pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
 
-SAMPLES = drive(60.0)
+SAMPLES = drive(60.0, hertz=50.0)
 IMU = np.array([[*s.force, *s.rate] for s in SAMPLES if isinstance(s, ImuSample)])
 FIELD = np.array([s.field for s in SAMPLES if isinstance(s, FieldSample)])
 SCALE = np.array([[1.1, 0.05, 0.02], [0.05, 0.9, -0.03], [0.02, -0.03, 1.05]])
