@@ -306,7 +306,7 @@ def test_repeats_that_are_left_out_are_said(fit, tmp_path):
 
 
 def test_a_turn_without_a_gyro_is_told_in_full_and_says_what_to_give(tmp_path, capsys):
-    folder = write_csv(tmp_path / "csv", drive(400.0, hertz=50.0))
+    folder = write_csv(tmp_path / "csv", drive(400.0))
     rows = (folder / "imu.csv").read_text().splitlines()
     (folder / "imu.csv").write_text("\n".join(",".join(row.split(",")[:4]) for row in rows) + "\n")
     assert main(["fit", str(folder), "--output", str(tmp_path / "found"), "--json"]) == 0

@@ -308,7 +308,7 @@ def _where_seen(found: Smoothed, motors: float) -> dict[Figure, float]:
     latency, figures = AT["latency"], dict[Figure, float]()
     if scale[latency].any():
         figures[Figure.LATENCY] = float(shared[latency][0])
-    if motors or found.nodes.quiet.any():
+    if motors or found.fit.point.course.still.any():
         figures[Figure.MOTOR_FIELD] = motors / MICROTESLA
     return figures
 
