@@ -63,7 +63,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--shape", choices=SHAPES, action="append", help="only these shapes")
     parser.add_argument("--size", type=float, action="append", help="only these sizes, µT")
-    parser.add_argument("--course", choices=("even", "stops"), action="append")
+    parser.add_argument("--course", choices=("even", "stops", "rests"), action="append")
     parser.add_argument("--gap", type=float, default=0.125, help="seconds between messages")
     options = parser.parse_args()
     print(f"{'':46}RMS° sigma°  NEES worst    s")
