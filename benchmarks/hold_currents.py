@@ -65,6 +65,7 @@ def main() -> None:
     parser.add_argument("--size", type=float, action="append", help="only these sizes, µT")
     parser.add_argument("--course", choices=("even", "stops", "rests"), action="append")
     parser.add_argument("--gap", type=float, default=0.125, help="seconds between messages")
+    parser.add_argument("--battery", action="store_true", help="only turns with their battery")
     options = parser.parse_args()
     print(f"{'':46}RMS° sigma°  NEES worst    s")
     for shape in options.shape or SHAPES:
@@ -75,14 +76,17 @@ def main() -> None:
 
 def row(options: argparse.Namespace, shape: str, course: str, size: float) -> None:
     """Print the rows of one shape."""
-    found: dict[str, list[tuple[float, float]]] = {way: [] for way in WAYS}
-    spent = dict.fromkeys(WAYS, 0.0)
+    cases = WAYS[:1], WAYS[1:]
+    ways = cases[1] if options.battery else WAYS
+    found: dict[str, list[tuple[float, float]]] = {way: [] for way in ways}
+    spent = dict.fromkeys(ways, 0.0)
     for seed in range(options.first, options.first + options.runs):
         scene, known, battery = turn_with_current(shape, size * 1e-6, seed, course, options.gap)
-        for messages, ways in (((), WAYS[:1]), (battery, WAYS[1:])):
+        for case in cases[options.battery :]:
+            messages = battery if case is cases[1] else ()
             window, begun = collected(scene.window, messages), time.process_time()
             estimate = calibrate(window, known).estimate
-            for way in ways:
+            for way in case:
                 spent[way] += time.process_time() - begun
                 if estimate is not None:
                     found[way].append(judged(scene, estimate, way))

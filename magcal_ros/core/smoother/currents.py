@@ -2,8 +2,9 @@
 
 Between two messages nobody measures the current. It is a random walk there, by a clock that goes at
 one pace at rest, at another in motion, and ahead wherever the turn rate changes: there motors start
-and stop. The paces are those that explain best how the messages differ. The mean of the current
-between two messages is then linear in the clock, and its variance that of a Brownian bridge.
+and stop. In motion a ripple comes on top, which lasts for less than the time between two messages.
+Paces and ripple are those that explain best how the messages differ. The mean of the walk between
+two messages is then linear in the clock, and its variance that of a Brownian bridge.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, integral
@@ -22,9 +24,10 @@ FAR = 1e4  # seconds beyond the first and the last message, up to which the curr
 POINTS = (np.arange(8) + 0.5) / 8.0  # of a node at which the current is computed, as shares of it
 STARTS = 0.1  # seconds in which motors start
 SHORT = 0.02  # seconds of a delay's change, by which derivatives are taken
-DELAYS = np.arange(0.0, 0.41, 0.05)  # seconds by which the messages may be late, for the paces
-PACE_SPREAD = 2.0
-"""Standard deviation of the natural logarithm of each pace, about that of all motions."""
+DELAYS = np.arange(0.0, 0.41, 0.1)  # seconds by which the messages may be late, for the paces
+SPREAD = 2.0
+"""Standard deviation of the natural logarithm of each pace, and of the ripple's variance."""
+LEAST = 1e-6  # A² that is added to each variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +36,8 @@ class Clock:
 
     time: FloatArray  # seconds, increasing. Shape (m,).
     variance: FloatArray  # A², increasing. Shape (m,).
+    motion: FloatArray  # seconds of motion up to each moment. Shape (m,).
+    ripple: float  # variance in motion beside that, A²
 
     @classmethod
     def of(cls, battery: Battery, time: FloatArray, rate: FloatArray, rests: BoolArray) -> Clock:
@@ -47,11 +52,21 @@ class Clock:
         beyond = np.array([FAR, 0.0, 0.0])
         time = np.concatenate([[time[0] - FAR], time, [time[-1] + FAR]])
         parts = np.vstack([-beyond, parts, parts[-1] + beyond])
-        return cls(time, parts @ _paces(battery, time, parts))
+        sizes = _sizes(battery, time, parts)
+        return cls(time, parts @ sizes[:-1], parts[:, 1], float(sizes[-1]))
 
     def at(self, moments: FloatArray) -> FloatArray:
         """Return the variance up to moments, A²."""
         return np.interp(moments, self.time, self.variance)
+
+    def moves(self, moments: FloatArray) -> FloatArray:
+        """Return the share of the time in which the robot moves around moments."""
+        return _moves(moments, self.time, self.motion)
+
+
+def _moves(moments: FloatArray, time: FloatArray, motion: FloatArray) -> FloatArray:
+    around = [np.interp(moments + by, time, motion) for by in (-STARTS, STARTS)]
+    return np.asarray((around[1] - around[0]) / (2.0 * STARTS))
 
 
 def _square_of_change(time: FloatArray, rate: FloatArray) -> FloatArray:
@@ -64,42 +79,59 @@ def _square_of_change(time: FloatArray, rate: FloatArray) -> FloatArray:
     return np.asarray(np.sum((ahead - 2.0 * angle + behind) ** 2, axis=1) / STARTS**4)
 
 
-def _paces(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
-    """Return the most likely pace of each part of the clock (m, k), A² over its unit, shape (k,).
+def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
+    """Return the most likely pace of each part of the clock (m, k), A² over its unit, and ripple.
 
-    By the differences of neighbouring messages, and by how late these may be.
+    By the differences of neighbouring messages, and by how late these may be. Shape (k + 1,).
     """
-    square = np.diff(battery.current) ** 2
+    steps = np.diff(battery.current)
     late = UNKNOWNS["current_late"].sigma[0]
-    best, found = math.inf, np.zeros(parts.shape[1])
+    whole = parts[-2] - parts[1]
+    square = float(steps @ steps)
+    usual = np.log(square / np.append(np.maximum(whole, 1e-3), 2.0 * len(steps)))
+    best, found = math.inf, usual
     for delay in DELAYS:
         moments = battery.time - delay
         passed = np.diff([np.interp(moments, time, part) for part in parts.T]).T
-        cost, paces = _most_likely(passed, square)
-        cost += ((delay - USUALLY_LATE) / late) ** 2
-        if cost < best:
-            best, found = cost, paces
-    return found
+        moves = _moves(moments, time, parts[:, 1])
+
+        def cost(logs: FloatArray, passed: FloatArray = passed, moves: FloatArray = moves) -> float:
+            sizes = np.exp(logs)
+            steps_by = _Steps.of(passed @ sizes[:-1], sizes[-1] * moves)
+            off = (logs - usual) / SPREAD
+            return steps_by.cost(steps) + float(off @ off)
+
+        made = minimize(cost, found, method="L-BFGS-B", options={"maxiter": 30})
+        more = ((delay - USUALLY_LATE) / late) ** 2
+        if made.fun + more < best:
+            best, found = made.fun + more, made.x
+    return np.exp(found)
 
 
-def _most_likely(passed: FloatArray, square: FloatArray) -> tuple[float, FloatArray]:
-    """Return the least cost, and the paces (k,) by which steps `passed` (n, k) have such squares.
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """The steps from message to message of a walk with a ripple, whose covariance is banded."""
 
-    The cost is minus twice the logarithm of the likelihood with a log-normal prior.
-    """
-    whole = passed.sum(axis=0)
-    usual = np.log(square.sum() / np.maximum(whole, 1e-3))
+    ripple: FloatArray  # variance of each message, A². Shape (k,).
+    factor: FloatArray  # of the covariance, by Cholesky. Shape (2, k - 1).
 
-    def cost(logs: FloatArray) -> tuple[float, FloatArray]:
-        by_part = passed * np.exp(logs)
-        variance = by_part.sum(axis=1) + 1e-9
-        off = (logs - usual) / PACE_SPREAD
-        slope = (1.0 / variance - square / variance**2) @ by_part + 2.0 * off / PACE_SPREAD
-        total = np.sum(np.log(variance) + square / variance) + off @ off
-        return float(total), slope
+    @classmethod
+    def of(cls, walked: FloatArray, ripple: FloatArray) -> _Steps:
+        """Return them by the variances of the walk's steps (k - 1,) and of the ripple (k,), A²."""
+        band = np.zeros((2, len(walked)))
+        band[0, 1:] = -ripple[1:-1]
+        band[1] = walked + ripple[1:] + ripple[:-1] + LEAST
+        return cls(ripple, cholesky_banded(band))
 
-    found = minimize(cost, usual, jac=True, method="L-BFGS-B")
-    return float(found.fun), np.exp(found.x)
+    def cost(self, steps: FloatArray) -> float:
+        """Return minus twice the logarithm of the likelihood, up to a constant."""
+        solved = cho_solve_banded((self.factor, False), steps)
+        return float(2.0 * np.sum(np.log(self.factor[1])) + steps @ solved)
+
+    def of_ripple(self, steps: FloatArray) -> FloatArray:
+        """Return the mean of each message's ripple, A, (k,)."""
+        solved = cho_solve_banded((self.factor, False), steps)
+        return np.asarray(self.ripple * -np.diff(solved, prepend=0.0, append=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +150,17 @@ class Currents:
         """
         moments = self.clock.at(self._moments)
         before, now, after = (
-            np.interp(moments, self.clock.at(self.battery.time - each), self.battery.current)
-            for each in (delay - SHORT, delay, delay + SHORT)
+            np.interp(moments, *self._walk(each)) for each in (delay - SHORT, delay, delay + SHORT)
         )
         mean = now.mean(axis=1) - self.battery.reference
         return mean, (after - before).mean(axis=1) / (2.0 * SHORT)
+
+    def _walk(self, delay: float) -> tuple[FloatArray, FloatArray]:
+        """Return the clock at the messages, A², and the current without its ripple there, A."""
+        moments, current = self.battery.time - delay, self.battery.current
+        told = self.clock.at(moments)
+        steps = _Steps.of(np.diff(told), self.clock.ripple * self.clock.moves(moments))
+        return told, current - steps.of_ripple(np.diff(current))
 
     def variance(self, delay: float) -> FloatArray:
         """Return the variance of each node's current by what no message tells, A², (n,).
@@ -147,7 +185,12 @@ class Currents:
         both = ((end - at) * earlier + (at - start) * later) / (end - start)
         found = np.empty_like(both)
         found[order] = both
-        return np.asarray(found.reshape(-1, len(POINTS)).mean(axis=1))
+        bridge = found.reshape(-1, len(POINTS)).mean(axis=1)
+        between = float(np.median(np.diff(self.battery.time)))
+        moves = self.clock.moves(self._moments).mean(axis=1)
+        # A ripple that lasts from one message to the next.
+        ripple = self.clock.ripple * moves * between / (self.end - self.begin)
+        return np.asarray(bridge + ripple)
 
     @property
     def _moments(self) -> FloatArray:

@@ -243,7 +243,8 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
 
     course = point.course
     field = factors.magnetic(course, state, places)
-    field = with_unknown_current(field, nodes, state.shared, sizes["field"] ** 2 * per_node)
+    most = 0.0 if point.is_robust else LARGEST_MOTORS / math.sqrt(12.0)
+    field = with_unknown_current(field, nodes, state.shared, sizes["field"] ** 2 * per_node, most)
     # What motors do while they run says nothing of the rest before or after.
     still = course.still
     fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
