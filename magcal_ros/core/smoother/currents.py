@@ -3,8 +3,9 @@
 Between two messages nobody measures the current. It is a random walk there, by a clock that goes at
 one pace at rest, at another in motion, and ahead wherever the turn rate changes: there motors start
 and stop. In motion a ripple comes on top, which lasts for less than the time between two messages.
-Paces and ripple are those that explain best how the messages differ. The mean of the walk between
-two messages is then linear in the clock, and its variance that of a Brownian bridge.
+Messages have noise. Paces, ripple and noise are those that explain best how the messages differ.
+The mean of the walk between two messages is then linear in the clock, and its variance that of a
+Brownian bridge.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ STARTS = 0.1  # seconds in which motors start
 SHORT = 0.02  # seconds of a delay's change, by which derivatives are taken
 DELAYS = np.arange(0.0, 0.41, 0.1)  # seconds by which the messages may be late, for the paces
 SPREAD = 2.0
-"""Standard deviation of the natural logarithm of each pace, and of the ripple's variance."""
+"""Standard deviation of the natural logarithm of each pace, and of the variances of the rest."""
+MOST_SPREADS = 4.0  # up to which they may differ from the usual
+NOISE = 0.01  # usual noise of a message over the largest current
 LEAST = 1e-6  # A² that is added to each variance
 
 
@@ -38,6 +41,7 @@ class Clock:
     variance: FloatArray  # A², increasing. Shape (m,).
     motion: FloatArray  # seconds of motion up to each moment. Shape (m,).
     ripple: float  # variance in motion beside that, A²
+    noise: float  # variance of a message, A²
 
     @classmethod
     def of(cls, battery: Battery, time: FloatArray, rate: FloatArray, rests: BoolArray) -> Clock:
@@ -53,18 +57,20 @@ class Clock:
         time = np.concatenate([[time[0] - FAR], time, [time[-1] + FAR]])
         parts = np.vstack([-beyond, parts, parts[-1] + beyond])
         sizes = _sizes(battery, time, parts)
-        return cls(time, parts @ sizes[:-1], parts[:, 1], float(sizes[-1]))
+        ripple, noise = sizes[-2:].tolist()
+        return cls(time, parts @ sizes[:-2], parts[:, 1], ripple, noise)
 
     def at(self, moments: FloatArray) -> FloatArray:
         """Return the variance up to moments, A²."""
         return np.interp(moments, self.time, self.variance)
 
-    def moves(self, moments: FloatArray) -> FloatArray:
-        """Return the share of the time in which the robot moves around moments."""
-        return _moves(moments, self.time, self.motion)
+    def beside(self, moments: FloatArray) -> FloatArray:
+        """Return the variance by which messages at moments differ from the walk, A²."""
+        return np.asarray(self.noise + self.ripple * _moves(moments, self.time, self.motion))
 
 
 def _moves(moments: FloatArray, time: FloatArray, motion: FloatArray) -> FloatArray:
+    """Return the share of the time in which the robot moves around moments."""
     around = [np.interp(moments + by, time, motion) for by in (-STARTS, STARTS)]
     return np.asarray((around[1] - around[0]) / (2.0 * STARTS))
 
@@ -80,15 +86,18 @@ def _square_of_change(time: FloatArray, rate: FloatArray) -> FloatArray:
 
 
 def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
-    """Return the most likely pace of each part of the clock (m, k), A² over its unit, and ripple.
+    """Return the most likely paces, A² over the unit of each part of the clock (m, k), and more.
 
-    By the differences of neighbouring messages, and by how late these may be. Shape (k + 1,).
+    By the differences of neighbouring messages, and by how late these may be. The last two are the
+    variances of ripple and noise, A². Shape (k + 2,).
     """
     steps = np.diff(battery.current)
     late = UNKNOWNS["current_late"].sigma[0]
     whole = parts[-2] - parts[1]
     square = float(steps @ steps)
-    usual = np.log(square / np.append(np.maximum(whole, 1e-3), 2.0 * len(steps)))
+    usual = square / np.append(np.maximum(whole, 1e-3), 2.0 * len(steps))
+    usual = np.log(np.append(usual, (NOISE * battery.largest) ** 2))
+    bounds = [(each - MOST_SPREADS * SPREAD, each + MOST_SPREADS * SPREAD) for each in usual]
     best, found = math.inf, usual
     for delay in DELAYS:
         moments = battery.time - delay
@@ -97,11 +106,11 @@ def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
 
         def cost(logs: FloatArray, passed: FloatArray = passed, moves: FloatArray = moves) -> float:
             sizes = np.exp(logs)
-            steps_by = _Steps.of(passed @ sizes[:-1], sizes[-1] * moves)
+            steps_by = _Steps.of(passed @ sizes[:-2], sizes[-2] * moves + sizes[-1])
             off = (logs - usual) / SPREAD
             return steps_by.cost(steps) + float(off @ off)
 
-        made = minimize(cost, found, method="L-BFGS-B", options={"maxiter": 30})
+        made = minimize(cost, found, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30})
         more = ((delay - USUALLY_LATE) / late) ** 2
         if made.fun + more < best:
             best, found = made.fun + more, made.x
@@ -112,7 +121,7 @@ def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
 class _Steps:
     """The steps from message to message of a walk with a ripple, whose covariance is banded."""
 
-    ripple: FloatArray  # variance of each message, A². Shape (k,).
+    ripple: FloatArray  # variance of each message's ripple and noise, A². Shape (k,).
     factor: FloatArray  # of the covariance, by Cholesky. Shape (2, k - 1).
 
     @classmethod
@@ -159,7 +168,7 @@ class Currents:
         """Return the clock at the messages, A², and the current without its ripple there, A."""
         moments, current = self.battery.time - delay, self.battery.current
         told = self.clock.at(moments)
-        steps = _Steps.of(np.diff(told), self.clock.ripple * self.clock.moves(moments))
+        steps = _Steps.of(np.diff(told), self.clock.beside(moments))
         return told, current - steps.of_ripple(np.diff(current))
 
     def variance(self, delay: float) -> FloatArray:
@@ -187,10 +196,9 @@ class Currents:
         found[order] = both
         bridge = found.reshape(-1, len(POINTS)).mean(axis=1)
         between = float(np.median(np.diff(self.battery.time)))
-        moves = self.clock.moves(self._moments).mean(axis=1)
-        # A ripple that lasts from one message to the next.
-        ripple = self.clock.ripple * moves * between / (self.end - self.begin)
-        return np.asarray(bridge + ripple)
+        beside = self.clock.beside(self._moments).mean(axis=1)
+        # It lasts from one message to the next.
+        return np.asarray(bridge + beside * between / (self.end - self.begin))
 
     @property
     def _moments(self) -> FloatArray:
