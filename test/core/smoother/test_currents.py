@@ -93,6 +93,33 @@ def test_a_ripple_that_messages_miss_is_unknown_and_does_not_move_the_mean():
     assert np.sqrt(currents.variance(0.0)).min() > 0.5
 
 
+SERIES = {
+    "noise": lambda rng, time: rng.normal(0.0, 1.0, len(time)),
+    "walk": lambda rng, time: np.cumsum(rng.normal(0.0, 1.0, len(time))),
+    "one step": lambda rng, time: 1.0 * (time > 5.0),
+    "one message": lambda rng, time: 1.0 * (np.arange(len(time)) == 7),
+    "a ramp": lambda rng, time: time,
+    "to and fro": lambda rng, time: (-1.0) ** np.arange(len(time)),
+}
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("name", SERIES)
+@pytest.mark.parametrize("gap", [1.0, 0.125, 0.02])
+def test_every_series_of_messages_gives_means_and_variances(name, size, gap):
+    stamps = np.arange(-0.5, 10.6, gap)
+    values = size * SERIES[name](np.random.default_rng(1), stamps)
+    battery = battery_of(list(zip(stamps.tolist(), values.tolist(), strict=True)), 0.5, 9.5)
+    begin = np.arange(0.5, 9.0, 0.25)
+    currents = Currents(battery, clock(battery, (2.3,), (4.6,)), begin, begin + 0.25)
+    mean, change = currents.at(0.1)
+    assert np.isfinite(change).all()
+    assert np.abs(mean + battery.reference).max() < 1.5 * np.abs(values).max()
+    variance = currents.variance(0.1)
+    assert (variance > 0.0).all()
+    assert variance.max() < 100.0 * np.ptp(values) ** 2
+
+
 def test_the_least_current_is_the_reference_and_none_given_back():
     current = np.where(STAMPS < 3.0, -0.5, -4.0)
     current[50:52] = [0.0, 2.0]
