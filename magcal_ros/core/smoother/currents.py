@@ -114,7 +114,7 @@ def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
         more = ((delay - USUALLY_LATE) / late) ** 2
         if made.fun + more < best:
             best, found = made.fun + more, made.x
-    return np.exp(found)
+    return np.asarray(np.exp(found))
 
 
 @dataclass(frozen=True, eq=False)
