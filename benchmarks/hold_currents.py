@@ -4,7 +4,8 @@ The motors add a field of so many microtesla at their largest current while the 
 one of these shapes: "hold" follows the current, also that by which the robot holds itself while it
 stands (0 to 3 A, another one at each stand); "turn rate" follows the current of a robot that draws
 none for its motors while it stands; "step, hold" is there while the robot moves, whatever its
-current; "none" is none. The current comes at 8 Hz, a tenth of a second late.
+current; "none" is none. The current comes at 8 Hz (`--gap`), a tenth of a second late. The robot
+turns evenly ("even"), stands on the way for 1.7 s each time ("stops") or for 3 s ("rests").
 
 Each turn is calibrated without its battery ("no battery") and with it. The heading is that of the
 robot with its motors off. "turn" takes the calibration as it is; "turn and node" subtracts the
@@ -21,7 +22,7 @@ import time
 
 import numpy as np
 import shared_cases  # noqa: F401
-from currents import ELECTRONICS, SHAPES, turn_with_current
+from currents import COURSES, ELECTRONICS, SHAPES, turn_with_current
 from realistic_robots import Scene, collected, heading_error
 
 from magcal_ros.core.calibrate import calibrate
@@ -63,8 +64,9 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--shape", choices=SHAPES, action="append", help="only these shapes")
     parser.add_argument("--size", type=float, action="append", help="only these sizes, µT")
-    parser.add_argument("--course", choices=("even", "stops"), action="append")
+    parser.add_argument("--course", choices=tuple(COURSES), action="append")
     parser.add_argument("--gap", type=float, default=0.125, help="seconds between messages")
+    parser.add_argument("--battery", action="store_true", help="only turns with their battery")
     options = parser.parse_args()
     print(f"{'':46}RMS° sigma°  NEES worst    s")
     for shape in options.shape or SHAPES:
@@ -75,14 +77,17 @@ def main() -> None:
 
 def row(options: argparse.Namespace, shape: str, course: str, size: float) -> None:
     """Print the rows of one shape."""
-    found: dict[str, list[tuple[float, float]]] = {way: [] for way in WAYS}
-    spent = dict.fromkeys(WAYS, 0.0)
+    cases = WAYS[:1], WAYS[1:]
+    ways = cases[1] if options.battery else WAYS
+    found: dict[str, list[tuple[float, float]]] = {way: [] for way in ways}
+    spent = dict.fromkeys(ways, 0.0)
     for seed in range(options.first, options.first + options.runs):
         scene, known, battery = turn_with_current(shape, size * 1e-6, seed, course, options.gap)
-        for messages, ways in (((), WAYS[:1]), (battery, WAYS[1:])):
+        for case in cases[options.battery :]:
+            messages = battery if case is cases[1] else ()
             window, begun = collected(scene.window, messages), time.process_time()
             estimate = calibrate(window, known).estimate
-            for way in ways:
+            for way in case:
                 spent[way] += time.process_time() - begun
                 if estimate is not None:
                     found[way].append(judged(scene, estimate, way))

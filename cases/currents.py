@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from realistic_robots import (
     RESTED,
     SENSORS,
+    Course,
     Scene,
     direction,
     drawn,
+    evenly,
     with_field,
 )
 from simulated.travel import exponential_noise
 
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.battery import Messages
 
@@ -35,6 +39,14 @@ while it moves."""
 HOLDS = "hold", "step, hold"
 
 
+def with_long_rests(time: FloatArray) -> FloatArray:
+    return np.asarray(evenly(time) * np.clip(4.0 * np.sin(math.tau * time / 6.0), 0.0, 1.0))
+
+
+COURSES: dict[str, Course] = {**RESTED, "rests": with_long_rests}
+"""Those from rest to rest; "stops" stands for 1.7 seconds each time, "rests" for 3."""
+
+
 def turn_with_current(
     shape: str, size: float, number: int, course: str = "stops", gap: float = 0.125
 ) -> tuple[Scene, Knowledge, Messages]:
@@ -45,7 +57,7 @@ def turn_with_current(
     differ from stand to stand. `gap` is in seconds between the battery's messages.
     """
     rng = np.random.default_rng([12, number])
-    scene, known = drawn(rng, RESTED[course])
+    scene, known = drawn(rng, COURSES[course])
     scene = SENSORS["typical"](rng, scene)
     time, rate = scene.window.time, np.abs(scene.motion.angular_rate[:, 2])
     moves = rate > 0.02

@@ -52,6 +52,16 @@ def test_a_robot_that_holds_itself_is_calibrated_for_motors_without_current(cour
     assert heading_error(scene, without.calibration.correction) > 2.0 * error
 
 
+@pytest.mark.parametrize("seed", first_of([4, 5, 6, 7]))
+def test_a_battery_of_one_message_a_second_shows_the_field_of_hold_currents(seed):
+    scene, outcome = fitted("hold", seed, gap=1.0)
+    found = outcome.calibration
+    sigma = calibration_sigma(found)
+    assert heading_error(scene, at_current(found, -ELECTRONICS)) < 3.0 * sigma < math.radians(6.0)
+    _, without = fitted("hold", seed, battery=False)
+    assert heading_error(scene, without.calibration.correction) > 3.0 * sigma
+
+
 def test_a_current_that_explains_nothing_costs_nothing():
     for shape, size in (("none", 0.0), ("step, hold", SIZE)):
         _, with_it = fitted(shape, 5, size)

@@ -143,17 +143,24 @@ class MotorField:
         if len(self.usual) != count or len(set(self.inputs)) != count:
             raise ValueError("the motors' inputs must differ, and each has one usual size")
 
+    def may_hold(self, running: Running) -> bool:
+        """Whether motors may hold the robot by a current that nobody measures."""
+        return math.isnan(running.current) and not math.isnan(self.reference)
+
     def known(self, running: Running) -> tuple[FloatArray, FloatArray]:
         """Return the inputs (n,) and their covariance (n, n).
 
-        An unknown input counts as zero, and varies as usual while the robot moves. Where it is
+        An unknown input counts as zero, and varies as usual while the robot moves; a current beyond
+        a reference, by which a robot may hold itself, does so at rest as well. Where it is
         uncertain whether the robot moves, or to which side it turns, the step and its side are
         uncertain too.
         """
         inputs = running.values
         values = np.array([inputs[INPUTS.index(each)] for each in self.inputs])
         unknown = np.isnan(values)
-        covariance = np.diag(np.where(unknown, running.moving * np.square(self.usual), 0.0))
+        runs = 1.0 if self.may_hold(running) else running.moving
+        share = [runs if each is MotorInput.CURRENT else running.moving for each in self.inputs]
+        covariance = np.diag(np.where(unknown, share * np.square(self.usual), 0.0))
         side = 0.0 if math.isnan(running.side) else running.side
         step = {MotorInput.MOVING: 1.0, MotorInput.SIDE: side}
         steps = np.array([step.get(each, 0.0) for each in self.inputs])

@@ -164,21 +164,26 @@ class MotorsNow:
 
         `field` is in tesla, body axes, `rate` in rad/s, less the gyro's bias, None without a gyro.
         """
-        if not running.runs and (not self._is_felt or rate is None):
-            return field, MotorDoubt(np.zeros((3, 3)), self._of_sample)
         values, doubt = self._motors.known(running)
         if not self._is_felt or rate is None:
+            if not running.runs and not doubt.any():
+                return field, MotorDoubt(np.zeros((3, 3)), self._of_sample)
             return self._by_inputs(field, running, values, doubt)
-        self._predict(stamp, rate, running, values)
+        unknown = self._gains.T @ doubt @ self._gains
+        level = self._level(running, values)
+        if self._may_hold(running):
+            # A current that holds the robot lasts, as its field does.
+            level, unknown = level + unknown, np.zeros((3, 3))
+        self._predict(stamp, rate, running, values, level)
         known = values @ self._gains
         measured = MICROTESLA * np.array(field) - known
-        unknown = self._gains.T @ doubt @ self._gains
         otherwise = known[:, None] * known if running.moving > 0.0 else self._whole
         one, other = self._answers(measured, unknown, unknown + otherwise)
         late = self._late(stamp, other.likelihood - one.likelihood)
         if late is None:
             # What lasts is no start or stop: another motor, or at rest another place.
-            self._forget(PLACE if running.moving == 0.0 else LEFT, self._whole + otherwise)
+            is_place = running.moving == 0.0 and not self._may_hold(running)
+            self._forget(PLACE if is_place else LEFT, self._whole + otherwise)
             one, other = self._answers(measured, unknown, unknown)
             late = np.zeros(len(UNSEEN))
         elif running.moving > 0.0:
@@ -258,11 +263,17 @@ class MotorsNow:
         )
         return _Answer(*(each[0] for each in found)), _Answer(*(each[1] for each in found))
 
-    def _predict(self, stamp: float, rate: Triple, running: Running, values: FloatArray) -> None:
+    def _may_hold(self, running: Running) -> bool:
+        """Whether a current that nobody measures may hold the robot where it stands."""
+        return running.moving == 0.0 and self._motors.may_hold(running)
+
+    def _predict(
+        self, stamp: float, rate: Triple, running: Running, values: FloatArray, level: FloatArray
+    ) -> None:
         seconds, self._stamp = stamp - self._stamp, stamp
         before = self._before
         moves, moved = running.moving > 0.0, before.moving > 0.0
-        level = self._level(running, values)
+        holds, held = self._may_hold(running), self._may_hold(before)
         now = np.array(rate)
         changed, self._values = values - self._values, values
         faster, self._rate, self._before = now - self._rate, now, running
@@ -275,8 +286,9 @@ class MotorsNow:
         self._change = self._change + share * (changed / seconds - self._change)
         turned = seconds * moves * (now - 0.5 * faster)
         # Motors may hold a robot that stands.
-        alike = moves is moved and running.runs and before.runs
-        keeps = math.exp(-seconds / RUNNING.body_length) if alike else 0.0
+        alike = moves is moved and holds is held and (holds or (running.runs and before.runs))
+        lasts = math.inf if holds else RUNNING.body_length
+        keeps = math.exp(-seconds / lasts) if alike else 0.0
         if moves:
             self.odds = self.odds + seconds / RUNNING.unseen_lasts * (ODDS - self.odds)
         step = np.zeros((6, 6))

@@ -80,6 +80,12 @@ class Linear:
         rest = (None if each is None else each[:, components] for each in (self.there, self.shared))
         return Linear(self.residual[:, components], self.here[:, components], *rest)
 
+    def times(self, matrices: FloatArray) -> Linear:
+        """Return the residuals multiplied by a matrix each, shape (k, d, d)."""
+        rest = (None if each is None else matrices @ each for each in (self.there, self.shared))
+        residual = np.einsum("kij,kj->ki", matrices, self.residual)
+        return Linear(residual, matrices @ self.here, *rest)
+
     def by(self, free: IntArray) -> FloatArray:
         """Return the derivatives by the free shared unknowns, without those left out."""
         assert self.shared is not None

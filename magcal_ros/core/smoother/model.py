@@ -18,6 +18,7 @@ from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
 from magcal_ros.core.smoother.state import Course, State, damped, level_axes
+from magcal_ros.core.smoother.unknown_current import with_unknown_current
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
@@ -241,12 +242,15 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         per_link = np.median(nodes.samples[nodes.samples > 0]) / nodes.samples
 
     course = point.course
+    field = factors.magnetic(course, state, places)
+    most = 0.0 if point.is_robust else LARGEST_MOTORS / math.sqrt(12.0)
+    field = with_unknown_current(field, nodes, state.shared, sizes["field"] ** 2 * per_node, most)
     # What motors do while they run says nothing of the rest before or after.
     still = course.still
     fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
     keeps = np.exp(-fades)
     found = {
-        "field": measured("field", factors.magnetic(course, state, places), per_node),
+        "field": measured("field", field, per_node),
         "body_field": changing(
             ("body_field", "motors_noise"),
             factors.process(state, BODY_FIELD, keeps),

@@ -11,7 +11,7 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, blo
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window, white_noise
-from magcal_ros.core.smoother.currents import Currents
+from magcal_ros.core.smoother.currents import Clock, Currents
 from magcal_ros.core.smoother.gyro_steps import gyro_steps
 from magcal_ros.core.smoother.rests import rests
 from magcal_ros.core.smoother.unknowns import MICROTESLA
@@ -153,13 +153,17 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     from_middle = attitude @ np.swapaxes(np.repeat(attitude[middle], last - first, axis=0), 1, 2)
     mean_rate = block_means(rate, first)
     links = _Links.of(time, attitude, middle, steps, unseen, velocity)
+    if rested is None:
+        quiet = _quiet(window, field, first)
+    else:
+        quiet = np.logical_and.reduceat(rested, first)
     nodes = Nodes(
         time[middle],
         block_means(field, first),
         block_means(from_middle, first),
         mean_rate,
         count,
-        _quiet(window, field, first) if rested is None else np.logical_and.reduceat(rested, first),
+        quiet,
         np.diff(time[middle]),
         attitude[middle[1:]] @ np.swapaxes(attitude[middle[:-1]], 1, 2),
         links.angle,
@@ -171,7 +175,7 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
         float(np.median(white_noise(field))),
         block_means(window.specific_force, first),
         None if window.wheel_speed is None else block_means(window.wheel_speed, first),
-        currents=_currents(window, first),
+        currents=_currents(window, first, quiet),
     )
     nodes = _untied(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
     return _with_rests(nodes, window, attitude, middle, to_body)
@@ -209,13 +213,16 @@ def _first_rows(
     return first[:-1] if len(first) > 1 and clock[-1] - clock[first[-1]] < 0.5 else first
 
 
-def _currents(window: Window, first: IntArray) -> Currents | None:
+def _currents(window: Window, first: IntArray, quiet: BoolArray) -> Currents | None:
     """Return the currents in the nodes, of which `first` are the first rows."""
     if window.battery is None:
         return None
+    assert window.angular_rate is not None
     time, last = window.time, np.append(first[1:], len(window)) - 1
     beside = 0.5 * float(np.median(np.diff(time)))
-    return Currents(window.battery, time[first] - beside, time[last] + beside)
+    rests = np.repeat(quiet, np.diff(first, append=len(window)))
+    clock = Clock.of(window.battery, time, window.angular_rate, rests)
+    return Currents(window.battery, clock, time[first] - beside, time[last] + beside)
 
 
 def _quiet(window: Window, field: FloatArray, first: IntArray) -> BoolArray:

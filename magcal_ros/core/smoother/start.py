@@ -23,7 +23,15 @@ from magcal_ros.core.smoother.factors import of_the_motors
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.state import Course, State, level_axes
-from magcal_ros.core.smoother.unknowns import AT, EARTH, LOCAL, MICROTESLA, MOTORS, SHARED
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    EARTH,
+    LOCAL,
+    MICROTESLA,
+    MOTORS,
+    SHARED,
+    USUALLY_LATE,
+)
 
 BIASES = (0.0, 0.01, -0.01, 0.025, -0.025, 0.05, -0.05, 0.1, -0.1)
 """rad/s about up of the gyro's bias that are tried."""
@@ -48,13 +56,17 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     piece = _pieces(nodes.time[longest])
     best: tuple[float, float, FloatArray, FloatArray] | None = None
     largest = 1.0 if nodes.currents is None else nodes.currents.battery.largest
+    trust = np.ones(len(nodes))
+    if nodes.currents is not None:
+        unknown = nodes.currents.variance(USUALLY_LATE)
+        trust = 1.0 / (1.0 + unknown * (LARGEST_MOTORS / largest) ** 2 / 3.0)
     axes, along = level_axes(np.median(up, axis=0)), np.median(up, axis=0)
     for bias in biases:
         course = Course.of(nodes, axes, bias * along, priors.lengths)
         motors = np.hstack(list(of_the_motors(course, priors.mean).values()))
         motors[:, 2:] /= largest
         turned = level @ rotation_about(Z, -(yaw - bias * (nodes.time - nodes.time[0])))
-        rows = nodes.field[longest], turned[longest], motors[longest], piece
+        rows = nodes.field[longest], turned[longest], motors[longest], piece, trust[longest]
         found, drifted, misfit = _linear(*rows, -float(priors.mean[EARTH][1]))
         score = misfit * (1.0 + 2.0 * abs(bias))
         if best is None or score < best[0]:
@@ -120,12 +132,18 @@ def _pieces(time: FloatArray) -> IntArray:
 
 
 def _linear(
-    field: FloatArray, turned: FloatArray, motors: FloatArray, piece: IntArray, upward: float
+    field: FloatArray,
+    turned: FloatArray,
+    motors: FloatArray,
+    piece: IntArray,
+    trust: FloatArray,
+    upward: float,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return c, h, k and l by iterated weighted least squares, the yaw's drift, and the misfit.
 
     The level part of c is that of the first piece; in each `piece` (n,) it has a direction of its
-    own. The drift (n,) is that of the yaw since the first piece, radians, and the misfit the median
+    own. `trust` (n,) is the weight of a node by what is known of its current. The drift (n,) is
+    that of the yaw since the first piece, radians, and the misfit the median
     in µT.
     """
     count, pieces = len(field), int(piece[-1]) + 1
@@ -140,7 +158,7 @@ def _linear(
     known[0, 2 * pieces] = 1.0 / 3.0
     known[1:, -count_motors:] = np.eye(count_motors) / LARGEST_MOTORS
     expected = np.append(upward / 3.0, np.zeros(count_motors))
-    weight = np.ones(count)
+    weight = trust
     for _ in range(12):
         scale = np.repeat(np.sqrt(weight), 3)
         left = np.vstack([rows.reshape(-1, unknowns) * scale[:, None], known])
@@ -148,7 +166,7 @@ def _linear(
         found = np.linalg.lstsq(left, right, rcond=None)[0]
         misfit = np.linalg.norm(field - rows @ found, axis=1)
         middle = float(np.median(misfit))
-        weight = 1.0 / (1.0 + (misfit / (1.5 * middle + 1e-9)) ** 2)
+        weight = trust / (1.0 + (misfit / (1.5 * middle + 1e-9)) ** 2)
     earth = found[: 2 * pieces].reshape(pieces, 2)
     angle = np.unwrap(np.arctan2(earth[:, 1], earth[:, 0]))
     first = unit(earth[0]) * float(np.linalg.norm(earth, axis=1).mean())

@@ -66,6 +66,31 @@ def test_a_current_that_ripples_and_comes_late_is_made_up_for():
     assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
 
 
+@pytest.mark.parametrize("holding", [0.0, 2.0, 4.0])
+def test_a_battery_that_is_silent_at_rest_leaves_the_hold_current_in_doubt(holding):
+    known = replace(motors(), reference=-0.5)
+    told = [Running(0.0, 0.0, 0.0, np.nan, 0.0)] * 400
+    added = np.tile(holding * BY_CURRENT, (400, 1))
+    off, sigma = errors(known, told, added, np.zeros(400))
+    assert (sigma > 0.9 * known.usual[1] * np.abs(BY_CURRENT)).all()
+    assert np.mean((off / sigma) ** 2) < 2.0
+    # A robot that is calibrated at rest, whatever its current is then, is at its reference.
+    _, sure = errors(motors(), told, added, np.zeros(400))
+    assert sure[5:].max() < 2.0 * NOISE
+
+
+@pytest.mark.parametrize("later", [2.0, 4.0])
+def test_a_battery_that_falls_silent_at_rest_leaves_the_place_known(later):
+    """Also if the motors hold the robot by another current later on."""
+    known = replace(motors(), reference=-0.5)
+    told = [Running(0.0, 0.0, 0.0, 2.0 if k < 200 else np.nan, 0.0) for k in range(600)]
+    current = np.where(np.arange(600) < 400, 2.0, later)
+    off, sigma = errors(known, told, np.outer(current, BY_CURRENT), np.zeros(600))
+    after = np.r_[200:400, 420:600]
+    assert np.linalg.norm(off[after], axis=1).max() < 1.2e-6
+    assert np.mean((off[after] / sigma[after]) ** 2) < 1.5
+
+
 @pytest.mark.parametrize("seed", first_of(range(6)))
 def test_a_current_that_nobody_reports_differs_from_what_the_speed_shows(seed):
     rng = np.random.default_rng(seed)

@@ -21,6 +21,7 @@ from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
+    CURRENT_LATE,
     LOCAL,
     RATE,
     SHARED,
@@ -36,7 +37,8 @@ STEP = 1e-6
 def course() -> Course:
     window = measure(Robot(), turn(samples=60, duration=6.0), np.random.default_rng(3), gyro=True)
     stamps = np.arange(window.time[0], window.time[-1] + 0.1, 0.1)
-    currents = np.random.default_rng(8).uniform(-4.0, 0.0, len(stamps))
+    # Smooth, as the derivative by its delay is a mean over some hundredths of a second.
+    currents = -2.0 + 1.5 * np.sin(stamps)
     window = window.with_battery(np.column_stack([stamps, currents]))
     axes = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
     return Course.of(nodes_of(window, np.eye(3)), axes, np.zeros(3), Lengths())
@@ -171,4 +173,6 @@ def test_derivatives_by_the_shared_unknowns(
         found = change(factor, course, state, local, shared)
         has = unknown < linear.shared.shape[2]
         expected = linear.shared[:, :, unknown] if has else np.zeros_like(found)
-        np.testing.assert_allclose(found, expected, atol=1e-3 * scale)
+        # What battery and gyro did before the window and after it is not known.
+        rows = slice(4, -4) if unknown == CURRENT_LATE else slice(None)
+        np.testing.assert_allclose(found[rows], expected[rows], atol=1e-3 * scale)
