@@ -1,6 +1,6 @@
 """The current of a battery in each node.
 
-Between two messages nobody measures the current. It is a random walk there, by a clock that goes at
+Between two messages the current is not measured. It is a random walk there, by a clock that goes at
 one pace at rest, at another in motion, and ahead wherever the turn rate changes: there motors start
 and stop. In motion a ripple comes on top, which lasts for less than the time between two messages.
 Messages have noise. Paces, ripple and noise are those that explain best how the messages differ.
@@ -155,7 +155,7 @@ class Currents:
     def at(self, delay: float) -> tuple[FloatArray, FloatArray]:
         """Return the currents beyond the reference, A, and their change by the delay, A/s, (n,).
 
-        A message tells the current that flowed `delay` seconds before its stamp.
+        A message shows the current that flowed `delay` seconds before its stamp.
         """
         moments = self.clock.at(self._moments)
         before, now, after = (
@@ -167,23 +167,23 @@ class Currents:
     def _walk(self, delay: float) -> tuple[FloatArray, FloatArray]:
         """Return the clock at the messages, A², and the current without its ripple there, A."""
         moments, current = self.battery.time - delay, self.battery.current
-        told = self.clock.at(moments)
-        steps = _Steps.of(np.diff(told), self.clock.beside(moments))
-        return told, current - steps.of_ripple(np.diff(current))
+        known = self.clock.at(moments)
+        steps = _Steps.of(np.diff(known), self.clock.beside(moments))
+        return known, current - steps.of_ripple(np.diff(current))
 
     def variance(self, delay: float) -> FloatArray:
-        """Return the variance of each node's current by what no message tells, A², (n,).
+        """Return the variance of each node's current that no message shows, A², (n,).
 
         The nodes between two messages share it. Nodes that each had the sum of their covariances
         with all nodes would be as wrong together.
         """
         points = self.clock.at(self._moments).ravel()
         order = np.argsort(points, kind="stable")
-        told = self.clock.at(self.battery.time - delay)
-        told = np.concatenate([[told[0] - FAR], told, [told[-1] + FAR]])
+        known = self.clock.at(self.battery.time - delay)
+        known = np.concatenate([[known[0] - FAR], known, [known[-1] + FAR]])
         at = points[order]
-        row = np.searchsorted(told, at, side="right").clip(1, len(told) - 1)
-        start, end = told[row - 1], told[row]
+        row = np.searchsorted(known, at, side="right").clip(1, len(known) - 1)
+        start, end = known[row - 1], known[row]
         share = 1.0 / len(POINTS)
         number = share * np.arange(len(at) + 1)
         moved = np.concatenate([[0.0], share * np.cumsum(at)])
