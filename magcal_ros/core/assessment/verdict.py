@@ -45,7 +45,7 @@ from magcal_ros.core.samples.units import (
     ROLLED,
     Z_NOT_UP,
     likely_acceleration_unit,
-    likely_field_unit,
+    unit_by_strength,
     was_turned_over,
 )
 from magcal_ros.core.samples.window import Window
@@ -300,11 +300,12 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
         # Without a reference, one turn gives only a rough strength.
         low, high = low / TUNING.guessed, high * TUNING.guessed
     grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
-    words = f"strength of the corrected field {microtesla:.1f} µT"
+    hint = unit_by_strength(strength)
+    published = f"{strength:.3g} T as published" if hint else f"{microtesla:.1f} µT"
+    words = f"strength of the corrected field {published}"
     if grade is Grade.WARN:
         least, most = TUNING.beyond_iron_ut
         grade = grade if least <= microtesla <= most else Grade.REFUSED
-        hint = likely_field_unit(strength)
         words += f" is not the Earth's ({low:.0f} to {high:.0f} µT){': ' + hint if hint else ''}"
     return Check(Figure.STRENGTH, Aspect.QUALITY, grade, words)
 
