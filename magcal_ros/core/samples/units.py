@@ -11,6 +11,7 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
+from magcal_ros.core.samples.lever import without_lever_arm
 from magcal_ros.core.samples.streams import STREAMS, SWAY, Drop, Streams
 from magcal_ros.core.samples.window import Window
 
@@ -155,9 +156,9 @@ def was_turned_over(window: Window) -> bool:
     """Return whether the sensor had no usual orientation, as one that is turned over by hand.
 
     Then the mean of its directions of gravity is short, and nothing shows which side is up on the
-    robot.
+    robot. What a hand swings about an elbow feels the swing too, which is taken off.
     """
-    mean = unit(window.specific_force).mean(axis=0)
+    mean = unit(without_lever_arm(window)).mean(axis=0)
     return float(np.linalg.norm(mean)) < LEAST_UPRIGHT
 
 
