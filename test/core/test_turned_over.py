@@ -2,17 +2,19 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from long_form import first_of
 from scipy.spatial.transform import Rotation
-from simulated.turns import Motion, measure
+from simulated.turns import Motion, measure, turn
 
 from magcal_ros.core.assessment.verdict import LEVEL_ONLY, WHICH_WAY_UP
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.lever import without_lever_arm
 from magcal_ros.core.samples.units import explained, was_turned_over
 from magcal_ros.core.simulation import Robot, heading_errors
 
@@ -59,6 +61,37 @@ def test_nothing_is_said_of_z_but_that_it_is_not_shown():
     assert not any("z points" in check.words for check in verdict.checks)
     assert WHICH_WAY_UP in verdict.not_shown
     assert LEVEL_ONLY not in verdict.not_shown
+
+
+def swung_about_an_elbow(seed, size=4.5, length=0.15):
+    """Return a fast tumble whose accelerometer sits beside the axis of the movement."""
+    window = measure(ROBOT, turned_over(seed, size=size), np.random.default_rng(seed), gyro=True)
+    arm = np.random.default_rng([seed, 15]).standard_normal(3)
+    arm *= length / np.linalg.norm(arm)
+    rate = window.angular_rate
+    spin = np.gradient(rate, window.time, axis=0)
+    pull = np.cross(spin, arm) + np.cross(rate, np.cross(rate, arm))
+    return replace(window, specific_force=window.specific_force + pull)
+
+
+@pytest.mark.parametrize("seed", first_of(range(21, 41), 3))
+def test_a_fast_tumble_in_a_hand_is_seen_as_one(seed):
+    window = swung_about_an_elbow(seed)
+    assert np.linalg.norm(window.angular_rate, axis=1).max() > 12.0
+    assert was_turned_over(window)
+    force = without_lever_arm(window)
+    assert np.median(np.linalg.norm(force, axis=1)) == pytest.approx(9.807, rel=0.005)
+    verdict = calibrate(window, Knowledge()).verdict
+    assert not any("z points" in check.words for check in verdict.checks)
+    assert not any("not gravity's" in check.words for check in verdict.checks)
+
+
+def test_a_slow_turn_and_a_window_without_gyro_keep_their_force():
+    window = measure(ROBOT, turn(), np.random.default_rng(1), gyro=True)
+    slow = np.abs(without_lever_arm(window) - window.specific_force).max()
+    assert slow < 0.05
+    blind = replace(window, angular_rate=None)
+    assert without_lever_arm(blind) is blind.specific_force
 
 
 def test_a_refusal_names_the_method_for_it():

@@ -41,11 +41,12 @@ from magcal_ros.core.calibration.heading_sigma import (
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.lever import without_lever_arm
 from magcal_ros.core.samples.units import (
     ROLLED,
     Z_NOT_UP,
     likely_acceleration_unit,
-    likely_field_unit,
+    unit_by_strength,
     was_turned_over,
 )
 from magcal_ros.core.samples.window import Window
@@ -300,17 +301,18 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
         # Without a reference, one turn gives only a rough strength.
         low, high = low / TUNING.guessed, high * TUNING.guessed
     grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
-    words = f"strength of the corrected field {microtesla:.1f} µT"
+    hint = unit_by_strength(strength)
+    published = f"{strength:.3g} T as published" if hint else f"{microtesla:.1f} µT"
+    words = f"strength of the corrected field {published}"
     if grade is Grade.WARN:
         least, most = TUNING.beyond_iron_ut
         grade = grade if least <= microtesla <= most else Grade.REFUSED
-        hint = likely_field_unit(strength)
         words += f" is not the Earth's ({low:.0f} to {high:.0f} µT){': ' + hint if hint else ''}"
     return Check(Figure.STRENGTH, Aspect.QUALITY, grade, words)
 
 
 def _check_gravity(window: Window) -> Check:
-    size = usual_size(window.specific_force)
+    size = usual_size(without_lever_arm(window))
     misfit = abs(size / STANDARD_GRAVITY - 1.0)
     excellent, good = TUNING.gravity_misfits
     grade = Grade.EXCELLENT if misfit <= excellent else Grade.GOOD

@@ -193,9 +193,8 @@ def field_findings(field: FloatArray) -> list[Finding]:
     step = max(_step(field[:, axis]) for axis in range(3))
     words = "choose a finer range of the sensor, or average in the driver"
     evidence = f"steps of {_in_words(step, unit)}" if step else "no steps seen"
-    found.append(
-        looked_at("resolution", "field: resolution", evidence, words * (step > TUNING.coarse))
-    )
+    is_coarse = step > TUNING.coarse and not unit
+    found.append(looked_at("resolution", "field: resolution", evidence, words * is_coarse))
     full = [axis for axis in range(3) if saturated(field, axis).any()]
     largest = float(np.abs(field).max())
     words = (

@@ -15,6 +15,13 @@ from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_l
 from magcal_ros.core.doctor.blame import LIFT, NOSE, AxesFound, parameter_line
 from magcal_ros.core.doctor.course import AxesInUse, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Way, rate_factors
+from magcal_ros.core.doctor.field_unit import (
+    WRONG_UNIT,
+    by_strength,
+    has_wrong_unit,
+    is_vague,
+    strength_of,
+)
 from magcal_ros.core.doctor.health import (
     Finding,
     alive_finding,
@@ -92,7 +99,9 @@ def examine(
         return Page((*prepared.findings, *known_habits(log)))
     found = compare(prepared, knowledge, turned_left)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
-    lines += _of_the_field(prepared, found, knowledge)
+    if found.way is not None:
+        lines = by_strength(lines, found.way, knowledge)
+    lines += _of_the_field(prepared, found, knowledge, in_tesla=not has_wrong_unit(lines))
     if any(line.key == "motors" and line.is_wrong for line in lines):
         # A field of the motors hides what another turn would show.
         said = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
@@ -116,9 +125,16 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
     return replace(page, findings=tuple(kept))
 
 
-def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) -> list[Finding]:
+def _of_the_field(
+    prepared: CleanLog, found: MotionFound, knowledge: Knowledge, *, in_tesla: bool
+) -> list[Finding]:
     if found.way is None or found.body is None:
         return []
+    if not in_tesla:
+        return [
+            not_shown("reference", AGAINST_REFERENCE, UNIT_FIRST),
+            not_shown("motors", MOTORS, UNIT_FIRST),
+        ]
     lines = [reference_finding(found.way, knowledge, found.up_is_down)]
     if not prepared.restamped and np.isfinite(found.body.rate).all():
         shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
@@ -132,7 +148,6 @@ class PlaceTuning:
 
     strength: float = 0.2  # relative difference
     inclination: float = math.radians(8.0)  # radians
-    vague: float = 0.1  # relative standard deviation of the strength beyond which it is not shown
     motors: float = 1.5e-6  # tesla that the motors add
     clear: float = 5.0  # sigmas of that
     turned_too_far: float = math.radians(25.0)
@@ -141,6 +156,7 @@ class PlaceTuning:
 
 
 TUNING = PlaceTuning()
+UNIT_FIRST = "correct the field's unit first, then check again"
 MOTORS, AGAINST_REFERENCE = "field: motors", "field: strength, inclination"
 BETWEEN_RESTS = "stand still, turn, and stand still again"
 ON_THE_SPOT = (
@@ -160,9 +176,9 @@ def reference_finding(way: Way, knowledge: Knowledge, up_is_down: bool | None) -
     """Compare strength and inclination with the reference, by one way."""
     size, vector = way.part.size, way.state[FIELD]
     up = way.state[UP] * (-1.0 if up_is_down else 1.0)
-    strength = float(np.linalg.norm(vector)) * size
-    off = float(np.linalg.norm(way.sigma[FIELD])) * size
-    if off > TUNING.vague * strength:
+    whole = strength_of(way)
+    strength, off = whole.value, whole.sigma
+    if is_vague(whole):
         upwards = None if up_is_down is not False else _points_up(way, knowledge)
         return upwards or not_shown("reference", AGAINST_REFERENCE, LIFT)
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
@@ -265,9 +281,12 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
 def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
     """Return the refusal of readings that no fit can use, seen before the work; None of others.
 
-    What is cut off at the end of a range looks like a smaller hard iron.
+    What is cut off at the end of a range looks like a smaller hard iron, and every prior of a fit
+    is in tesla.
     """
     for found in field_findings(window.field) if len(window) >= 3 else ():
+        if found.is_wrong and found.key == WRONG_UNIT:
+            return _by_the_page(window, knowledge, (WRONG_UNIT,))
         if found.is_wrong and found.key == "saturation":
             words = f"the magnetometer saturates ({found.evidence}); {found.remedy}"
             return Refusal(Reason.NO_SOLUTION, words)

@@ -75,13 +75,13 @@ def _sits_as(habit: FloatArray) -> Callable[[SensorLog, FloatArray | None], bool
 QUIRKS: tuple[Quirk, ...] = (
     *(
         Quirk(
-            drivers,
-            f"publishes the field in {name} instead of tesla",
-            f"multiply by {factor} in the driver",
+            unit.drivers,
+            f"publishes the field in {unit.name} instead of tesla",
+            f"multiply by {unit.factor} in the driver",
             "field: unit",
         )
-        for _, _, name, factor, drivers in FIELD_UNITS
-        if drivers
+        for unit in FIELD_UNITS
+        if unit.drivers
     ),
     Quirk(
         "Phidgets Spatial",

@@ -11,32 +11,75 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
+from magcal_ros.core.samples.lever import without_lever_arm
 from magcal_ros.core.samples.streams import STREAMS, SWAY, Drop, Streams
 from magcal_ros.core.samples.window import Window
 
 OF_ITS_OWN = "the field's strength there (tesla)"
-FIELD_UNITS: tuple[tuple[float, float, str, str, str], ...] = (
-    (0.05, 5.0, "gauss", "1e-4", "imu_3dm_gx4, Gazebo"),
-    (0.7, 1.3, "a unit of its own (1 on Earth)", OF_ITS_OWN, "Xsens MTi"),
-    (1.2, 1.9, "a unit of its own (1.4 on Earth)", OF_ITS_OWN, "Inertial Sense"),
-    (5.0, 150.0, "microtesla", "1e-6", ""),
-    (150.0, 5000.0, "milligauss", "1e-7", ""),
-    (5000.0, 150_000.0, "nanotesla", "1e-9", ""),
-    (80_000.0, 5e6, "a thousand times milligauss", "1e-10", "MAVROS with ArduPilot"),
+
+
+@dataclass(frozen=True)
+class FieldUnit:
+    """A unit in which a driver may publish the field instead of tesla."""
+
+    name: str
+    factor: str  # what makes tesla of it
+    strengths: tuple[float, float]  # range of the Earth's field in it
+    sizes: tuple[float, float]  # range of raw samples in it, hard iron included
+    drivers: str = ""  # those that are known to publish it
+
+
+FIELD_UNITS: tuple[FieldUnit, ...] = (
+    FieldUnit("gauss", "1e-4", (0.2, 0.7), (0.05, 5.0), "imu_3dm_gx4, Gazebo"),
+    FieldUnit("a unit of its own (1 on Earth)", OF_ITS_OWN, (0.7, 1.2), (0.7, 1.3), "Xsens MTi"),
+    FieldUnit(
+        "a unit of its own (1.4 on Earth)", OF_ITS_OWN, (1.2, 1.9), (1.2, 1.9), "Inertial Sense"
+    ),
+    FieldUnit("microtesla", "1e-6", (20.0, 70.0), (5.0, 150.0)),
+    FieldUnit("milligauss", "1e-7", (200.0, 700.0), (150.0, 5000.0)),
+    FieldUnit("nanotesla", "1e-9", (20_000.0, 70_000.0), (5000.0, 150_000.0)),
+    FieldUnit(
+        "a thousand times milligauss", "1e-10", (2e5, 7e5), (80_000.0, 5e6), "MAVROS with ArduPilot"
+    ),
 )
-"""Size range of a field in the Earth's when published in another unit, its name, its factor, and
-the drivers that are known to publish it so."""
+SPREAD = 2.0  # sigmas of a strength within which the Earth's field may lie in a unit
 
 
 def likely_field_unit(size: float) -> str:
-    """Say in words which units a field of `size` "tesla" may have; empty if none fits."""
-    fitting = [
-        f"looks like {name} published as tesla{f' (as by {drivers})' if drivers else ''}; multiply "
-        f"by {factor} in the driver"
-        for low, high, name, factor, drivers in FIELD_UNITS
-        if low <= size < high
+    """Say in words which units raw samples of `size` "tesla" may have; empty if none fits."""
+    fitting = [unit for unit in FIELD_UNITS if unit.sizes[0] <= size < unit.sizes[1]]
+    return _named(fitting, f"a field of {size:.3g} T")
+
+
+def unit_by_strength(strength: float, sigma: float = 0.0) -> str:
+    """Say in words which units a field has that is so strong without hard iron.
+
+    Parameters
+    ----------
+    strength, sigma : float
+        "Tesla" as published.
+
+    Returns
+    -------
+    str
+        Empty if it may be tesla. Where the Earth's field lies within `sigma` in no unit, that of
+        raw samples of this size.
+    """
+    low, high = strength - SPREAD * sigma, strength + SPREAD * sigma
+    fitting = [u for u in FIELD_UNITS if low < u.strengths[1] and high >= u.strengths[0]]
+    if not fitting or not likely_field_unit(strength):
+        return likely_field_unit(strength)
+    return _named(fitting, f"a field of {strength:.3g} T without hard iron")
+
+
+def _named(fitting: list[FieldUnit], what: str) -> str:
+    words = [
+        f"looks like {unit.name} published as tesla"
+        f"{f' (as by {unit.drivers})' if unit.drivers else ''}; multiply by {unit.factor} in the "
+        "driver"
+        for unit in fitting
     ]
-    return f"a field of {size:.3g} T {'; or it '.join(fitting)}" if fitting else ""
+    return f"{what} {'; or it '.join(words)}" if words else ""
 
 
 def slow_words(gap: float) -> str:
@@ -113,9 +156,9 @@ def was_turned_over(window: Window) -> bool:
     """Return whether the sensor had no usual orientation, as one that is turned over by hand.
 
     Then the mean of its directions of gravity is short, and nothing shows which side is up on the
-    robot.
+    robot. What a hand swings about an elbow feels the swing too, which is taken off.
     """
-    mean = unit(window.specific_force).mean(axis=0)
+    mean = unit(without_lever_arm(window)).mean(axis=0)
     return float(np.linalg.norm(mean)) < LEAST_UPRIGHT
 
 

@@ -14,8 +14,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.optimize import minimize
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, integral
 from magcal_ros.core.samples.battery import Battery
@@ -91,6 +89,8 @@ def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
     By the differences of neighbouring messages, and by how late these may be. The last two are the
     variances of ripple and noise, A². Shape (k + 2,).
     """
+    from scipy.optimize import minimize
+
     steps = np.diff(battery.current)
     late = UNKNOWNS["current_late"].sigma[0]
     whole = parts[-2] - parts[1]
@@ -127,6 +127,8 @@ class _Steps:
     @classmethod
     def of(cls, walked: FloatArray, ripple: FloatArray) -> _Steps:
         """Return them by the variances of the walk's steps (k - 1,) and of the ripple (k,), A²."""
+        from scipy.linalg import cholesky_banded
+
         band = np.zeros((2, len(walked)))
         band[0, 1:] = -ripple[1:-1]
         band[1] = walked + ripple[1:] + ripple[:-1] + LEAST
@@ -134,13 +136,17 @@ class _Steps:
 
     def cost(self, steps: FloatArray) -> float:
         """Return minus twice the logarithm of the likelihood, up to a constant."""
-        solved = cho_solve_banded((self.factor, False), steps)
+        solved = self._solved(steps)
         return float(2.0 * np.sum(np.log(self.factor[1])) + steps @ solved)
 
     def of_ripple(self, steps: FloatArray) -> FloatArray:
         """Return the mean of each message's ripple, A, (k,)."""
-        solved = cho_solve_banded((self.factor, False), steps)
-        return np.asarray(self.ripple * -np.diff(solved, prepend=0.0, append=0.0))
+        return np.asarray(self.ripple * -np.diff(self._solved(steps), prepend=0.0, append=0.0))
+
+    def _solved(self, steps: FloatArray) -> FloatArray:
+        from scipy.linalg import cho_solve_banded
+
+        return np.asarray(cho_solve_banded((self.factor, False), steps))
 
 
 @dataclass(frozen=True, eq=False)

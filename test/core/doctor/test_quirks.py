@@ -11,6 +11,7 @@ from imu_faults_cases import good_case
 from long_form import first_of
 from scipy.spatial.transform import Rotation
 
+from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.doctor.quirks import (
     AK09916_IN_ICM20948,
@@ -18,7 +19,9 @@ from magcal_ros.core.doctor.quirks import (
     QUIRKS,
     WRAP,
 )
+from magcal_ros.core.geometry.arrays import interpolated
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.samples.window import Window
 
 MOTION = "half minute"
 
@@ -37,15 +40,6 @@ def lines_of(page):
 
 def scaled(per_tesla):
     return lambda rng, log: replace(log, field=per_tesla * log.field)
-
-
-def normed(size):
-    def published(rng, log):
-        # The sensor's own unit is the field of where it was made, not the field here.
-        whole = np.median(np.linalg.norm(log.field, axis=1)) * rng.uniform(0.93, 1.07)
-        return replace(log, field=size * log.field / whole)
-
-    return published
 
 
 def void(value):
@@ -87,8 +81,6 @@ def without_north(rng, log):
 CASES = {
     "imu_3dm_gx4": scaled(1e4),
     "MAVROS": scaled(1e10),
-    "Xsens": normed(1.0),
-    "Inertial Sense": normed(1.4),
     "Phidgets": void(np.nan),
     "Phidgets Spatial": void(1e296),
     "SBG": stamped(WRAP),
@@ -100,24 +92,37 @@ CASES = {
 }
 
 
+NORMED = {"Xsens": 1.0, "Inertial Sense": 1.4}
+"""The field's strength without hard iron as these publish it."""
+
+
+def published(name, seed):
+    rng, case = np.random.default_rng([35, seed]), case_of(seed)
+    if name not in NORMED:
+        return CASES[name](rng, case.log)
+    # The sensor's own unit is the field of where it was made, not the field here.
+    here = case.knowledge.reference.strength.value * rng.uniform(0.95, 1.05)
+    return scaled(NORMED[name] / here)(rng, case.log)
+
+
 @functools.cache
 def page_of(name, seed):
     """What is said of good sensors whose driver has such a habit."""
     case = case_of(seed)
-    log = CASES[name](np.random.default_rng([35, seed]), case.log)
-    return examine(log, case.knowledge, case.turned_left)
+    return examine(published(name, seed), case.knowledge, case.turned_left)
 
 
 def is_named(name, seed):
     return any(name in line for line in lines_of(page_of(name, seed)))
 
 
+ALL = [*CASES, *NORMED]
 ONE_OF_A_KIND = ["imu_3dm_gx4", "Xsens", "Phidgets", "SBG", "ZED", "MPU-9250", "BNO08x"]
 
 
 @pytest.mark.parametrize(
     "name",
-    first_of([*ONE_OF_A_KIND, *(n for n in CASES if n not in ONE_OF_A_KIND)], len(ONE_OF_A_KIND)),
+    first_of([*ONE_OF_A_KIND, *(n for n in ALL if n not in ONE_OF_A_KIND)], len(ONE_OF_A_KIND)),
 )
 def test_the_driver_is_named(name):
     assert is_named(name, 0)
@@ -143,9 +148,34 @@ def _rotation(line):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ALL)
 def test_the_driver_is_named_in_99_of_100(name):
     assert sum(is_named(name, seed) for seed in range(1, 101)) >= 99
+
+
+@pytest.mark.parametrize(("name", "seed"), [("Xsens", 0), ("Inertial Sense", 0)])
+def test_a_field_in_a_unit_of_its_own_is_told_without_microtesla(name, seed):
+    """Its strength without hard iron tells the unit; nothing is compared with a field in tesla."""
+    page = page_of(name, seed)
+    of_field = [f.evidence + f.remedy for f in page.findings if f.name.startswith("field")]
+    assert not any("µT" in words for words in of_field)
+    unit = next(f for f in page.findings if f.key == "field_unit")
+    assert "without hard iron" in unit.evidence
+    assert "gauss" not in unit.remedy
+    wrong = {f.key for f in page.findings if f.is_wrong}
+    assert not wrong & {"reference", "motors", "resolution"}
+
+
+@pytest.mark.parametrize("method", ["smoother", "ellipsoid"])
+def test_a_fit_names_the_unit_by_the_strength_too(method):
+    case, log = case_of(0), published("Xsens", 0)
+    inside = (log.field_time > log.imu_time[0]) & (log.field_time < log.imu_time[-1])
+    time = log.field_time[inside]
+    force, rate = (interpolated(time, log.imu_time, each) for each in (log.force, log.rate))
+    window = Window(time, log.field[inside], force, rate)
+    words = calibrate(window, case.knowledge, method).verdict.summary
+    assert "Xsens" in words
+    assert "gauss" not in words
 
 
 @pytest.mark.parametrize("seed", first_of(range(100)))

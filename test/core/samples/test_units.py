@@ -2,7 +2,11 @@ import math
 
 import pytest
 
-from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
+from magcal_ros.core.samples.units import (
+    likely_acceleration_unit,
+    likely_field_unit,
+    unit_by_strength,
+)
 
 EARTH = [22e-6, 48e-6, 67e-6]
 UNITS = [
@@ -25,6 +29,23 @@ def test_the_earths_field_published_in_another_unit_is_recognised(tesla, name, p
 @pytest.mark.parametrize(("name", "per_tesla", "factor"), UNITS)
 def test_the_factor_named_brings_the_field_back_to_tesla(tesla, name, per_tesla, factor):
     assert tesla * per_tesla * float(factor) == pytest.approx(tesla)
+
+
+@pytest.mark.parametrize(
+    ("strength", "sigma", "drivers"),
+    [
+        (0.48, 0.02, ["imu_3dm_gx4"]),
+        (0.96, 0.05, ["Xsens"]),
+        (1.39, 0.05, ["Inertial Sense"]),
+        (1.25, 0.1, ["Xsens", "Inertial Sense"]),
+        (0.1, 0.005, ["imu_3dm_gx4"]),
+    ],
+)
+def test_a_strength_without_hard_iron_tells_units_apart(strength, sigma, drivers):
+    words = unit_by_strength(strength, sigma)
+    all_drivers = ["imu_3dm_gx4", "Xsens", "Inertial Sense", "MAVROS"]
+    assert [each for each in all_drivers if each in words] == drivers
+    assert unit_by_strength(strength * 1e-4) == ""
 
 
 @pytest.mark.parametrize("size", [0.0, 48e-6, 1e-3, 0.049, 6e6, math.inf, math.nan])

@@ -1,0 +1,60 @@
+"""What an accelerometer beside the axis of a rotation feels of the rotation itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import usual_size
+from magcal_ros.core.geometry.rotations import skews
+from magcal_ros.core.samples.window import Window
+
+
+@dataclass(frozen=True)
+class LeverTuning:
+    """What is believed of the lever arm, and how it is fitted."""
+
+    arm: float = 1.0  # metres, standard deviation of the lever arm along each axis
+    noise: float = 1e-3  # m/s² that the length of the specific force is off at best
+    wide: float = 3.0  # sigmas of that length from which a sample counts less
+    rounds: int = 20
+    most: int = 5000  # samples that are fitted
+    fewest: int = 20
+
+
+TUNING = LeverTuning()
+
+
+def without_lever_arm(window: Window) -> FloatArray:
+    """Return the specific force less what the lever arm adds to it, m/s², shape (n, 3).
+
+    The lever arm is what makes the length of the specific force most constant. It needs the rates
+    alone, not the attitude. Without a gyro, or where the sensor turns too slowly to show a lever
+    arm, the specific force is returned as it was measured.
+    """
+    force, rate = window.specific_force, window.angular_rate
+    if rate is None or len(window) < TUNING.fewest:
+        return force
+    spin = skews(rate)
+    per_metre = skews(np.gradient(rate, window.time, axis=0)) + spin @ spin
+    some = slice(None, None, 1 + len(window) // TUNING.most)
+    return np.asarray(force - per_metre @ _lever_arm(force[some], per_metre[some]))
+
+
+def _lever_arm(force: FloatArray, per_metre: FloatArray) -> FloatArray:
+    """Fit a lever arm (3,) and gravity's length by robust least squares, with a prior."""
+    state = np.array([0.0, 0.0, 0.0, usual_size(force)])
+    prior = np.array([1.0, 1.0, 1.0, 0.0]) / TUNING.arm**2
+    for _ in range(TUNING.rounds):
+        left = force - per_metre @ state[:3]
+        size = np.linalg.norm(left, axis=1)
+        off = size - state[3]
+        along = np.einsum("ni,nij->nj", left / np.maximum(size, 1e-9)[:, None], per_metre)
+        slope = np.column_stack([-along, -np.ones(len(size))])
+        sigma = 1.4826 * float(np.median(np.abs(off))) + TUNING.noise
+        weighted = slope.T / (sigma**2 + (off / TUNING.wide) ** 2)
+        information = weighted @ slope + np.diag(prior)
+        state = state - np.linalg.solve(information, weighted @ off + prior * state)
+    return np.asarray(state[:3])
