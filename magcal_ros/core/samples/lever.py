@@ -1,4 +1,4 @@
-"""What an accelerometer beside the axis of a rotation feels of the rotation itself."""
+"""The force that an accelerometer beside the axis of a rotation measures in addition."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class LeverTuning:
-    """What is believed of the lever arm, and how it is fitted."""
+    """The prior of the lever arm, and how it is fitted."""
 
     arm: float = 1.0  # metres, standard deviation of the lever arm along each axis
     noise: float = 1e-3  # m/s² that the length of the specific force is off at best

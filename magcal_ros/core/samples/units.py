@@ -156,7 +156,7 @@ def was_turned_over(window: Window) -> bool:
     """Return whether the sensor had no usual orientation, as one that is turned over by hand.
 
     Then the mean of its directions of gravity is short, and nothing shows which side is up on the
-    robot. What a hand swings about an elbow feels the swing too, which is taken off.
+    robot. The acceleration of a sensor that a hand swings about an elbow is taken off.
     """
     mean = unit(without_lever_arm(window)).mean(axis=0)
     return float(np.linalg.norm(mean)) < LEAST_UPRIGHT
