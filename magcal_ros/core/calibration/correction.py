@@ -144,7 +144,7 @@ class MotorField:
             raise ValueError("the motors' inputs must differ, and each has one usual size")
 
     def may_hold(self, running: Running) -> bool:
-        """Whether motors may hold the robot by a current that nobody measures."""
+        """Whether motors may hold the robot by a current that is not measured."""
         return math.isnan(running.current) and not math.isnan(self.reference)
 
     def known(self, running: Running) -> tuple[FloatArray, FloatArray]:

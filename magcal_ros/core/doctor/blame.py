@@ -163,7 +163,7 @@ class AxesFound:
 
     @property
     def ways(self) -> str:
-        """What is wrong if gyro and accelerometer are right, without what tells the ways apart."""
+        """What is wrong if gyro and accelerometer are right, and not how to show which way."""
         ways = named(self.candidates, self._say)
         return f"the magnetometer's axes do not match the IMU's: {ways}"
 

@@ -264,7 +264,7 @@ class MotorsNow:
         return _Answer(*(each[0] for each in found)), _Answer(*(each[1] for each in found))
 
     def _may_hold(self, running: Running) -> bool:
-        """Whether a current that nobody measures may hold the robot where it stands."""
+        """Whether a current that is not measured may hold the robot where it stands."""
         return running.moving == 0.0 and self._motors.may_hold(running)
 
     def _predict(

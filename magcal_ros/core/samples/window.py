@@ -107,7 +107,7 @@ class Window:
     """Of the wheels, m/s ahead, NaN where it was not measured; None if it never was. Shape (n,)."""
     battery: Battery | None = None  # its current; None if that was not measured throughout
     rested: BoolArray | None = None
-    """Where a recorder saw the robot stand; None where nobody has looked. Shape (n,)."""
+    """Where a recorder saw the robot stand; None where none was looked for. Shape (n,)."""
     longest_step: float = math.inf
     """Seconds between samples; across longer gaps the gyro is not integrated."""
 

@@ -203,7 +203,7 @@ UNKNOWNS: dict[str, Unknown] = {
 }
 MOTORS = "motors_moving", "motors_rate", "motors_current"
 BEYOND_USUAL = 2.0  # factor of the motors' usual size from which they are taken to add a field
-USUALLY_LATE = 0.1  # seconds by which a battery tells its current late
+USUALLY_LATE = 0.1  # seconds by which the current of a battery is published late
 
 IRON_OVER_AXES = 0.4  # median distortion by soft iron over that by gains and crooked axes
 MODULE = ("axes", "gyro_bias", "gyro_matrix", "force_offset")
