@@ -100,8 +100,9 @@ def _climbed(joints: list[FrameJoint]) -> FloatArray:
 
 def _some(frames: frozenset[str]) -> str:
     """Return the first names, and how many more there are."""
-    rest = len(frames) - 12
-    return ", ".join(sorted(frames)[:12] or ["none"]) + (f" and {rest} more" if rest > 0 else "")
+    most = 12
+    rest = len(frames) - most
+    return ", ".join(sorted(frames)[:most] or ["none"]) + (f" and {rest} more" if rest > 0 else "")
 
 
 STEEPEST_GROUND = math.radians(35.0)

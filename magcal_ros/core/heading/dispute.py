@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 from magcal_ros.core.geometry.vec3 import Triple, dot, minus, plus, propagated, scaled
 
+MOST = 30.0  # largest log odds
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -33,7 +35,7 @@ class Dispute:
 
     @property
     def variance(self) -> float:
-        """Variance of the yaw that follows the field, rad²: by as much it is wrong if iron came."""
+        """Variance of the yaw that follows the field, rad²: by iron it is wrong by `apart`."""
         return self.apart**2 / (1.0 + math.exp(-self._log_odds))
 
     def weigh(self, scene: Scene, share: float) -> None:
@@ -68,6 +70,3 @@ class Dispute:
             "against the gyro: either iron came or went, or the yaw was wrong; the next turn of "
             "the robot shows which"
         )
-
-
-MOST = 30.0  # log odds beyond which nothing is more certain

@@ -294,8 +294,8 @@ class FusedYaw:
 
     @property
     def is_disputed(self) -> bool:
-        """Whether most of the yaw's variance is that the field may be wrong by a dispute."""
-        return 2.0 * (self.dispute.variance if self.dispute else 0.0) > self.yaw_variance
+        """Whether most of the yaw's variance comes from the dispute."""
+        return self.yaw_variance > 2.0 * self._filter.yaw_variance
 
     @property
     def _disturbance_variance(self) -> float:

@@ -264,7 +264,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     at_rate[:, AT["motors_moving"]] = np.eye(3)
     at_rate[:, AT["motors_rate"]] = turning * np.eye(3)
     if found.nodes.currents is not None:
-        beyond, _ = found.nodes.currents.at(shared[CURRENT_LATE])
+        beyond = found.nodes.currents.at(shared[CURRENT_LATE])
         usual = float(np.median(beyond[best.point.course.moving > 0.0]))
         at_rate[:, AT["motors_current"]] = usual * np.eye(3)
     size = float(np.linalg.norm(at_rate @ shared))

@@ -158,17 +158,20 @@ class Currents:
     begin: FloatArray
     end: FloatArray  # of each node's samples, seconds. Shapes (n,).
 
-    def at(self, delay: float) -> tuple[FloatArray, FloatArray]:
-        """Return the currents beyond the reference, A, and their change by the delay, A/s, (n,).
+    def at(self, delay: float) -> FloatArray:
+        """Return the currents beyond the reference, A, (n,).
 
         A message shows the current that flowed `delay` seconds before its stamp.
         """
-        moments = self.clock.at(self._moments)
-        before, now, after = (
-            np.interp(moments, *self._walk(each)) for each in (delay - SHORT, delay, delay + SHORT)
-        )
-        mean = now.mean(axis=1) - self.battery.reference
-        return mean, (after - before).mean(axis=1) / (2.0 * SHORT)
+        return self._means(delay) - self.battery.reference
+
+    def change(self, delay: float) -> FloatArray:
+        """Return the derivative of the currents by the delay, A/s, (n,)."""
+        return (self._means(delay + SHORT) - self._means(delay - SHORT)) / (2.0 * SHORT)
+
+    def _means(self, delay: float) -> FloatArray:
+        now = np.interp(self.clock.at(self._moments), *self._walk(delay))
+        return np.asarray(now.mean(axis=1))
 
     def _walk(self, delay: float) -> tuple[FloatArray, FloatArray]:
         """Return the clock at the messages, A², and the current without its ripple there, A."""

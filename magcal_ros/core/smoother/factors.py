@@ -143,8 +143,7 @@ def of_the_motors(course: Course, shared: FloatArray) -> dict[str, FloatArray]:
     nodes = course.nodes
     found = {"motors_moving": course.moving[:, None], "motors_rate": nodes.rate[:, 2:]}
     if nodes.currents is not None:
-        beyond, _ = nodes.currents.at(shared[CURRENT_LATE])
-        found["motors_current"] = beyond[:, None]
+        found["motors_current"] = nodes.currents.at(shared[CURRENT_LATE])[:, None]
     return found
 
 
@@ -189,7 +188,7 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     for name, share in of_the_body.items():
         by[:, :, AT[name]] = share[:, :, None] * np.eye(3)
     if nodes.currents is not None:
-        _, later = nodes.currents.at(shared[CURRENT_LATE])
+        later = nodes.currents.change(shared[CURRENT_LATE])
         by[:, :, CURRENT_LATE] = later[:, None] * shared[AT["motors_current"]]
     by[:, :, EARTH] = (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0]
     turned = inside_earth @ turn.T

@@ -128,7 +128,7 @@ def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
     rate, currents = course.nodes.rate[moves, 2], course.nodes.currents
     usual, reference = [1.0, _usual(rate)], math.nan
     if currents is not None and fit.point.groups["motors_current"] > BEYOND_USUAL:
-        usual.append(_usual(currents.at(fit.state.shared[CURRENT_LATE])[0][moves]))
+        usual.append(_usual(currents.at(fit.state.shared[CURRENT_LATE])[moves]))
         reference = currents.battery.reference
     rows = slice(PARAMETERS, PARAMETERS + 3 * len(usual))
     motors = MotorField(

@@ -34,11 +34,11 @@ def test_the_mean_of_a_node_is_that_of_the_current_before_it_was_told():
     begin = np.arange(1.0, 9.0, 0.6)
     currents = Currents(battery, clock(battery), begin, begin + 0.6)
     for delay in (0.0, 0.1, 0.37, -0.2):
-        mean, change = currents.at(delay)
+        mean, change = currents.at(delay), currents.change(delay)
         inside = begin[:, None] + 0.6 * (np.arange(200) + 0.5) / 200 + delay
         np.testing.assert_allclose(mean + battery.reference, pulse(inside).mean(axis=1), atol=0.01)
         step = 0.01
-        differs = (currents.at(delay + step)[0] - currents.at(delay - step)[0]) / (2.0 * step)
+        differs = (currents.at(delay + step) - currents.at(delay - step)) / (2.0 * step)
         np.testing.assert_allclose(change, differs, atol=0.1)
 
 
@@ -46,7 +46,7 @@ def test_a_rest_beside_the_turn_has_its_own_mean():
     battery = battery_of(told(pulse(STAMPS)), 0.5, 9.5)
     currents = Currents(battery, clock(battery), np.array([4.0]), np.array([6.0]))
     currents = currents.with_rest(0, 1.0, 2.0)
-    mean, _ = currents.at(0.0)
+    mean = currents.at(0.0)
     assert mean[:2] == pytest.approx([0.0, 0.0], abs=0.01)
     assert mean[2] < -1.5
 
@@ -63,7 +63,7 @@ def test_between_slow_messages_the_current_changes_where_the_robot_starts_or_sto
     battery = battery_of(messages, 0.5, 9.5)
     begin = np.arange(0.5, 9.0, 0.25)
     currents = Currents(battery, clock(battery, starts, stops), begin, begin + 0.25)
-    mean, _ = currents.at(0.1)
+    mean = currents.at(0.1)
     inside = begin[:, None] + 0.25 * (np.arange(50) + 0.5) / 50
     off = np.abs(mean + battery.reference - current(inside).mean(axis=1))
     sigma = np.sqrt(currents.variance(0.1))
@@ -88,7 +88,7 @@ def test_a_ripple_that_messages_miss_is_unknown_and_does_not_move_the_mean():
     assert math.sqrt(found.ripple) == pytest.approx(0.7, rel=0.35)
     begin = np.arange(3.0, 57.0, 0.5)
     currents = Currents(battery, found, begin, begin + 0.5)
-    mean, _ = currents.at(0.0)
+    mean = currents.at(0.0)
     assert math.sqrt(np.mean((mean + battery.reference + 3.0) ** 2)) < 0.4
     assert np.sqrt(currents.variance(0.0)).min() > 0.5
 
@@ -112,7 +112,7 @@ def test_every_series_of_messages_gives_means_and_variances(name, size, gap):
     battery = battery_of(list(zip(stamps.tolist(), values.tolist(), strict=True)), 0.5, 9.5)
     begin = np.arange(0.5, 9.0, 0.25)
     currents = Currents(battery, clock(battery, (2.3,), (4.6,)), begin, begin + 0.25)
-    mean, change = currents.at(0.1)
+    mean, change = currents.at(0.1), currents.change(0.1)
     assert np.isfinite(change).all()
     assert np.abs(mean + battery.reference).max() < 1.5 * np.abs(values).max()
     variance = currents.variance(0.1)
