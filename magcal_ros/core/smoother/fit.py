@@ -20,7 +20,7 @@ from magcal_ros.core.smoother.sizes import (
     expected_square,
     noise_sizes,
 )
-from magcal_ros.core.smoother.solver import Solution, Weighted, log_determinants
+from magcal_ros.core.smoother.solver import Solution, Weighted, log_determinant
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, KindOfMotion
 
@@ -101,8 +101,8 @@ def fit(
 
     The priors are those about the start. `like` is an optimum of another kind of motion to begin
     at, or a fit of this one to continue. `report` is called with the number of each round. The
-    iterations end early if the evidence will not come near `rival`, that of another fit. Raises
-    `numpy.linalg.LinAlgError` if a matrix is not positive definite.
+    iterations end early if the evidence will not come near `rival`, with which another fit would
+    have the same weight. Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     model = Model.of(nodes, priors, start, kind)
     point, first, fewest = _begin(model, start, kind, tolerances, like)
@@ -180,7 +180,7 @@ def optimum(
             if rounds >= tolerances.gaussian:
                 point = _robust(model, point, parts, solution)
             if rounds > 0:
-                sizes[k], point = sizes[k].next(model, point, parts, solution)
+                sizes[k], point = sizes[k].next(model, point, solution)
             stands = stepped(model, point, solution, share * damping.share)
             if rounds >= tolerances.held:
                 # The factors follow from the posterior mean: the point after a whole step.
@@ -202,7 +202,7 @@ def _with_covariance(
 
     `end` are the rounds, whether they converged, and the last step of the answer.
     """
-    windows = zip(models, points, joint.weighted, joint.solutions, strict=True)
+    windows = zip(models, points, joint.solutions, strict=True)
     wide = agreed(models, [_widened(*each) for each in windows])
     doubted = Joint.at(models, wide, is_expected=True)
     if not models[0].priors.fields.is_known:
@@ -261,20 +261,15 @@ def marginal_gradient(
     there.
     """
     prior, out = prior_at(model, point), np.zeros(SHARED)
-    cases = []
     for which, step in STEPS.items():
         shared = point.state.shared.copy()
         shared[which] += step
         moved = weigh(model, replace(point, state=replace(point.state, shared=shared)))
-        cases.append(
-            [
-                replace(part, linear=replace(moved[name].linear, residual=part.linear.residual))
-                for name, part in weighted.items()
-            ]
-        )
-    found = log_determinants(cases, prior)
-    for (which, step), each in zip(STEPS.items(), found, strict=True):
-        out[which] = (each - solution.chain.log_determinant) / step
+        case = [
+            replace(part, linear=replace(moved[name].linear, residual=part.linear.residual))
+            for name, part in weighted.items()
+        ]
+        out[which] = (log_determinant(case, prior) - solution.chain.log_determinant) / step
     return out
 
 
@@ -346,15 +341,9 @@ class SizeSteps:
     pace: dict[str, float] | None = None
     steps: dict[str, float] | None = None
 
-    def next(
-        self,
-        model: Model,
-        point: Point,
-        weighted: dict[str, Weighted],
-        solution: Solution,
-    ) -> tuple[SizeSteps, Point]:
+    def next(self, model: Model, point: Point, solution: Solution) -> tuple[SizeSteps, Point]:
         """Return the change and the point after it; alternating steps are shortened."""
-        wanted, _, doubt = noise_sizes(model, point, weighted, solution)
+        wanted, _, doubt = noise_sizes(model, point, solution)
         pace, steps = {}, {}
         for name, size in wanted.items():
             step = math.log(size / point.sizes[name])
@@ -366,16 +355,14 @@ class SizeSteps:
         return SizeSteps(pace, steps), replace(point, sizes=sizes, doubt=doubt)
 
 
-def _widened(
-    model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
-) -> Point:
+def _widened(model: Model, point: Point, solution: Solution) -> Point:
     """Return the point with the sizes' posterior mean squares, for the covariance.
 
     The yaw error of axes out of square is known from the size of the soft iron only, which counts
-    by its mean square. The motors' field may be a step, or proportional to the
-    rate or the current. An even turn cannot separate them: each may be as large as all together.
+    by its mean square. The motors' field may be a step, or proportional to the rate or the current.
+    An even turn cannot separate them: each may be as large as all together.
     """
-    _, shown, _ = noise_sizes(model, point, weighted, solution)
+    _, shown, _ = noise_sizes(model, point, solution)
     beliefs = model.priors.sizes
     wide = {
         name: expected_square(size, shown.get(name, 0.0), beliefs[name])

@@ -73,16 +73,15 @@ def own_groups(model: Model) -> tuple[str, ...]:
 
 def common_groups(models: Sequence[Model]) -> dict[str, int]:
     """Return the common groups, and the window in which most of each is free."""
-    free = [model.priors.scale > 0.0 for model in models]
     own = [own_groups(model) for model in models]
     found = {}
-    for name, at in AT.items():
+    for name in AT:
         number = [
-            -1 if name in groups else int(each[at].sum())
-            for groups, each in zip(own, free, strict=True)
+            -1 if name in groups else model.free_of_group[name]
+            for groups, model in zip(own, models, strict=True)
         ]
         if max(number) >= 0:
-            found[name] = int(np.argmax(number))
+            found[name] = number.index(max(number))
     return found
 
 

@@ -100,6 +100,7 @@ class _Trials:
         progress: Callable[[float], object] | None = None,
     ) -> None:
         self._samples, self._knowledge = window, knowledge
+        self._usual = ROLLING if window.rolls else USUAL
         self._progress, self._started = progress, 0
         self.fits: dict[str, Fit] = {}
         self._impossible = False
@@ -137,9 +138,12 @@ class _Trials:
                 self._progress(min((done + share) / MOST_FITS, 1.0))
 
         start = self.nodes, self._priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
-        # A drive's evidence still gains when the places on its way are known.
-        spot = self.fits.get(ON_THE_SPOT)
-        rival = math.inf if spot is None or name == ON_THE_SPOT else spot.evidence
+        # Of drives none has a rival: the evidence still gains when the places on the way are known.
+        spot, rival = self.fits.get(ON_THE_SPOT), math.inf
+        if spot is not None and name != ON_THE_SPOT:
+            # With this evidence both kinds would have the same weight.
+            odds = self._usual.get(name, 1.0) / self._usual[ON_THE_SPOT]
+            rival = spot.evidence + math.log(odds) / BELIEVED
         try:
             found = fit(*start, tolerances, like, report, rival)
         except np.linalg.LinAlgError:
@@ -243,8 +247,7 @@ class _Trials:
             raise Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
         if not self.fits:
             raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
-        usual = ROLLING if self._samples.rolls else USUAL
-        return mixed(self.fits, self.nodes, self._knowledge, usual)
+        return mixed(self.fits, self.nodes, self._knowledge, self._usual)
 
 
 def liveliest_part(window: Window) -> Window | None:

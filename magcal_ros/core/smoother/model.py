@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -118,10 +118,16 @@ class Model:
             scale[at] *= groups[name]
         return scale
 
-    @property
+    @cached_property
     def free(self) -> IntArray:
         """Which of the shared unknowns are free; those of the centres of places come after."""
         return np.flatnonzero(self.priors.scale > 0.0)
+
+    @cached_property
+    def free_of_group(self) -> dict[str, int]:
+        """The number of free unknowns of each group."""
+        is_free = self.priors.scale > 0.0
+        return {name: int(is_free[at].sum()) for name, at in AT.items()}
 
 
 @dataclass(frozen=True, eq=False)

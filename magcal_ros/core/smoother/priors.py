@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -88,8 +89,16 @@ class Priors:
         if name == "axes":
             axes, density = self._by_cause(np.log([known["soft_iron"]]), known)
             return axes[0], density[0]
-        x = np.linspace(-3.0 * self.spread[name], math.log(self.most[name]), GRID)
+        x = self._grids[name]
         return x, self.log_density(name, x, known)
+
+    @cached_property
+    def _grids(self) -> dict[str, FloatArray]:
+        """The logarithms that are tried of each group's factor."""
+        return {
+            name: np.linspace(-3.0 * spread, math.log(self.most[name]), GRID)
+            for name, spread in self.spread.items()
+        }
 
     def log_density(self, name: str, x: FloatArray, known: Mapping[str, float]) -> FloatArray:
         """Return the log density of the logarithm of a group's factor, but for a constant."""

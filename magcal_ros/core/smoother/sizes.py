@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.smoother.factors import Linear, of_the_motors
-from magcal_ros.core.smoother.model import Model, Point, counted_unknowns
-from magcal_ros.core.smoother.solver import Solution, Weighted
-from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS, VELOCITY, Size
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.smoother.factors import of_the_motors
+from magcal_ros.core.smoother.model import Model, Point
+from magcal_ros.core.smoother.solver import Solution, Stack, Weighted
+from magcal_ros.core.smoother.unknowns import AT, LOCAL, UNKNOWNS, VELOCITY, Size
 
 SMALLEST = 4.0
 """Spreads below the median to which a size may fall; what is smaller makes no difference."""
@@ -20,7 +21,7 @@ LARGEST_STEP = 0.7
 
 
 def noise_sizes(
-    model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
+    model: Model, point: Point, solution: Solution
 ) -> tuple[dict[str, float], dict[str, float], FloatArray]:
     """Return the next sizes of the noises, and the effective number of residuals of each.
 
@@ -34,18 +35,14 @@ def noise_sizes(
         Variance of the nodes' velocities, (m/s)².
     """
     spread = _Spread.of(solution)
-    free = counted_unknowns(model, point.places)
     sizes, shown = {}, {}
-    for part in weighted.values():
-        if not part.sized:
-            continue
-        linear, is_seen = part.linear, np.isfinite(part.variance)
-        spent = part.weight * spread.of_prediction(linear, free)
-        square = part.weight * np.sum(linear.residual**2, axis=1)
+    for part, variance in spread.of_predictions(solution.stacks):
+        spent = part.weight * variance
+        square = part.weight * np.sum(part.linear.residual**2, axis=1)
         for name, rows in part.sized.items():
-            counted = rows & is_seen
+            counted = rows & np.isfinite(part.variance)
             total, taken = float(np.sum(square[counted])), float(np.sum(spent[counted]))
-            number = int(counted.sum()) * linear.residual.shape[1]
+            number = int(counted.sum()) * part.linear.residual.shape[1]
             if name == "street" and len(point.places):
                 more, less = _by_centres(point, solution)
                 total, taken, number = total + more, taken + less, number + 3 * len(point.places)
@@ -87,23 +84,25 @@ class _Spread:
         beside -= cross[:-1] @ np.swapaxes(follow[1:], 1, 2)
         return cls(own, beside, cross, solution.covariance)
 
-    def of_prediction(self, linear: Linear, free: IntArray) -> FloatArray:
-        """Return the sum of the variances of a prediction's components, shape (k,)."""
-        here, there, count = linear.here, linear.there, len(linear.here)
-        total = (here @ self.own[:count]) * here
-        if there is not None:
-            total += (2.0 * here @ self.beside + there @ self.own[1:]) * there
-        variance = total.sum(axis=(1, 2))
-        if linear.shared is not None:
-            direct = linear.by(free)
-            known = direct.shape[2]
-            cross = here @ self.cross[:count, :, :known]
-            if there is not None:
-                cross += there @ self.cross[1:, :, :known]
-            flat = direct.reshape(-1, known)
-            own = (flat @ self.shared[:known, :known]).reshape(direct.shape)
-            variance += ((own + 2.0 * cross) * direct).sum(axis=(1, 2))
-        return np.asarray(variance)
+    def of_predictions(self, stacks: list[Stack]) -> Iterator[tuple[Weighted, FloatArray]]:
+        """Return the residuals with the sum of the variances of their components, shape (k,)."""
+        for stack in stacks:
+            by_local, count = stack.rows[:, :, : stack.reached], len(stack.rows)
+            here, there = by_local[:, :, :LOCAL], by_local[:, :, LOCAL:]
+            if stack.reached == LOCAL:
+                total = ((here @ self.own[:count]) * here).sum(axis=2)
+            else:
+                total = ((here @ self.own[:-1]) * here).sum(axis=2)
+                total += ((2.0 * here @ self.beside + there @ self.own[1:]) * there).sum(axis=2)
+            direct = stack.rows[:, :, stack.reached + 1 :]
+            if known := direct.shape[2]:
+                cross = here @ self.cross[:count]
+                if stack.reached > LOCAL:
+                    cross += there @ self.cross[1:]
+                own = (direct.reshape(-1, known) @ self.shared).reshape(direct.shape)
+                total += ((own + 2.0 * cross) * direct).sum(axis=2)
+            for part, own_columns in stack.columns:
+                yield part, total[:, own_columns].sum(axis=1)
 
 
 def _next_size(size: float, total: float, shown: float, belief: Size) -> float:

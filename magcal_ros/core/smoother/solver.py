@@ -86,6 +86,7 @@ class Solution:
     """What the step of the shared unknowns solves for: `information @ shared`. Shape (s,)."""
     log_determinant: float  # of the information matrix of all unknowns
     chain: Chain  # the information matrix of the nodes' unknowns
+    stacks: list[Stack]  # the residuals
 
     def given(self, shared: FloatArray, covariance: FloatArray) -> Solution:
         """Return the step with further information on the shared unknowns."""
@@ -112,17 +113,15 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
     the matrix is not positive definite.
     """
     nodes, count = len(prior.local_information), len(free)
+    stacks = Stack.of(weighted, free)
     information = prior.information.copy()
     gradient = prior.information @ prior.offset
-    for part in weighted:
-        if part.linear.shared is not None:
-            shared = part.linear.by(free)
-            known = shared.shape[2]
-            flat = shared.reshape(-1, known)
-            heavy = (part.weight[:, None, None] * shared).reshape(-1, known)
-            information[:known, :known] += flat.T @ heavy
-            gradient[:known] += heavy.T @ part.linear.residual.ravel()
-    diagonal, upper, right = _of_nodes(weighted, prior, free)
+    for stack in stacks:
+        square = stack.square
+        known = len(square) - 1
+        information[:known, :known] += square[1:, 1:]
+        gradient[:known] += square[1:, 0]
+    diagonal, upper, right = _of_nodes(stacks, prior, count)
     chain = block_chain(diagonal, upper)
     solved = chain.solve(right).reshape(nodes * LOCAL, -1)
     cross = right[:, :, 1:].reshape(nodes * LOCAL, count)
@@ -134,45 +133,88 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
     local = (solved[:, 0] - solved[:, 1:] @ step).reshape(nodes, LOCAL)
     follow = solved[:, 1:].reshape(nodes, LOCAL, count)
     both = chain.log_determinant + by_shared
-    return Solution(local, step, covariance, follow, schur, gradient, both, chain)
+    return Solution(local, step, covariance, follow, schur, gradient, both, chain, stacks)
 
 
-def log_determinants(cases: list[list[Weighted]], prior: Prior) -> list[float]:
-    """Return the log determinant of the nodes' unknowns' information matrix for each case.
+def log_determinant(weighted: list[Weighted], prior: Prior) -> float:
+    """Return the log determinant of the information matrix of the nodes' unknowns."""
+    stacks = Stack.of(weighted, np.zeros(0, dtype=np.intp))
+    return block_chain(*_of_nodes(stacks, prior, 0)[:2]).log_determinant
 
-    The cases are eliminated side by side: a small matrix costs as much as several.
-    """
-    alone = np.zeros(0, dtype=np.intp)
-    blocks = [_of_nodes(weighted, prior, alone)[:2] for weighted in cases]
-    pivot, upper = (np.stack(each, axis=1) for each in zip(*blocks, strict=True))
-    for k, beside in enumerate(upper):
-        gain = np.linalg.inv(pivot[k]) @ beside
-        pivot[k + 1] -= np.swapaxes(beside, 1, 2) @ gain
-    return [_log_determinant(pivot[:, case]) for case in range(len(cases))]
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Residuals that depend on the same unknowns, side by side."""
+
+    columns: list[tuple[Weighted, slice]]  # each kind of residual, and its components among `rows`
+    rows: FloatArray
+    """Derivatives by the nodes' unknowns, residual, and derivatives by the shared unknowns. Shape
+    (k, d, reached + 1 + s)."""
+    weighted: FloatArray  # the same times their weights
+    reached: int  # the number of unknowns of one node or of two neighbours
+
+    @classmethod
+    def of(cls, weighted: list[Weighted], free: IntArray) -> list[Stack]:
+        """Return the stacks: of nodes and of links, with the shared unknowns and without."""
+        alike: dict[tuple[int, bool, bool], list[Weighted]] = {}
+        for part in weighted:
+            linear = part.linear
+            key = len(linear.here), linear.there is None, linear.shared is None
+            alike.setdefault(key, []).append(part)
+        return [cls._of_alike(parts, free) for parts in alike.values()]
+
+    @classmethod
+    def _of_alike(cls, parts: list[Weighted], free: IntArray) -> Stack:
+        first = parts[0].linear
+        reached = LOCAL if first.there is None else 2 * LOCAL
+        count = 0 if first.shared is None else len(free)
+        width = sum(part.linear.residual.shape[1] for part in parts)
+        rows = np.zeros((len(first.here), width, reached + 1 + count))
+        weight, columns, at = np.empty((len(first.here), width, 1)), [], 0
+        for part in parts:
+            linear = part.linear
+            own = slice(at, at + linear.residual.shape[1])
+            rows[:, own, :LOCAL] = linear.here
+            if linear.there is not None:
+                rows[:, own, LOCAL:reached] = linear.there
+            rows[:, own, reached] = linear.residual
+            if linear.shared is not None:
+                shared = linear.by(free)
+                rows[:, own, reached + 1 : reached + 1 + shared.shape[2]] = shared
+            weight[:, own, 0] = part.weight[:, None]
+            columns.append((part, own))
+            at = own.stop
+        return cls(columns, rows, weight * rows, reached)
+
+    @property
+    def square(self) -> FloatArray:
+        """Weighted squares of residual and derivatives by the shared, shape (1 + s, 1 + s)."""
+        right, heavy = (each[:, :, self.reached :] for each in (self.rows, self.weighted))
+        width = right.shape[2]
+        return np.asarray(right.reshape(-1, width).T @ heavy.reshape(-1, width))
 
 
 def _of_nodes(
-    weighted: list[Weighted], prior: Prior, free: IntArray
+    stacks: list[Stack], prior: Prior, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the nodes' diagonal and off-diagonal blocks, gradient, and blocks with the shared."""
-    nodes, count = len(prior.local_information), len(free)
+    nodes = len(prior.local_information)
     diagonal = np.zeros((nodes, LOCAL, LOCAL))
     upper = np.zeros((nodes - 1, LOCAL, LOCAL))
     right = np.zeros((nodes, LOCAL, 1 + count))
     each = np.arange(LOCAL)
     diagonal[:, each, each] = prior.local_information
     right[:, :, 0] = prior.local_information * prior.local_offset
-    for parts in _alike(weighted):
-        rows = len(parts[0].linear.here)
-        design, weight = _stacked(parts, free)
-        reached = design.shape[2] - 1 - count
-        product = np.swapaxes(weight[:, :, None] * design[:, :, :reached], 1, 2) @ design
-        diagonal[:rows] += product[:, :LOCAL, :LOCAL]
-        right[:rows] += product[:, :LOCAL, reached:]
+    for stack in stacks:
+        reached, number = stack.reached, len(stack.rows)
+        product = np.swapaxes(stack.rows[:, :, :reached], 1, 2) @ stack.weighted
+        known = product.shape[2] - reached
+        diagonal[:number] += product[:, :LOCAL, :LOCAL]
+        right[:number, :, :known] += product[:, :LOCAL, reached:]
         if reached > LOCAL:
             diagonal[1:] += product[:, LOCAL:, LOCAL:reached]
             upper += product[:, :LOCAL, LOCAL:reached]
-            right[1:] += product[:, LOCAL:, reached:]
+            right[1:, :, :known] += product[:, LOCAL:, reached:]
     return diagonal, upper, right
 
 
@@ -183,76 +225,73 @@ def inverse_and_log_determinant(information: FloatArray) -> tuple[FloatArray, fl
     return (vectors / values) @ vectors.T, float(np.sum(np.log(values)))
 
 
-def _alike(weighted: list[Weighted]) -> list[list[Weighted]]:
-    """Return the residuals grouped by shape: of nodes, and of links."""
-    found: dict[tuple[int, bool], list[Weighted]] = {}
-    for part in weighted:
-        found.setdefault((len(part.linear.here), part.linear.there is None), []).append(part)
-    return list(found.values())
-
-
-def _stacked(parts: list[Weighted], free: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return derivatives by the nodes', residual and derivatives by the shared, and weights."""
-    first = parts[0].linear
-    reached = LOCAL if first.there is None else 2 * LOCAL
-    width = sum(part.linear.residual.shape[1] for part in parts)
-    design = np.zeros((len(first.here), width, reached + 1 + len(free)))
-    weight, at = np.empty((len(first.here), width)), 0
-    for part in parts:
-        linear = part.linear
-        rows = slice(at, at + linear.residual.shape[1])
-        design[:, rows, :LOCAL] = linear.here
-        if linear.there is not None:
-            design[:, rows, LOCAL:reached] = linear.there
-        design[:, rows, reached] = linear.residual
-        if linear.shared is not None:
-            shared = linear.by(free)
-            design[:, rows, reached + 1 : reached + 1 + shared.shape[2]] = shared
-        weight[:, rows] = part.weight[:, None]
-        at = rows.stop
-    return design, weight
-
-
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A block tridiagonal matrix with its nodes eliminated, one after the other."""
+    """A block tridiagonal matrix, of which every second node is eliminated, then again.
 
-    inverse: FloatArray
-    """Of each node's block, when those before it are eliminated. Shape (n, LOCAL, LOCAL)."""
-    gain: FloatArray
-    """By how much a node follows the next, with the opposite sign. Shape (n - 1, LOCAL, LOCAL)."""
+    All nodes of a level are eliminated at once (cyclic reduction; Hockney, J. ACM 12, 1965).
+    """
+
+    inverse: (
+        FloatArray  # of the blocks of the eliminated nodes 0, 2, 4, ... Shape (m, LOCAL, LOCAL)
+    )
+    before: FloatArray
+    """By how much these, but for the first, follow the node before, with the opposite sign."""
+    after: FloatArray
+    """By how much these follow the node after, if there is one, with the opposite sign."""
+    rest: Chain | None  # the other nodes
     log_determinant: float
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Return the inverse of the matrix times columns, shape (n, LOCAL, k)."""
-        forward = right.copy()
-        for k, gain in enumerate(self.gain):
-            forward[k + 1] -= gain.T @ forward[k]
-        out = self.inverse @ forward
-        for k in range(len(self.gain) - 1, -1, -1):
-            out[k] -= self.gain[k] @ out[k + 1]
+        own = right[::2]
+        out = np.empty_like(right)
+        out[::2] = self.inverse @ own
+        if self.rest is None:
+            return out
+        left, next_to = len(self.before), len(self.after)
+        other = right[1::2] - np.swapaxes(self.after, 1, 2) @ own[:next_to]
+        other[:left] -= np.swapaxes(self.before, 1, 2) @ own[1:]
+        out[1::2] = others = self.rest.solve(other)
+        out[:-1:2] -= self.after @ others
+        out[2::2] -= self.before @ others[:left]
         return out
 
     def covariance(self) -> tuple[FloatArray, FloatArray]:
         """Return the inverse's blocks on the diagonal, and those to the right of it."""
-        own, beside = self.inverse.copy(), np.empty_like(self.gain)
-        for k in range(len(self.gain) - 1, -1, -1):
-            beside[k] = -self.gain[k] @ own[k + 1]
-            own[k] -= beside[k] @ self.gain[k].T
+        if self.rest is None:
+            return self.inverse.copy(), np.empty((0, *self.inverse.shape[1:]))
+        others, between = self.rest.covariance()
+        left, right = len(self.before), len(self.after)
+        own = np.empty((len(self.inverse) + len(others), *self.inverse.shape[1:]))
+        beside = np.empty((len(own) - 1, *self.inverse.shape[1:]))
+        own[1::2], inner = others, len(between)
+        # With the node before and after, of a node between two.
+        by_after, by_before = -self.after @ others, -self.before @ others[:left]
+        by_after[1:] -= self.before[: right - 1] @ between
+        by_before[:inner] -= self.after[1 : inner + 1] @ np.swapaxes(between, 1, 2)
+        own[::2] = self.inverse
+        own[:-1:2] -= by_after @ np.swapaxes(self.after, 1, 2)
+        own[2::2] -= by_before @ np.swapaxes(self.before, 1, 2)
+        beside[::2] = by_after
+        beside[1::2] = np.swapaxes(by_before, 1, 2)
         return own, beside
 
 
 def block_chain(diagonal: FloatArray, upper: FloatArray) -> Chain:
     """Eliminate the nodes of a block tridiagonal matrix, shapes (n, k, k) and (n - 1, k, k)."""
-    pivot, inverse, gain = diagonal.copy(), np.empty_like(diagonal), np.empty_like(upper)
-    for k, beside in enumerate(upper):
-        inverse[k] = np.linalg.inv(pivot[k])
-        pivot[k + 1] -= beside.T @ np.matmul(inverse[k], beside, out=gain[k])
-    inverse[-1] = np.linalg.inv(pivot[-1])
-    return Chain(inverse, gain, _log_determinant(pivot))
-
-
-def _log_determinant(pivot: FloatArray) -> float:
-    """Return that of a matrix by the blocks that its elimination leaves, shape (n, k, k)."""
+    pivot = diagonal[::2]
+    inverse = np.asarray(np.linalg.inv(pivot), dtype=np.float64)
     factor = np.linalg.cholesky(pivot)
-    return float(2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+    determinant = float(2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
+    if len(diagonal) == 1:
+        return Chain(inverse, upper, upper, None, determinant)
+    # From the eliminated nodes to those after them, and from those before.
+    later, earlier = upper[::2], upper[1::2]
+    after = inverse[: len(later)] @ later
+    before = inverse[1:] @ np.swapaxes(earlier, 1, 2)
+    left = diagonal[1::2] - np.swapaxes(later, 1, 2) @ after
+    left[: len(earlier)] -= earlier @ before
+    inner = len(left) - 1
+    rest = block_chain(left, -earlier[:inner] @ after[1 : inner + 1])
+    return Chain(inverse, before, after, rest, determinant + rest.log_determinant)
