@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -118,6 +119,8 @@ def examine(
     return Page(tuple(lines), mount, used, axes)
 
 
+# A refusal and a report ask the same of the same turn, several times.
+@lru_cache(maxsize=1)
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
     """Look at what the samples of a turn show, which are paired and cleaned already."""
     page = examine(SensorLog.of_window(window), knowledge)

@@ -77,7 +77,7 @@ def common_groups(models: Sequence[Model]) -> dict[str, int]:
     found = {}
     for name in AT:
         number = [
-            -1 if name in groups else model.free_of_group[name]
+            -1 if name in groups else len(model.priors.rows_of_group[name])
             for groups, model in zip(own, models, strict=True)
         ]
         if max(number) >= 0:

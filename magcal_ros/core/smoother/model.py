@@ -123,12 +123,6 @@ class Model:
         """Which of the shared unknowns are free; those of the centres of places come after."""
         return np.flatnonzero(self.priors.scale > 0.0)
 
-    @cached_property
-    def free_of_group(self) -> dict[str, int]:
-        """The number of free unknowns of each group."""
-        is_free = self.priors.scale > 0.0
-        return {name: int(is_free[at].sum()) for name, at in AT.items()}
-
 
 @dataclass(frozen=True, eq=False)
 class Point:

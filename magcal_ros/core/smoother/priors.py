@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother.earth import Fields
 from magcal_ros.core.smoother.unknowns import (
@@ -120,6 +120,14 @@ class Priors:
         iron = axes + RATIOS - math.log(self.iron_over_axes)
         density = -0.5 * ((axes - mean) ** 2 / variance + (iron / self.spread["soft_iron"]) ** 2)
         return axes, np.where(axes < math.log(self.most["axes"]), density, -math.inf)
+
+    @cached_property
+    def rows_of_group(self) -> dict[str, IntArray]:
+        """Where the unknowns of each group are among all free ones."""
+        free = np.flatnonzero(self.scale > 0.0)
+        return {
+            name: np.flatnonzero((free >= at.start) & (free < at.stop)) for name, at in AT.items()
+        }
 
     @property
     def has_exact_axes(self) -> bool:

@@ -150,8 +150,7 @@ def effect_factors(
     off = (point.state.shared - model.priors.mean)[free] / scale
     by_samples = np.linalg.solve(covariance, off)
     for name, spread in model.priors.spread.items():
-        at = AT[name]
-        rows = np.flatnonzero((free >= at.start) & (free < at.stop))
+        rows = model.priors.rows_of_group[name]
         if spread == 0.0 or not len(rows):
             continue
         alone, column = np.eye(len(rows)), covariance[:, rows]
@@ -190,9 +189,8 @@ def _factor(
     values = np.maximum(values, 0.0)
     drawn = vectors.T @ posterior @ mean
     square = np.exp(2.0 * x)[:, None]
-    likely = 0.5 * np.sum(square * drawn**2 / (1.0 + square * values), axis=1)
-    likely -= 0.5 * np.sum(np.log1p(square * values), axis=1)
-    likely += believed
+    more = square * values
+    likely = 0.5 * (square * drawn**2 / (1.0 + more) - np.log1p(more)).sum(axis=1) + believed
     if not is_expected:
         return float(np.exp(x[np.argmax(likely)]))
     odds = np.exp(likely - likely.max())
