@@ -23,7 +23,7 @@ from magcal_ros.core.smoother.drives import check_length, drive_nodes
 from magcal_ros.core.smoother.factors import (
     QUARTER,
     distortion,
-    of_the_motors,
+    motor_inputs,
     soft_iron,
     turned_by,
 )
@@ -220,7 +220,7 @@ def _swing(found: Smoothed) -> GyroSwing:
     """Return compass less corrected gyro by sectors of heading, while the robot moves."""
     best, nodes = found.fit, found.nodes
     shared, course = best.state.shared, best.point.course
-    run = of_the_motors(course, shared)
+    run = motor_inputs(course, shared)
     motors = sum(share * shared[AT[name]] for name, share in run.items())
     motors = motors + best.state.local[:, BODY_FIELD]
     back = np.linalg.inv(distortion(shared))
@@ -275,7 +275,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
         **(_of_a_drive(found) if found.mode in DRIVES else {}),
         Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: share,
         Figure.STEADY_ACCELERATION: _level_acceleration(best) / STANDARD_GRAVITY,
-        Figure.POSSIBLE_ACCELERATION: found.by_pull,
+        Figure.POSSIBLE_ACCELERATION: found.by_acceleration,
         Figure.GYRO_CARRIED: float(gyro_is_usual(best)),
         Figure.NOT_CONVERGED: float(not best.is_settled),
         Figure.ITERATIONS: float(best.rounds),

@@ -222,9 +222,9 @@ def joint_estimate(
         together = fit_together([turn.fit for turn in turns], 0.0)
     fit, (_, own) = together.fits[-1], turns[-1].found
     found = posterior(fit, knowledge.mounting.matrix)
-    by_offset = rms_sigma(found.heading_jacobian, found.by_offset)
+    offset = rms_sigma(found.heading_jacobian, found.by_offset)
     joint = replace(
-        own, fits={own.mode: fit}, weights={own.mode: 1.0}, posterior=found, by_pull=by_offset
+        own, fits={own.mode: fit}, weights={own.mode: 1.0}, posterior=found, by_acceleration=offset
     )
     estimate = estimate_of(joint, turns[-1].window, knowledge)
     answers = [turn.found[0] for turn in turns]
