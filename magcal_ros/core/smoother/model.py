@@ -40,8 +40,7 @@ GAUSSIAN = 1e9  # degrees of freedom at which a Student distribution is Gaussian
 LEAST_VARIANCE = 1e-9  # added to the variance of the processes' steps, which would be zero at rest
 
 CHANGES = "acceleration", "slip"  # the sizes of the change of velocity, ahead and sideways
-VELOCITIES = "velocity ahead", "velocity sideways"
-"""Residuals without an estimated size: the velocity follows from its change."""
+VELOCITIES = "velocity ahead", "velocity sideways"  # residuals without an estimated size
 
 LARGEST_MOTORS = UNKNOWNS["motors_moving"].sigma[0] * UNKNOWNS["motors_moving"].most  # µT per axis
 
@@ -108,9 +107,8 @@ class Model:
     @property
     def no_places(self) -> Places:
         """No centres; without a gyro no local disturbance at the nodes either."""
-        count = len(self.nodes)
-        none = Places.none(count, self.priors.lengths.street)
-        return none if self.nodes.tied_to is None else replace(none, rest=np.zeros(count))
+        none = Places.none(len(self.nodes), self.priors.lengths.street)
+        return none if self.nodes.tied_to is None else replace(none, rest=0.0 * none.rest)
 
     def scales(self, groups: dict[str, float]) -> FloatArray:
         """Return the sigmas of the shared unknowns' priors, shape (SHARED,)."""
