@@ -350,7 +350,7 @@ def fault_words(topic: str, fault: SpeedFault, fitted: MountingYaw) -> str:
         times = 1.0 / max(fitted.scale, 1e-6)
         unit = next((name for k, name in UNITS.items() if abs(times / k - 1.0) < 0.12), "")
         guess = f", as if it were in {unit}" if unit else ""
-        what = f"is {times:.2g} times that by the accelerometer{guess}: publish m/s"
+        what = f"is {times:.2g} times the speed by the accelerometer{guess}: publish m/s"
     else:
         what = {
             SpeedFault.JUMPS: "jumps more than a vehicle can: check the encoder and its driver",
