@@ -173,11 +173,11 @@ MOTORS_PARTLY_SHOWN = (
     "or use an IMU with a gyro"
 )
 ALLOWED_SIGMAS = 2.0
-"""Sigmas that a bound allows for: of the reference's level field, and of the arc."""
+"""Allowance of a bound in sigmas: for the reference's level field, and for the arc."""
 
 
 def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
-    """Return the bounds of what was fitted, adapted to its figures."""
+    """Return the bounds of an estimate, adapted to its figures."""
     bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in estimate.figures else TURN_BOUNDS
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in estimate.figures else bounds
     return tuple(_adapted(bound, estimate) for bound in bounds)
