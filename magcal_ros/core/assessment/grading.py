@@ -46,7 +46,7 @@ SCALES = {"°": DEGREES, "%": 100.0, " µT": 1e6, " ms": 1e3}
 """Factors from SI to displayed units; other units have no factor."""
 
 
-SITS_OTHERWISE = (
+CHECK_MOUNTING = (
     "is the sensor mounted like this? Then give its pose with mount_rpy_deg; if not, the result "
     "is wrong: turn again on the spot, with a gyro"
 )

@@ -154,7 +154,7 @@ NO_MOUNTING = (
     "the mounting of the magnetometer against the IMU: this method assumes aligned axes and does "
     "not correct it"
 )
-STAND_BESIDE = (
+REST_BESIDE_TURN = (
     "stand still for three seconds before and after the turn: that shows the gyro's bias, and"
     " whether there was a centripetal acceleration"
 )
@@ -265,7 +265,7 @@ def _check(
     if bound.figure is Figure.HEADING_SIGMA:
         hidden = figures.get(Figure.POSSIBLE_ACCELERATION, 0.0)
         if hidden**2 > 0.5 * figure**2:
-            bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
+            bound = replace(bound, remedy=REST_BESIDE_TURN if _by_gyro(figures) else ON_THE_SPOT)
         if Figure.LOCAL_SIGMA in figures:
             # Local disturbances along a drive do not depend on the calibration.
             return bound.check(calibration_sigma(estimate))

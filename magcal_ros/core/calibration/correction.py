@@ -28,7 +28,7 @@ class Correction:
     """
 
     matrix: FloatArray  # A, dimensionless; must be invertible and keep handedness. Shape (3, 3).
-    hard_iron: FloatArray  # h in tesla, in the magnetometer's own axes. Shape (3,).
+    hard_iron: FloatArray  # h in tesla, in the magnetometer's axes. Shape (3,).
 
     def __post_init__(self) -> None:
         freeze(self, matrix=(3, 3), hard_iron=(3,))

@@ -2,10 +2,11 @@
 
 In a level frame that the gyro stabilises (`GyroFrame`), with the IMU's yaw theta in it,
 
-    F = z d/dt [v e^(i theta)] + w d/dt [i r e^(i theta)] + e,    z = s e^(-i beta),
+    F = z d/dt [v e^(i theta)] + w d/dt [i r e^(i theta)] + e,    z = s e^(-i beta).
 
-where F is the force across up, v the signed speed, r the turn rate, w the lever arm from the rear
-axle to the IMU, beta the yaw of the IMU in the vehicle and s one if the speed's unit is right.
+F is the force across up, v the signed speed, r the turn rate, and w the lever arm from the rear
+axle to the IMU. beta is the yaw of the IMU in the vehicle, and s is one if the speed's unit is
+right.
 Neither field nor course is needed. All terms are low-passed over a second, minus their mean over
 20 s.
 """
@@ -192,7 +193,7 @@ def _filtered(ticks: TickTable) -> tuple[ComplexArray, ComplexArray, ComplexArra
 
 
 def _running(sums: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
-    """Return the mean over so many rows about each, of running sums and of valid rows."""
+    """Return the running mean over `width` rows, from cumulative sums and counts of valid rows."""
     total = len(sums) - 1
     last = np.minimum(np.maximum(np.arange(total) - width // 2, 0) + width, total)
     first = np.maximum(last - width, 0)

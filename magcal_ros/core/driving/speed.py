@@ -102,10 +102,10 @@ class SpeedTrack:
         if stamp < self.newest:
             self._recent.clear()
             self._kept.clear()
-        self._weigh((stamp, speed))
+        self._accept((stamp, speed))
         return True
 
-    def _weigh(self, sample: tuple[float, float]) -> None:
+    def _accept(self, sample: tuple[float, float]) -> None:
         """Accept a sample; after a jump only if the next sample confirms it."""
         doubted, self._doubted = self._doubted, None
         is_wild = bool(self._recent) and is_jump(self._recent[-1], sample)
@@ -320,9 +320,9 @@ class OwnAcceleration:
         self._is_under_way, self._speed = not is_slow, abs(speed)
         self._matched.append((tick, speed * cmath.exp(1j * tick.yaw)))
         if len(self._matched) > self._span:
-            self._weigh()
+            self._subtract()
 
-    def _weigh(self) -> None:
+    def _subtract(self) -> None:
         """Subtract the change of velocity over the span from the mean force."""
         (begin, old), *others = list(self._matched)[-self._span - 1 :]
         end, new = others[-1]

@@ -103,8 +103,8 @@ class Validity:
     most_years_late: float = 5.0
     """Years after the end of its life during which a model is still used, with grown sigmas."""
     drift_strength: float = 30e-9
-    """Growth of a component's error after the model's life, tesla per year: WMM2010, 2015 and 2020,
-    extrapolated for five to ten years, differ from their successors by 24 to 28 nT and 0.03 to
+    """Growth of a component's error after the model's life, tesla per year. Extrapolated for five
+    to ten years, WMM2010, 2015 and 2020 differ from their successors by 24 to 28 nT and 0.03 to
     0.05° per year (RMS over the globe)."""
     drift_inclination: float = math.radians(0.05)  # the same in radians per year
     blackout: float = 2000e-9

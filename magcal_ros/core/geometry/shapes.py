@@ -129,9 +129,9 @@ def _of_unit_size(
 def ellipse_ratio(points: FloatArray) -> float | None:
     """Return longest over shortest half axis of the ellipse through points (n, 2), 1 or more.
 
-    It is fitted under the constraint that it is an ellipse (Halír and Flusser, 1998): with the
-    scatter of the quadratic terms S1, of the linear terms S3 and between them S2, the quadratic
-    coefficients are the eigenvector of C⁻¹ (S1 - S2 S3⁻¹ S2ᵀ) for which 4ac - b² > 0. None if no
+    It is fitted under the constraint that it is an ellipse (Halír and Flusser, 1998). S1 and S3 are
+    the scatters of the quadratic and of the linear terms, S2 that between them. The quadratic
+    coefficients are the eigenvector of C⁻¹ (S1 - S2 S3⁻¹ S2ᵀ) with 4ac - b² > 0. None if no
     eigenvector is an ellipse. Raises `Refusal` for fewer than five points, a line, or numbers not
     finite.
     """

@@ -29,7 +29,7 @@ class FrontTuning:
     useful: float = math.radians(2.0)  # radians of sigma below which a yaw is applied
     lost: float = math.radians(10.0)  # radians of sigma beyond which a course is not used
     far_off: float = math.radians(15.0)
-    """Radians between a described and a found yaw, from which the user must correct the former."""
+    """Difference of described and found yaw from which the user must correct the description."""
 
 
 FRONT = FrontTuning()

@@ -169,8 +169,8 @@ class Compass:
 
         In magnetic ENU axes let body x be (xe, xn, xu) and the field (0, mn, mu). A small error of
         the up vector, a rotation (pe, pn) about east and north, causes a yaw error
-        pe * (-xe xu / l²) + pn * (mu / mn - xn xu / l²), with l² = xe² + xn²,
-        a roll error (pe cos yaw + pn sin yaw) / l and a pitch error pn cos yaw - pe sin yaw.
+        pe * (-xe xu / l²) + pn * (mu / mn - xn xu / l²), with l² = xe² + xn².
+        The roll error is (pe cos yaw + pn sin yaw) / l, the pitch error pn cos yaw - pe sin yaw.
         """
         fx, fy, fz = force
         mx, my, mz = field

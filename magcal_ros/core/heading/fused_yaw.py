@@ -294,7 +294,7 @@ class FusedYaw:
 
     @property
     def is_disputed(self) -> bool:
-        """Whether most of the yaw's variance comes from the dispute."""
+        """Whether most of the yaw's variance is due to the dispute."""
         return self.yaw_variance > 2.0 * self._filter.yaw_variance
 
     @property

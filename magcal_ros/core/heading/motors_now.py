@@ -21,7 +21,7 @@ from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.motion_sense import RUNNING
 
 MICROTESLA = 1e6
-PLACE, LEFT = slice(0, 3), slice(3, 6)
+PLACE, RESIDUAL = slice(0, 3), slice(3, 6)
 """States: field of the place, and residual of the motors' field; µT, body axes."""
 EYE = np.eye(3)
 
@@ -183,7 +183,7 @@ class MotorsNow:
         if late is None:
             # A lasting change is no start or stop: it is another motor, or at rest the place.
             is_place = running.moving == 0.0 and not self._may_hold(running)
-            self._forget(PLACE if is_place else LEFT, self._whole + otherwise)
+            self._forget(PLACE if is_place else RESIDUAL, self._whole + otherwise)
             one, other = self._answers(measured, unknown, unknown)
             late = np.zeros(len(UNSEEN))
         elif running.moving > 0.0:
@@ -244,20 +244,20 @@ class MotorsNow:
         """Return the updates by a sample, under two covariances of the motors' field."""
         mean, covariance = self._mean, self._covariance
         either = np.stack([unknown, otherwise])[:, None]
-        off = (measured - mean[:, PLACE] - mean[:, LEFT])[:, :, None]
-        both = covariance[:, :, PLACE] + covariance[:, :, LEFT]
-        inverse = np.linalg.inv(both[:, PLACE] + both[:, LEFT] + either + self._noise)
-        left = both[:, LEFT] + either
+        off = (measured - mean[:, PLACE] - mean[:, RESIDUAL])[:, :, None]
+        both = covariance[:, :, PLACE] + covariance[:, :, RESIDUAL]
+        inverse = np.linalg.inv(both[:, PLACE] + both[:, RESIDUAL] + either + self._noise)
+        left = both[:, RESIDUAL] + either
         missed, seen = inverse @ off, left @ inverse
         rest = EYE - seen
         # The residual contains a part of the sample's noise, which cancels in the difference.
-        lasting = covariance[:, LEFT, LEFT] + either - seen @ left.swapaxes(2, 3)
+        lasting = covariance[:, RESIDUAL, RESIDUAL] + either - seen @ left.swapaxes(2, 3)
         lasting = lasting - seen @ self._noise @ seen.swapaxes(2, 3)
         found = (
             0.5 * (np.log(np.linalg.det(inverse)) - np.sum(off * missed, axis=(2, 3))),
             (both @ missed)[:, :, :, 0],
             covariance - both @ inverse @ both.swapaxes(1, 2),
-            mean[:, LEFT] + (left @ missed)[:, :, :, 0],
+            mean[:, RESIDUAL] + (left @ missed)[:, :, :, 0],
             lasting,
             rest @ self._noise @ rest.swapaxes(2, 3),
         )
@@ -279,7 +279,7 @@ class MotorsNow:
         faster, self._rate, self._before = now - self._rate, now, running
         if not 0.0 < seconds < PLACE_FIELD.longest:
             self._forget(PLACE, level)
-            self._forget(LEFT, level)
+            self._forget(RESIDUAL, level)
             self._change = np.zeros(len(values))
             return
         share = min(seconds / RUNNING.latency, 1.0)
@@ -292,7 +292,7 @@ class MotorsNow:
         if moves:
             self.odds = self.odds + seconds / RUNNING.unseen_lasts * (ODDS - self.odds)
         step = np.zeros((6, 6))
-        step[PLACE, PLACE], step[LEFT, LEFT] = exp_rotation(-turned), keeps * EYE
+        step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * EYE
         self._mean = self._mean @ step.T
         covariance = step @ self._covariance @ step.T
         way = seconds * moves * PLACE_FIELD.way(running.speed, rate)
@@ -305,8 +305,8 @@ class MotorsNow:
         # Within the latency, the residual changes by as much as the inputs.
         late = 0.5 * RUNNING.body_length / RUNNING.latency * self._latency**2
         level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains
-        covariance[:, LEFT, LEFT] += (1.0 - keeps**2) * level
-        covariance[:, LEFT, LEFT] += keeps**2 * (self._by_gains @ changed) @ changed
+        covariance[:, RESIDUAL, RESIDUAL] += (1.0 - keeps**2) * level
+        covariance[:, RESIDUAL, RESIDUAL] += keeps**2 * (self._by_gains @ changed) @ changed
         self._covariance = covariance
 
     def _forget(self, which: slice, level: FloatArray) -> None:

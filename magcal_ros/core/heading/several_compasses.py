@@ -199,7 +199,7 @@ class SeveralCompasses:
         yaws = self._compass_yaws(moment, up.direction, fused, seconds)
         if not yaws:
             return moment
-        kept = believed(yaws)
+        kept = without_outliers(yaws)
         self._note_disagreement(kept, seconds)
         weights = [1.0 / (each.variance + self._apart.variance) for each in kept]
         shares = [weight / sum(weights) for weight in weights]
@@ -370,7 +370,7 @@ def _mean(vectors: list[Triple], shares: list[float]) -> Triple:
     return (x, y, z)
 
 
-def believed(yaws: list[CompassYaw]) -> list[CompassYaw]:
+def without_outliers(yaws: list[CompassYaw]) -> list[CompassYaw]:
     """Return the yaws without outliers.
 
     A yaw is an outlier if the others agree far better without it, and far better than without any

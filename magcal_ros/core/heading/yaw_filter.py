@@ -243,9 +243,9 @@ WANDERS = 1
 class GyroLoss:
     """The random walks of a gyro's angle and bias, from headings of another device and from rests.
 
-    For each set of sizes on a grid, a Kalman filter estimates the yaw minus that of the gyro, minus
-    the gyro's bias, the correlated error of the headings, and angle and rate of their drift. The
-    sets are weighted by likelihood and log-normal priors.
+    There is a Kalman filter for each set of sizes on a grid. Its states are the yaw minus that of
+    the gyro, the gyro's negative bias, the correlated error of the headings, and angle and rate of
+    their drift. The sets are weighted by likelihood and log-normal priors.
 
     `share` is the variance of this gyro's random walk of angle over the usual one. `walked` is the
     random walk of its bias, (rad/s)² per second, and `rest_turn` the squared turn rate of a robot

@@ -1,9 +1,9 @@
 """The field of the motors, learnt while a robot drives: at starts, stops and turns.
 
-The states of a Kalman filter are, in body axes: the field of the place, which the gyro propagates
-and the path changes; the error of the hard iron; coloured noise of the body; and the motors' gains,
-one vector for each input. The field of the place is forgotten within some metres, so that the gains
-are determined by changes of the inputs and not of the place.
+The states of a Kalman filter, in body axes, are the field of the place, the error of the hard iron,
+coloured noise of the body, and the motors' gains, one vector for each input. The gyro propagates
+the field of the place, which is forgotten within some metres: the gains are determined by changes
+of the inputs and not of the place.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The ST design tip DT0103 (A. Vitali, 2018): accelerometer-assisted calibration in a plane.
 
-Installation error and hard iron from one turn, in closed form: the turn's axis from the
-accelerometer, the normal of the field's plane, the centre of the field's circle, and the
+Installation error and hard iron from one turn, in closed form. The steps are the turn's axis from
+the accelerometer, the normal of the field's plane, the centre of the field's circle, and the
 installation that rotates one normal to the other. Known errors of the tip are corrected: normals
 that are forced upwards separately, the Newton search, the switch between level and tilted axes, and
 answers to samples that do not determine a solution.

@@ -25,7 +25,7 @@ from magcal_ros.core.smoother.unknowns import ROLL_PITCH, STANDING, YAW, Size
 
 METHOD = "known_headings"
 DEGREES = 180.0 / math.pi
-FEW = 24  # most standings among which the contradicting one is searched
+MOST_SEARCHED = 24  # most standings among which the contradicting one is searched
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _contradiction(
     alone = agreement_of(apart, knowledge, place)
     if alone.chance > TUNING.chance:
         return _by_gyro(standings)
-    if 2 < count <= FEW:
+    if 2 < count <= MOST_SEARCHED:
         found = [agreement_of(_without(standings, k), knowledge, place) for k in range(count)]
         k = min(range(count), key=lambda j: found[j].cost)
         if found[k].chance > TUNING.chance:

@@ -58,7 +58,7 @@ FEWEST_SECTORS = 4  # sectors of heading, of twelve, that a drive has to reach
 LARGEST_STREET = 12.0
 """µT of local disturbance beyond which the axes of the sensors do not match."""
 INLIER_WEIGHT = 0.3  # Student weight above which a node counts as an inlier
-WEAKENED = 0.1  # loss of the level field, relative, that no error of a sensor's gain explains
+LARGEST_GAIN_ERROR = 0.1  # of a sensor, relative; a body explains a larger loss of the level field
 
 
 def fit(
@@ -217,7 +217,7 @@ def _wobble(best: Fit) -> float:
 
 
 def _swing(found: Smoothed) -> GyroSwing:
-    """Return compass less corrected gyro by sectors of heading, while the robot moves."""
+    """Return compass minus corrected gyro by sectors of heading, while the robot moves."""
     best, nodes = found.fit, found.nodes
     shared, course = best.state.shared, best.point.course
     run = motor_inputs(course, shared)
@@ -270,7 +270,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     size = float(np.linalg.norm(at_rate @ shared))
     doubt = math.sqrt(float(np.trace(at_rate @ best.covariance @ at_rate.T)))
     share = float(np.trace(soft_iron(shared)[:2, :2])) / 2.0
-    weakened = 1.0 - share > max(WEAKENED, CLEAR * sigma[SHIELDING])
+    weakened = 1.0 - share > max(LARGEST_GAIN_ERROR, CLEAR * sigma[SHIELDING])
     return {
         **(_of_a_drive(found) if found.mode in DRIVES else {}),
         Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: share,

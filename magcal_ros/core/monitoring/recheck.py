@@ -256,7 +256,7 @@ def _records(
 def _figures(
     records: FloatArray, heading: FloatArray, calibration: Calibration
 ) -> tuple[dict[Figure, tuple[float, float]], GyroSwing | None]:
-    """Return figures of records, each with its largest size by chance, and compass less gyro."""
+    """Return figures of records, each with its largest size by chance, and compass minus gyro."""
     stamp, size, rise = records[:, 0], records[:, 2], records[:, 3]
     level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
     dip = np.arctan2(-rise, level)

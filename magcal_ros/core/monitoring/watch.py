@@ -199,7 +199,7 @@ def _swings(
 
 
 def _gyro_figure(records: FloatArray) -> dict[Figure, tuple[float, float]]:
-    """Return the RMS swing of compass less gyro, or its median if few headings were seen."""
+    """Return the RMS swing of compass minus gyro, or its median if few headings were seen."""
     name = Figure.GYRO_COMPASS_HARMONIC
     if np.ptp(records[:, 0]) < WATCH.shortest_span or np.ptp(records[:, 4]) < math.tau:
         return {}

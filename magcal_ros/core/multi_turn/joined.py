@@ -42,13 +42,13 @@ from magcal_ros.core.smoother.unknowns import (
     YAW,
 )
 
-LOOKED_AT = 2.0  # misfit below which turns are not compared further; this only saves time
-LEAST = 0.03  # least relative difference of the two variances in the Hausman test
-COPIED = 0.5  # fraction of common samples from which a turn is a copy of another
+COMPARED_ABOVE = 2.0  # misfit below which turns are not compared further; this only saves time
+LEAST_DIFFERENCE = 0.03  # least relative difference of the two variances in the Hausman test
+COPY_SHARE = 0.5  # fraction of common samples from which a turn is a copy of another
 SHOWN_YAW = 0.5  # ratio of posterior to prior sigma below which the installation's yaw is published
-SHORT = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
+JOINABLE = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
 """Reasons for which a turn is not enough alone, but may be joined with others."""
-GUESSED = (Reason.CIRCLE_TOO_SMALL, Reason.AXIS_ALONG_FIELD, Reason.FIELD_TOO_STEEP)
+ALSO_JOINABLE = (Reason.CIRCLE_TOO_SMALL, Reason.AXIS_ALONG_FIELD, Reason.FIELD_TOO_STEEP)
 """The same without a reference: one turn does not determine the dip of the field."""
 WORST_IS_LARGEST = (
     Figure.GYRO_COMPASS_SWING,
@@ -58,7 +58,7 @@ WORST_IS_LARGEST = (
     Figure.IRON_DRIFT,
 )
 WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
-"""Figures of the turns' own fits of which the worst is reported."""
+"""Figures of the separate fits whose worst value is reported."""
 CONTRADICTS = (
     "it contradicts {}: they differ by {:.0f} times what noise explains. Turn where the field is "
     "undisturbed and the same, with the same load; if the robot itself has changed, start anew"
@@ -122,7 +122,7 @@ def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
         why = blamed_on_axes(refusal, window, knowledge)
         reference = knowledge.reference
         guessed = reference.strength.is_unknown and reference.inclination.is_unknown
-        mended = estimate is not None and refusal.reason in SHORT + GUESSED * guessed
+        mended = estimate is not None and refusal.reason in JOINABLE + ALSO_JOINABLE * guessed
         unfit = "" if mended else str(why).rstrip(".")
         return Turn(name, window, estimate, found, why.reason, unfit)
     wrong = wrong_axes(window, knowledge)
@@ -139,7 +139,7 @@ def _is_copy(window: Window, other: Window) -> bool:
         {row.tobytes() for row in np.hstack([each.field, each.specific_force])}
         for each in (window, other)
     )
-    return len(one & two) > COPIED * min(len(one), len(two))
+    return len(one & two) > COPY_SHARE * min(len(one), len(two))
 
 
 def agreement(alone: Sequence[Fit], together: Together, sigma: float) -> tuple[float, int | None]:
@@ -151,7 +151,7 @@ def agreement(alone: Sequence[Fit], together: Together, sigma: float) -> tuple[f
     installation's yaw.
     """
     misfit = max(_misfit(one, joint) for one, joint in zip(alone, together.fits, strict=True))
-    if misfit < LOOKED_AT or len(alone) < 2:
+    if misfit < COMPARED_ABOVE or len(alone) < 2:
         return misfit, None
     asked = range(len(alone)) if len(alone) > 2 else [1]
     gains = {k: _gain(alone, k, together, sigma) for k in asked}
@@ -177,10 +177,10 @@ def _misfit(alone: Fit, joint: Fit) -> float:
     whiten = vectors / np.sqrt(np.maximum(values, 1e-12))
     shares, turned = np.linalg.eigh(whiten.T @ joint.covariance[iron, iron] @ whiten)
     off = turned.T @ whiten.T @ (alone.state.shared - joint.state.shared)[iron]
-    return float(np.sqrt(np.mean(off**2 / np.maximum(1.0 - shares, LEAST))))
+    return float(np.sqrt(np.mean(off**2 / np.maximum(1.0 - shares, LEAST_DIFFERENCE))))
 
 
-def those_that_agree(
+def agreeing_turns(
     surveyed: Sequence[Turn], knowledge: Knowledge
 ) -> tuple[list[Turn], Together | None, float]:
     """Leave out one turn after another until the rest agrees on one calibration.
@@ -231,7 +231,7 @@ def joint_estimate(
     figures = {
         **estimate.figures,
         **_worst_of(turns),
-        **_pulls(estimate, knowledge),
+        **_deviations(estimate, knowledge),
         Figure.HEADING_SIGMA: level,
         Figure.HEADING_SIGMA_TILTED: tilted,
         Figure.SAMPLES: float(sum(each.inliers.sum() for each in answers)),
@@ -246,7 +246,7 @@ def joint_estimate(
 
 
 def _worst_of(turns: Sequence[Turn]) -> dict[Figure, float]:
-    """Return the worst of the turns' own figures, of those that could stand alone."""
+    """Return the worst figures of the separate fits, of turns that are enough alone."""
     own = [turn.found[0].figures for turn in turns if turn.reason is None]
     figures: dict[Figure, float] = {}
     for names, worst in ((WORST_IS_LARGEST, max), (WORST_IS_SMALLEST, min)):
@@ -256,7 +256,7 @@ def _worst_of(turns: Sequence[Turn]) -> dict[Figure, float]:
     return figures
 
 
-def _pulls(estimate: Estimate, knowledge: Knowledge) -> dict[Figure, float]:
+def _deviations(estimate: Estimate, knowledge: Knowledge) -> dict[Figure, float]:
     """Return the normalised differences of strength and inclination from the reference."""
     known = knowledge.reference
     pairs = (
@@ -358,7 +358,7 @@ def join(
     Returns all turns, the joint estimate (None for less than two turns), and the report; None if
     no turn joined.
     """
-    turns, together, misfit = those_that_agree(surveyed, knowledge)
+    turns, together, misfit = agreeing_turns(surveyed, knowledge)
     members = [turn for turn in turns if not turn.unfit]
     if together is None:
         return turns, None, None

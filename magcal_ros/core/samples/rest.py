@@ -29,7 +29,7 @@ FIELD, FORCE, RATE = slice(1, 4), slice(4, 7), slice(7, 10)
 ANGLE, INTERVALS, SPAN, SPEED, COLUMNS = slice(10, 13), 16, slice(10, 17), 17, 18
 """Columns of samples in rows; the first column is the stamp. `SPAN` is the `ImuSpan` since the
 previous row, NaN if unknown; `ANGLE` and `INTERVALS` are parts of it. `SPEED` is NaN if unknown."""
-CHANGES_BY = 0.03
+BIAS_CHANGE = 0.03
 """Relative change of a bias from rest to rest: 3.38 and 3.55 °/s within 40 s in a car."""
 
 
@@ -42,7 +42,7 @@ class GyroAtRest(NamedTuple):
     @property
     def later_sigma(self) -> float:
         """Sigma of the remaining bias if this one is subtracted later, rad/s per axis."""
-        return math.hypot(self.sigma, CHANGES_BY * length(self.rate))
+        return math.hypot(self.sigma, BIAS_CHANGE * length(self.rate))
 
 
 class LongestRest(NamedTuple):
@@ -168,7 +168,7 @@ def rests_around(
     first, end = 0, len(time)
     if count <= TUNING.at_least:
         return first, end, None
-    rests = _stands_by_field(field, blocks) if rate is None else _stands(field, rate, blocks)
+    rests = _rests_by_field(field, blocks) if rate is None else _rests(field, rate, blocks)
     for rest in rests if count > 2 * TUNING.at_least else []:
         # The block in which the robot starts or stops belongs to neither.
         if rest.first == 0 and rest.end < count:
@@ -191,7 +191,7 @@ def longest_stand(time: FloatArray, field: FloatArray, rate: FloatArray) -> Long
         return None
     longest = max(found, key=lambda each: each.end - each.first)
     # From block to block, a slow turn may look like a rest.
-    is_turn = longest.shows and not longest.stood
+    is_turn = longest.shows and not longest.rested
     return None if is_turn else LongestRest(longest.rates.mean(axis=0), longest.shows)
 
 
@@ -217,7 +217,7 @@ class _Stretch(NamedTuple):
     first: int
     end: int
     rates: FloatArray  # mean rates of the blocks, rad/s, shape (b, 3)
-    stood: bool = False
+    rested: bool = False
     """Whether the field changed far less over the whole stretch than by a turn at the gyro's rate.
     From block to block, a slow turn is not visible."""
     shows: bool = False  # whether such a turn would have exceeded the limits of the field
@@ -225,10 +225,10 @@ class _Stretch(NamedTuple):
     @property
     def is_proven(self) -> bool:
         """Whether the field proves that the robot rested."""
-        return self.stood and self.shows
+        return self.rested and self.shows
 
 
-def _stands(
+def _rests(
     field: FloatArray, rate: FloatArray, blocks: tuple[IntArray, IntArray]
 ) -> list[_Stretch]:
     """Return every stretch in which the robot rested."""
@@ -239,7 +239,7 @@ def _stands(
     return [s for s, mean in zip(found, means, strict=True) if s.is_proven or mean <= creeps]
 
 
-def _stands_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_Stretch]:
+def _rests_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_Stretch]:
     """Return every rest without a gyro: the field is constant over the whole stretch."""
     alone = _Blocks.of(field, *blocks, TUNING.smallest_turn * float(np.ptp(field, axis=0).max()))
     turned = np.ptp(alone.mean, axis=0) > TUNING.shown * np.median(alone.limit, axis=0)

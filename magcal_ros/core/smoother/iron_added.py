@@ -38,7 +38,7 @@ FEWEST_SINCE = 4  # nodes before and after the moment at which iron was added
 STEEL_ODDS, STEEL_LENGTH = 300.0, 100.0
 """Prior odds of steel on the path (bridges, tunnels, garages) against iron added to the robot, and
 the mean length of such a disturbance, metres."""
-LASTING = 0.15  # sigma of the constant error of sensors and place over a drive, µT
+CONSTANT_ERROR = 0.15  # sigma of the constant error of sensors and place over a drive, µT
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) ->
     correction = calibration.correction
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     own = correction.matrix @ calibration.covariance[9:, 9:] @ correction.matrix.T
-    known = np.hypot(MICROTESLA * np.sqrt(np.maximum(np.diag(own), 0.0)), LASTING)
+    known = np.hypot(MICROTESLA * np.sqrt(np.maximum(np.diag(own), 0.0)), CONSTANT_ERROR)
     priors = held_priors(knowledge, known)
     same = held_fit(inside, priors)
     if same is None:

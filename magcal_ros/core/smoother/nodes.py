@@ -18,7 +18,7 @@ from magcal_ros.core.smoother.unknowns import MICROTESLA
 
 LINKS = ("seconds", "turned", "angle", "force", "along", "swing", "samples", "unseen")
 """Fields of `Nodes` that describe the links between nodes."""
-UNTIED, APART = 10.0, 1000.0
+NO_GYRO_VARIANCE, NO_GYRO_SECONDS = 10.0, 1000.0
 """Variance of the rotation (radians²) and duration (seconds) of a link without gyro samples."""
 
 
@@ -90,7 +90,7 @@ class Nodes:
     @property
     def is_tied(self) -> BoolArray:
         """Whether the gyro has samples all the way between neighbours, shape (n - 1,)."""
-        return np.asarray(self.unseen.max(axis=1) < UNTIED)
+        return np.asarray(self.unseen.max(axis=1) < NO_GYRO_VARIANCE)
 
     def in_axes(self, rotation: FloatArray) -> Nodes:
         """Return the nodes in rotated body axes (3, 3), with the same field and force."""
@@ -173,24 +173,24 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
         None if window.wheel_speed is None else block_means(window.wheel_speed, first),
         currents=_currents(window, first, quiet),
     )
-    nodes = _untied(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
+    nodes = _without_lost_links(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
     return _with_rests(nodes, window, attitude, middle, to_body)
 
 
-def _untied(nodes: Nodes, lost: BoolArray) -> Nodes:
+def _without_lost_links(nodes: Nodes, lost: BoolArray) -> Nodes:
     """Return the nodes without the links (n - 1,) in which gyro samples are missing."""
     if not lost.any():
         return nodes
     rows, empty = lost[:, None], np.zeros(3)
     return replace(
         nodes,
-        seconds=np.where(lost, APART, nodes.seconds),
+        seconds=np.where(lost, NO_GYRO_SECONDS, nodes.seconds),
         turned=np.where(rows[:, None], np.eye(3), nodes.turned),
         angle=np.where(rows, empty, nodes.angle),
         along=np.where(rows[:, None], np.eye(3), nodes.along),
         swing=np.where(rows, empty, nodes.swing),
         samples=np.where(lost, 0.0, nodes.samples),
-        unseen=np.where(rows, UNTIED, nodes.unseen),
+        unseen=np.where(rows, NO_GYRO_VARIANCE, nodes.unseen),
     )
 
 

@@ -18,8 +18,8 @@ from magcal_ros.core.smoother.unknowns import STREET, VELOCITY
 
 MOST = 32  # centres at most
 CLOSEST = 5.0  # metres between centres at least
-AGAIN = 3.0  # ratio of path to straight line between two nodes from which a place is passed again
-SMALL = 0.03  # fraction of the disturbance's variance with a small extent, such as a manhole cover
+REVISIT_RATIO = 3.0  # ratio of path to straight line between two nodes for a repeated pass
+SMALL_SCALE = 0.03  # fraction of the disturbance's variance with a small extent: manhole covers
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +65,8 @@ class Places:
         to_nodes = np.exp(-_distances(way, centres) / length)
         information = np.asarray(np.linalg.inv(among), dtype=np.float64)
         weights = to_nodes @ information
-        explained = (1.0 - SMALL) * np.sum(weights * to_nodes, axis=1)
-        rest = np.sqrt(np.clip(1.0 - explained, SMALL, 1.0))
+        explained = (1.0 - SMALL_SCALE) * np.sum(weights * to_nodes, axis=1)
+        rest = np.sqrt(np.clip(1.0 - explained, SMALL_SCALE, 1.0))
         determinant = float(np.linalg.slogdet(among)[1])
         return cls(weights, chosen, rest, information, determinant, min(apart, length))
 
@@ -97,7 +97,7 @@ def _passed_again(way: FloatArray, length: float) -> BoolArray:
     metres = np.concatenate([[0.0], np.cumsum(steps)])
     along = np.abs(metres[:, None] - metres)
     apart = _distances(way, way)
-    again = (along > AGAIN * apart) & (along > CLOSEST) & (apart < length)
+    again = (along > REVISIT_RATIO * apart) & (along > CLOSEST) & (apart < length)
     return np.asarray(again.any(axis=1))
 
 

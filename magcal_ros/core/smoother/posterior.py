@@ -155,16 +155,16 @@ def _usual(values: FloatArray) -> float:
 def correction_of(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> Correction:
     """Return the correction of the shared unknowns, SI units.
 
-    The corrected field is in the axes in which the accelerometer measures up. `to_sensor` (3, 3) is
-    the rotation from nominal body axes to sensor axes; `up` (3,) is up in body axes of the level
-    robot.
+    The corrected field is in axes in which up is that of the accelerometer at rest. `to_sensor`
+    (3, 3) is the rotation from nominal body axes to sensor axes; `up` (3,) is up in body axes of
+    the level robot.
     """
     matrix = _to_shown(shared, up) @ np.linalg.inv(to_sensor @ distortion(shared))
     return Correction(np.asarray(matrix), to_sensor @ shared[AT["iron"]] / MICROTESLA)
 
 
 def _to_shown(shared: FloatArray, up: FloatArray) -> FloatArray:
-    """Return the rotation from body axes to those in which the accelerometer measures up."""
+    """Return the rotation from body axes to those in which up is that of the accelerometer."""
     shown = unit(STANDARD_GRAVITY * up + shared[AT["force_offset"]])
     return np.asarray(exp_rotations(np.cross(up, shown)[None])[0])
 

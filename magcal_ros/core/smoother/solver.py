@@ -228,9 +228,8 @@ class Chain:
     Every second node is eliminated at once, then every second of the remaining nodes, and so on.
     """
 
-    inverse: (
-        FloatArray  # of the blocks of the eliminated nodes 0, 2, 4, ... Shape (m, LOCAL, LOCAL)
-    )
+    inverse: FloatArray
+    """Of the blocks of the eliminated nodes 0, 2, 4, ... Shape (m, LOCAL, LOCAL)."""
     before: FloatArray
     """`inverse` times the block of these nodes, except the first, with the node before."""
     after: FloatArray

@@ -35,10 +35,10 @@ from magcal_ros.core.smoother.unknowns import (
 
 BIASES = (0.0, 0.01, -0.01, 0.025, -0.025, 0.05, -0.05, 0.1, -0.1)
 """Tried values of the gyro's bias about up, rad/s."""
-SMOOTHED = 4.0  # seconds over which up is averaged
+UP_SECONDS = 4.0  # seconds over which up is averaged
 LARGEST_MOTORS = 20.0
 """Prior sigma of the motors' field at the start, over the usual residual of a node."""
-DRIFTED = 100.0  # seconds in which the yaw by the gyro drifts too little to harm the start
+PIECE_SECONDS = 100.0  # seconds in which the yaw by the gyro drifts too little to harm the start
 Z = np.array([0.0, 0.0, 1.0])
 
 
@@ -119,14 +119,14 @@ def _up(nodes: Nodes, path: FloatArray) -> FloatArray:
         [nodes.samples[:1], np.minimum(nodes.samples[1:], nodes.samples[:-1]), nodes.samples[-1:]]
     )
     held = np.einsum("nji,nj->ni", path, force)
-    apart = (nodes.time[:, None] - nodes.time) / SMOOTHED
+    apart = (nodes.time[:, None] - nodes.time) / UP_SECONDS
     kernel = np.exp(-0.5 * apart**2) * np.maximum(worth, 1e-3)
     return unit(np.einsum("nij,nj->ni", path, kernel @ held))
 
 
 def _pieces(time: FloatArray) -> IntArray:
-    """Return the piece of the drive, about `DRIFTED` long, that each node is in, from 0."""
-    count = max(1, round(float(np.ptp(time)) / DRIFTED))
+    """Return the piece of the drive, about `PIECE_SECONDS` long, that each node is in, from 0."""
+    count = max(1, round(float(np.ptp(time)) / PIECE_SECONDS))
     piece = np.floor((time - time[0]) * count / max(float(np.ptp(time)), 1e-9))
     return np.asarray(np.unique(np.minimum(piece, count - 1), return_inverse=True)[1])
 
@@ -174,7 +174,7 @@ def _linear(
     return np.append(first, found[2 * pieces :]), drift, middle
 
 
-VISIBLE_CONE = 4.0
+CONE_RATIO = 4.0
 """Least ratio of the variances within and across a visible circle of up vectors."""
 THINNEST_CONE = 0.005
 """Least standard deviation across the circle, of unit vectors."""
@@ -214,7 +214,7 @@ def _axes(up: FloatArray) -> list[FloatArray]:
     """Return candidates for the turn's axis in body axes: mean of up, and normal of its circle."""
     mean = unit(up.mean(axis=0))
     normal, variances = plane_normal(up)
-    if variances[1] < VISIBLE_CONE * max(variances[0], THINNEST_CONE**2):
+    if variances[1] < CONE_RATIO * max(variances[0], THINNEST_CONE**2):
         return [mean]
     return [mean, normal * math.copysign(1.0, float(normal @ mean))]
 

@@ -35,11 +35,11 @@ OTHER = ", other root"
 USUAL = {SMALL_CIRCLE: 0.1}
 USUAL |= {name + OTHER: share for name, share in USUAL.items()}
 """Prior weights of the kinds of motion without a gyro, which alone could distinguish them."""
-AGAIN = Tolerances(fewest=4)  # from the optimum of another kind of motion
-SKETCH = Tolerances(rounds=5, fewest=5)  # rounds that are enough to rank the starts
+RESTART = Tolerances(fewest=4)  # from the optimum of another kind of motion
+RANKING = Tolerances(rounds=5, fewest=5)  # rounds that are enough to rank the starts
 ROOTS = 2  # starts that are iterated to the end
 RIVAL = 0.05  # probability from which another root is a rival
-APART = 0.05  # least distance of distinct solutions: radians, and hard iron over the field
+DISTINCT = 0.05  # least distance of distinct solutions: radians, and hard iron over the field
 STARTS_WITHIN, ROOTS_WITHIN = 60.0, 30.0
 """Largest difference of minus twice the log evidence from the best one: of starts after a few
 rounds, and of solutions at their optimum. The others are dropped."""
@@ -88,7 +88,7 @@ def _with_gradient(first: Fit) -> dict[str, Fit]:
 
 def _upright(priors: Priors, like: Fit) -> Fit | None:
     """Return the fit of a turn from another optimum; None if it fails or mirrors the axes."""
-    found = _fitted(like.model.nodes, priors, like.state, AGAIN, like)
+    found = _fitted(like.model.nodes, priors, like.state, RESTART, like)
     # With the field assumed uniform, soft iron of any size may explain its gradient.
     return found if found is not None and is_possible(found, math.inf) else None
 
@@ -97,7 +97,7 @@ def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
     """Return the distinct fits whose evidence is near the best, in order of evidence."""
     kept: list[Fit] = []
     for each in sorted(fits, key=lambda fit: fit.evidence):
-        new = all(apart(each.state, other.state) > APART for other in kept)
+        new = all(apart(each.state, other.state) > DISTINCT for other in kept)
         if new and each.evidence < (kept or [each])[0].evidence + furthest:
             kept.append(each)
     return kept
@@ -116,7 +116,7 @@ def _fitted(
 def _best(nodes: Nodes, priors: Priors, knowledge: Knowledge) -> list[Fit]:
     """Return the distinct starts of the highest evidence after a few rounds, in order."""
     led = [
-        _fitted(turning, about, state, SKETCH)
+        _fitted(turning, about, state, RANKING)
         for turning, state, about in guesses(nodes, priors, knowledge.reference)
     ]
     return _distinct([each for each in led if each is not None], STARTS_WITHIN)[:ROOTS]

@@ -19,8 +19,8 @@ WAVES = 6  # sine waves that represent the random walk of the gyro's bias over a
 
 ATTITUDE, VELOCITY, STREET, BODY_FIELD = slice(0, 3), slice(3, 5), slice(5, 8), slice(8, 11)
 ACCELERATION = slice(11, 13)
-"""Unknowns of a node: attitude increment (rad, body axes), velocity (m/s, level axes of the body),
-local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT),
+"""Unknowns of a node: attitude increment (rad, body axes); velocity (m/s, level axes of the body);
+local disturbance of the Earth's field (µT, world axes); coloured noise of the body's field (µT);
 correlated change of the velocity (m/s², level axes of the body)."""
 LOCAL = 13
 HEADING_DRIFT, HEADING_RATE = slice(3, 4), slice(4, 5)
