@@ -110,7 +110,7 @@ def heading_from(
         return "its orientation is marked absent (covariance -1)"
     size = x * x + y * y + z * z + w * w
     if not abs(size - 1.0) < 0.02:
-        return f"its orientation is no unit quaternion (length {math.sqrt(abs(size)):.3g})"
+        return f"its orientation is not a unit quaternion (length {math.sqrt(abs(size)):.3g})"
     if not (math.isfinite(variance) and 0.0 <= variance < NO_HEADING**2):
         return "its orientation covariance says that the yaw is not known"
     yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -115,7 +115,9 @@ class Fixes:
         """Return the warnings on the fixes; empty if there are none."""
         place, first = self.place, self._first
         if place is None or first is None:
-            return [f"gps/fix: no place yet, its messages {each}" for each in sorted(self._faults)]
+            return [
+                f"gps/fix: no position yet, its messages {each}" for each in sorted(self._faults)
+            ]
         away = (given or first).distance(place)
         if away <= TUNING.far:
             return []

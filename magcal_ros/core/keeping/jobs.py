@@ -188,7 +188,7 @@ class Proof:
     all headings, steel on one side of the path at a few."""
 
     def stands(self, kind: Kind | None = None) -> str:
-        """Return the proof that the new calibration is better in words; empty if there is none."""
+        """Return in words why the new calibration is better; empty if that is not proved."""
         enough = KEEPING.iron_proof if kind is Kind.IRON else KEEPING.likelihood_proof
         is_elsewhere = kind is not Kind.ALL or self.elsewhere >= KEEPING.elsewhere_proof
         is_unopposed = kind is not Kind.IRON or self.against <= KEEPING.most_against
@@ -196,8 +196,8 @@ class Proof:
         if not (is_clear and is_elsewhere and is_unopposed):
             return ""
         return (
-            f"it explains {self.seconds:.0f} s of road driven since then better: by "
-            f"{self.likelihood:.0f} units of log likelihood, and in both halves"
+            f"it predicts the {self.seconds:.0f} s of driving since then better, by "
+            f"{self.likelihood:.0f} units of log likelihood and in both halves of the time"
         )
 
 

@@ -196,7 +196,7 @@ def slopes_of(calibration: Calibration) -> str:
     error = f"±{math.degrees(tilted):.1f}°{'' if is_costly else ' or more'} (1σ) at 10° of tilt"
     return (
         "the heading on slopes: the calibration was made without a position, so its hard iron "
-        f"along the vertical axis is uncertain, and the heading is wrong by {error}; give the "
+        f"along the vertical axis is uncertain, and the heading error is {error}; give the "
         "position when you calibrate again, or turn on ramps"
     )
 

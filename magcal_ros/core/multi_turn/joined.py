@@ -60,8 +60,8 @@ WORST_IS_LARGEST = (
 WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
 """Figures of the separate fits whose worst value is reported."""
 CONTRADICTS = (
-    "it contradicts {}: they differ by {:.0f} times what noise explains. Turn where the field is "
-    "undisturbed and the same, with the same load; if the robot itself has changed, start anew"
+    "it contradicts {}: their hard irons differ by {:.0f} sigmas. Turn where the field is "
+    "undisturbed and the same, with the same load; if the robot itself has changed, start over"
 )
 Z: FloatArray = np.array([0.0, 0.0, 1.0])
 SIDES = (
