@@ -108,7 +108,7 @@ class Model:
     def no_places(self) -> Places:
         """No centres; without a gyro no local disturbance at the nodes either."""
         none = Places.none(len(self.nodes), self.priors.lengths.street)
-        return none if self.nodes.tied_to is None else replace(none, rest=0.0 * none.rest)
+        return none if self.nodes.tied_to is None else replace(none, rest=np.zeros(len(self.nodes)))
 
     def scales(self, groups: dict[str, float]) -> FloatArray:
         """Return the sigmas of the shared unknowns' priors, shape (SHARED,)."""
