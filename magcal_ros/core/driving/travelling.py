@@ -54,7 +54,7 @@ class DriftWatch:
         return not self.is_drifting
 
     def _drifts(self) -> bool:
-        """Whether the newest chords are those of a hull whose course is not its heading."""
+        """Whether the newest chords are from a hull, whose course is not its heading."""
         time, _, _, courses, compass_gaps, gaps, sigmas, _ = np.array(self._seen).T
         # The gyro's yaw minus that of the compass, and the gyro's yaw, unwrapped.
         leads, headings = np.unwrap(gaps - compass_gaps), np.unwrap(gaps + courses)

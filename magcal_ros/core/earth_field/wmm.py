@@ -101,7 +101,7 @@ class Validity:
     """Start of the oldest included model; a clock that was never set is earlier."""
     life: float = 5.0  # years for which a model is made
     most_years_late: float = 5.0
-    """Years after the end of its life during which a model is still used, with grown sigmas."""
+    """Years after the end of a model during which it is still used, with larger sigmas."""
     drift_strength: float = 30e-9
     """Growth of a component's error after the model's life, tesla per year. Extrapolated for five
     to ten years, WMM2010, 2015 and 2020 differ from their successors by 24 to 28 nT and 0.03 to

@@ -27,7 +27,7 @@ class FusionTuning:
     """Random walk of the gyro's bias, rad/s per root second: median, and standard deviation of the
     natural logarithm. Cheap gyros drift by .001 to .01 °/s in a minute."""
     rest_turn: float = 1e-4  # rad/s, median turn rate of a robot that seems to rest
-    rest_spread: float = 1.5  # sigma of its natural logarithm: wheels stand, boats swing
+    rest_spread: float = 1.5  # sigma of the natural logarithm: wheels stand, boats swing
     rest_lasts: float = 10.0  # correlation time of this turn rate, seconds
     loss_spread: float = 1.5  # sigma of the logarithm of a gyro's random walk over `angle_walk`²
     tilt_tau: float = 3.0  # correlation time of errors by tilt, seconds

@@ -96,7 +96,7 @@ class Turn:
 
     @property
     def fit(self) -> Fit:
-        """The fit of its most likely kind of motion."""
+        """The fit of the most likely kind of motion."""
         return self.found[1].fit
 
 

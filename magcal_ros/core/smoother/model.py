@@ -210,7 +210,7 @@ def _measured(
     scale: FloatArray,
     more: FloatArray | float = 0.0,
 ) -> Weighted:
-    """Weigh residuals of one noise, with a variance of its squared size times `scale` plus `more`.
+    """Weight residuals of one noise by the inverse of the variance size² `scale` + `more`.
 
     An infinite scale (k,) leaves a residual out.
     """
