@@ -23,8 +23,8 @@ from magcal_ros.core.samples.battery import with_one_reference
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window, living_axes
 
-# What only a fit needs is imported by the functions that fit: a node that starts on a saved
-# calibration would wait for it before its first message.
+# Modules that only a fit needs are imported by the functions that fit, because a node that starts
+# with a saved calibration would wait for them before its first message.
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
@@ -55,12 +55,10 @@ class Outcome:
 
     verdict: Verdict
     calibration: Calibration | None = None
-    """Whatever the verdict says; None if nothing was found, as of the estimate."""
+    """Also if the verdict refuses it; None if there is no estimate."""
     estimate: Estimate | None = None
-    reason: Reason | None = None
-    """Why nothing was found."""
-    several: Several | None = None
-    """What each turn adds and which turn comes next, if several were joined."""
+    reason: Reason | None = None  # why there is no estimate
+    several: Several | None = None  # the report on the turns, if several were joined
     window: Window | None = None  # the samples; the estimate's residuals are of its rows
 
     @classmethod
@@ -86,7 +84,7 @@ def calibrate(
 ) -> Outcome:
     """Fit the window of a turn or a drive, and grade the result.
 
-    Bad data raise nothing: a refusal is a verdict.
+    Bad data raise no exception: a refusal is a verdict.
 
     Parameters
     ----------
@@ -96,7 +94,7 @@ def calibrate(
     method : str
         One of `METHODS`. The first takes turns and drives, with a gyro or without.
     progress : callable, optional
-        Called with the share of the work that is done, 0 to 1, if the fit takes long.
+        Called with the fraction of the work that is done, if the fit takes long.
 
     Returns
     -------
@@ -121,9 +119,9 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
     """Grade an estimate, and refuse it if the samples show wrong axes or stamps."""
     from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
 
-    # The search for wrong axes takes time: it is left out for a good result of the smoother, and
-    # for a z axis that points down, which explains the rest. It cannot distinguish wrong axes from
-    # a sway that is faster than the samples.
+    # The search for wrong axes takes time. It is skipped after a good result of the smoother, and
+    # if z points down, which explains all other faults. It cannot separate wrong axes from a sway
+    # that is faster than the samples.
     outcome = judged(estimate, knowledge, window)
     explains = outcome.verdict.accepted and estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
     is_slow = float(np.median(np.diff(window.time))) > SWAY
@@ -170,14 +168,14 @@ def calibrate_turns(
 ) -> Outcome:
     """Join turns into one estimate and grade it.
 
-    A turn that contradicts the others is left out, with the reason. Bad data raise nothing.
+    A turn that contradicts the others is left out, with the reason. Bad data raise no exception.
 
     Parameters
     ----------
     windows : sequence of Window
         One for each turn; at least one.
     knowledge : Knowledge
-        What is known beforehand of all turns alike: they are made in one place.
+        What is known before the turns, which are made in one place.
     method : str
         `maximum_likelihood` joins turns; `ellipsoid` and `min_max` take all samples as one tumble.
         Another raises `Misuse` for several turns.
@@ -237,9 +235,8 @@ def take_turn(
 ) -> tuple[Outcome, Kept]:
     """Fit a turn, jointly with the turns kept before it if `accumulate` is set.
 
-    Only `maximum_likelihood` accumulates, and it does not fit such a turn as a drive. The knowledge
-    of this moment is used for all turns. Returns the outcome and the turns to keep; a refused turn
-    is not among them.
+    Only `maximum_likelihood` accumulates, and such a turn is not fitted as a drive. `knowledge` is
+    used for all turns. Returns the outcome and the turns to keep, without a refused one.
     """
     if not accumulate:
         return calibrate(window, knowledge, method), Kept()
@@ -268,7 +265,7 @@ def _refused(outcome: Outcome, kept: Kept) -> Outcome:
 def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -> float:
     """Return the sigma of the heading on the level by a fit of this window, radians.
 
-    It is infinite where no fit is found.
+    It is infinite without a fit.
     """
     try:
         if method in ONE_SMOOTHER and living_axes(window.angular_rate)[2]:

@@ -1,4 +1,4 @@
-"""The package's own exceptions: what happened, and what to do next."""
+"""The package's exceptions; their texts say what happened, and what to do next."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class MagcalError(Exception):
-    """Root of everything this package raises on purpose; its text is meant for the user."""
+    """Base class of the exceptions of this package; its text is meant for the user."""
 
 
 class Misuse(MagcalError):

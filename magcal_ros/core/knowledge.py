@@ -14,7 +14,7 @@ INCLINATION_SIGMA_DEG = 1.0
 DECLINATION_SIGMA_DEG = 0.5
 """Local deviation of the field outdoors (1 σ); indoors it is about 7 µT, 5° and 5°."""
 
-CLEAR = 3.0  # sigmas beyond which a deviation is no chance, and two sources contradict each other
+CLEAR = 3.0  # sigmas from which a deviation is significant, and two sources contradict each other
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ class SoftIron:
 
     sigma_diagonal: float = 0.03
     sigma_cross: float = 0.02
-    """Standard deviations of the elements on and off the diagonal, dimensionless. Both zero: there
-    is none; else the smoother takes the prior of its own table."""
+    """Standard deviations of the elements on and off the diagonal, dimensionless. If both are zero,
+    there is no soft iron; otherwise the smoother uses its own prior."""
     always: bool = False  # has no effect on the smoother, which always estimates it
 
     @classmethod
@@ -98,13 +98,13 @@ class Mounting:
     """Nominal mounting of the magnetometer: known gains and pose."""
 
     gains: FloatArray = field(default_factory=lambda: np.ones(3))
-    """Known soft-iron gains K along the sensor's own axes, dimensionless, positive. Shape (3,)."""
+    """Known soft-iron gains K along the sensor's axes, dimensionless, positive. Shape (3,)."""
     pose: FloatArray = field(default_factory=lambda: np.eye(3))
     """Nominal pose of the magnetometer in the IMU's frame, sensor axes to body axes
     (`rotation_from_rpy` of the URDF's origin). Shape (3, 3)."""
     yaw_sigma: float = math.radians(5.0)
-    """Radians, how far the true pose may be from it in yaw (1 sigma). Gravity shows roll and pitch
-    in one turn; yaw shows in turns on different tilts only."""
+    """Sigma of the true pose's yaw about the nominal one, radians. One turn determines roll and
+    pitch; only turns at different tilts determine the yaw."""
     forward: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
     """Unit vector along the front of the vehicle in the IMU's axes. Shape (3,)."""
 
@@ -128,7 +128,7 @@ class Mounting:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Everything a method may use besides the samples.
+    """Prior knowledge that a method uses in addition to the samples.
 
     The raw field is `m_raw = K R_n (I + E) R m_body + h + noise`: K and R_n from `mounting`,
     E the residual soft iron, R = (rotation_from_rpy(roll, pitch, 0))^T the installation error.
@@ -150,9 +150,9 @@ def knowledge_of(
     declination_deg: float = math.nan,
     declination_sigma_deg: float = DECLINATION_SIGMA_DEG,
 ) -> Knowledge:
-    """Return what is known of the field, in the suffixes' units; NaN where a number is not known.
+    """Return the knowledge of the field, in the suffixes' units, with the nominal mounting.
 
-    The mounting is the nominal one.
+    NaN means unknown.
     """
     strength, inclination = Belief.unknown(), Belief.unknown()
     if not math.isnan(strength_ut):

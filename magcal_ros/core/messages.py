@@ -1,4 +1,4 @@
-"""From the numbers in messages to samples."""
+"""Conversion of the numbers in messages to samples."""
 
 from __future__ import annotations
 
@@ -58,20 +58,20 @@ def speed_from(
 ) -> SpeedSample | str:
     """Return the signed speed of an Odometry, or why it has none.
 
-    The stamp is in seconds, `world` and `child` are its frames, `mark` is the first element of the
-    twist's covariance, and x, y are its velocity, m/s. REP-105 and nav_msgs have the twist in
-    `child_frame_id`, the vehicle's own frame.
+    The stamp is in seconds, `world` and `child` are the frames, `mark` is the first element of the
+    twist's covariance, and x, y are the velocity, m/s. By REP-105 and nav_msgs the twist is in
+    `child_frame_id`, the vehicle's frame.
     """
     if child and child == world:
         return (
-            f"its child_frame_id {child!r} is its frame_id, so that its twist is no speed along "
-            "the vehicle: name the vehicle's frame there"
+            f"its child_frame_id {child!r} is its frame_id, so that its twist is not a speed along "
+            "the vehicle: give the vehicle's frame as child_frame_id"
         )
     if mark == ABSENT:
         return "its twist is marked absent (covariance -1)"
     if not math.isfinite(x + y):
         return "its twist is not finite"
-    # The sideways part counts as well: frames are misaligned a little.
+    # The sideways component is included, because frames are slightly misaligned.
     return SpeedSample(stamp, math.copysign(math.hypot(x, y), x))
 
 
@@ -80,8 +80,8 @@ def velocity_from(
 ) -> VelocitySample | str:
     """Return the velocity of a twist, or why it has none.
 
-    The stamp is in seconds, the velocity in m/s, and `of_east`, `of_north` are the variances of
-    both, (m/s)²; zero where they are unknown.
+    The stamp is in seconds, the velocity in m/s, and `of_east`, `of_north` are the variances,
+    (m/s)²; zero if unknown.
     """
     if of_east == ABSENT:
         return "its velocity is marked absent (covariance -1)"
@@ -103,14 +103,14 @@ def heading_from(
 ) -> HeadingSample | str:
     """Return the yaw of an Imu's orientation (x, y, z, w), or why it has none.
 
-    `mark` is the first element of its covariance, and `variance` that of the yaw, rad².
+    `mark` is the first element of its covariance, and `variance` the variance of the yaw, rad².
     """
     x, y, z, w = orientation
     if mark == ABSENT:
         return "its orientation is marked absent (covariance -1)"
     size = x * x + y * y + z * z + w * w
     if not abs(size - 1.0) < 0.02:
-        return f"its orientation is no unit quaternion (length {math.sqrt(abs(size)):.3g})"
+        return f"its orientation is not a unit quaternion (length {math.sqrt(abs(size)):.3g})"
     if not (math.isfinite(variance) and 0.0 <= variance < NO_HEADING**2):
         return "its orientation covariance says that the yaw is not known"
     yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -24,7 +24,7 @@ def test_speed_is_signed_and_in_the_vehicle(x, y, found):
         (speed(math.nan), "not finite"),
         (speed(math.inf), "not finite"),
         (speed(1.0, mark=-1.0), "covariance -1"),
-        (speed(1.0, child="odom"), "name the vehicle's frame"),
+        (speed(1.0, child="odom"), "give the vehicle's frame as child_frame_id"),
     ],
 )
 def test_what_is_no_speed_says_why(found, words):

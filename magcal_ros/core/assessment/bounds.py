@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from magcal_ros.core.assessment.grading import SITS_OTHERWISE, Aspect, Bound, shown
+from magcal_ros.core.assessment.grading import CHECK_MOUNTING, Aspect, Bound, shown
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
@@ -17,7 +17,7 @@ INSTALLATION = Bound(
     (5.0, 15.0, 45.0),
     "installation error",
     "give the sensor's nominal pose with mount_rpy_deg",
-    when_refused=SITS_OTHERWISE,
+    when_refused=CHECK_MOUNTING,
 )
 """Rotation of the magnetometer from its nominal pose."""
 SIZE_READ = "the sensor reads the Earth's field larger or smaller than the reference by"
@@ -164,20 +164,20 @@ TURN_BOUNDS: tuple[Bound, ...] = (
 )
 """From simulation and about ten recordings. The most important come first."""
 
-MOTORS_TAKEN_OFF = (
+MOTORS_SUBTRACTED = (
     "the node subtracts this field while the robot moves; it is better to mount the magnetometer "
     "further away from motors and power wires"
 )
-MOTORS_PARTLY_SHOWN = (
+MOTORS_PARTLY_MEASURED = (
     "without a gyro, a part of it cannot be measured; turn the robot by hand with its motors off, "
     "or use an IMU with a gyro"
 )
 ALLOWED_SIGMAS = 2.0
-"""Sigmas that a bound allows for: of the reference's level field, and of the arc."""
+"""Allowance of a bound in sigmas: for the reference's level field, and for the arc."""
 
 
 def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
-    """Return the bounds of what was fitted, adapted to its figures."""
+    """Return the bounds of an estimate, adapted to its figures."""
     bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in estimate.figures else TURN_BOUNDS
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in estimate.figures else bounds
     return tuple(_adapted(bound, estimate) for bound in bounds)
@@ -190,7 +190,7 @@ def _adapted(bound: Bound, estimate: Estimate) -> Bound:
         return replace(bound, words=SIZE_READ.replace("larger or smaller", which))
     if bound.figure is Figure.MOTOR_FIELD and estimate.motors is not None:
         by_gyro = Figure.GYRO_CARRIED in estimate.figures
-        remedy = MOTORS_TAKEN_OFF if by_gyro else MOTORS_PARTLY_SHOWN
+        remedy = MOTORS_SUBTRACTED if by_gyro else MOTORS_PARTLY_MEASURED
         return replace(bound, limits=(*bound.limits[:2], 50.0), remedy=remedy)
     if bound.figure is Figure.ARC and math.degrees(estimate.arc) > bound.warn:
         doubt = ALLOWED_SIGMAS * math.degrees(arc_sigma(estimate))

@@ -1,8 +1,8 @@
 """Grades of figures, and whether the reference field is doubtful.
 
-The hard iron along a turn's axis is what is left of the field there after the reference's part.
-So an inclination of the wrong sign looks like a magnet of twice that part, and nothing else in the
-turn contradicts it. A robot may carry such a magnet, so a person has to decide.
+The hard iron along a turn's axis is the measured field along the axis minus that of the reference.
+An inclination with the wrong sign therefore looks like a magnet of twice the reference's component,
+and nothing else in the turn contradicts it. A robot may carry such a magnet: the user must decide.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from magcal_ros.core.knowledge import Knowledge
 
 
 class Grade(str, Enum):
-    """From best to worst; a refused calibration is not put in force by itself."""
+    """Grades from best to worst; a refused calibration is not put in force automatically."""
 
     EXCELLENT = "excellent"
     GOOD = "good"
@@ -43,10 +43,10 @@ class Aspect(str, Enum):
 
 DEGREES = 180.0 / math.pi
 SCALES = {"°": DEGREES, "%": 100.0, " µT": 1e6, " ms": 1e3}
-"""From SI to the unit people see; all others are shown as they are."""
+"""Factors from SI to displayed units; other units have no factor."""
 
 
-SITS_OTHERWISE = (
+CHECK_MOUNTING = (
     "is the sensor mounted like this? Then give its pose with mount_rpy_deg; if not, the result "
     "is wrong: turn again on the spot, with a gyro"
 )
@@ -57,16 +57,16 @@ SITS_OTHERWISE = (
 class Bound:
     """The bounds of the grades for one figure; only its absolute value counts."""
 
-    figure: Figure  # what is graded
+    figure: Figure
     limits: tuple[float | None, float, float]
-    """Worst values of excellent (None where nothing is), good and warn, in the unit people see."""
-    words: str  # what the figure is
-    remedy: str  # what to do if it is not good enough
-    unit: str = "°"  # unit people see: "°", "%", "σ", ""
-    aspect: Aspect = Aspect.QUALITY  # quality or confidence
-    at_least: bool = False  # whether more is better; usually less is
+    """Worst values of excellent (None if there is no such grade), good and warn, in `unit`."""
+    words: str  # description of the figure
+    remedy: str  # advice if the grade is not good
+    unit: str = "°"  # displayed unit: "°", "%", "σ", ""
+    aspect: Aspect = Aspect.QUALITY
+    at_least: bool = False  # whether larger values are better
     after_full: str = ""  # remedy after a full circle; empty if it is the same
-    when_refused: str = ""  # what to do instead beyond `warn`; empty where that is the same
+    when_refused: str = ""  # remedy beyond `warn`; empty if it is the same
 
     @property
     def good(self) -> float:
@@ -80,7 +80,7 @@ class Bound:
 
     @property
     def scale(self) -> float:
-        """Factor from SI to the unit that people see."""
+        """Factor from SI to the displayed unit."""
         return SCALES.get(self.unit, 1.0)
 
     def check(
@@ -94,9 +94,9 @@ class Bound:
     ) -> Check:
         """Grade one value of the figure.
 
-        `figure` is in SI units, and `excess` the part of it that counts, where some of it is no
-        fault. `note` is added to the value; `before` is the figure of the raw field, SI units.
-        `rule` is what is said of the limits, in place of what is wanted.
+        `figure` is in SI units; `excess` is the part of it that is graded, by default all. `note`
+        is added to the value; `before` is the figure of the raw field, SI units. `rule` replaces
+        the description of the limit.
         """
         value = abs(figure * self.scale)
         counted = value if excess is None else abs(excess * self.scale)
@@ -135,24 +135,24 @@ def shown_beside(value: float, limit: float) -> str:
 class Check:
     """One figure, graded and put into words."""
 
-    figure: Figure | Reason  # what was looked at; of a refusal its reason
-    aspect: Aspect  # which grade it belongs to
-    grade: Grade  # how good it is
-    words: str  # the same in words, with what to do if it is not good enough
+    figure: Figure | Reason  # the figure, or the reason of a refusal
+    aspect: Aspect
+    grade: Grade
+    words: str  # the result in words, with a remedy if the grade is not good
     value: float | None = None
     before: float | None = None
-    """The figure in the unit people see, and that of the raw field."""
-    bound: Bound | None = None  # what it was graded by
-    is_judged: bool = True  # false where the samples are too uncertain to judge it
+    """The figure in the displayed unit, and that of the raw field."""
+    bound: Bound | None = None
+    is_judged: bool = True  # false if the samples are too uncertain
 
     @property
     def name(self) -> str:
-        """What the figure is."""
+        """Description of the figure."""
         return "" if self.bound is None else self.bound.words
 
     @property
     def unit(self) -> str:
-        """Unit people see."""
+        """Displayed unit."""
         return "" if self.bound is None else self.bound.unit
 
     @property
@@ -170,11 +170,11 @@ def worst(grades: list[Grade]) -> Grade:
 class DoubtTuning:
     """When a hard iron along the axis makes the reference doubtful."""
 
-    likelier: float = 7.0  # likelihood ratio of the inclination's other sign from which it is named
+    likelier: float = 7.0  # likelihood ratio from which the inclination's other sign is named
     unusual: float = 0.025
-    """Probability of so much hard iron along the axis, below which it is named."""
+    """Probability of as much hard iron along the axis below which there is a warning."""
     shown: float = 10.0
-    """Sigmas by which the wobble of the turn must contradict the other sign to exclude it."""
+    """Sigmas from which the wobble of the turn excludes the other sign."""
 
 
 TUNING = DoubtTuning()
@@ -183,7 +183,7 @@ TUNING = DoubtTuning()
 def check_reference(
     estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge
 ) -> Check | None:
-    """Check the hard iron along the turn's axis; None if more than the reference shows it."""
+    """Check the hard iron along the turn's axis; None if the samples determine it, too."""
     if not knowledge.reference.is_complete or _is_shown(estimate, figures):
         return None
     axial_field = -estimate.strength * math.sin(estimate.inclination)
@@ -213,11 +213,11 @@ def check_reference(
 
 
 def is_likelier(other: float, own: float, across: float) -> bool:
-    """Return whether the inclination's other sign is the likelier one by far.
+    """Return whether the inclination's other sign is much likelier.
 
     `own` and `other` are the hard iron along the axis by the reference and by the other sign,
-    tesla, `across` is the square of that across it. Hard iron of any direction and of any size has,
-    where its part across the axis is L, the density (L² + z²)^(-3/2) along it.
+    tesla, `across` is the squared hard iron across the axis. For a scale-free, isotropic prior and
+    a component L across the axis, the density of the component z along it is (L² + z²)^(-3/2).
     """
     return bool(((across + own**2) / (across + other**2)) ** 1.5 > TUNING.likelier)
 

@@ -1,7 +1,7 @@
 """Verdicts: the quality and the confidence of a calibration, in grades and in words.
 
-Quality asks whether the samples agree with the model; confidence asks whether enough was seen.
-The two are separate: a clean circle does not prove the heading, nor a good heading the circle.
+Quality is whether the samples agree with the model; confidence is whether they determine the
+calibration. The two are separate: a short, clean arc has a good quality and a low confidence.
 """
 
 from __future__ import annotations
@@ -57,18 +57,19 @@ class VerdictTuning:
     """Limits and allowances of a verdict, from simulation and about ten recordings."""
 
     rough: float = math.radians(5.0)
-    """Radians of heading sigma from which a calibration is called rough. In a car full of steel it
-    may be the best possible, and the first words of the summary should say so."""
+    """Heading sigma from which a calibration is called rough in the summary, radians. In a car full
+    of steel it may be the best possible."""
     one_axis: float = 0.7
-    """Share of the gyro's squared rates about one axis from which a turn has one axis. Of a sensor
-    that is turned over by hand the median orientation counts."""
+    """Fraction of the gyro's squared rates about one axis from which a turn has one axis. For a
+    sensor turned over by hand, the median orientation is used."""
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
-    """Radians on a slope, and ratio to the level's, from which unseen axial iron is mentioned."""
+    """Heading sigma on a slope, radians, and its ratio to that on the level, from which unknown
+    axial iron is mentioned."""
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
-    """Range of the Earth's field; outside of it there is a warning that names the likely unit."""
+    """Range of the Earth's field; outside it there is a warning with the likely unit."""
     guessed: float = 1.5  # factor by which that range is wider without a reference field
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
-    """Range of the field with iron on the robot; outside of it the calibration is refused."""
+    """Range of the field with iron on the robot; outside it the calibration is refused."""
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
     """Relative deviation of acceleration from gravity: excellent, good; beyond it a warning."""
     reasons: int = 2  # how many reasons a summary names
@@ -81,14 +82,14 @@ TUNING = VerdictTuning()
 class Verdict:
     """The checks of one estimate, with its two grades."""
 
-    checks: tuple[Check, ...]  # everything that was looked at
-    not_shown: tuple[str, ...]  # what this turn could not show
-    headline: str = ""  # the result without reasons; empty of a refusal before the fit
-    says: str = ""  # all of it in words, where that is not the headline with its reasons
+    checks: tuple[Check, ...]
+    not_shown: tuple[str, ...]  # quantities that the samples do not determine
+    headline: str = ""  # the result without reasons; empty for a refusal before the fit
+    says: str = ""  # the summary, if it is not the headline with the reasons
 
     @property
     def summary(self) -> str:
-        """The result, and the first reasons against it, for a log."""
+        """The result with the first reasons against it, for a log."""
         if self.says:
             return self.says
         reasons = self.reasons
@@ -100,13 +101,13 @@ class Verdict:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Everything that was refused; of what is accepted, everything that was warned of."""
+        """The reasons of a refusal, or the warnings of an accepted calibration."""
         grade = Grade.WARN if self.accepted else Grade.REFUSED
         return tuple(check.words for check in self.checks if check.grade is grade)
 
     @property
     def in_full(self) -> tuple[str, tuple[str, ...]]:
-        """Return the result, and all reasons against it; none where the summary has them."""
+        """Return the result and all reasons against it; none if the summary contains them."""
         return (self.says, ()) if self.says else (self.headline, self.reasons)
 
     @property
@@ -121,12 +122,12 @@ class Verdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether the calibration may be put in force without asking a person."""
+        """Whether the calibration may be put in force without asking the user."""
         return Grade.REFUSED not in (self.quality, self.confidence)
 
     @property
     def is_good(self) -> bool:
-        """Whether nothing is refused or warned of."""
+        """Whether there is no refusal and no warning."""
         return max(self.quality.rank, self.confidence.rank) < Grade.WARN.rank
 
     def _worst(self, aspect: Aspect) -> Grade:
@@ -153,7 +154,7 @@ NO_MOUNTING = (
     "the mounting of the magnetometer against the IMU: this method assumes aligned axes and does "
     "not correct it"
 )
-STAND_BESIDE = (
+REST_BESIDE_TURN = (
     "stand still for three seconds before and after the turn: that shows the gyro's bias, and"
     " whether there was a centripetal acceleration"
 )
@@ -195,7 +196,7 @@ LEVEL_ONLY = (
 
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
-    """Return the verdict on an estimate; `window` holds its samples, if there are any."""
+    """Return the verdict on an estimate; `window` contains its samples, if any."""
     figures = {
         Figure.ARC: estimate.arc,
         Figure.SAMPLES: float(np.count_nonzero(estimate.inliers)),
@@ -207,8 +208,8 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
         if axis_share(window) < TUNING.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
         elif _is_full(estimate.arc):
-            # Only there a steady sideways acceleration can be separated from a slope. A fit with
-            # the gyro has estimated it, and the gyro's bias and axes.
+            # Only a full turn separates a steady sideways acceleration from a slope. A fit with
+            # the gyro has estimated this acceleration, and the gyro's bias and axes.
             steady = figures.get(Figure.STEADY_ACCELERATION)
             angle = sideways_acceleration(window) if steady is None else math.atan(steady)
             figures.setdefault(Figure.SIDEWAYS_ACCELERATION, angle)
@@ -264,14 +265,14 @@ def _check(
     if bound.figure is Figure.HEADING_SIGMA:
         hidden = figures.get(Figure.POSSIBLE_ACCELERATION, 0.0)
         if hidden**2 > 0.5 * figure**2:
-            bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
+            bound = replace(bound, remedy=REST_BESIDE_TURN if _by_gyro(figures) else ON_THE_SPOT)
         if Figure.LOCAL_SIGMA in figures:
-            # No calibration takes away what the field along the way adds.
+            # Local disturbances along a drive do not depend on the calibration.
             return bound.check(calibration_sigma(estimate))
         if not knowledge.reference.is_complete:
             bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
-        # The fit has subtracted it, and what is left is in the sigma.
+        # The fit has subtracted it; the uncertainty is in the sigma.
         excellent, _, most = bound.limits
         bound = replace(bound, limits=(excellent, most, most))
     if bound.figure in (Figure.RADIUS_MISFIT, Figure.LEVEL_SHARE):
@@ -283,7 +284,7 @@ def _check(
 
 
 def _by_gyro(figures: Mapping[Figure, float]) -> bool:
-    """Return whether the fit had a gyro, by which it estimates the robot's acceleration."""
+    """Return whether the fit had a gyro, and so estimates the robot's acceleration."""
     return Figure.ON_THE_SPOT in figures
 
 
@@ -364,7 +365,7 @@ def _headline(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, flo
     level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
     by, way = "", ""
     if Figure.LOCAL_SIGMA in figures:
-        # First what the grade is of, as of a turn.
+        # The graded sigma comes first, as for a turn.
         by = " by the calibration"
         way = f"; along the way, with local magnetic disturbances, ±{level * DEGREES:.2f}°"
         level, tilted = calibration_sigma(estimate), calibration_sigma(estimate, CHECKED_TILT)

@@ -1,4 +1,4 @@
-"""What a method returns (`Estimate`), and what is stored and applied (`Calibration`)."""
+"""The result of a method (`Estimate`), and the stored and applied `Calibration`."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from magcal_ros.core.knowledge import ReferenceField
 class Installation:
     """The rotation of the magnetometer from its nominal pose in the IMU's frame.
 
-    Radians as in a URDF origin. After one turn the yaw is zero by convention, because one
-    rotation cannot show it; turns on different tilts do.
+    Radians as in a URDF origin. After one turn the yaw is zero by convention, because it is
+    observable only with turns at different tilts.
     """
 
     roll: float
@@ -35,7 +35,7 @@ class Installation:
 
     @property
     def angle(self) -> float:
-        """Radians of the whole turn from the nominal pose."""
+        """Angle of the whole rotation from the nominal pose, radians."""
         return rotation_angle(self.pose)
 
 
@@ -46,7 +46,7 @@ class GyroSwing:
     heading: FloatArray
     """ENU yaw to magnetic north of the turn's sectors or of samples, radians. Shape (s,)."""
     deviation: FloatArray
-    """Compass less gyro there, without the gyro's own errors, radians. Shape (s,)."""
+    """Compass minus gyro there, without errors of the gyro, radians. Shape (s,)."""
     rms: float  # RMS of the deviation without the noise of the means, radians
 
 
@@ -57,8 +57,8 @@ class Estimate:
     method: str
     correction: Correction
     covariance: FloatArray
-    """Of the twelve numbers (A row by row, then h in tesla), including what the turn could not
-    show. It is singular where a direction is fixed by convention. Shape (12, 12)."""
+    """Of the twelve numbers (A row by row, then h in tesla), including unobservable directions. It
+    is singular if a direction is fixed by convention. Shape (12, 12)."""
     installation: Installation | None  # installation error, if the method estimates it
     axis: FloatArray  # the turn's axis in body axes, unit, upwards. Shape (3,).
     arc: float  # radians of the turn that were seen
@@ -68,8 +68,8 @@ class Estimate:
     noise_field: float
     noise_up: float
     """Standard deviations found in the samples: tesla per axis, radians of tilt per axis."""
-    inliers: BoolArray  # samples that are no outliers of the fit. Shape (n,).
-    residual: FloatArray  # raw field minus the model's, tesla. Shape (n, 3).
+    inliers: BoolArray  # samples that are not outliers. Shape (n,).
+    residual: FloatArray  # raw field minus the model, tesla. Shape (n, 3).
     figures: Mapping[Figure, float] = field(default_factory=dict)
     """Other figures of the method; SI units."""
     message: str = ""
@@ -89,7 +89,7 @@ class Estimate:
 def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray) -> FloatArray:
     """Return the derivative of the yaw by the twelve numbers, shape (..., 12), radians each.
 
-    The yaw turns with the field's part towards east: d(yaw) = (east . dm) / |m x u|, for
+    The yaw changes with the field's component towards east: d(yaw) = (east . dm) / |m x u|, with
     east = (m x u)/|m x u| and a change dm of the field in body axes.
     """
     across = np.cross(field_body, unit(up))
@@ -111,7 +111,7 @@ def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArr
 
 @dataclass(frozen=True)
 class Evidence:
-    """The evidence for a calibration, stored beside the twelve numbers."""
+    """The evidence for a calibration, stored with the twelve numbers."""
 
     method: str
     quality: str
@@ -120,8 +120,8 @@ class Evidence:
     summary: str
     reasons: tuple[str, ...] = ()
     not_shown: tuple[str, ...] = ()
-    """The verdict's reasons, and what the turn could not show."""
-    accepted_by_user: bool = False  # whether a person put it in force against the verdict
+    """The verdict's reasons, and the quantities that the turn did not determine."""
+    accepted_by_user: bool = False  # whether the user put it in force against the verdict
     figures: Mapping[str, float] = field(default_factory=dict)
     """Figures of the method, SI, by the names of `Figure`; other versions may have others."""
 
@@ -136,13 +136,13 @@ class Evidence:
         return replace(self, figures={**self.figures, **used})
 
     def figure(self, name: Figure, default: float) -> float:
-        """Return a figure, or `default` where it was not measured."""
+        """Return a figure, or `default` if it was not measured."""
         return self.figures.get(name.value, default)
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A correction with its certainty."""
+    """A correction with its covariance and evidence."""
 
     correction: Correction
     covariance: FloatArray
@@ -151,7 +151,7 @@ class Calibration:
     noise_up: float  # radians per axis, standard deviation of one accelerometer tilt
     strength: float
     inclination: float
-    """The reference field as found, tesla and radians."""
+    """The estimated reference field, tesla and radians."""
     evidence: Evidence
     motors: MotorField | None = None
     """The field of the running motors; None if it was not observed."""
@@ -176,5 +176,5 @@ class Calibration:
         )
 
     def accepted_by_person(self) -> Calibration:
-        """Return the same calibration, marked as accepted by a person."""
+        """Return the same calibration, marked as accepted by the user."""
         return replace(self, evidence=replace(self.evidence, accepted_by_user=True))

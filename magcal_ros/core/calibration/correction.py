@@ -24,11 +24,11 @@ PARAMETERS = 12
 class Correction:
     """Maps the raw field to the field in body axes, `A (m_raw - h)`.
 
-    A ValueError if a number is not finite, or if `matrix` is singular or mirrors the axes.
+    Raises ValueError if a number is not finite, or if `matrix` is singular or mirrors the axes.
     """
 
     matrix: FloatArray  # A, dimensionless; must be invertible and keep handedness. Shape (3, 3).
-    hard_iron: FloatArray  # h in tesla, in the magnetometer's own axes. Shape (3,).
+    hard_iron: FloatArray  # h in tesla, in the magnetometer's axes. Shape (3,).
 
     def __post_init__(self) -> None:
         freeze(self, matrix=(3, 3), hard_iron=(3,))
@@ -60,7 +60,7 @@ class Correction:
         return np.asarray((field - self.hard_iron) @ self.matrix.T)
 
     def undo(self, field_body: FloatArray) -> FloatArray:
-        """Return the raw fields (..., 3) that `apply` would take to `field_body`."""
+        """Return the raw fields (..., 3) that `apply` maps to `field_body`."""
         return np.asarray(field_body @ np.linalg.inv(self.matrix).T + self.hard_iron)
 
     def covariance(self, sigma: FloatArray) -> FloatArray:
@@ -98,20 +98,20 @@ INPUTS = tuple(MotorInput)
 class Running(NamedTuple):
     """Values of the motors' inputs at a moment."""
 
-    moving: float = 0.0  # probability that it moves
-    turn_rate: float = 0.0  # rad/s about the body's z; NaN where it is unknown, as of the others
+    moving: float = 0.0  # probability that the robot moves
+    turn_rate: float = 0.0  # rad/s about the body's z; NaN if unknown, like the following ones
     speed: float = 0.0  # m/s, negative backwards
     current: float = 0.0  # amperes beyond `MotorField.reference`, of a constant sign convention
-    side: float = 0.0  # one while it turns left, minus one to the right, between them at low rates
+    side: float = 0.0  # one in a turn to the left, minus one to the right, between at low rates
 
     @property
     def runs(self) -> bool:
-        """Whether motors run: the robot moves, or they draw a current while it stands."""
+        """Whether motors run: the robot moves, or there is a current at rest."""
         return self.moving > 0.0 or abs(self.current) > 0.0
 
     @property
     def values(self) -> tuple[float, ...]:
-        """All inputs: a current's field in its leads has the sign of a motion, or always one."""
+        """All inputs: the field of a current may change its sign with the motion or not."""
         return (*self, abs(self.turn_rate), abs(self.speed))
 
 
@@ -120,21 +120,20 @@ AT_REST = Running()
 
 @dataclass(frozen=True, eq=False)
 class MotorField:
-    """The field of the motors, `K u` beside the hard iron, with its certainty."""
+    """The field of the motors, `K u` in addition to the hard iron, with covariances."""
 
     inputs: tuple[MotorInput, ...]
     gain: FloatArray
-    """K by inputs: tesla per unit of each, in the magnetometer's own axes. Shape (n, 3)."""
+    """K by inputs: tesla per unit of each, in the magnetometer's axes. Shape (n, 3)."""
     covariance: FloatArray  # of the gains, input by input, tesla² per units. Shape (3 n, 3 n).
     beside: FloatArray  # covariance with the twelve numbers of the calibration. Shape (12, 3 n).
     ripple: float
-    """Standard deviation of the field while the robot moves, beside K u, tesla per axis."""
+    """Standard deviation of the field about K u while the robot moves, tesla per axis."""
     usual: tuple[float, ...]
     """Root mean square of each input while the robot moves, for an input that is not measured."""
     reference: float = math.nan
-    """Amperes of the robot that the calibration is for; NaN where it is for the robot at rest,
-    whatever its current is then. A robot that holds itself by its motors adds the field of the
-    current beyond it, also at rest."""
+    """Current to which the calibration refers, amperes; NaN if it refers to the robot at rest with
+    any current. Motors that hold a robot at rest add the field of the current beyond it."""
 
     def __post_init__(self) -> None:
         count = len(self.inputs)
@@ -144,16 +143,15 @@ class MotorField:
             raise ValueError("the motors' inputs must differ, and each has one usual size")
 
     def may_hold(self, running: Running) -> bool:
-        """Whether motors may hold the robot by a current that is not measured."""
+        """Whether motors may hold the robot with an unmeasured current."""
         return math.isnan(running.current) and not math.isnan(self.reference)
 
     def known(self, running: Running) -> tuple[FloatArray, FloatArray]:
         """Return the inputs (n,) and their covariance (n, n).
 
-        An unknown input counts as zero, and varies as usual while the robot moves; a current beyond
-        a reference, by which a robot may hold itself, does so at rest as well. Where it is
-        uncertain whether the robot moves, or to which side it turns, the step and its side are
-        uncertain too.
+        An unknown input is zero, with its usual variance while the robot moves. A current beyond a
+        reference, which may hold the robot, has this variance at rest as well. If motion or side of
+        a turn are uncertain, so are the inputs that depend on them.
         """
         inputs = running.values
         values = np.array([inputs[INPUTS.index(each)] for each in self.inputs])
@@ -175,12 +173,12 @@ class MotorField:
         return np.block([[covariance, self.beside], [self.beside.T, self.covariance]])
 
     def sigma(self, which: int) -> float:
-        """Return the standard deviation of an input's gain, all axes together, tesla per unit."""
+        """Return the standard deviation of an input's gain over all axes, tesla per unit."""
         at = slice(3 * which, 3 * which + 3)
         return math.sqrt(float(np.trace(self.covariance[at, at])))
 
     def size(self, which: int) -> float:
-        """Return the field by the usual size of an input, tesla."""
+        """Return the field at the usual size of an input, tesla."""
         return float(np.linalg.norm(self.gain[which])) * self.usual[which]
 
     def with_another_calibration(self) -> MotorField:
@@ -188,9 +186,9 @@ class MotorField:
         return replace(self, beside=np.zeros_like(self.beside))
 
     def with_twin(self, which: MotorInput, twin: MotorInput, side: float) -> MotorField:
-        """Return the same field with an input that has a sign with the side, beside one without.
+        """Return the same field with a `twin` of an input, whose sign depends on the side or not.
 
-        Turns to one `side` cannot separate an input from its twin: either may be all of it.
+        Turns to one `side` cannot separate the two: either may be the whole field.
         """
         at, count = self.inputs.index(which), 3 * len(self.inputs)
         split, apart = np.eye(count + 3, count), np.zeros((count + 3, 3))
@@ -226,7 +224,7 @@ class MotorField:
         )
 
     def improves_on(self, other: MotorField | None, share: float) -> bool:
-        """Whether an input is new, is known better by a share of its sigma, or has changed."""
+        """Whether an input is new, has a sigma below `share` of the other's, or has changed."""
         if other is None or set(self.inputs) - set(other.inputs):
             return True
         for k, each in enumerate(self.inputs):

@@ -14,7 +14,7 @@ class Figure(str, Enum):
 
     HEADING_SIGMA = "heading_sigma"
     """Predicted sigma of the heading on the level, radians; of a drive with local disturbances."""
-    LOCAL_SIGMA = "local_sigma"  # the part of it due to local disturbances; only of drives
+    LOCAL_SIGMA = "local_sigma"  # part of the heading sigma by local disturbances; only of drives
     HEADING_SIGMA_TILTED = "heading_sigma_tilted"
     """The heading sigma on slopes of 10 degrees to all sides."""
     RESIDUAL_RATIO = "residual_ratio"  # RMS of the inliers' field residual over the level field
@@ -24,38 +24,38 @@ class Figure(str, Enum):
     RADIUS_RATIO = "radius_ratio"
     """Radius of the turn's circle over that of the reference; absent if the latter is unknown."""
     LEVEL_SHARE = "level_share"
-    """The radius ratio of a body that weakens the level field so much that it is modelled as a
-    gain; then there is no `RADIUS_RATIO`."""
+    """The radius ratio, if a body weakens the level field so much that it is modelled as a gain;
+    `RADIUS_RATIO` is then absent."""
     RADIUS_MISFIT = "radius_misfit"  # absolute difference of the radius ratio from one
     ELLIPSE_RATIO = "ellipse_ratio"
     """Longer over shorter axis of the ellipse in the turn's plane, after the known gains."""
     ELLIPSE_EXCESS = "ellipse_excess"
     """The ellipse ratio minus one, if it was not modelled as soft iron."""
     STRENGTH_DEVIATION = "strength_pull"
-    """Estimated less given strength, in sigmas of that; absent if it is exact or unknown."""
+    """Normalised difference of estimated and given strength; absent if that is exact or unknown."""
     INCLINATION_DEVIATION = "inclination_pull"  # estimated minus given inclination, likewise
     WOBBLE = "wobble"  # RMS tilt of the turn's axis, radians per axis; zero for a rigid axis
-    SOFT_IRON = "soft_iron"  # one where soft iron was fitted, else zero
+    SOFT_IRON = "soft_iron"  # one if soft iron was fitted, else zero
     NOT_CONVERGED = "not_converged"
-    """One where the optimisation ended before it had converged, else zero."""
+    """One if the optimisation ended before it had converged, else zero."""
     ITERATIONS = "iterations"  # steps of the optimisation from the search's optimum to the last
     AXIAL_IRON = "axial_iron"
-    """Hard iron along the turn's axis where only the reference field shows it, tesla."""
+    """Hard iron along the turn's axis, if only the reference field determines it, tesla."""
     REFERENCE_STRENGTH = "reference_strength"
     REFERENCE_INCLINATION = "reference_inclination"
     """The reference field that the calibration was made with, tesla and radians; absent if it was
     not known."""
     INSTALLATION_ANGLE = "installation_angle"  # radians of the whole installation error
     INSTALLATION_YAW_SIGMA = "installation_yaw_sigma"
-    """Standard deviation of the installation's yaw, radians; absent where nothing shows it."""
+    """Standard deviation of the installation's yaw, radians; absent if it is not observable."""
     MISALIGNMENT = "misalignment"
-    """Radians between the corrected field's axes and the IMU's as gravity shows it."""
+    """Angle between the corrected field's axes and the IMU's, by gravity, radians."""
     AXIS_LEAN = "axis_lean"
-    """Radians between the turn's axis and the body's z; of a robot that turned about all axes,
-    between its median up and the body's z."""
+    """Angle between the turn's axis and the body's z, radians; for a robot that turned about all
+    axes, between the median up and the body's z."""
 
     GYRO_CARRIED = "gyro_carried"
-    """One where the gyro's turning explains the samples, else zero; absent without a gyro."""
+    """One if the gyro's rotation explains the samples, else zero; absent without a gyro."""
     STEADY_ACCELERATION = "steady_pull"
     """Tilt of the accelerometer's up by a steady linear acceleration, which was subtracted,
     radians; absent without a gyro."""
@@ -71,39 +71,39 @@ class Figure(str, Enum):
     ON_THE_SPOT = "on_the_spot"
     """Probability that the robot turned on the spot and did not drive, by the smoother."""
     LATENCY = "latency"
-    """Corrected delay of the field against the gyro, seconds; absent if the turn hides it."""
+    """Corrected latency of the field against the gyro, seconds; absent if not observable."""
     SIDEWAYS_ACCELERATION = "sideways_pull"
     """Radians between the gyro's mean axis and the mean specific force of a full turn."""
     GYRO_COMPASS_SWING = "gyro_compass_rms"
-    """RMS of the compass less the gyro by sectors of a turn, without offset, bias, scale and the
-    noise of single samples; radians."""
+    """RMS of compass minus gyro by sectors of a turn, without offset, bias, scale and the noise of
+    single samples; radians."""
     GYRO_COMPASS_DIFFERENCE = "gyro_compass_difference"
-    """RMS of compass less gyro over all samples of a recheck, noise included, without one offset
-    per part and one steady bias; radians."""
+    """RMS of compass minus gyro over all samples of a recheck with noise, without one offset per
+    part and one constant bias; radians."""
     GYRO_COMPASS_HARMONIC = "gyro_compass_harmonic"
-    """RMS of the first harmonic of compass less gyro over the headings of a drive, radians; zero if
-    it is not significant. Of a compass that covers few headings it is the median size of the
-    difference, if that is large."""
+    """RMS of the first harmonic of compass minus gyro over the headings of a drive, radians; zero
+    if not significant. With few headings it is the median size of the difference, if that is
+    large."""
 
     HEADING_SWING = "heading_swing"
-    """RMS over headings by which the level field varies, over its mean."""
+    """RMS variation of the level field over headings, over its mean."""
     STRENGTH_SPREAD = "strength_spread"
-    """RMS over headings by which the strength varies, over the calibrated one."""
-    DIP_SPREAD = "dip_spread"  # RMS over headings by which the dip varies, radians
+    """RMS variation of the strength over headings, over the calibrated strength."""
+    DIP_SPREAD = "dip_spread"  # RMS variation of the dip over headings, radians
     STRENGTH_OFFSET = "strength_offset"  # mean strength minus the calibrated one, over the latter
     DIP_OFFSET = "dip_offset"  # mean dip minus the calibrated inclination, radians
     HARD_IRON_CHANGE = "hard_iron_change"
-    """Change of the level hard iron over the level field, as a drive shows it."""
+    """Change of the level hard iron over the level field, by a drive."""
     SOFT_IRON_CHANGE = "soft_iron_change"
-    """Swing of the strength twice a turn over the level field's share of it."""
+    """Second harmonic of the strength, over the squared cosine of the inclination."""
     MOUNTING_CHANGE = "mounting_change"  # change of the angle between field and gravity, radians
     STRENGTH_SHIFT = "strength_shift"
     """Deviation of the strength common to all headings of a drive, over the calibrated strength."""
     DIP_SHIFT = "dip_shift"  # deviation of the dip common to all headings of a drive, radians
 
     COURSE_SWING_ONCE = "course_swing_once"
-    """Amplitude by which compass less course swings once around, radians: hard iron."""
-    COURSE_SWING_TWICE = "course_swing_twice"  # the same twice around: soft iron
+    """Amplitude of the first harmonic of compass minus course, radians: hard iron."""
+    COURSE_SWING_TWICE = "course_swing_twice"  # second harmonic: soft iron
 
     STRENGTH = "strength"  # strength of the field, tesla
     GRAVITY = "gravity"  # median length of the specific force, m/s²
@@ -113,24 +113,24 @@ class Figure(str, Enum):
     """Largest deviation of a turn from the others, over its expected size."""
 
     HEADINGS_DRIVEN = "headings_driven"  # number of the twelve sectors of heading in a drive
-    DRIVING_TIME = "driving_time"  # seconds of a drive, standing included
-    METRES = "metres"  # metres of a drive; absent where the speed was not measured
+    DRIVING_TIME = "driving_time"  # seconds of a drive, with rests
+    METRES = "metres"  # length of a drive, metres; absent if the speed was not measured
     STREET = "street"
-    """Disturbance of the field along a drive that changes with the place, tesla per axis."""
+    """Local disturbance of the field along a drive, tesla per axis."""
     LOCAL_FIELD = "local_field"
-    """Sigma of the field along a drive, with unsteady fields of motors, tesla per axis."""
+    """Sigma of the field along a drive, with the motors' fluctuation, tesla per axis."""
 
     KNOWN_HEADINGS = "known_headings"  # number of known headings
     HEADING_MISFIT = "heading_misfit"
-    """Known headings, field and gyro apart, over the expected size; absent for one heading."""
+    """RMS normalised residual of known headings, field and gyro; absent for one heading."""
 
     CIRCLE_RADIUS = "circle_radius"  # radius of the turn's circle, tesla
     AXIS_TILT = "axis_tilt"  # radians of the turn's axis off the vertical
     AXIAL_FIELD = "axial_field"  # field along the turn's axis, positive downwards, tesla
-    AXIAL_HARD_IRON = "axial_hard_iron"  # hard iron along it, positive downwards, tesla
+    AXIAL_HARD_IRON = "axial_hard_iron"  # hard iron along the axis, positive downwards, tesla
     ACCELEROMETER_SPREAD = "accelerometer_spread_over_noise"
-    """Mean distance of gravity from its cloud's centre over six times its noise."""
-    FIELD_SPREAD = "field_spread_over_noise"  # the same of the field
+    """Mean distance of gravity from its mean over six times its noise."""
+    FIELD_SPREAD = "field_spread_over_noise"  # the same for the field
     RIVAL_ROLL = "rival_roll"  # installation roll of the turn's second solution, radians
     RIVAL_PITCH = "rival_pitch"  # its pitch, radians
     RIVAL_ANGLE = "rival_angle"  # its whole angle, radians
@@ -139,7 +139,7 @@ class Figure(str, Enum):
     ACCELEROMETER_RANGE_Z = "accelerometer_range_z"
     """Ranges of gravity after de-rotation, over g; z should be the smallest by far."""
     FIELD_RANGE_X, FIELD_RANGE_Y, FIELD_RANGE_Z = "field_range_x", "field_range_y", "field_range_z"
-    """The same of the field, tesla."""
+    """The same for the field, tesla."""
 
     SPHERE_EXTENT = "sphere_extent"
     """Diameters of the sphere that were seen in the least seen direction."""
@@ -161,7 +161,7 @@ class Figure(str, Enum):
     def key(self) -> str:
         """The name of the figure in JSON and status.
 
-        A recheck's and a drive's comparison of gyro and compass keep the one that readers know.
+        The comparisons of gyro and compass by a recheck and a drive have the same name.
         """
         compared = (Figure.GYRO_COMPASS_DIFFERENCE, Figure.GYRO_COMPASS_HARMONIC)
         return "gyro_compass_rms" if self in compared else self.value

@@ -19,7 +19,7 @@ HEADINGS = 24
 
 
 def every_figure(estimate: Estimate) -> dict[Figure, float]:
-    """Return an estimate's own figures, what follows from them, and those that all have."""
+    """Return an estimate's figures with the derived ones and those that all estimates have."""
     residual = estimate.residual[estimate.inliers]
     rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else math.inf
     figures = {
@@ -40,7 +40,7 @@ def every_figure(estimate: Estimate) -> dict[Figure, float]:
 
 
 def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
-    """Return the yaw's sigma by the calibration and by the field along the drive, radians.
+    """Return the yaw's sigma by the calibration and by local disturbances, radians.
 
     It is the root mean square over 24 headings, on the level or on slopes of `tilt` (rad) to four
     sides.
@@ -79,8 +79,8 @@ def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
 def arc_sigma(estimate: Estimate) -> float:
     """Return the sigma of the arc by the compass, on the level, radians.
 
-    It is the largest over all starts: a partial turn shows the circle's centre least along the
-    middle of the arc, and an error in that direction changes the arc.
+    It is the largest over all starts: a partial turn determines the circle's centre least along the
+    middle of the arc, and an error in this direction changes the arc.
     """
     reference = field_in_enu(estimate.strength, estimate.inclination)
     jacobian = heading_jacobian(estimate.correction, reference, 0.0)
@@ -103,7 +103,7 @@ def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float)
 def headings_apart(
     right: Correction, other: Correction, strength: float, inclination: float
 ) -> FloatArray:
-    """Return yaw by another correction less by the right one, level headings (24,), radians."""
+    """Return the yaw by another correction minus that by the right one, (24,) level headings."""
     poses = _all_headings()
     up, field = poses[:, :, 2], poses @ field_in_enu(strength, inclination)
     seen = yaw_from_up_and_field(up, other.apply(right.undo(field)))
@@ -131,14 +131,14 @@ def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:
 def sideways_acceleration(window: Window) -> float:
     """Return the angle between the gyro's mean axis and the mean specific force, radians.
 
-    Over a full turn about any axis the true up averages to that axis. What is left is a steady
-    lateral acceleration, as of a car in a circle. The mean is over the angle, so a pause has no
-    weight.
+    Over a full turn about any axis, the mean of the true up is this axis. A difference is a
+    constant lateral acceleration, as of a car in a circle. The mean is over the angle: a pause has
+    no weight.
     """
     rate = window.angular_rate
     if rate is None:
         return 0.0
-    # A turn there and back has no mean rate, and an axis all the same.
+    # A turn there and back has no mean rate, but an axis.
     along = np.linalg.svd(rate, full_matrices=False)[2][0]
     axis = unit(np.sign(rate @ along) @ rate)
     mean = unit(np.abs(rate @ axis) @ unit(window.specific_force))
@@ -146,7 +146,7 @@ def sideways_acceleration(window: Window) -> float:
 
 
 def axis_share(window: Window) -> float:
-    """Return the share of the squared turn rates that is about one axis; one without a gyro."""
+    """Return the fraction of the squared turn rates about one axis; one without a gyro."""
     rate = window.angular_rate
     if rate is None or not rate.any():
         return 1.0

@@ -1,1 +1,1 @@
-"""What a drive shows of the vehicle: acceleration, front, and the compass against course."""
+"""What a drive shows: the vehicle's acceleration, its front, and the compass against course."""

@@ -1,11 +1,11 @@
-"""The gyro's attitude between ticks, straight stretches, and the compass against their course.
+"""The gyro's level frame, straight chords of the path, and the compass against their course.
 
     r_i = o + a1 cos psi + b1 sin psi + a2 cos 2psi + b2 sin 2psi + g(p_i) + n_i
 
-r is yaw of the compass less course, o its offset, psi the course, g what the street at the place
-p_i adds: cov = s² exp(-|p_i - p_j|/30 m). Generalised least squares with Student's weights; the
-sigma counts streets, not samples: both ways of one are one observation. It has a share of a plain
-swing.
+r is the yaw of the compass minus the course psi, o the offset, and g the local disturbance at the
+place p_i with covariance s² exp(-|p_i - p_j|/30 m). The fit is generalised least squares with
+Student weights. The sigma is clustered by street: both directions of a street are one observation.
+It includes a fraction of the swing.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Tick(NamedTuple):
 
     stamp: float
     seconds: float
-    """Its end, and how long it took."""
+    """End and duration, seconds."""
     force: Triple  # mean specific force in the frame, m/s²
     yaw: float  # of the body's x in the frame at its end, radians
     turn_rate: float  # mean about the frame's up, rad/s
@@ -55,10 +55,10 @@ class Tick(NamedTuple):
 
 
 class GyroFrame:
-    """Keeps a level frame by the gyro and sums the force in it.
+    """Stabilises a level frame by the gyro, and averages the force in it.
 
-    `axes` are the frame's in body axes; the third is up but for seconds' worth of accelerations.
-    `restarts` counts how often the frame began anew, after a gap or a step back in time.
+    `axes` are the frame's axes in body axes; the third is up, except for short accelerations.
+    `restarts` counts the restarts of the frame, after a gap or a step back in time.
     """
 
     def __init__(self) -> None:
@@ -69,7 +69,7 @@ class GyroFrame:
         self._force: Triple = (0.0, 0.0, 0.0)
 
     def add(self, sample: ImuSample, bias: Triple) -> Tick | None:
-        """Take an IMU sample and the gyro's bias (rad/s); returns a tick whenever one is full."""
+        """Add an IMU sample and the gyro's bias (rad/s); return a tick when it is complete."""
         stamp, (fx, fy, fz), (p, q, r) = sample[:3]
         if not 0.0 < fx * fx + fy * fy + fz * fz < math.inf or not math.isfinite(p + q + r):
             return None
@@ -117,13 +117,13 @@ class GyroFrame:
         return Tick(stamp, seconds, (x, y, z), cmath.phase(forward), turned / seconds)
 
     def _level(self, force: Triple, seconds: float) -> None:
-        """Lean the frame towards the force, by little: its up is right in the long run."""
+        """Tilt the frame slightly towards the force, whose long-term mean is up."""
         self._levelled = min(self._levelled + seconds, OWN.levelling)
         size = length(force)
         if size <= 0.0:
             return
         share = seconds / self._levelled / size
-        # The frame's up is to turn towards the force: about up x force, in body axes.
+        # The frame's up turns towards the force about up x force, in body axes.
         lean = self.to_body((-force[1] * share, force[0] * share, 0.0))
         back = scaled(lean, -1.0)
         assert self.axes is not None
@@ -132,28 +132,28 @@ class GyroFrame:
 
 
 class Chord(NamedTuple):
-    """A straight piece of way."""
+    """A straight piece of the path."""
 
-    stamp: float  # its end, on the clock of the fixes, seconds
+    stamp: float  # of the end, on the clock of the fixes, seconds
     east: float
     north: float
-    """Its middle, metres."""
-    course: float  # ENU, radians, where the vehicle went
-    gap: float  # yaw of the compass less course, radians, not unwrapped
-    gyro_gap: float  # the same of the gyro's yaw, whose zero is anywhere
+    """Middle, metres."""
+    course: float  # direction of travel, ENU, radians
+    gap: float  # yaw of the compass minus course, radians, not unwrapped
+    gyro_gap: float  # the same for the gyro's yaw, with an arbitrary zero
     sigma: float  # of the course, radians
-    metres: float  # its length
+    metres: float  # length
 
     @property
     def backwards(self) -> Chord:
-        """The same for a vehicle that backed up."""
+        """The same chord of a reversing vehicle."""
         angles = self.course, self.gap, self.gyro_gap
         course, gap, gyro_gap = (math.remainder(each + math.pi, math.tau) for each in angles)
         return self._replace(course=course, gap=gap, gyro_gap=gyro_gap)
 
 
 class Chords:
-    """Makes chords of fixes and yaws; the receiver's stamps are late by `delay`, seconds."""
+    """Makes chords from fixes and yaws; `delay` is the latency of the fixes, seconds."""
 
     def __init__(self) -> None:
         self.delay = SPEED.receiver_delay
@@ -166,11 +166,11 @@ class Chords:
         self._placed_at = -math.inf
 
     def add_yaw(self, yaw: float) -> None:
-        """Take a yaw of the compass, radians, of the tick under way."""
+        """Add a yaw of the compass, radians, to the present tick."""
         self._sum += cmath.exp(1j * yaw)
 
     def add_tick(self, tick: Tick) -> list[Chord]:
-        """Take the end of a tick; returns the chords that can be made now."""
+        """Add a complete tick; return the chords that can be made now."""
         self._looked.append((tick, self._sum))
         self._sum = 0j
         made: list[Chord] = []
@@ -184,12 +184,12 @@ class Chords:
         return made
 
     def add_fix(self, fix: PositionSample | VelocitySample) -> None:
-        """Take a fix or a velocity; what is not finite is left out."""
+        """Add a fix or a velocity, if it is finite."""
         if all(math.isfinite(value) for value in fix):
             self._waiting.append(fix)
 
     def restart(self) -> None:
-        """Forget where the vehicle looked: the gyro's frame is another one."""
+        """Forget all yaws: the gyro's frame has changed."""
         self._looked.clear()
         self._waiting.clear()
         self._anchor = self._velocity = None
@@ -211,7 +211,7 @@ class Chords:
         sigma = math.sqrt(2.0) * COURSE.relative_sigma / metres
         middle = (0.5 * (fix.east + start.east), 0.5 * (fix.north + start.north))
         chord = self._chord((start.stamp, fix.stamp), middle, complex(east, north), sigma)
-        # The next chord begins with another fix: an error of this one shows once.
+        # The next chord starts at another fix, so that an error of this fix counts once.
         self._anchor = fix if chord is None else None
         return chord
 
@@ -231,7 +231,7 @@ class Chords:
     def _chord(
         self, span: tuple[float, float], place: tuple[float, float], way: complex, sigma: float
     ) -> Chord | None:
-        """Return the chord of a way, metres, if the vehicle went straight on and had a compass."""
+        """Return the chord of a displacement, metres, if the path is straight with a compass."""
         if sigma > COURSE.largest_sigma:
             return None
         begin, end = (stamp - self.delay for stamp in span)
@@ -266,17 +266,17 @@ class Chords:
 class CellTable:
     """Cells in arrays, one row each."""
 
-    gap: FloatArray  # mean yaw of the compass less course, radians, shape (n,)
+    gap: FloatArray  # mean yaw of the compass minus course, radians, shape (n,)
     course: FloatArray  # mean, ENU, radians, shape (n,)
     place: FloatArray  # mean, metres, shape (n, 2)
     variance: FloatArray  # of a chord's course, radians squared, shape (n,)
     count: FloatArray  # chords, shape (n,)
-    metres: FloatArray  # way, shape (n,)
-    first: FloatArray  # number of its first chord, shape (n,)
+    metres: FloatArray  # length of path, shape (n,)
+    first: FloatArray  # number of the first chord, shape (n,)
 
 
 class CourseCells:
-    """A grid over places and courses, its `side` in metres, coarsened whenever it is full."""
+    """A grid over places and courses, with `side` in metres; a full grid is made coarser."""
 
     def __init__(self) -> None:
         self.side = COURSE.cell
@@ -287,7 +287,7 @@ class CourseCells:
         return len(self._cells)
 
     def add(self, chord: Chord) -> None:
-        """Take a chord."""
+        """Add a chord."""
         self.chords += 1
         gap, course = cmath.exp(1j * chord.gap), cmath.exp(1j * chord.course)
         place = chord.east, chord.north
@@ -306,7 +306,7 @@ class CourseCells:
         self._cells[east, north, sector] = sums + others, min(first, earlier)
 
     def table(self) -> CellTable:
-        """Return what is kept."""
+        """Return the cells in arrays."""
         sums = np.array([sums for sums, _ in self._cells.values()]).reshape(-1, 7)
         gap, course = np.angle(sums[:, :2]).T
         count = sums[:, 5].real
@@ -317,15 +317,15 @@ class CourseCells:
 
 @dataclass(frozen=True, eq=False)
 class CourseOffset:
-    """What course shows of the compass."""
+    """Offset and swing of the compass against course."""
 
     offset: float
     sigma: float
-    """Radians: yaw of the compass less course, as a constant."""
+    """Constant part of the yaw of the compass minus course, and its sigma, radians."""
     harmonics: FloatArray  # cos psi, sin psi, cos 2psi, sin 2psi, radians. Shape (4,).
     covariance: FloatArray  # of offset and harmonics. Shape (5, 5).
-    metres: float  # straight way driven
-    sectors: int  # courses seen, of eight
+    metres: float  # length of all chords
+    sectors: int  # sectors of course with chords, of eight
 
     def swing(self, order: int) -> tuple[float, float]:
         """Return a harmonic's amplitude, radians, and its significance in sigmas (root of chi²)."""
@@ -336,7 +336,7 @@ class CourseOffset:
 
 
 def fit_course_offset(cells: CellTable) -> CourseOffset | None:
-    """Fit the offset; None before enough places were seen."""
+    """Fit the offset; None until there are enough cells."""
     psi, count = cells.course, len(cells.gap)
     if count < COURSE.fewest:
         return None
@@ -349,11 +349,11 @@ def fit_course_offset(cells: CellTable) -> CourseOffset | None:
     distance = np.hypot(away[..., 0], away[..., 1])
     alike = np.exp(-distance / COURSE.reach)
     noise = (cells.variance + COURSE.noise**2) / cells.count
-    # What is seen counts by its places: a street that is driven again is the same one.
+    # Observations are counted by place: repeated passes add no independent information.
     places = len(np.unique(np.floor(cells.place / COURSE.reach), axis=0))
     weight, street = np.ones(count), COURSE.street
     for _ in range(MOUNTING.rounds):
-        # A cell of little weight is one that its street disturbs more than others.
+        # A cell with a low weight has a larger local disturbance.
         root = np.sqrt(weight)
         spread = (street**2 * alike + np.diag(noise)) / np.outer(root, root)
         solved = np.linalg.solve(spread, np.column_stack([design, gap]))
@@ -365,14 +365,13 @@ def fit_course_offset(cells: CellTable) -> CourseOffset | None:
         square = float(own @ np.linalg.solve(alike + np.diag(noise / street**2), own)) / count
         pseudo = COURSE.street_weight
         street = math.sqrt((pseudo * COURSE.street**2 + places * square) / (pseudo + places))
-    # What stands on one side of a street bends the field on one way: of a street, only the way
-    # that was driven first counts.
+    # Both directions of a street are not independent: only the one driven first counts.
     near = distance < max(1.5 * COURSE.cell, 0.5 * COURSE.reach)
     is_back = near & (np.cos(psi[:, None] - psi) < 0.0) & (cells.first < cells.first[:, None])
     kept = ~is_back.any(axis=1)
     information = design[kept].T @ np.linalg.solve(spread[kept][:, kept], design[kept]) + prior
-    # Iron that is there for a part of the way swings the compass, and changes the offset in a way
-    # that the scatter of streets does not show.
+    # Iron that is present for a part of the drive causes a swing, and an error of the offset that
+    # the scatter of streets does not show.
     swing = float(np.sum(values[1:] ** 2) - np.trace(covariance[1:, 1:]))
     covariance[0, 0] = max(covariance[0, 0], np.linalg.inv(information)[0, 0])
     covariance[0, 0] += COURSE.swing_share**2 * max(0.0, swing)
@@ -387,7 +386,7 @@ def fit_course_offset(cells: CellTable) -> CourseOffset | None:
 
 
 def _cluster(cells: CellTable) -> float:
-    """Return where most gaps lie: a reweighted mean from the densest place."""
+    """Return the centre of most gaps: a reweighted mean, from the densest value."""
     grid = np.linspace(-math.pi, math.pi, 72, endpoint=False)
     weight = np.minimum(cells.count, 3.0)
     near = np.exp(-((wrap_angle(cells.gap - grid[:, None]) / math.radians(15.0)) ** 2))

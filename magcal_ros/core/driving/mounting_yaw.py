@@ -1,12 +1,14 @@
 """The yaw of the IMU in the vehicle: specific force against the change of velocity.
 
-In a level frame that the gyro keeps still (`GyroFrame`), with the IMU's yaw theta in it,
+In a level frame that the gyro stabilises (`GyroFrame`), with the IMU's yaw theta in it,
 
-    F = z d/dt [v e^(i theta)] + w d/dt [i r e^(i theta)] + e,    z = s e^(-i beta),
+    F = z d/dt [v e^(i theta)] + w d/dt [i r e^(i theta)] + e,    z = s e^(-i beta).
 
-where F is the force across up, v the signed speed, r the turn rate, w the lever arm from the rear
-axle to the IMU, beta the yaw of the IMU in the vehicle and s one if the speed's unit is right.
-Neither field nor course is needed. All are low-passed over a second and less their mean over 20 s.
+F is the force across up, v the signed speed, r the turn rate, and w the lever arm from the rear
+axle to the IMU. beta is the yaw of the IMU in the vehicle, and s is one if the speed's unit is
+right.
+Neither field nor course is needed. All terms are low-passed over a second, minus their mean over
+20 s.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from magcal_ros.core.driving.speed import Speedometer, SpeedRecord
 from magcal_ros.core.geometry.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
-"""How often each is in a m/s."""
+"""Units of speed by their number in one m/s."""
 
 
 class SpeedFault(str, Enum):
@@ -42,19 +44,19 @@ class SpeedFault(str, Enum):
 
 @dataclass(frozen=True)
 class MountingYaw:
-    """How the IMU sits in the vehicle, and how well the speed fits its force."""
+    """The yaw of the IMU in the vehicle, and how well the speed explains its force."""
 
     yaw: float
     sigma: float
     """Radians, counter-clockwise from the vehicle's x to the IMU's x."""
-    scale: float  # force over change of velocity: one, if the speed is in m/s and in time
-    delay: float  # seconds by which the speed's stamps are late
-    explained: float  # share of the force's changes that the speed explains
-    energy: float  # m²/s³ of changes of velocity that were seen
-    force_energy: float  # the same of the force
-    noise: float  # m/s² that the force departs by
+    scale: float  # force over change of velocity: one for a speed in m/s without latency
+    delay: float  # latency of the speed's stamps, seconds
+    explained: float  # fraction of the force's changes that the speed explains
+    energy: float  # integrated square of the changes of velocity, m²/s³
+    force_energy: float  # the same for the force
+    noise: float  # residual of the force, m/s²
     is_rough: bool = False
-    """Whether the speed is a receiver's, whose noise makes the scale less than one."""
+    """Whether the speed is a receiver's, whose noise reduces the scale."""
 
     def _explains(self, energy: float) -> bool:
         is_enough = min(self.energy, self.force_energy) >= energy
@@ -62,7 +64,7 @@ class MountingYaw:
 
     @property
     def is_usable(self) -> bool:
-        """Whether it is good enough to take the vehicle's own acceleration off."""
+        """Whether the yaw is good enough to subtract the vehicle's acceleration."""
         return self._explains(MOUNTING.first_energy) and self.sigma < MOUNTING.believed
 
     @property
@@ -73,7 +75,7 @@ class MountingYaw:
 
     @property
     def is_known(self) -> bool:
-        """Whether enough was seen, and the speed explains it."""
+        """Whether the speed explains enough changes of velocity."""
         return self._explains(MOUNTING.energy) and self.has_scale
 
 
@@ -87,7 +89,7 @@ class TickTable(NamedTuple):
     yaw: FloatArray
     turn_rate: FloatArray
     """Of the IMU in the frame, radians and rad/s."""
-    speed: FloatArray  # m/s; NaN where it is not known
+    speed: FloatArray  # m/s; NaN if unknown
     is_signed: bool  # whether backwards is negative
 
     def last(self, count: int) -> TickTable:
@@ -96,7 +98,7 @@ class TickTable(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What a fit shows of one source: the yaw it leads to, what is wrong with it, its latency."""
+    """The result of a fit for one source of speed: yaw, fault and latency."""
 
     source: SpeedSource
     fitted: MountingYaw | None
@@ -116,8 +118,8 @@ def _judge(
         is_moved = stuck is not None and stuck.force_energy > MOUNTING.first_energy
         if stuck is not None and is_moved and stuck.explained < MOUNTING.explained:
             return Judged(source, stuck, SpeedFault.FROZEN, delay)
-    # What went wrong with wheels just now is not outweighed by minutes in which all was well; a
-    # receiver is worse between houses, and good again beyond them.
+    # Wheels are also tested over the last minute, in which a new fault is clear. A receiver is
+    # temporarily worse between houses.
     for ticks in (met,) if is_rough else (met.last(MOUNTING.recent), met):
         found = fit_mounting_yaw(ticks, delay, is_rough)
         fault = None if found is None else _fault(record, found)
@@ -146,7 +148,7 @@ def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
 
 
 def _delay(table: TickTable, record: SpeedRecord) -> float:
-    """Find the shift at which force and change of velocity go together best."""
+    """Return the latency with the largest correlation of force and change of velocity."""
     step = 2.0 * OWN.seconds
     if len(table.stamp) < 2 * MOUNTING.highpass:
         return record.delay
@@ -164,14 +166,14 @@ def _delay(table: TickTable, record: SpeedRecord) -> float:
 
 
 def _correlation(ticks: TickTable) -> float:
-    """Return how well force and change of velocity go together, zero to one."""
+    """Return the correlation of force and change of velocity, zero to one."""
     force, change, _, _ = _filtered(ticks)
     size = float(np.linalg.norm(force) * np.linalg.norm(change))
     return 0.0 if size <= 0.0 else float(abs(np.vdot(change, force))) / size
 
 
 def _filtered(ticks: TickTable) -> tuple[ComplexArray, ComplexArray, ComplexArray, BoolArray]:
-    """Return force, change of velocity and of a lever arm's, filtered, and where all are known."""
+    """Return force, change of velocity, that of a lever arm's, filtered, and which are valid."""
     ahead = np.exp(1j * ticks.yaw)
     ends = 0.5 * (ticks.turn_rate + np.append(ticks.turn_rate[1:], ticks.turn_rate[-1]))
     change, swing = (
@@ -191,7 +193,7 @@ def _filtered(ticks: TickTable) -> tuple[ComplexArray, ComplexArray, ComplexArra
 
 
 def _running(sums: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
-    """Return the mean over so many rows about each, of running sums and of valid rows."""
+    """Return the running mean over `width` rows, from cumulative sums and counts of valid rows."""
     total = len(sums) - 1
     last = np.minimum(np.maximum(np.arange(total) - width // 2, 0) + width, total)
     first = np.maximum(last - width, 0)
@@ -199,7 +201,7 @@ def _running(sums: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
 
 
 def _signs(ticks: TickTable, force: ComplexArray, change: ComplexArray) -> FloatArray:
-    """Return plus or minus one per row: forwards where most of the way was driven."""
+    """Return the sign of the speed in each row; most of the path counts as forwards."""
     speed = np.abs(np.nan_to_num(ticks.speed))
     moving = speed > OWN.standing
     label = np.where(moving, np.cumsum(moving & ~np.append(False, moving[:-1])), 0)
@@ -207,7 +209,7 @@ def _signs(ticks: TickTable, force: ComplexArray, change: ComplexArray) -> Float
     product = force * np.conj(change)
     sums = np.bincount(label, product.real, count) + 1j * np.bincount(label, product.imag, count)
     sums[0] = 0.0
-    # The squares of the trips' sums do not know the trips' signs.
+    # The squares of the trips' sums are independent of the trips' signs.
     axis = cmath.exp(0.5j * cmath.phase(complex(np.sum(sums**2))))
     sign = np.where((sums * np.conj(axis)).real < 0.0, -1.0, 1.0)
     if float(sign @ np.bincount(label, speed * ticks.seconds, count)) < 0.0:
@@ -217,10 +219,10 @@ def _signs(ticks: TickTable, force: ComplexArray, change: ComplexArray) -> Float
 
 
 def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> MountingYaw | None:
-    """Fit yaw, scale and lever arm; None where nothing moved.
+    """Fit yaw, scale and lever arm; None without enough ticks.
 
     The speeds are already corrected by the latency `delay`, seconds. Least squares with weights
-    1/(1 + |e|²/4s²); the errors of blocks of time are taken as one.
+    1/(1 + |e|²/4s²); errors within a block of time count as fully correlated.
     """
     if len(ticks.stamp) < MOUNTING.highpass // 2 or not np.isfinite(ticks.speed).any():
         return None
@@ -241,7 +243,7 @@ def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> Mounting
     for _ in range(MOUNTING.rounds):
         # The median of a Rayleigh distribution is 1.177 of its components' sigma.
         noise = max(1e-3, 1.26 * float(np.median(np.abs(error))))
-        # Smoothed rows are correlated: the prior is weighed against independent ones.
+        # Smoothed rows are correlated: the prior is scaled by the number of correlated rows.
         prior = noise**2 * MOUNTING.smooth / MOUNTING.lever_sigma**2
         weighted = columns.conj() * weight
         inverse = np.linalg.inv(weighted @ columns.T + np.diag([1e-9, prior]))
@@ -253,9 +255,9 @@ def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> Mounting
     steps = inverse[0] @ np.add.reduceat(weighted * error, blocks, axis=1)
     by_lever = inverse[0, 1] * prior * MOUNTING.lever_sigma
     z = complex(found[0])
-    # Across z a step turns it.
+    # The part of a step across z changes the angle of z.
     variance = float(np.sum((steps / z).imag ** 2)) + abs(by_lever / z) ** 2
-    # A wild speed explains nothing, but is no worse than none.
+    # A wrong speed explains nothing, but does not count as worse than no speed.
     left = float(np.sum(np.minimum(np.abs(error) ** 2, squares)))
     return MountingYaw(
         -cmath.phase(z),
@@ -271,10 +273,10 @@ def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> Mounting
 
 
 class MountingWatch:
-    """Keeps the ticks of some minutes and fits them now and then.
+    """Keeps the ticks of some minutes, and fits them periodically.
 
-    `found` is the newest fit of the source in use, `seen` that of each source, and `faults` is what
-    is wrong with which source.
+    `found` is the newest fit of the source in use, `seen` that of each source, and `faults` are the
+    faults by source.
     """
 
     def __init__(self, speedometer: Speedometer) -> None:
@@ -287,8 +289,8 @@ class MountingWatch:
         self.seen: dict[SpeedSource, MountingYaw] = {}
 
     def add(self, tick: Tick, speed: float) -> bool:
-        """Take a tick and its speed (m/s, NaN where unknown); returns whether a fit is due."""
-        # A vehicle that stands shows nothing, for however long.
+        """Add a tick and its speed (m/s, NaN if unknown); return whether a fit is due."""
+        # A vehicle at rest provides no information.
         if abs(speed) > MOUNTING.moving or abs(tick.level_force) > 0.5 * MOUNTING.moving:
             self._ticks.append(tick)
         return tick.stamp - self._fitted_at >= MOUNTING.reuse
@@ -299,13 +301,13 @@ class MountingWatch:
         self._fitted_at = -math.inf
 
     def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
-        """Return the work of fitting what was driven, for any thread; give `take` its result.
+        """Return a function that fits the drive, for any thread; `take` uses its result.
 
-        The sources after the first good one wait for every eighth fit, which measures latencies.
+        Every eighth fit tests all sources and measures their latencies; the others end at the first
+        good source.
         """
         self._fitted_at = stamp
         self._fits += 1
-        # Every eighth fit looks at all sources, and measures their latencies.
         ticks, is_thorough = list(self._ticks), self._fits % 8 == 0
         recent = [
             (source, track.record())
@@ -329,7 +331,7 @@ class MountingWatch:
         return work
 
     def take(self, judged: tuple[Judged, ...]) -> None:
-        """Take over what was fitted: the best source without a fault is used."""
+        """Use the results of a fit: the best source without a fault is used."""
         self.found = None
         for source, fitted, fault, delay in judged:
             if fitted is not None:
@@ -344,12 +346,12 @@ class MountingWatch:
 
 
 def fault_words(topic: str, fault: SpeedFault, fitted: MountingYaw) -> str:
-    """Say what is wrong with a speed, and what to do."""
+    """Return the fault of a speed in words, with a remedy."""
     if fault is SpeedFault.SCALE:
         times = 1.0 / max(fitted.scale, 1e-6)
         unit = next((name for k, name in UNITS.items() if abs(times / k - 1.0) < 0.12), "")
         guess = f", as if it were in {unit}" if unit else ""
-        what = f"is {times:.2g} times that by the accelerometer{guess}: publish m/s"
+        what = f"is {times:.2g} times the speed by the accelerometer{guess}: publish m/s"
     else:
         what = {
             SpeedFault.JUMPS: "jumps more than a vehicle can: check the encoder and its driver",

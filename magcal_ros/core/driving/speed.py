@@ -1,4 +1,4 @@
-"""The vehicle's speed from the best source, and its own acceleration, at the speed's delay."""
+"""The vehicle's speed from the best source, and its acceleration, with the speed's latency."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ Span = TypeVar("Span", float, FloatArray)
 
 
 def largest_change(seconds: Span) -> Span:
-    """Return by how much a speed may change meanwhile, m/s; beyond it is a jump."""
+    """Return the largest possible change of a speed over some seconds, m/s."""
     return SPEED.largest_acceleration * seconds + SPEED.step
 
 
 def is_jump(before: tuple[float, float], after: tuple[float, float]) -> bool:
-    """Whether a speed changes from one stamp to another as no vehicle's can."""
+    """Whether a speed changes by more than a vehicle's can, from (stamp, speed) to another."""
     return abs(after[1] - before[1]) > largest_change(after[0] - before[0])
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedRecord:
-    """What one source has measured, frozen."""
+    """A copy of the measurements of one source."""
 
     kept: FloatArray  # stamps and speeds of some minutes, thinned. Shape (n, 2).
-    wild_share: float  # share of the newest samples to which the speed jumps as no vehicle can
+    wild_share: float  # fraction of the newest samples with impossible jumps
     delay: float
     gap: float
-    """Seconds by which the stamps are late, and that are interpolated over."""
+    """Latency of the stamps, and longest gap that is interpolated, seconds."""
     is_signed: bool  # whether backwards is negative
 
     def along(self, stamps: FloatArray, delay: float) -> FloatArray:
-        """Return the speed at many stamps (n,), NaN where there is none, for a latency."""
+        """Return the speed at stamps (n,) for a latency, NaN if unknown."""
         if len(self.kept) < 2:
             return np.full(len(stamps), math.nan)
         time, speed = self.kept.T
@@ -63,10 +63,9 @@ class SpeedRecord:
 
 
 class SpeedTrack:
-    """What one source has measured lately.
+    """The recent measurements of one source.
 
-    `delay` are the seconds by which its stamps are late, and `is_signed` is whether backwards is
-    negative.
+    `delay` is the latency of its stamps, seconds, and `is_signed` is whether backwards is negative.
     """
 
     def __init__(self, source: SpeedSource) -> None:
@@ -82,7 +81,7 @@ class SpeedTrack:
 
     @property
     def newest(self) -> float:
-        """Stamp of the newest sample that is believed, seconds; minus infinity before the first."""
+        """Stamp of the newest accepted sample, seconds; minus infinity before the first."""
         return self._recent[-1][0] if self._recent else -math.inf
 
     @property
@@ -91,11 +90,11 @@ class SpeedTrack:
         return self._recent[-1][1] if self._recent else math.nan
 
     def wants(self, stamp: float) -> bool:
-        """Whether a sample is of use, and not one of more a second than are read."""
+        """Whether a sample at a stamp is used; of a fast source, some are skipped."""
         return not 0.0 < stamp - self.newest < SPEED.shortest
 
     def add(self, stamp: float, speed: float) -> bool:
-        """Take a speed; returns whether it was usable."""
+        """Add a speed; return whether it was usable."""
         if not self.wants(stamp):
             return True
         if not abs(speed) <= SPEED.largest or self._stamps.check(stamp) is not None:
@@ -103,11 +102,11 @@ class SpeedTrack:
         if stamp < self.newest:
             self._recent.clear()
             self._kept.clear()
-        self._weigh((stamp, speed))
+        self._accept((stamp, speed))
         return True
 
-    def _weigh(self, sample: tuple[float, float]) -> None:
-        """Accept a sample; one to which the speed jumps only if the next one stays there."""
+    def _accept(self, sample: tuple[float, float]) -> None:
+        """Accept a sample; after a jump only if the next sample confirms it."""
         doubted, self._doubted = self._doubted, None
         is_wild = bool(self._recent) and is_jump(self._recent[-1], sample)
         self._wild.append(is_wild)
@@ -120,19 +119,19 @@ class SpeedTrack:
 
     @property
     def is_slow(self) -> bool:
-        """Whether these are wheels with as few messages as a receiver."""
+        """Whether these are wheels with a message rate as low as a receiver's."""
         if self.source is not SpeedSource.ODOMETRY or len(self._recent) < 4:
             return False
         return self._recent[-1][0] - self._recent[-4][0] > 3.0 * SPEED.seldom
 
     @property
     def gap(self) -> float:
-        """Seconds between two samples that are interpolated between."""
+        """Longest gap that is interpolated, seconds."""
         is_quick = self.source is SpeedSource.ODOMETRY and not self.is_slow
         return 2.0 * SPEED.seldom if is_quick else SPEED.receiver_gap
 
     def at(self, stamp: float) -> float | None:
-        """Return the speed, m/s, at a stamp of the IMU's clock; None unless samples enclose it."""
+        """Return the speed, m/s, at a stamp of the IMU; None unless samples enclose the stamp."""
         stamp += self.delay
         found = enclosing(self._recent, stamp)
         if found is None:
@@ -146,18 +145,18 @@ class SpeedTrack:
         return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
 
     def has_passed(self, stamp: float) -> bool:
-        """Whether waiting longer can bring no sample before a stamp of the IMU's clock."""
+        """Whether no further sample before a stamp of the IMU can come."""
         return self.newest >= stamp + self.delay
 
     def record(self) -> SpeedRecord:
-        """Return what is remembered, for work in another thread."""
+        """Return a copy of the measurements, for another thread."""
         kept = np.array(self._kept).reshape(-1, 2)
         wild = sum(self._wild) / SPEED.newest
         return SpeedRecord(kept, wild, self.delay, self.gap, self.is_signed)
 
 
 class Speedometer:
-    """Listens to wheels and receiver."""
+    """The speeds of wheels and receiver."""
 
     def __init__(self) -> None:
         self.tracks = {source: SpeedTrack(source) for source in SpeedSource}
@@ -165,9 +164,9 @@ class Speedometer:
         self._fix: PositionSample | None = None
 
     def add(self, sample: TravelSample) -> bool:
-        """Take what wheels or a receiver say, m/s and metres; returns whether it was usable.
+        """Add a sample of wheels or receiver; return whether it was usable.
 
-        The speed of a fix is that since the fix before.
+        The speed of a fix is the mean since the previous fix.
         """
         if isinstance(sample, SpeedSample):
             wheels = self.tracks[SpeedSource.ODOMETRY]
@@ -197,7 +196,7 @@ class Speedometer:
 
 
 class _Trip(NamedTuple):
-    """When a trip ended, which way it went, and whether the force had decided on that."""
+    """End and direction of a trip, and whether the force has determined the direction."""
 
     end: float = -math.inf
     sign: float = 1.0
@@ -205,19 +204,18 @@ class _Trip(NamedTuple):
 
 
 class OwnAcceleration:
-    """Subtracts the vehicle's own acceleration from the force.
+    """Subtracts the vehicle's acceleration from the force.
 
-    Over the last half second that the speed is known for, the mean force less the change of
-    velocity is gravity, in the frame that the gyro keeps still; it is turned into the body axes
-    of the moment. So neither a late speed nor one that comes once a second does harm.
+    Over the last half second with a known speed, the mean force minus the change of velocity is
+    gravity, in the frame stabilised by the gyro. It is rotated into the present body axes, so that
+    a speed with latency or at 1 Hz can be used.
 
-    `yaw` is that of the IMU in the vehicle, radians, zero until it is known. `scale` is the force
-    over the change of speed, whose noise makes it less than one, and `noise` the m/s² by which the
-    force departs from it. `is_used` is whether the speed explains the force of the last seconds.
-    `is_yaw_usable` and `is_yaw_known` are whether the yaw is known roughly, and well: before the
-    latter, a vehicle is taken to drive forwards. `sign` is minus one while a speed without sign is
-    that of a vehicle that backs up, and `is_clear` is whether the force has decided on it since the
-    vehicle stood.
+    `yaw` is the yaw of the IMU in the vehicle, radians, zero until it is known. `scale` is the
+    force over the change of speed, which noise reduces, and `noise` the residual of the force,
+    m/s². `is_used` is whether the speed explains the force of the last seconds. `is_yaw_usable` and
+    `is_yaw_known` are whether the yaw is known roughly, and well; until the latter, a vehicle is
+    assumed to drive forwards. `sign` is minus one while a vehicle with an unsigned speed reverses,
+    and `is_clear` is whether the force has determined the sign since the last stop.
     """
 
     def __init__(self) -> None:
@@ -233,7 +231,7 @@ class OwnAcceleration:
         self.restart()
 
     def restart(self) -> None:
-        """Forget ticks: the gyro's frame is another one."""
+        """Forget all ticks: the gyro's frame has changed."""
         self._waiting.clear()
         self._gives, self._pauses_until = False, -math.inf
         self._before, self._is_under_way, self._speed = _Trip(), True, 0.0
@@ -248,20 +246,20 @@ class OwnAcceleration:
         self.is_used = False
 
     def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
-        """Return the sign of a trip under way at a stamp, or that ended after it.
+        """Return the sign of the trip at a stamp (plus or minus one).
 
-        And whether the force has decided on it, and whether it may still do so.
+        Also whether the force has determined the sign, and whether it may still do so.
         """
         if stamp > self._before.end:
             return self.sign, self.is_clear, True
         return self._before.sign, self._before.is_clear, False
 
     def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
-        """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
+        """Add a tick; return the ticks that were matched with a speed (m/s, NaN if unknown)."""
         self._waiting.append(tick)
         key = None if track is None else (track.source, track.delay)
         if key != self._track_key:
-            # Another source, or another latency: a change of velocity would be none.
+            # After a change of source or latency, differences of velocity are not valid.
             self._track_key = key
             self._try_anew()
         if track is not None:
@@ -284,7 +282,7 @@ class OwnAcceleration:
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
         """Return what to subtract from a specific force, m/s², body axes; None if it is not known.
 
-        It does not come and go: a force that is corrected for moments only would mislead.
+        After a gap it pauses for some seconds: brief corrections would mislead the filter of up.
         """
         since, gravity = self._gravity or (math.inf, force)
         is_known = self.is_used and 0.0 <= stamp - since <= OWN.oldest
@@ -298,7 +296,7 @@ class OwnAcceleration:
 
     @property
     def _turn(self) -> complex:
-        """From the change of velocity, as if the IMU looked ahead, to the force."""
+        """Factor from the change of velocity, for an IMU that faces ahead, to the force."""
         return self.scale * cmath.exp(-1j * self.yaw)
 
     def _begin_trip(self, stamp: float, sign: float, is_clear: bool) -> None:
@@ -317,16 +315,15 @@ class OwnAcceleration:
         if is_slow and self._is_under_way:
             self._begin_trip(tick.stamp, 1.0, False)
         elif not is_slow and self._span > 2 and abs(speed) < min(OWN.crawling, self._speed):
-            # A speed that comes once a second may leave out that the vehicle stood, and mere fixes
-            # smear a stop over seconds.
+            # A speed at 1 Hz may miss a stop, and fixes smear a stop over seconds.
             self._begin_trip(tick.stamp, self.sign, self.is_clear and not self._is_rough)
         self._is_under_way, self._speed = not is_slow, abs(speed)
         self._matched.append((tick, speed * cmath.exp(1j * tick.yaw)))
         if len(self._matched) > self._span:
-            self._weigh()
+            self._subtract()
 
-    def _weigh(self) -> None:
-        """Take the change of velocity over the span off the mean force over it."""
+    def _subtract(self) -> None:
+        """Subtract the change of velocity over the span from the mean force."""
         (begin, old), *others = list(self._matched)[-self._span - 1 :]
         end, new = others[-1]
         seconds = sum(tick.seconds for tick, _ in others)
@@ -336,7 +333,7 @@ class OwnAcceleration:
             sum(tick.force[axis] * tick.seconds for tick, _ in others) / seconds
             for axis in range(3)
         )
-        # The speed of a receiver that stands wanders.
+        # The speed of a receiver at rest drifts.
         stands = max(abs(new), abs(old)) < self._slow
         change = 0j if stands else (new - old) / seconds
         along = (abs(new) - abs(old)) / seconds
@@ -349,12 +346,12 @@ class OwnAcceleration:
         self._gravity = (end.stamp, (x - own.real, y - own.imag, z))
 
     def _judge(self) -> None:
-        """Look whether the speed explains the force of the last seconds."""
+        """Test whether the speed explains the force of the last seconds."""
         force, change, along = np.array(self._seen).T
         without, quiet = float(np.var(force)), OWN.quiet**2
         limit = OWN.gain * without if without > quiet else quiet
         is_explained = float(np.var(force - self._turn * change)) <= limit
-        # On an even circle the gyro suffices: the speed of mere fixes would only add noise.
+        # In a steady circle the gyro is enough: the speed from fixes would only add noise.
         changes, starts = (float(np.sum(np.abs(each) ** 2)) for each in (change, along))
         is_tested = not self._is_rough or (
             self.is_yaw_usable and starts >= OWN.along * changes > 0.0
@@ -362,9 +359,9 @@ class OwnAcceleration:
         self.is_used = len(force) >= OWN.fewest and is_explained and is_tested
 
     def _decide(self, shown: complex, forwards: complex) -> None:
-        """Sum up, since the vehicle stood, what a force shows of the direction of travel."""
-        # `forwards` is the own acceleration of a vehicle that drives forwards. What the force is
-        # beside it is that before the trip: later it is known only by the sign that is sought.
+        """Accumulate the evidence for the direction of travel since the last stop."""
+        # `forwards` is the acceleration of a vehicle that drives forwards. The rest of the force is
+        # that before the trip: during the trip it depends on the unknown sign.
         self._explained += ((shown - self._slope) * forwards.conjugate()).real
         self._energy += abs(forwards) ** 2
         if not self.is_yaw_known or self._energy <= 0.0:

@@ -43,7 +43,7 @@ class DriftWatch:
         self.judged = self.drifted = 0
 
     def add(self, chord: Chord) -> bool:
-        """Take a chord; returns whether the vehicle goes where it looks, as far as is known."""
+        """Add a chord; return whether course and heading agree, as far as is known."""
         seen = self._seen
         seen.append(chord)
         while chord.stamp - seen[0].stamp > COURSE.span:
@@ -54,34 +54,34 @@ class DriftWatch:
         return not self.is_drifting
 
     def _drifts(self) -> bool:
-        """Whether the newest chords are those of a hull that goes where it does not look."""
+        """Whether the newest chords are from a hull, whose course is not its heading."""
         time, _, _, courses, compass_gaps, gaps, sigmas, _ = np.array(self._seen).T
-        # By how much the gyro leads the compass, and its yaw; radians that go on beyond a turn.
+        # The gyro's yaw minus that of the compass, and the gyro's yaw, unwrapped.
         leads, headings = np.unwrap(gaps - compass_gaps), np.unwrap(gaps + courses)
         gaps, since = np.unwrap(gaps), time - time.mean()
         slope, lead = (float(since @ each / (since @ since)) for each in (gaps, leads))
-        # The gyro leads the compass by its bias, and not by what a hull turns.
+        # Gyro and compass differ by the gyro's bias, but not by the turning of a hull.
         least, most = min(lead, 0.0) - COURSE.bias, max(lead, 0.0) + COURSE.bias
         bias = since * min(max(slope, least), most)
         left, turned = gaps - bias, headings - bias
         left -= np.median(left)
         turned -= turned.mean()
-        # What the receiver's own noise scatters is no drift.
+        # The variance by the receiver's noise is not drift.
         square = (1.4826 * float(np.median(np.abs(left)))) ** 2 - float(np.median(sigmas)) ** 2
         if square > COURSE.scatter**2:
             return True
-        # A receiver's noise knows nothing of the hull's turns; a course that stays leaves them out.
+        # The receiver's noise is not correlated with turns; a course that does not follow them is.
         by_turns = float(turned @ turned)
         has_turned = by_turns >= len(turned) * COURSE.turned**2
         return has_turned and float(turned @ left) > COURSE.share * by_turns
 
     @property
     def is_drifting(self) -> bool:
-        """Whether the course is not the heading for a good part of the way."""
+        """Whether course and heading differ for a large part of the path."""
         return self.drifted > 3 and self.drifted > 0.2 * self.judged
 
     def restart(self) -> None:
-        """Forget the newest chords: the gyro's zero is another one."""
+        """Forget the newest chords: the zero of the gyro's yaw has changed."""
         self._seen.clear()
 
 
@@ -89,17 +89,16 @@ Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
 
 
 def at_once(work: Callable[[], Any], then: Callable[[Any], None]) -> None:
-    """Do some work and go on with its result."""
+    """Call `work`, and `then` with its result."""
     then(work())
 
 
 class Travelling:
     """Follows a drive with bounded memory; without speed and fixes it does nothing.
 
-    `run` takes some work and what is to be done with its result; by default it does both at once.
-    A node has the work, of some tens of milliseconds, done beside its messages. `course` is the
-    newest fit of compass against course, of the yaw to *magnetic* north; None before one.
-    `is_heard` is whether any speed or fix has come.
+    `run` calls a function of some tens of milliseconds, and another one with its result, by default
+    at once; a node uses another thread. `course` is the newest fit of compass against course, for
+    the yaw to *magnetic* north; None before a fit. `is_heard` is whether any speed or fix has come.
     """
 
     def __init__(self, run: Run = at_once) -> None:
@@ -120,13 +119,13 @@ class Travelling:
 
     @property
     def known_mounting(self) -> MountingYaw | None:
-        """The yaw of the IMU in the vehicle, where enough was seen to determine it."""
+        """The yaw of the IMU in the vehicle; None until the drive determines it."""
         found = self.mounting.found
         return found if found is not None and found.is_known else None
 
     @property
     def source(self) -> SpeedSource | None:
-        """Whose speed is used."""
+        """The source of the speed in use."""
         track = self.speedometer.track
         return None if track is None else track.source
 
@@ -138,28 +137,28 @@ class Travelling:
 
     @property
     def has_wheels(self) -> bool:
-        """Whether the speed of wheels comes often enough to time starts and stops by it."""
+        """Whether the speed of wheels is frequent enough to time starts and stops."""
         track = self.speedometer.track
         if track is None or track.source is not SpeedSource.ODOMETRY:
             return False
         return math.isfinite(track.newest) and not track.is_slow
 
     def wheel_speed(self, stamp: float) -> float:
-        """Return what wheels say, m/s; NaN without a measurement near a stamp, seconds."""
+        """Return the speed of wheels, m/s; NaN without a measurement near a stamp, seconds."""
         track = self.speedometer.tracks[SpeedSource.ODOMETRY]
         if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
             return math.nan
         return track.last
 
     def believe(self, yaw: float, sigma: float) -> None:
-        """Take a yaw of the IMU in the vehicle from elsewhere, radians, until more is seen."""
+        """Use a yaw of the IMU in the vehicle from elsewhere, radians, until a fit is usable."""
         self._given = (yaw, sigma)
         self._believe_fit()
 
     def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> Triple | None:
-        """Take an IMU sample; returns the vehicle's own acceleration, m/s², body axes.
+        """Add an IMU sample; return the vehicle's acceleration, m/s², body axes.
 
-        None where it is not known; then nothing is to be taken off.
+        None if it is not known; nothing may then be subtracted.
         """
         if not self.is_heard:
             return None
@@ -173,41 +172,41 @@ class Travelling:
         return self.own.linear(sample.stamp, sample.force, self._frame)
 
     def wants_speed(self, stamp: float) -> bool:
-        """Whether what wheels say at a stamp is of use; a message that is not need not be read."""
+        """Whether a speed of wheels at a stamp is used; other messages need not be decoded."""
         return self.speedometer.tracks[SpeedSource.ODOMETRY].wants(stamp)
 
     def add_travel(self, sample: TravelSample) -> None:
-        """Take whatever wheels and receivers say."""
+        """Add a sample of wheels or receiver."""
         is_usable = self.speedometer.add(sample)
         self.is_heard = is_usable or self.is_heard
         if isinstance(sample, PositionSample) or (is_usable and isinstance(sample, VelocitySample)):
             self._chords.add_fix(sample)
 
     def add_yaw(self, yaw: float) -> None:
-        """Take a yaw of the compass to magnetic north, of the IMU's x, radians."""
+        """Add the yaw of the IMU's x to magnetic north by the compass, radians."""
         if self.is_heard:
             self._chords.add_yaw(yaw)
 
     def forget_compass(self) -> None:
-        """Another calibration is in force: forget the comparison of the last one with course."""
+        """Forget the comparison of compass and course: another calibration is in use."""
         self.cells = CourseCells()
         self.course = None
         self._pending.clear()
 
     def fit_course(self) -> CourseOffset | None:
-        """Fit the offset of the compass with all that was driven."""
+        """Fit the offset of the compass against course to the whole drive."""
         self.course = self._begin_course()()
         return self.course
 
     def _begin_course(self) -> Callable[[], CourseOffset | None]:
-        """Return the work of fitting the course; up to a tenth of a second with many cells."""
+        """Return a function that fits the course, in up to a tenth of a second."""
         if self.drift.is_drifting:
             return lambda: None
         table = self.cells.table()
         return lambda: fit_course_offset(table)
 
     def give_up_fit(self) -> None:
-        """Forget a fit that has failed: the next one may be tried."""
+        """Forget a failed fit, so that the next one may start."""
         self._is_running = False
 
     def _on_tick(self, tick: Tick) -> None:
@@ -226,7 +225,7 @@ class Travelling:
         self._settle()
 
     def _fit(self, stamp: float) -> None:
-        """Have the drive fitted, and the course where there is new way."""
+        """Start the fits of the mounting yaw and of the course."""
         mounting, course = self.mounting.begin_fit(stamp), self._begin_course()
         self._is_running = True
 
@@ -244,7 +243,7 @@ class Travelling:
     def _believe_fit(self) -> None:
         found, own, given = self.mounting.found, self.own, self._given
         if found is not None and found.is_usable:
-            # What is subtracted is tested against the force all the time: a rough yaw does.
+            # A rough yaw is enough: the acceleration is continuously tested against the force.
             own.yaw, own.noise = found.yaw, found.noise
             own.scale = min(1.0, found.scale)
             own.is_yaw_usable = True
@@ -253,7 +252,7 @@ class Travelling:
             own.yaw, own.is_yaw_usable, own.is_yaw_known = given[0], True, True
 
     def _settle(self) -> None:
-        """Let chords count once it is known whether the vehicle went forwards."""
+        """Use chords once it is known whether the vehicle drove forwards."""
         track = self.speedometer.track
         while self._pending:
             chord = self._pending[0]
@@ -275,8 +274,7 @@ class Travelling:
 class TravelReplay:
     """Merges travel samples into a recording's readings, and follows up and speed along it.
 
-    `own` is the vehicle's own acceleration at the newest IMU sample, m/s², body axes; zero where it
-    is not known.
+    `own` is the vehicle's acceleration at the newest IMU sample, m/s², body axes; zero if unknown.
     """
 
     def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:
@@ -294,7 +292,7 @@ class TravelReplay:
         newest = -math.inf
 
         def stamp_of(reading: ImuSample | FieldSample | TravelSample | None) -> float:
-            # A reading without numbers comes where it was recorded.
+            # A reading without numbers keeps its place.
             return newest if reading is None else reading.stamp
 
         for reading in heapq.merge(readings, self._travel, key=stamp_of):

@@ -1,4 +1,4 @@
-"""The reference field: from what is given by hand, and from the model at a place."""
+"""The reference field: numbers given by hand, and the model at a place."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class PositionTuning:
 
     moved: float = 10_000.0
     """Metres after which the field is computed again: it changes by 0.1° or 0.1 µT at most."""
-    confirmed: int = 3  # fixes in a row that must agree on a new place: one alone may be an outlier
+    confirmed: int = 3  # consecutive fixes that must agree on a new place: one may be an outlier
     far: float = 50_000.0
     """Metres from the given place, or from the first fix, beyond which a warning is given."""
 
@@ -55,7 +55,7 @@ NOWHERE = "lie at 0° N 0° E, where receivers without a fix are"
 class Fix:
     """One message of a receiver."""
 
-    has_fix: bool  # its own status
+    has_fix: bool  # by the status of the message
     latitude_deg: float
     longitude_deg: float
     altitude: float
@@ -67,7 +67,7 @@ def place_of(fix: Fix) -> Place | str:
     """Return the place of a fix, or why it has none."""
     spot = (fix.latitude_deg, fix.longitude_deg)
     low, high = VALIDITY.altitudes
-    # A hundred metres change the strength by 0.005%.
+    # A missing altitude does little harm: a hundred metres change the strength by 0.005%.
     altitude = fix.altitude if math.isfinite(fix.altitude) else 0.0
     if not fix.has_fix:
         return NO_FIX
@@ -81,10 +81,10 @@ def place_of(fix: Fix) -> Place | str:
 
 
 class Fixes:
-    """Follows the position by a receiver's fixes.
+    """The position by a receiver's fixes.
 
-    `place` is None before the first good fix; `stamp` (s) is that of the newest good one, zero
-    before it.
+    `place` is None before the first good fix; `stamp` (s) is the stamp of the newest good fix, zero
+    before the first.
     """
 
     def __init__(self) -> None:
@@ -95,7 +95,7 @@ class Fixes:
         self._faults: set[str] = set()
 
     def add(self, fix: Fix) -> bool:
-        """Take a fix; returns whether the place is a new one."""
+        """Add a fix; return whether the place has changed."""
         place = place_of(fix)
         if isinstance(place, str):
             self._faults.add(place)
@@ -115,14 +115,16 @@ class Fixes:
         """Return the warnings on the fixes; empty if there are none."""
         place, first = self.place, self._first
         if place is None or first is None:
-            return [f"gps/fix: no place yet, its messages {each}" for each in sorted(self._faults)]
+            return [
+                f"gps/fix: no position yet, its messages {each}" for each in sorted(self._faults)
+            ]
         away = (given or first).distance(place)
         if away <= TUNING.far:
             return []
         if given is None:
             return [
                 f"gps/fix has moved by {away / 1000.0:.0f} km, from {first.words} to "
-                f"{place.words}: the reference field has followed"
+                f"{place.words}: the reference field was computed again"
             ]
         return [
             f"gps/fix says {place.words}, {away / 1000.0:.0f} km from the given place "
@@ -134,7 +136,7 @@ class Fixes:
 class LocalPlane:
     """The plane that touches the Earth at the first good fix, its `origin` (equirectangular).
 
-    Its scale is right to 0.4%.
+    The error of its scale is 0.4% at most.
     """
 
     def __init__(self) -> None:
@@ -178,17 +180,17 @@ class Local(NamedTuple):
 
 @dataclass(frozen=True)
 class Given:
-    """The Earth's field and the place as given by a person."""
+    """The Earth's field and the place as given by the user."""
 
     field: ReferenceField
     local: Local
     place: Place | None
     """None unless latitude and longitude are given."""
-    half_place: bool  # whether only one of the two is
+    half_place: bool  # whether only one of latitude and longitude is given
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Given:
-        """Build from the values of the parameters `reference.*`; NaN where one is not given."""
+        """Build from the values of the parameters `reference.*`; NaN means not given."""
         sigmas = ("strength_sigma_ut", "inclination_sigma_deg", "declination_sigma_deg")
         names = ("strength_ut", "inclination_deg", "declination_deg", *sigmas)
         known = knowledge_of(**{name: values[name] for name in names})
@@ -206,7 +208,7 @@ class Reference:
 
     field: ReferenceField
     source: str
-    """Where its numbers come from, in words."""
+    """Source of the numbers, in words."""
     complaints: tuple[str, ...] = ()
 
     @property
@@ -232,7 +234,7 @@ class Reference:
 
     @property
     def words(self) -> str:
-        """The numbers and where they come from, in one line."""
+        """The numbers and their source, in one line."""
         numbers = [
             f"{name} {belief.value * UNITS[name].scale:.2f} ± "
             f"{belief.sigma * UNITS[name].scale:.2f}{UNITS[name].sign}"
@@ -245,10 +247,10 @@ class Reference:
 def resolve(
     given: ReferenceField, local: Local, place: Place | None, year: float | None
 ) -> Reference:
-    """Return the reference field: given numbers as they are, the others from the model.
+    """Return the reference field: given numbers, and the others from the model.
 
-    Local deviation and the model's own uncertainty add in quadrature. `place` and `year` (decimal)
-    are None where unknown. Nothing is raised: a missing model is a complaint.
+    The variances of local deviation and model are added. `place` and `year` (decimal) are None if
+    unknown. A missing model is a complaint, not an exception.
     """
     lacking = [name for name, belief in _beliefs(given) if belief.is_unknown]
     source = "unknown" if len(lacking) == len(UNITS) else "given"
@@ -292,8 +294,8 @@ def _contradictions(given: ReferenceField, here: Sequence[Belief], spot: str) ->
         if not by_hand.is_unknown and abs(off) > CLEAR * theirs.sigma:
             yield (
                 f"the {name} is given as {by_hand.value * unit.scale:.1f}"
-                f"{unit.sign}, but the {spot} says {theirs.value * unit.scale:.1f}{unit.sign}: "
-                "what is given is used; check it"
+                f"{unit.sign}, but it is {theirs.value * unit.scale:.1f}{unit.sign} by the {spot}: "
+                "the given number is used; check it"
             )
 
 
@@ -318,9 +320,9 @@ def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
 def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
     """Return the warning that a calibration was made in another field; empty if it was not.
 
-    The references are compared: steel at the place of the turn bends the field, but does not move
-    it. It is empty for a calibration that was made without a reference; a file from before, which
-    does not store it, has the field that was found.
+    The references are compared, not the estimated fields, which contain the disturbance by steel at
+    the place of the turn. The warning is empty for a calibration without a reference. For an old
+    file, which does not store the reference, the estimated field is used.
     """
     if NO_REFERENCE in calibration.evidence.not_shown or not reference.is_complete:
         return ""

@@ -25,13 +25,13 @@ FLATTENING = 1.0 / 298.257223563
 class Harmonics:
     """A model of the main field."""
 
-    epoch: float  # decimal year for which g and h hold
+    epoch: float  # decimal year for which g and h are valid
     terms: FloatArray
-    """Degree, order, g and h in nT (Schmidt), and their change in nT a year. Shape (k, 6)."""
+    """Degree, order, g and h in nT (Schmidt), and their change in nT per year. Shape (k, 6)."""
 
     @classmethod
     def parse(cls, text: str) -> Harmonics:
-        """Read a .COF file: a line with the epoch, a line a term, and rows of nines."""
+        """Parse a .COF file: a line with the epoch, a line for each term, and rows of nines."""
         head, *lines = text.splitlines()
         rows = [line.split() for line in lines if not line.startswith("9999")]
         return cls(float(head.split()[0]), np.array(rows, dtype=np.float64))
@@ -57,7 +57,7 @@ class Harmonics:
         # Along the sphere's north, east and down, nT.
         north, down = -float(along @ slope), -float(((n + 1) * along) @ value)
         east = float((size * m * (g * sin_m - h * cos_m) * over_cosine).sum())
-        # The vertical of the sphere leans towards the pole from that of the ellipsoid.
+        # The vertical of the sphere is tilted towards the pole from that of the ellipsoid.
         sin_lean = sine * cos_lat - cosine * sin_lat
         cos_lean = cosine * cos_lat + sine * sin_lat
         return (
@@ -93,20 +93,20 @@ def _legendre(highest: int, sine: float, cosine: float) -> list[list[tuple[float
 
 @dataclass(frozen=True)
 class Validity:
-    """Where and for how long a model holds."""
+    """Where and for how long a model is valid."""
 
     altitudes: tuple[float, float] = (-1000.0, 850_000.0)
-    """Metres between which the model holds (WMM2025 Technical Report)."""
+    """Metres between which the model is valid (WMM2025 Technical Report)."""
     first_year: float = 2015.0
-    """Start of the oldest model that is shipped; a clock that was never set is earlier."""
+    """Start of the oldest included model; a clock that was never set is earlier."""
     life: float = 5.0  # years for which a model is made
     most_years_late: float = 5.0
-    """Years after the end of its life during which a model is still used, with grown sigmas."""
+    """Years after the end of a model during which it is still used, with larger sigmas."""
     drift_strength: float = 30e-9
-    """Tesla a year, growth of a component's error after the model's life: WMM2010, 2015 and 2020
-    extrapolated for five to ten years differ from their successors by 24 to 28 nT and 0.03 to 0.05°
-    a year (RMS over the globe)."""
-    drift_inclination: float = math.radians(0.05)  # radians of the same
+    """Growth of a component's error after the model's life, tesla per year. Extrapolated for five
+    to ten years, WMM2010, 2015 and 2020 differ from their successors by 24 to 28 nT and 0.03 to
+    0.05° per year (RMS over the globe)."""
+    drift_inclination: float = math.radians(0.05)  # the same in radians per year
     blackout: float = 2000e-9
     """Tesla of level field below which a compass is of no use (WMM2025 report, blackout zone)."""
     caution: float = 6000e-9
@@ -122,7 +122,7 @@ class Errors:
 
     strength_nt: float
     inclination_deg: float
-    """Everywhere the same."""
+    """The same everywhere."""
     declination_deg: float
     declination_nt_deg: float
     """√(declination_deg² + (declination_nt_deg / level field in nT)²)."""
@@ -133,7 +133,7 @@ ERRORS = {
     2020: Errors(148.0, 0.21, 0.26, 5625.0),
     2025: Errors(138.0, 0.20, 0.26, 5417.0),
 }
-"""By the year in which a model begins: the models that are shipped (their Technical Reports)."""
+"""By the year in which a model begins: the included models (their Technical Reports)."""
 
 
 class NoModel(MagcalError):
@@ -175,14 +175,14 @@ class Place:
 
 @dataclass(frozen=True)
 class ModelField:
-    """The field of the model, with its own uncertainty."""
+    """The field of the model, with its uncertainty."""
 
     strength: Belief
     inclination: Belief
     declination: Belief
-    """Tesla and radians, signs as everywhere in this package. The sigmas are those of the published
-    error model, which holds outdoors anywhere on Earth."""
-    model: str  # its name
+    """Tesla and radians, signs as in `ReferenceField`. The sigmas are those of the published error
+    model, which is valid outdoors anywhere on Earth."""
+    model: str  # name of the model
     years_late: float = 0.0  # years from the end of the model's life to the date; zero inside it
 
     @property
@@ -200,10 +200,9 @@ def decimal_year(stamp: float) -> float:
 
 
 def year_of(stamps: Iterable[float], clock: float) -> float:
-    """Return the earliest plausible date of stamps as a decimal year; without one, of a clock.
+    """Return the earliest plausible date of stamps as a decimal year; without one, that of a clock.
 
-    All are in seconds since 1970. Stamps that count from the start of a simulation or a machine are
-    left out.
+    All are in seconds since 1970. Stamps since the start of a simulation or a machine are ignored.
     """
     years = [decimal_year(stamp) for stamp in stamps if math.isfinite(stamp)]
     return min((year for year in years if year >= VALIDITY.first_year), default=decimal_year(clock))
@@ -212,7 +211,7 @@ def year_of(stamps: Iterable[float], clock: float) -> float:
 def model_field(place: Place, year: float) -> ModelField:
     """Return the field of the World Magnetic Model for a place and a decimal year.
 
-    After the newest model's life its sigmas grow each year. Raises `NoModel` years after that.
+    After the newest model's life its sigmas grow each year. Raises `NoModel` some years later.
     """
     base = max((begun for begun in ERRORS if begun <= year), default=0)
     late = max(year - (base + VALIDITY.life), 0.0)
@@ -243,6 +242,6 @@ def model_field(place: Place, year: float) -> ModelField:
 
 @lru_cache(maxsize=len(ERRORS))
 def _load(base: int) -> Harmonics:
-    # As NOAA and BGS publish them (public domain); of 2015 the second edition, WMM2015v2.
+    # As published by NOAA and BGS (public domain); for 2015 the second edition, WMM2015v2.
     coefficients = files("magcal_ros.core.earth_field") / "coefficients" / f"WMM{base}.COF"
     return Harmonics.parse(coefficients.read_text(encoding="ascii"))

@@ -1,1 +1,1 @@
-"""Vectors, rotations and shapes in space; nothing about calibration."""
+"""Vectors, rotations and shapes in space, without calibration."""

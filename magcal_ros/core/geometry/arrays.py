@@ -1,4 +1,4 @@
-"""The array type of the core, and how numbers from outside are checked."""
+"""The array types of the core, checks of numbers from outside, and integrals."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
     """Copy `values` into a read-only float array of a given shape.
 
-    In `shape`, -1 stands for any length; `name` is for the words of the error. Raises `ValueError`
-    if the shape is another, or if a number is not finite.
+    In `shape`, -1 stands for any length; `name` is used in error messages. Raises `ValueError` if
+    the shape differs, or if a number is not finite.
     """
     array = np.array(values, dtype=np.float64, order="C")
     fits = array.ndim == len(shape) and all(
@@ -47,7 +47,7 @@ def freeze(owner: object, **shapes: tuple[int, ...]) -> None:
 def centred(points: FloatArray, least: int, shape: str) -> tuple[FloatArray, FloatArray]:
     """Return the centroid (d,) of points (n, d), and the points about it.
 
-    Raises `Refusal` if a point is not finite, or if there are fewer than `shape` needs.
+    Raises `Refusal` if a point is not finite, or if there are fewer than the `least` for a `shape`.
     """
     if not np.isfinite(points).all():
         raise Refusal(Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting.")
@@ -59,12 +59,12 @@ def centred(points: FloatArray, least: int, shape: str) -> tuple[FloatArray, Flo
 
 
 def interpolated(moments: FloatArray, time: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return rows (n, d) of `time` at the moments (m,), linear between them, shape (m, d)."""
+    """Return rows (n, d) of `time`, linearly interpolated at the moments (m,), shape (m, d)."""
     return np.column_stack([np.interp(moments, time, column) for column in rows.T])
 
 
 def accumulated(steps: FloatArray) -> FloatArray:
-    """Return the sums of steps (n, ...) from zero on, shape (n + 1, ...)."""
+    """Return the cumulative sums of steps (n, ...), beginning with zero, shape (n + 1, ...)."""
     return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
 
 

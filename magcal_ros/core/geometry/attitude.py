@@ -26,7 +26,7 @@ def usual_size(vectors: FloatArray) -> float:
 
 
 def angle_between(one: FloatArray, other: FloatArray) -> float:
-    """Return the angle between two vectors (3,), radians; zero where one of them is zero."""
+    """Return the angle between two vectors (3,), radians; zero if one of them is zero."""
     return math.atan2(float(np.linalg.norm(np.cross(one, other))), float(one @ other))
 
 
@@ -50,7 +50,7 @@ def yaw_from_up_and_field(up: FloatArray, field: FloatArray) -> FloatArray:
 
 
 def body_from_enu(up: FloatArray, field: FloatArray) -> FloatArray:
-    """Return the rotation from magnetic ENU to body axes seen by gravity and field.
+    """Return the rotation from magnetic ENU to body axes by gravity and field.
 
     Both vectors (..., 3) are in body axes and not parallel. The columns of the rotations (..., 3,
     3) are east, north and up in body axes.
@@ -73,7 +73,7 @@ def field_in_enu(strength: float, inclination: float, declination: float = 0.0) 
 
 
 def yaw_rate(rate: FloatArray, up: FloatArray) -> FloatArray:
-    """Return how fast yaw changes, rad/s, (n,), by the gyro (n, 3) and up (n, 3) in body axes.
+    """Return the rate of yaw, rad/s, (n,), from the gyro (n, 3) and up (n, 3) in body axes.
 
     It is (w_y sin roll + w_z cos roll) / cos pitch, on any slope.
     """
@@ -87,7 +87,7 @@ def wrap_angle(angle: FloatArray | float) -> FloatArray:
 
 
 def wrapped(angle: float) -> float:
-    """Return one angle in radians, wrapped into [-pi, pi]; plain floats are fast."""
+    """Return one angle in radians, wrapped into [-pi, pi]; faster than `wrap_angle`."""
     return math.remainder(angle, math.tau)
 
 

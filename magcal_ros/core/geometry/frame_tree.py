@@ -17,27 +17,27 @@ FIXED = "fixed"  # the kind of joint that does not move, by its name in URDF
 
 
 class FrameTrouble(MagcalError):
-    """Frames whose pose in one another is unknown; the text says what to do next."""
+    """The pose of one frame in another is unknown; the text says what to do next."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameJoint:
     """One frame in another."""
 
-    name: str  # what to call it
-    kind: str  # `FIXED`, or how it moves
+    name: str
+    kind: str  # `FIXED`, or a kind of joint that moves
     parent: str
     child: str
     """Frames."""
     pose: FloatArray = field(default_factory=lambda: np.eye(3))
-    """Takes vectors from the child's axes to the parent's. Shape (3, 3)."""
+    """Rotation from the child's axes to the parent's. Shape (3, 3)."""
 
     def __post_init__(self) -> None:
         freeze(self, pose=(3, 3))
 
 
 class FrameTree:
-    """Frames and the joints between them; of two joints for one frame the later counts."""
+    """Frames and the joints between them; a later joint of a frame replaces an earlier one."""
 
     def __init__(self, joints: Iterable[FrameJoint] = ()) -> None:
         self._above = {joint.child: joint for joint in joints}
@@ -111,7 +111,7 @@ STEEPEST_GROUND = math.radians(35.0)
 
 @dataclass(frozen=True)
 class Frames:
-    """Names of the three frames; empty where not known yet, or where the base is the IMU."""
+    """Names of the three frames; empty if not known yet, or if the base is the IMU."""
 
     base: str
     imu: str
@@ -125,7 +125,7 @@ class SensorPoses:
     magnetometer: FloatArray
     """Nominal pose of the magnetometer, sensor axes to IMU axes. Shape (3, 3)."""
     is_described: bool
-    """Whether it is from the robot's description; else given by hand, or the identity."""
+    """Whether the magnetometer's pose is from the robot's description, not given by hand."""
     imu: FloatArray | None
     """Pose of the IMU, IMU axes to base axes; None while it is not known. Shape (3, 3)."""
     complaints: tuple[str, ...] = ()  # what is missing
@@ -133,7 +133,7 @@ class SensorPoses:
     def contradiction(self, up: FloatArray, frames: Frames) -> str:
         """Return the warning that gravity contradicts the description; empty if it does not.
 
-        `up` (3,) is that of a robot at rest, unit, IMU axes; `frames` are for the text.
+        `up` (3,) is the unit vector at rest, IMU axes; `frames` are used in the text.
         """
         if self.imu is None:
             return ""
@@ -141,9 +141,9 @@ class SensorPoses:
         if lean < STEEPEST_GROUND:
             return ""
         return (
-            f"by the robot's description {frames.base!r} leans by {math.degrees(lean):.0f}° from "
-            f"the vertical, but gravity shows another pose of {frames.imu!r}: correct its joint, "
-            "or the axes in the driver"
+            f"by gravity and the robot's description {frames.base!r} would be tilted by "
+            f"{math.degrees(lean):.0f}° at rest: correct the joint of {frames.imu!r}, or the axes "
+            "in the driver"
         )
 
 

@@ -1,7 +1,7 @@
 """Rotation matrices, and axes that are swapped or have a wrong sign.
 
-Every matrix here is *active*: `R @ v` turns the vector `v`. A frame change "from body to sensor"
-is the inverse of the sensor's pose in the body.
+Every matrix is *active*: `R @ v` rotates the vector `v`. A change of axes "from body to sensor" is
+the inverse of the sensor's pose in the body.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def skew(v: FloatArray) -> FloatArray:
 
 
 def exp_rotation(vector: FloatArray) -> FloatArray:
-    """Turn by |vector| radians about `vector` (Rodrigues' formula), shape (3, 3)."""
+    """Return the rotation by |vector| radians about `vector` (Rodrigues' formula), (3, 3)."""
     x, y, z = vector.tolist()
     xx, yy, zz = x * x, y * y, z * z
     angle = math.sqrt(xx + yy + zz)
@@ -44,7 +44,7 @@ def exp_rotation(vector: FloatArray) -> FloatArray:
 
 
 def crossed(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the cross products of vectors (..., 3), as `np.cross`, which takes thrice as long."""
+    """Return the cross products of vectors (..., 3), three times as fast as `np.cross`."""
     x, y, z = one[..., 0], one[..., 1], one[..., 2]
     u, v, w = other[..., 0], other[..., 1], other[..., 2]
     out = np.empty(np.broadcast_shapes(one.shape, other.shape))
@@ -86,14 +86,14 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
 
 
 def rotation_vectors_near(rotations: FloatArray, near: FloatArray) -> FloatArray:
-    """Return the vectors of rotations (n, 3, 3) of any angle: each the one nearest to `near`.
+    """Return the vectors of rotations (n, 3, 3) by any angle, each the one nearest to `near`.
 
-    Whole rounds leave no trace in a rotation. `near` (n, 3) is known roughly, radians.
+    A rotation does not show full turns; `near` (n, 3) is a rough estimate, radians.
     """
     part = _axis_by_sine(rotations)
     sine = np.linalg.norm(part, axis=1)
     angle = np.arctan2(sine, 0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0))
-    # The antisymmetric part does not show the axis of whole and half rounds.
+    # The antisymmetric part does not show the axis of full and half turns.
     shown = (sine > 1e-6)[:, None]
     size = np.linalg.norm(near, axis=1)
     axis = np.where(shown, part / np.maximum(sine, 1e-6)[:, None], near / (size + 1e-12)[:, None])
@@ -110,7 +110,7 @@ def _axis_by_sine(rotations: FloatArray) -> FloatArray:
 
 
 def turns_about_z(rotations: FloatArray) -> FloatArray:
-    """Return the angles (n,) of the turns about z that are nearest to rotations (n, 3, 3)."""
+    """Return the angles (n,) of the rotations about z nearest to rotations (n, 3, 3)."""
     return np.arctan2(
         rotations[:, 1, 0] - rotations[:, 0, 1], rotations[:, 0, 0] + rotations[:, 1, 1]
     )
@@ -119,8 +119,8 @@ def turns_about_z(rotations: FloatArray) -> FloatArray:
 def chained(steps: FloatArray) -> FloatArray:
     """Return the products of steps (k, n, 3, 3), each on the left of those before it.
 
-    Shape (k, n + 1, 3, 3), the first ones of each k being the identity. Blocks of about the root of
-    n steps are multiplied side by side and then put behind one another.
+    Shape (k, n + 1, 3, 3); the first product of each k is the identity. Blocks of about the root of
+    n steps are multiplied in parallel and then combined.
     """
     count, n = steps.shape[:2]
     length = max(1, math.isqrt(n))
@@ -139,14 +139,14 @@ def chained(steps: FloatArray) -> FloatArray:
 
 
 def rotation_about(axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """Turn by each of `angle` (n,) radians about the unit vector `axis`; shape (n, 3, 3)."""
+    """Return rotations by each of `angle` (n,) radians about the unit vector `axis`."""
     return exp_rotations(angle[:, None] * axis)
 
 
 def rotation_from_rpy(roll: float, pitch: float, yaw: float = 0.0) -> FloatArray:
     """Return the pose Rz(yaw) Ry(pitch) Rx(roll) of a link in its parent (REP-103, URDF).
 
-    The angles are radians about the fixed axes x, y, z, in this order. The matrix takes vectors
+    The angles are radians about the fixed axes x, y, z, in this order. The matrix is the rotation
     from the link's axes to the parent's.
     """
     cr, sr = math.cos(roll), math.sin(roll)
@@ -164,7 +164,7 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float = 0.0) -> FloatArray
 def rpy_from_rotation(pose: FloatArray) -> tuple[float, float, float]:
     """Return roll, pitch, yaw in radians of a pose: the inverse of `rotation_from_rpy`.
 
-    Pitch lies within ±90°. At ±90° roll and yaw turn about one axis and yaw is taken as zero.
+    Pitch is within ±90°. At ±90° roll and yaw have the same axis, and yaw is set to zero.
     """
     pitch = math.asin(min(1.0, max(-1.0, -float(pose[2, 0]))))
     if math.hypot(float(pose[0, 0]), float(pose[1, 0])) < 1e-9:
@@ -178,13 +178,14 @@ def rpy_from_rotation(pose: FloatArray) -> tuple[float, float, float]:
 def roll_pitch_between(
     axis: FloatArray, normal: FloatArray, *, or_nearest: bool = False
 ) -> list[tuple[float, float]]:
-    """Return every (roll, pitch) whose pose, transposed, takes `axis` to `normal`.
+    """Return every (roll, pitch) whose pose, transposed, rotates `axis` to `normal`.
 
-    With the pose Ry(pitch) Rx(roll), Rx(roll) normal = Ry(pitch)^T axis: roll keeps the
-    x component, which gives pitch, and then turns what is left about x.
+    With the pose Ry(pitch) Rx(roll), Rx(roll) normal = Ry(pitch)^T axis. Roll does not change the
+    x component, which determines pitch; the other components determine roll.
 
     Both are unit vectors (3,), in parent and in child. The result has none, one or two pairs in
-    radians, |pitch| at most 90°. If noise leaves no solution, `or_nearest` gives the nearest one.
+    radians, |pitch| at most 90°. With noise there may be no solution; `or_nearest` then gives the
+    nearest one.
     """
     reach = float(normal[0]) / max(math.hypot(axis[0], axis[2]), 1e-9)
     if abs(reach) > 1.0 + 1e-9 and not or_nearest:
@@ -203,7 +204,7 @@ def roll_pitch_between(
 
 
 def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray | None:
-    """Return the rotation of a quaternion of any length, shape (3, 3); None if it has none."""
+    """Return the rotation of a quaternion of any length, shape (3, 3); None if it is zero."""
     size = math.sqrt(x * x + y * y + z * z + w * w)
     if not 1e-6 < size < math.inf:
         return None
@@ -213,9 +214,9 @@ def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArr
 
 
 def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the smallest turn that takes the unit vector `start` to `end`, shape (3, 3).
+    """Return the smallest rotation from the unit vector `start` to `end`, shape (3, 3).
 
-    Opposite vectors leave the axis open; any axis across them is taken.
+    For opposite vectors, any axis across them is used.
     """
     middle = start + end
     if np.linalg.norm(middle) < 1e-8:
@@ -227,7 +228,7 @@ def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
 
 
 def rotation_angle(rotation: FloatArray) -> float:
-    """Return the angle in radians, 0 to pi, by which `rotation` turns."""
+    """Return the angle of a rotation in radians, 0 to pi."""
     sine = 0.5 * math.hypot(
         float(rotation[2, 1] - rotation[1, 2]),
         float(rotation[0, 2] - rotation[2, 0]),
@@ -237,15 +238,15 @@ def rotation_angle(rotation: FloatArray) -> float:
 
 
 DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
-"""Of the body's axes, positive and negative (REP-103)."""
+"""Directions of the body's axes, positive and negative (REP-103)."""
 
 
 @cache
 def signed_permutations() -> FloatArray:
-    """Return all matrices that only swap axes and turn their signs, shape (48, 3, 3).
+    """Return all matrices that only swap axes and change signs, shape (48, 3, 3).
 
-    Rows are the sensor's axes in the body's. The rotations come first, by their angle; then the
-    mirrored ones, first those that differ by one sign.
+    Rows are the sensor's axes in the body's. The rotations come first, in order of angle; then the
+    mirrored matrices, first those that differ by one sign.
     """
     found = [
         np.diag(signs) @ np.eye(3)[list(order)]
@@ -276,7 +277,7 @@ def spoken(
 
 
 def swapped(axes: FloatArray) -> str:
-    """Return which two axes (3, 3) are swapped, in words; empty if more than that is wrong."""
+    """Return which two axes (3, 3) are swapped, in words; empty for any other fault."""
     pairs = [(i, j) for i, j in itertools.combinations(range(3), 2) if axes[i, j] and axes[j, i]]
     if not pairs or np.any(axes < 0.0):
         return ""

@@ -1,9 +1,9 @@
 """Circles in a plane and in space, planes, spheres and ellipsoids.
 
-All fits first move the points to their centroid and scale them to unit size. The forms that fix
-the constant term at -1 are singular for a curve or surface through the origin; a centroid lies
-inside every ellipse and ellipsoid, never on it. The sign of a plane's normal is arbitrary; it
-depends on the sense of rotation, which the caller knows.
+All fits first move the points to their centroid and scale them to unit size. Forms with a constant
+term of -1 are singular for a curve or surface through the origin, but the centroid is always inside
+an ellipse or ellipsoid. The sign of a plane's normal is arbitrary; it depends on the sense of
+rotation, which the caller knows.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, centred, freeze
 from magcal_ros.core.geometry.rotations import crossed
 
-THINNEST = 1e-6  # width over length of points below which they are a line, or in space a plane
-LARGEST_RADIUS = 1e4  # radii beyond this many times the points' own size are a line or a plane, too
+THINNEST = 1e-6  # ratio of spreads below which points are a line, or in space a plane
+LARGEST_RADIUS = 1e4  # ratio of radius and size from which points are a line or a plane, too
 FIELD_ON_A_LINE = "The samples lie on a line or on one point. Turn further."
 FLAT = (
     "The samples lie on a plane: no ellipsoid can be fitted to them. Tumble the sensor through "
@@ -47,7 +47,7 @@ class Ellipsoid:
 
     @property
     def radius(self) -> float:
-        """Geometric mean of the half axes: that of the sphere of the same volume."""
+        """Geometric mean of the half axes: the radius of the sphere of the same volume."""
         return float(np.exp(np.log(self.radii).mean()))
 
     @property
@@ -57,12 +57,12 @@ class Ellipsoid:
 
     @property
     def to_unit_sphere(self) -> FloatArray:
-        """The symmetric S that takes points from the centre onto the unit sphere, (3, 3)."""
+        """The symmetric matrix from points about the centre to the unit sphere, (3, 3)."""
         return np.asarray((self.axes / self.radii) @ self.axes.T)
 
 
 class QuadricFit(str, Enum):
-    """The shapes by name: any, along the axes, round."""
+    """The shapes: any ellipsoid, one along the axes, a sphere."""
 
     ROTATED = "rotated"
     ALIGNED = "aligned"
@@ -95,7 +95,7 @@ def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> E
 def _moved_back(
     form: FloatArray, linear: FloatArray, centroid: FloatArray, size: float
 ) -> Ellipsoid:
-    """Return pᵀQp + 2bᵀp = 1 of points that were moved to their centroid; refuse what is open."""
+    """Return the ellipsoid pᵀQp + 2bᵀp = 1 of normalised points; refuse an open surface."""
     values, axes = np.linalg.eigh(form)
     if np.array_equal(form, np.diag(np.diag(form))):
         values, axes = np.diag(form), np.eye(3)
@@ -112,9 +112,9 @@ def _moved_back(
 def _of_unit_size(
     points: FloatArray, least: int, shape: str
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return the centroid of points (n, d), the points moved there and of unit size, their size.
+    """Return the centroid of points (n, d), the points about it with unit size, and their size.
 
-    Raises `Refusal` if they are too few, not finite, or a line (d = 2) or a plane (d = 3).
+    Raises `Refusal` if the points are too few, not finite, or a line (d = 2) or a plane (d = 3).
     """
     centroid, moved = centred(points, least, shape)
     spread = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
@@ -129,9 +129,9 @@ def _of_unit_size(
 def ellipse_ratio(points: FloatArray) -> float | None:
     """Return longest over shortest half axis of the ellipse through points (n, 2), 1 or more.
 
-    It is fitted under the constraint that it is an ellipse (Halír and Flusser, 1998): with the
-    scatter of the quadratic terms S1, of the linear terms S3 and between them S2, the quadratic
-    coefficients are the eigenvector of C⁻¹ (S1 - S2 S3⁻¹ S2ᵀ) for which 4ac - b² > 0. None if no
+    It is fitted under the constraint that it is an ellipse (Halír and Flusser, 1998). S1 and S3 are
+    the scatters of the quadratic and of the linear terms, S2 that between them. The quadratic
+    coefficients are the eigenvector of C⁻¹ (S1 - S2 S3⁻¹ S2ᵀ) with 4ac - b² > 0. None if no
     eigenvector is an ellipse. Raises `Refusal` for fewer than five points, a line, or numbers not
     finite.
     """
@@ -142,8 +142,8 @@ def ellipse_ratio(points: FloatArray) -> float | None:
     reduced = quadratic.T @ quadratic + quadratic.T @ linear @ to_linear
     constrained = np.array([reduced[2] / 2.0, -reduced[1], reduced[0] / 2.0])
     values, vectors = np.linalg.eig(constrained)
-    # Rounding may make two columns fulfil the constraint, or leave a complex pair: judge each
-    # column by itself and let the residual, which is the eigenvalue, decide.
+    # By rounding, two columns may fulfil the constraint, or a pair may be complex: each column is
+    # tested separately, and the one with the smallest residual (the eigenvalue) is chosen.
     columns = np.real(vectors)
     fulfilled = 4.0 * columns[0] * columns[2] - columns[1] ** 2 > 1e-12
     if not fulfilled.any():
@@ -154,7 +154,7 @@ def ellipse_ratio(points: FloatArray) -> float | None:
 
 
 def fit_circle(points: FloatArray) -> tuple[FloatArray, float]:
-    """Fit a circle by `taubin_circle` to points (n, 2) anywhere; returns its centre and radius.
+    """Fit a circle to points (n, 2) by `taubin_circle`; return its centre and radius.
 
     Raises `Refusal` for fewer than three points, a line, one point, or numbers not finite.
     """
@@ -166,7 +166,7 @@ def fit_circle(points: FloatArray) -> tuple[FloatArray, float]:
 
 
 def taubin_circle(points: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
-    """Fit a circle to centred points (n, 2); returns its centre (2,) and radius.
+    """Fit a circle to centred points (n, 2); return its centre (2,) and radius.
 
     Taubin (1991) divides the algebraic distance by its mean gradient, so that it is nearly unbiased
     on short arcs; by singular values after Chernov, Circular and Linear Regression (2010). The
@@ -220,13 +220,13 @@ def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
     spread = np.linalg.svd(away, compute_uv=False)
     _refuse_degenerate(np.asarray(spread[::-1]), points.mean(axis=0))
     circle = fit_circle_robustly(points)
-    # Turned by half a turn about the first axis: the basis stays right-handed.
+    # Half a turn about the first axis keeps the basis right-handed.
     flipped = circle.basis * np.array([[1.0], [-1.0], [-1.0]])
     return circle if circle.normal @ upwards >= 0.0 else replace(circle, basis=flipped)
 
 
 def fit_circle_robustly(points: FloatArray) -> Circle:
-    """Fit the plane of least spread and Taubin's circle in it, by Cauchy weights.
+    """Fit the plane of least spread and Taubin's circle in it, with Cauchy weights.
 
     The points (n, 3) are in any unit; the normal has either sign. The radius is zero for one point.
     """
@@ -253,12 +253,12 @@ def _weighted_circle(points: FloatArray, weight: FloatArray) -> Circle:
     return Circle(mean + plane @ centre, np.stack([first, crossed(normal, first), normal]), radius)
 
 
-SMALLEST = 1e-9  # clouds smaller than this share of their distance from the origin are one point
+SMALLEST = 1e-9  # ratio of size and distance from the origin below which points are one point
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A plane through a cloud."""
+    """A plane through points."""
 
     normal: FloatArray  # unit, of either sign, shape (3,)
     scatter: FloatArray
@@ -282,8 +282,8 @@ class Plane:
         """Return the inverse covariance of the normal's direction, shape (3, 3), per rad².
 
         For an in-plane principal axis of variance l and a variance t across the plane it is
-        n (l - t)² / (l t): perturbation theory of the eigenvectors. It falls smoothly to zero
-        where the cloud becomes round.
+        n (l - t)² / (l t), by perturbation theory of the eigenvectors. It is zero for isotropic
+        points.
 
         `least_noise` is the floor of the noise's standard deviation, in the points' unit; positive.
         """
@@ -297,7 +297,7 @@ class Plane:
     def normal_sigma(self, least_noise: float) -> float:
         """Return the larger standard deviation of the normal's direction in radians.
 
-        It is infinite where the cloud is not flat at all.
+        It is infinite if the points are isotropic.
         """
         middle = float(np.linalg.eigvalsh(self.normal_information(least_noise))[1])
         return float(1.0 / np.sqrt(middle)) if middle > 0.0 else np.inf

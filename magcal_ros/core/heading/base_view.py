@@ -1,6 +1,7 @@
-"""The pose of the IMU in the vehicle: what drives show of it, and the attitude of the base by it.
+"""The pose of the IMU in the vehicle, as found by driving, and the attitude of the base.
 
-Drives show the vehicle's front, and which is misaligned: IMU, magnetometer, or the declination.
+Drives show the vehicle's front, and what is wrong: the pose of the IMU, that of the magnetometer,
+or the declination.
 """
 
 from __future__ import annotations
@@ -23,13 +24,12 @@ from magcal_ros.core.knowledge import CLEAR
 class FrontTuning:
     """When a sensor counts as misaligned, and a yaw found by driving is used."""
 
-    near: float = 2.0  # sigmas within which the contradiction is twice the declination
-    smallest: float = math.radians(3.0)  # radians; smaller contradictions are not reported
+    near: float = 2.0  # sigmas within which a difference counts as twice the declination
+    smallest: float = math.radians(3.0)  # radians; smaller differences are not reported
     useful: float = math.radians(2.0)  # radians of sigma below which a yaw is applied
     lost: float = math.radians(10.0)  # radians of sigma beyond which a course is not used
     far_off: float = math.radians(15.0)
-    """Radians between a described and a found yaw: the description is wrong, which a person must
-    see."""
+    """Difference of described and found yaw from which the user must correct the description."""
 
 
 FRONT = FrontTuning()
@@ -41,8 +41,8 @@ class VehicleYaw:
 
     offset: float
     sigma: float
-    """Radians: heading of the IMU less heading of the vehicle, counter-clockwise positive."""
-    source: str  # what showed it: accelerations, course, or both
+    """Heading of the IMU minus heading of the vehicle, radians, counter-clockwise positive."""
+    source: str  # accelerations, course, or both
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.offset) and 0.0 <= self.sigma < math.inf):
@@ -50,7 +50,7 @@ class VehicleYaw:
 
     @property
     def words(self) -> str:
-        """The same for people."""
+        """The yaw in words."""
         degrees, sigma = math.degrees(self.offset), math.degrees(self.sigma)
         side = "left" if degrees >= 0.0 else "right"
         return (
@@ -61,14 +61,13 @@ class VehicleYaw:
 
 @dataclass(frozen=True)
 class Front:
-    """What drives have shown so far."""
+    """The results of driving so far."""
 
-    yaw: VehicleYaw | None = None  # of the IMU in the vehicle, where it is known
+    yaw: VehicleYaw | None = None  # of the IMU in the vehicle, if known
     compass_gap: float = math.nan
     compass_sigma: float = math.nan
-    """Radians: by how much the compass is off in the IMU's axes, against course; NaN where that is
-    not known."""
-    suspicion: str = ""  # which is misaligned beside the IMU, in words; empty if nothing is
+    """Error of the compass in the IMU's axes, against course, radians; NaN if unknown."""
+    suspicion: str = ""  # the likely cause of a difference, in words; empty if there is none
 
 
 def vehicle_front(
@@ -79,9 +78,9 @@ def vehicle_front(
 ) -> Front:
     """Compare accelerations with course.
 
-    `mounting` is the yaw of the IMU from accelerations: the compass has no part in it. `course` is
-    the yaw of the compass, to magnetic north, less course. The declination and its sigma are in
-    radians, None where true north is not known.
+    `mounting` is the yaw of the IMU from accelerations, without the compass. `course` is the yaw of
+    the compass, to magnetic north, minus course. The declination and its sigma are in radians, None
+    if true north is not known.
     """
     if course is not None and course.sigma > FRONT.lost:
         course = None
@@ -102,37 +101,37 @@ def vehicle_front(
     sigma = math.hypot(by_course, mounting.sigma)
     if abs(gap) > max(CLEAR * sigma, FRONT.smallest):
         return Front(own, gap, sigma, _suspicion(gap, sigma, declination))
-    # Both agree, and are weighed by their variances.
+    # Both agree, and are weighted by their variances.
     yaw = math.remainder(mounting.yaw + gap * (mounting.sigma / sigma) ** 2, math.tau)
     both = VehicleYaw(yaw, mounting.sigma * by_course / sigma, "accelerations and course")
     return Front(both, gap, sigma)
 
 
 def _missing_declination(gap: float, sigma: float) -> str:
-    """Say what the declination seems to be, where it is not known."""
+    """Return the likely declination in words, if it is not known."""
     if sigma > FRONT.useful or abs(gap) < CLEAR * sigma:
         return ""
     return (
         f"by course the declination is about {math.degrees(gap):+.0f}° "
-        f"(± {math.degrees(sigma):.0f}°), if the magnetometer is not turned against the IMU: give "
+        f"(± {math.degrees(sigma):.0f}°), if magnetometer and IMU are parallel: give "
         "reference.declination_deg, or the place"
     )
 
 
 def _suspicion(gap: float, sigma: float, declination: float) -> str:
-    """Say why compass and course differ although the IMU's own yaw is taken off."""
+    """Return in words why compass and course differ although the IMU's yaw is subtracted."""
     size = f"{math.degrees(gap):+.1f}° ± {math.degrees(sigma):.1f}°"
     is_large = abs(declination) > FRONT.smallest
     if is_large and abs(math.remainder(gap + 2.0 * declination, math.tau)) < FRONT.near * sigma:
         return (
-            f"the compass is off the course by {size}, twice the declination in use: its sign is "
+            f"compass and course differ by {size}, twice the declination in use: its sign is "
             f"wrong, give reference.declination_deg: {-math.degrees(declination):.1f} "
             "(east is positive)"
         )
     return (
-        f"the compass is off the course by {size} although the IMU's own yaw is corrected: the "
-        "magnetometer is turned against the IMU by so much (mount_rpy_deg), or the declination is "
-        "wrong by it"
+        f"compass and course differ by {size} although the IMU's yaw is corrected: the "
+        "magnetometer is turned against the IMU, or the declination is wrong, by this angle "
+        "(mount_rpy_deg or reference.declination_deg)"
     )
 
 
@@ -152,9 +151,9 @@ class BaseView:
     def heading(self, seen: Heading) -> Heading:
         """Return the base's heading.
 
-        Both attitudes share one small error in the world's axes: `Compass.heading` says how it
-        shows in roll, pitch and yaw. Its parts about east and north follow from the covariances,
-        and show otherwise where the base's x points; the part about up is the same for both.
+        Both attitudes share one small error in world axes; `Compass.heading` gives its effect on
+        roll, pitch and yaw. The components about east and north follow from the covariances, and
+        have another effect in the base's axes. The component about up is the same for both.
         """
         if self._is_imu:
             return seen
@@ -187,7 +186,7 @@ class BaseView:
 
 
 def _by_tilt(seen: Heading) -> tuple[float, float]:
-    """Return how much of an error about east and about north shows in the yaw."""
+    """Return the yaw error by an error about east and about north."""
     if seen.tilt_variance <= 0.0:
         return 0.0, 0.0
     by_roll = seen.roll_yaw * math.cos(seen.pitch) / seen.tilt_variance
@@ -199,10 +198,10 @@ def _by_tilt(seen: Heading) -> tuple[float, float]:
 def corrected_pose(
     described: FloatArray | None, by_hand: float | None, found: VehicleYaw | None
 ) -> tuple[FloatArray | None, str]:
-    """Return the pose that attitudes of the base are made with, and what contradicts it in words.
+    """Return the pose of the IMU in the base, and a contradiction in words.
 
-    `described` (3, 3) is that of the robot's description, IMU axes to base axes. A yaw that was
-    given `by_hand`, radians, replaces the one that was `found` by driving.
+    `described` (3, 3) is the pose in the robot's description, IMU axes to base axes. A yaw given
+    `by_hand`, radians, has priority over the one that was `found` by driving.
     """
     if described is None:
         return None, ""

@@ -23,15 +23,15 @@ from magcal_ros.core.up.follower import Up
 
 Quaternion = tuple[float, float, float, float]
 
-CERTAIN = (0.0,) * (PARAMETERS + 1)  # by how much a compass without errors is wrong
+CERTAIN = (0.0,) * (PARAMETERS + 1)  # `Heading.lasting` of a compass without errors
 SMALLEST_LEVEL_SHARE = 0.02  # below this share of level field (a dip of 89°) there is no yaw
 
 SMALLEST_FORWARD = 1e-6
-"""Squared level share of body x; nose up or down, where it vanishes, roll and yaw are one."""
+"""Least squared level component of body x; nose up or down, roll and yaw cannot be separated."""
 
 
 class Heading(NamedTuple):
-    """Attitude seen by gravity and field at one moment: radians, and variances in rad²."""
+    """Attitude by gravity and field at one moment: radians, and variances in rad²."""
 
     roll: float
     pitch: float
@@ -40,9 +40,9 @@ class Heading(NamedTuple):
     yaw_variance: float
     roll_yaw: float  # covariance by an error of tilt
     pitch_yaw: float  # the same
-    noise_variance: float = 0.0  # part of the yaw's that is new with each sample
-    lasting_variance: float = 0.0  # the calibration's part
-    # (13,): radians of yaw by each of thirteen independent unit errors, the last alike everywhere
+    noise_variance: float = 0.0  # part of the yaw's variance by white noise of the sample
+    lasting_variance: float = 0.0  # part of the yaw's variance by the calibration
+    # (13,): yaw error (radians) by each of thirteen independent unit errors; the last is constant
     lasting: tuple[float, ...] = CERTAIN
 
     def quaternion(self, declination: float = 0.0) -> Quaternion:
@@ -52,8 +52,8 @@ class Heading(NamedTuple):
     def covariance(self, north_variance: float = 0.0) -> tuple[float, ...]:
         """Return the row-major 3 x 3 covariance of roll, pitch and yaw, rad².
 
-        `north_variance` is that of the north that yaw counts from, rad²: the declination's for true
-        north.
+        `north_variance` is the variance of the direction of north, rad²: that of the declination
+        for true north.
         """
         t, ry, py = self.tilt_variance, self.roll_yaw, self.pitch_yaw
         roll = t / max(math.cos(self.pitch) ** 2, SMALLEST_FORWARD)
@@ -74,13 +74,13 @@ def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 def yaw_ahead(north: Triple, seen: Triple, up: Triple) -> float:
-    """Return by how much the yaw by another north is ahead, radians; north is level."""
+    """Return the yaw by north as `seen` minus the yaw by `north`, radians; `north` is level."""
     # North that lies further to the left is a yaw further to the right.
     return -math.atan2(dot(cross(north, seen), up), dot(north, seen))
 
 
 def levelled(vector: Triple, up: Triple) -> Triple | None:
-    """Return the direction of a vector's level part; None where it has hardly one."""
+    """Return the direction of a vector's level part; None if that is too small."""
     rise = dot(vector, up)
     level = (vector[0] - rise * up[0], vector[1] - rise * up[1], vector[2] - rise * up[2])
     size = length(level)
@@ -90,7 +90,7 @@ def levelled(vector: Triple, up: Triple) -> Triple | None:
 
 
 class Compass:
-    """A calibration and what is known of `motors`, applied to one message after another."""
+    """Applies a calibration, and the field of `motors`, to successive messages."""
 
     def __init__(self, calibration: Calibration) -> None:
         self.calibration = calibration
@@ -109,7 +109,7 @@ class Compass:
         self.use_motors(calibration.motors)
 
     def use_motors(self, motors: MotorField | None) -> None:
-        """Take what is known of the motors from now on."""
+        """Use another estimate of the motors' field from now on."""
         self.motors, self._gains = motors, ()
         if motors is not None:
             self._gains = tuple(
@@ -123,7 +123,7 @@ class Compass:
             self._now.use(motors)
 
     def without_motors(self, raw: Triple, running: Running) -> Triple:
-        """Return a raw field, tesla, as it would be if the robot stood there."""
+        """Return a raw field, tesla, without the motors' field."""
         x, y, z = raw
         values = running.values
         for place, by_x, by_y, by_z in self._gains:
@@ -145,9 +145,9 @@ class Compass:
     def at_rest(
         self, stamp: float, raw: Triple, rate: Triple | None, running: Running
     ) -> tuple[Triple, MotorDoubt | None]:
-        """Return the corrected field without what motors add, and what is not known of it.
+        """Return the corrected field without the motors' field, and its errors.
 
-        Stamps go on (`MotorsNow.add`); None where no motors are known.
+        The stamps increase (`MotorsNow.add`). The errors are None if no motors are known.
         """
         field = self.correct(raw)
         return (field, None) if self._now is None else self._now.add(stamp, field, rate, running)
@@ -161,17 +161,16 @@ class Compass:
     ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
-        None where gravity or the level part of the field is too small for a direction.
+        None if gravity or the level part of the field is too small for a direction.
 
-        `field` is in tesla, `force` in m/s², or up as a unit vector. `tilt_variance` is that of up
-        in either direction, rad²; that of a single accelerometer reading unless given. `motors`
-        are the errors of a field from which that of the motors was subtracted.
+        `field` is in tesla, `force` in m/s², or up as a unit vector. `tilt_variance` is the
+        variance of up in either direction, rad², by default that of a single accelerometer reading.
+        `motors` are the errors of the motors' field that was subtracted.
 
-        In the magnetic ENU axes of the moment let body x be (xe, xn, xu) and the field
-        (0, mn, mu). A small error of the attitude, a turn (pe, pn) about east and north that the
-        up vector missed, shows a yaw error
-        pe * (-xe xu / l²) + pn * (mu / mn - xn xu / l²), with l² = xe² + xn²,
-        a roll error (pe cos yaw + pn sin yaw) / l and a pitch error pn cos yaw - pe sin yaw.
+        In magnetic ENU axes let body x be (xe, xn, xu) and the field (0, mn, mu). A small error of
+        the up vector, a rotation (pe, pn) about east and north, causes a yaw error
+        pe * (-xe xu / l²) + pn * (mu / mn - xn xu / l²), with l² = xe² + xn².
+        The roll error is (pe cos yaw + pn sin yaw) / l, the pitch error pn cos yaw - pe sin yaw.
         """
         fx, fy, fz = force
         mx, my, mz = field
@@ -210,9 +209,9 @@ class Compass:
 
 
 def field_variance(calibration: Calibration) -> float:
-    """Return the variance of the corrected field per axis by the calibration's own, tesla².
+    """Return the variance of the corrected field by the calibration, tesla².
 
-    The mean over all attitudes and axes.
+    It is the mean over all attitudes and axes.
     """
     rows = np.diag(_body_covariance(calibration)).reshape(3, 4)
     matrix, offset = rows[:, :3].sum() / 3.0, rows[:, 3].sum()
@@ -220,10 +219,10 @@ def field_variance(calibration: Calibration) -> float:
 
 
 def level_field_covariance(calibration: Calibration) -> FloatArray:
-    """Return the covariance of the corrected field by the calibration's own, (3, 3), tesla².
+    """Return the covariance of the corrected field by that of the calibration, (3, 3), tesla².
 
-    The mean over all headings on the level, where a turn has shown the sum of hard iron and of what
-    the installation makes of the vertical field better than either.
+    It is the mean over all headings on the level. A turn determines the sum of hard iron and
+    rotated vertical field better than each of them.
     """
     whole = _body_covariance(calibration).reshape(3, 4, 3, 4)
     level = calibration.strength * math.cos(calibration.inclination)
@@ -234,9 +233,9 @@ def level_field_covariance(calibration: Calibration) -> FloatArray:
 
 
 def _body_covariance(calibration: Calibration) -> FloatArray:
-    """Carry the covariance from (A, h) to (G, b) with an error dm = G m_body - b.
+    """Transform the covariance from (A, h) to (G, b) with an error dm = G m_body - b.
 
-    A change of A by dA and of h by dh moves the corrected field by dA A^-1 m - A dh, so
+    A change of A by dA and of h by dh changes the corrected field by dA A^-1 m - A dh, so
     G = dA A^-1 and b = A dh. The order is row by row, (G00, G01, G02, b0, G10, ...).
     """
     a = calibration.correction.matrix
@@ -249,12 +248,12 @@ def _body_covariance(calibration: Calibration) -> FloatArray:
 
 
 class Moment(NamedTuple):
-    """A field sample under a calibration."""
+    """A field sample, corrected by a calibration."""
 
     stamp: float  # of the field message, seconds
     field: Triple  # corrected, body axes, tesla
     up: Up | None  # of the same moment; None if no IMU sample is near enough
-    heading: Heading | None  # None where both show no direction
+    heading: Heading | None  # None if field or up have no direction
     rate: Triple | None  # the newest, rad/s; NaN without a gyro, None before any IMU message
 
     @classmethod
@@ -267,10 +266,10 @@ class Moment(NamedTuple):
         running: Running | None = None,
         turning: Triple | None = None,
     ) -> Moment:
-        """Return what a field sample comes to by the compass in force.
+        """Return a field sample, corrected by a compass.
 
-        Unless `running` is given, the motors are taken to be off. `turning` is in rad/s, body axes,
-        less the gyro's bias; None where no gyro is believed.
+        Unless `running` is given, the motors are assumed to be off. `turning` is the rate without
+        the gyro's bias, rad/s, body axes; None without a usable gyro.
         """
         field, motors, heading = compass.correct(sample.field), None, None
         if running is not None:

@@ -1,7 +1,7 @@
-"""A yaw that the field has overruled: it was wrong, or iron came that turns the field.
+"""Two hypotheses of a yaw that the field has overruled: a wrong yaw, or added iron.
 
-While the robot does not turn, both explain the same. Iron on the robot turns with it and the field
-of the Earth does not, so the next turn shows which it was.
+While the robot does not turn, they cannot be separated. The field of iron on the robot turns with
+the robot and the Earth's field does not: the next turn decides.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ MOST = 30.0  # largest log odds
 
 @dataclass(frozen=True)
 class Scene:
-    """The level field of a moment, and what the Earth's would be by the overruled yaw."""
+    """The level field at a moment, and that of the Earth by the overruled yaw."""
 
-    seen: Triple  # corrected, level part, tesla, body axes
-    north: Triple  # level and of length one, by the gyro alone since the yaw was overruled
+    seen: Triple  # level part of the corrected field, tesla, body axes
+    north: Triple  # level unit vector, by the gyro alone since the yaw was overruled
     up: Triple
     level: float  # level field of the Earth, tesla
-    variance: float  # of each by places and the gyro, per axis, tesla²
+    variance: float  # of the field by places and the gyro, per axis, tesla²
 
 
 class Dispute:
-    """Two explanations of a field that turned by `apart` radians against the gyro at `stamp`."""
+    """Two hypotheses of a field that turned by `apart` radians against the gyro at `stamp`."""
 
     def __init__(self, stamp: float, apart: float, scene: Scene, log_odds: float = 0.0) -> None:
         self.stamp, self.apart = stamp, apart
@@ -35,16 +35,16 @@ class Dispute:
 
     @property
     def variance(self) -> float:
-        """Variance of the yaw that follows the field, rad²: by iron it is wrong by `apart`."""
+        """Variance of the yaw that follows the field, rad²: with iron its error is `apart`."""
         return self.apart**2 / (1.0 + math.exp(-self._log_odds))
 
     def weigh(self, scene: Scene, share: float) -> None:
-        """Take a moment that counts as this share of an independent measurement."""
+        """Add a moment that counts as a fraction of an independent measurement."""
         by_iron = plus(scaled(scene.north, scene.level), self._iron)
         turned = propagated(scene.north, scaled(scene.up, self.apart))
         by_earth = scaled(turned, scene.level)
         off_iron, off_earth = (minus(scene.seen, each) for each in (by_iron, by_earth))
-        # A Cauchy distribution in the level: what passes by must not decide.
+        # A Cauchy distribution in the level plane: passing iron must not decide.
         ratio = (scene.variance + dot(off_earth, off_earth)) / (
             scene.variance + dot(off_iron, off_iron)
         )
@@ -52,10 +52,10 @@ class Dispute:
         self._log_odds = max(-MOST, min(MOST, odds))
 
     def after(self, apart: float, variance: float) -> float:
-        """Return the log odds of iron where the field turns again, by `apart` radians.
+        """Return the log odds of iron after the field has turned again, by `apart` radians.
 
-        `variance` is that of the angle, rad². Iron that goes turns it back by as much, other iron
-        by any angle.
+        `variance` is the variance of the angle, rad². If the iron is removed, the field turns back
+        by the same angle; other iron turns it by any angle.
         """
         off = math.remainder(self.apart + apart, math.tau)
         density = math.exp(-0.5 * off**2 / variance) / math.sqrt(math.tau * variance)
@@ -64,9 +64,9 @@ class Dispute:
 
     @property
     def in_words(self) -> str:
-        """One sentence for a person."""
+        """The dispute in one sentence."""
         return (
             f"at {self.stamp:.1f} s the field turned by {abs(math.degrees(self.apart)):.0f}° "
-            "against the gyro: either iron came or went, or the yaw was wrong; the next turn of "
-            "the robot shows which"
+            "against the gyro: either iron was added or removed, or the yaw was wrong; the next "
+            "turn of the robot shows which"
         )

@@ -1,4 +1,4 @@
-"""Whether the field of the moment is the one that was calibrated, or is disturbed."""
+"""Whether the present field agrees with the calibration, or is disturbed."""
 
 from __future__ import annotations
 
@@ -14,22 +14,20 @@ from magcal_ros.core.heading.yaw_filter import UNKNOWN_YAW
 
 @dataclass(frozen=True)
 class DisturbanceTuning:
-    """How a disturbed field is recognised, and how far it may turn the yaw."""
+    """How a disturbed field is detected, and how far it may turn the yaw."""
 
     strength: float = 0.02
     dip: float = math.radians(1.0)
-    """Share of its strength, and radians of its inclination, by which a good field varies from
-    place to place (1 sigma)."""
+    """Sigmas of a good field from place to place: relative strength, and inclination in radians."""
     noise_share: float = 2.0  # sigmas of the calibration's field noise that are added to both
     gate: float = 3.0
-    """Sigmas of deviation from which a field is no compass, and from which a sample has less
-    weight; amplitudes that a single deviation counts for at most, or passing iron would be taken
-    for the street."""
-    believed_below: float = 2.0  # sigmas to which an ignored field must come back
+    """Sigmas from which a field is ignored, and from which a sample has less weight. Also the
+    largest deviation that is learnt, in amplitudes: passing iron is not a property of places."""
+    believed_below: float = 2.0  # sigmas below which an ignored field is used again
     memory: float = 0.3  # seconds over which strength and dip are averaged
     amplitude: float = 0.01
-    """Share of the field's strength per axis that places add to it, before any was seen: 0.5 µT, as
-    on open land. However clean the field looks, half of it remains."""
+    """Prior size of the local disturbance per axis, over the field's strength: 0.5 µT, as on open
+    land. The learnt size is at least half of it."""
     amplitude_memory: float = 100.0
     """Seconds over which the amplitude is learnt: a few hundred metres of road."""
 
@@ -38,12 +36,11 @@ DISTURBANCE = DisturbanceTuning()
 
 
 PATIENCE = 60.0
-"""Seconds after which a deviating field is taken for the expected one, unless a parameter gives
-another time."""
+"""Default time after which a deviating field is accepted as the expected one, seconds."""
 
 
 class Trust(str, Enum):
-    """How the field of the moment is taken."""
+    """How the present field is used."""
 
     GOOD = "good"
     WEIGHED_DOWN = "weighed down"
@@ -52,20 +49,20 @@ class Trust(str, Enum):
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A spell in which the field was not the expected one."""
+    """A period in which the field was not the expected one."""
 
     since: float
     until: float
     """Stamps, seconds."""
-    yaw: float  # where the robot looked when it began, radians, ENU to magnetic north
-    strength: float  # largest departure of the strength, as a share of the expected one
-    dip: float  # largest departure of the inclination, radians
+    yaw: float  # yaw of the robot at the beginning, radians, ENU to magnetic north
+    strength: float  # largest deviation of the strength, relative
+    dip: float  # largest deviation of the inclination, radians
     is_accepted: bool = False
-    """Whether it lasted for so long that the new field was taken for the expected one."""
+    """Whether it lasted so long that the new field was accepted as the expected one."""
 
     @property
     def in_words(self) -> str:
-        """One line for a person."""
+        """The disturbance in one line."""
         line = (
             f"strength {100.0 * self.strength:+.0f}%, inclination {math.degrees(self.dip):+.0f}° "
             f"for {self.until - self.since:.0f} s from {self.since:.1f} s, at yaw "
@@ -77,17 +74,17 @@ class Disturbance:
 class DisturbanceDetector:
     """Compares the corrected field with what the calibration expects.
 
-    After `patience` seconds a deviating field is taken for the expected one.
+    After `patience` seconds a deviating field is accepted as the expected one.
     """
 
     def __init__(self, calibration: Calibration, patience: float) -> None:
         self.patience = patience
-        self.trust = Trust.GOOD  # how the newest sample is to be taken
+        self.trust = Trust.GOOD  # use of the newest sample
         self.departure = 0.0  # of the newest sample, sigmas
         self.last: Disturbance | None = None  # the newest
-        # What places add to the field per axis, over its squared strength, as far as learnt.
+        # Estimated variance of the local disturbance per axis, over the squared strength.
         self.amplitude_variance = DISTURBANCE.amplitude**2
-        # What is the same at every heading: strength, tesla, and radians below the horizon.
+        # Quantities that do not depend on the heading: strength, tesla, and inclination, radians.
         self._calibrated = self._expected = calibration.strength, calibration.inclination
         self._noise = _own_variance(calibration) / max(calibration.strength, 1e-9) ** 2
         self._mean: tuple[float, float] | None = None
@@ -97,10 +94,10 @@ class DisturbanceDetector:
     def add(
         self, stamp: float, field: Triple, up: Triple, tilt_variance: float, yaw: float
     ) -> bool:
-        """Take a corrected field (tesla, body axes); returns whether a new field was accepted.
+        """Add a corrected field; return whether a new field was accepted.
 
-        `field` (tesla) and `up`, a unit vector, are in body axes; `tilt_variance` is that of up,
-        rad², and `yaw` is kept for the record.
+        `field` (tesla) and `up`, a unit vector, are in body axes. `tilt_variance` is the variance
+        of up, rad², and `yaw` is recorded with a disturbance.
         """
         size = length(field)
         dip = math.asin(max(-1.0, min(1.0, -dot(field, up) / size))) if size > 0.0 else 0.0
@@ -120,11 +117,11 @@ class DisturbanceDetector:
         return self._note(stamp, yaw)
 
     def learn(self, seconds: float, tilt_variance: float, across: float) -> float:
-        """Learn how much places bend the field; returns how the variance has grown, at least 1.
+        """Learn the size of the local disturbance; return the growth of its variance, at least 1.
 
-        `seconds` have passed since this was asked for last. `tilt_variance` is that of up, rad²: a
-        tilt shows as dip. `across` is the squared deviation of the level field across north, over
-        the squared strength.
+        `seconds` is the time since the last call. `tilt_variance` is the variance of up, rad²,
+        which changes the dip. `across` is the squared deviation of the level field across north,
+        over the squared strength.
         """
         old = self.amplitude_variance
         strength, dip = self._off(self._calibrated)
@@ -142,7 +139,7 @@ class DisturbanceDetector:
         return DISTURBANCE.strength**2 + self._noise + self.amplitude_variance
 
     def _judge(self) -> Trust:
-        # A field at the edge must not be heard now and then.
+        # Hysteresis, so that a field at the limit is not used intermittently.
         was_ignored = self.trust is Trust.IGNORED
         edge = DISTURBANCE.believed_below if was_ignored else DISTURBANCE.gate
         if self.departure >= edge:
@@ -150,7 +147,7 @@ class DisturbanceDetector:
         return Trust.GOOD if self.departure <= 1.0 else Trust.WEIGHED_DOWN
 
     def _distance(self, expected: tuple[float, float], tilt_variance: float) -> float:
-        """Return how far the mean is from a field, in sigmas."""
+        """Return the distance of the mean from a field, in sigmas."""
         strength, dip = self._off(expected)
         common = self._noise + self.amplitude_variance
         of_strength = DISTURBANCE.strength**2 + common
@@ -158,13 +155,13 @@ class DisturbanceDetector:
         return math.sqrt(strength**2 / of_strength + dip**2 / of_dip)
 
     def _off(self, expected: tuple[float, float]) -> tuple[float, float]:
-        """Return how far the mean is from a field: strength, relative, and dip, radians."""
+        """Return the deviation of the mean from a field: relative strength, and dip in radians."""
         assert self._mean is not None
         strength, dip = self._mean
         return strength / max(expected[0], 1e-9) - 1.0, dip - expected[1]
 
     def _note(self, stamp: float, yaw: float) -> bool:
-        """Record the disturbance; returns whether it has lasted long enough."""
+        """Record the disturbance; return whether it has lasted long enough."""
         strength, dip = self._off(self._expected)
         last = self.last
         if self._disturbed_since is None or last is None:
@@ -187,18 +184,17 @@ class DisturbanceDetector:
 
 
 def _own_variance(calibration: Calibration) -> float:
-    """Return what noise and the calibration's own error add to the field per axis, tesla²."""
+    """Return the variance of the field by noise and calibration, per axis, tesla²."""
     noise = DISTURBANCE.noise_share * calibration.noise_field
     return noise**2 + field_variance(calibration)
 
 
 class FieldDoubt:
-    """By how much a field that contradicts the calibration makes the compass's yaw less certain.
+    """The additional variance of the yaw, if the field contradicts the calibration.
 
-    Strength and dip show two of three parts of what is wrong with the field; the third, across
-    north, turns the yaw. Where no gyro shows it, it is taken to be as large. A wrong calibration
-    shows the first two at some headings and hides them at others, so what was seen before counts
-    as well.
+    Strength and dip show two components of the field's error. The third component, across north,
+    turns the yaw; without a gyro it is assumed to be as large. A wrong calibration shows the first
+    two at some headings only, so that earlier deviations count as well.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -211,7 +207,7 @@ class FieldDoubt:
         self._usual_across = strength**2 * places + own
         self._seen = self._seconds = 0.0
         self._stamp = math.nan
-        self.is_turned = False  # whether most of what is wrong turns the yaw
+        self.is_turned = False  # whether most of the error turns the yaw
 
     def add(
         self,
@@ -221,11 +217,11 @@ class FieldDoubt:
         tilt_variance: float,
         turned: tuple[float, float] = (0.0, math.inf),
     ) -> float:
-        """Take a field; returns the variance of the yaw by disturbances, beside its own.
+        """Add a field; return the additional variance of its yaw by disturbances, rad².
 
-        `field` is corrected, tesla, `up` a unit vector, both in body axes; `tilt_variance` is that
-        of up, rad². `turned` is how far its yaw is ahead of the gyro's, radians, and the variance
-        of the latter, rad², infinite without a gyro.
+        `field` is corrected, tesla, `up` a unit vector, both in body axes; `tilt_variance` is the
+        variance of up, rad². `turned` is the yaw of the field minus that of the gyro, radians, and
+        the variance of the gyro's yaw, rad², infinite without a gyro.
         """
         rise, square = dot(field, up), dot(field, field)
         level = math.sqrt(max(square - rise * rise, 0.0))
@@ -237,12 +233,12 @@ class FieldDoubt:
         if math.isfinite(usual_across):
             off, usual = off + across, usual + usual_across
         excess = max(0.0, off - usual)
-        # After a jump of time the next sample counts as one of usual distance.
+        # After a jump of time the next sample counts as one second.
         seconds = stamp - self._stamp
         seconds = seconds if 0.0 < seconds < 1.0 else 1.0
         self._stamp = stamp
         self._seconds = min(self._seconds + seconds, DISTURBANCE.amplitude_memory)
         self._seen += seconds / self._seconds * (excess - self._seen)
-        # A wrong field that is larger than the Earth's must not count as a level field that is.
+        # The level field of a disturbance must not count as a strong level field of the Earth.
         level = max(min(level, self._level), 1e-9)
         return min(max(excess, self._seen) / level**2, UNKNOWN_YAW)

@@ -1,9 +1,9 @@
 """A smooth yaw: the gyro propagates it, and the compass corrects it.
 
-North is kept as a level direction in body axes and propagated by the gyro; the level part of the
-field corrects it about up alone, so a bent field never tips the attitude (the projection of
-DIY IMU, part 3). A small Kalman filter on yaw, gyro bias and the disturbance of the place weighs
-the two: streets bend the field over tens of metres, so the samples of a second count as one.
+North is kept as a level direction in body axes and propagated by the gyro. The level part of the
+field corrects it about up alone, so that a disturbed field never tilts the attitude (the projection
+of DIY IMU, part 3). A Kalman filter estimates yaw, gyro bias and local disturbance, which is
+correlated over tens of metres: the samples of a second count as one.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from magcal_ros.core.samples.streams import STREAMS, enclosing
 from magcal_ros.core.up.follower import Up
 from magcal_ros.core.up.propagation import GyroBias
 
-HISTORY = 512  # IMU messages within which the moment of a field message is looked for
-UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)  # of a gyro whose bias is taken off already
+HISTORY = 512  # IMU messages that are kept to find the moment of a field message
+UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)  # of a gyro whose bias is already subtracted
 
 
 class _Moment(NamedTuple):
-    """North as it was propagated to a stamp, and how far the compass had turned the yaw by then."""
+    """North as propagated to a stamp, and the sum of the yaw's corrections until then."""
 
     stamp: float
     north: Triple
@@ -57,10 +57,10 @@ class FusedYaw:
         self.restart()
 
     def use(self, calibration: Calibration, patience: float) -> None:
-        """Go on with another calibration, where another device than the compass gives the yaw."""
+        """Continue with another calibration, while another device gives the yaw."""
         learnt = self.detector.amplitude_variance
         self._measure_by(calibration, patience)
-        # How much places bend the field does not depend on the calibration.
+        # The local disturbance does not depend on the calibration.
         self.detector.amplitude_variance = learnt
         self._filter.use_another_calibration()
 
@@ -71,7 +71,7 @@ class FusedYaw:
         self._strength = calibration.strength
 
     def restart(self) -> None:
-        """Forget where north is; the next compass sample shows it."""
+        """Forget north until the next compass sample."""
         self._north: Triple | None = None
         self._up = Up((0.0, 0.0, 1.0), 0.0)
         self._stamp = -math.inf
@@ -81,13 +81,13 @@ class FusedYaw:
         self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
         self._is_at_rest = False
         self._corrected = self._start_stamp = self._heading_stamp = self._heading_since = -math.inf
-        self.last_heading_gap = 0.0  # by which the last of another device was ahead, radians
+        self.last_heading_gap = 0.0  # last heading of another device minus the yaw, radians
         self._overruled = 0.0
         self.dispute: Dispute | None = None
-        """Two explanations of the last field that overruled the yaw; None if none did."""
+        """Two hypotheses of the last field that overruled the yaw; None if none did."""
         self._disputed_shift = 0.0
         self._headings_ahead: list[float] = []
-        self._doubted = 0.0  # variance by all that headings may be while they correct the yaw, rad²
+        self._doubted = 0.0  # variance of the yaw by errors of the headings that correct it, rad²
         self._rests: list[tuple[float, float, float]] = []
         self._path.clear()
 
@@ -99,10 +99,10 @@ class FusedYaw:
         known: GyroBias = UNBIASED,
         is_at_rest: bool = False,
     ) -> None:
-        """Go on to the next IMU message.
+        """Propagate to the next IMU message.
 
-        `up` belongs to the message. `rate` is the mean since the one before, rad/s, less the bias
-        `known`. At rest the field of the place stays the same.
+        `up` belongs to the message. `rate` is the mean since the previous message without the bias
+        `known`, rad/s. At rest the field of the place is constant.
         """
         seconds = stamp - self._stamp
         if not 0.0 < seconds <= STREAMS.longest_gyro_step and self._north is not None:
@@ -131,7 +131,7 @@ class FusedYaw:
         self._lost += lost
 
     def _take_bias(self, known: GyroBias) -> None:
-        """Keep what is known of the whole bias when the part taken off the rate has changed."""
+        """Keep the estimate of the whole bias when the subtracted part changes."""
         variance, following = known.variance + FUSION.bias_sigma**2, self._filter
         change = minus(known.rate, self._known.rate)
         self._known = known
@@ -140,14 +140,14 @@ class FusedYaw:
             return
         own = following.bias_variance
         if variance < own:
-            # With so much noise the bias is as certain afterwards as it is known.
+            # With this noise the posterior variance of the bias is the known one.
             noise = variance * own / (own - variance)
             self._turn(following.observe_bias(-following.bias, noise))
             self._loss.begin(dot(known.rate, self._up.direction), variance)
         self._rest(known)
 
     def _rest(self, known: GyroBias) -> None:
-        """Learn the bias, and how the gyro loses it, from a robot that rests."""
+        """Learn the bias and its random walk at rest."""
         rests, following = self._rests, self._filter
         if known.at_rest is not None:
             rate, noise = known.at_rest
@@ -164,9 +164,9 @@ class FusedYaw:
         self._turn(following.observe_bias(left, noise))
 
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
-        """Let the compass correct the yaw.
+        """Correct the yaw by the compass.
 
-        `field` is corrected, tesla, body axes; `heading` follows from it and `up` of its `stamp`.
+        `field` is corrected, tesla, body axes; `heading` follows from `field` and `up` at `stamp`.
         """
         seen = levelled(field, up.direction)
         if seen is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
@@ -190,7 +190,7 @@ class FusedYaw:
             self._move_on(self._unlearnt, innovation, heading)
             self._unlearnt = 0.0
         if self.has_external_yaw:
-            # A compass that headings calibrate adds nothing to them.
+            # A compass that is calibrated by headings adds no information to them.
             self.dispute = None
             return
         if self.dispute is not None:
@@ -201,7 +201,7 @@ class FusedYaw:
         elif detector.trust is Trust.IGNORED:
             self._overruled = 0.0
             if stamp - self._start_stamp < FUSION.start:
-                # What turns out to be bent soon after the start was so at the start.
+                # A field that is disturbed soon after the start was so at the start.
                 missing = FUSION.unknown**2 - self._filter.yaw_variance
                 self._filter.yaw_variance += max(0.0, missing)
             return
@@ -215,11 +215,11 @@ class FusedYaw:
     def take_heading(
         self, stamp: float, yaw: float, variance: float, forward: Triple
     ) -> float | None:
-        """Let a heading correct the yaw that is not measured by the field, as of two antennas.
+        """Correct the yaw by the heading of another device, such as two antennas.
 
-        `yaw` is that of `forward`, a direction in body axes, ENU to magnetic north, radians, with
-        its `variance`, rad². Returns the sigmas by which it misses; beyond the gate it is not used.
-        None while north is not known at its stamp.
+        `yaw` is the heading of `forward`, a direction in body axes, ENU to magnetic north, radians,
+        with its `variance`, rad². Returns its normalised innovation; beyond the gate it is not
+        used. None while north is not known at the stamp.
         """
         north = self.north_at(stamp)
         if north is None or stamp <= self._heading_stamp:
@@ -239,7 +239,7 @@ class FusedYaw:
         return missed
 
     def _learn_loss(self, stamp: float, innovation: float, variance: float, since: float) -> None:
-        """Learn what the gyro loses from how far headings are ahead of the gyro alone."""
+        """Learn the gyro's random walk from headings minus the yaw of the gyro alone."""
         if since >= FUSION.heading_tau:
             self._headings_ahead, self._heading_since = [], -math.inf
         self._headings_ahead.append(innovation + self._shift - self._drift)
@@ -252,7 +252,7 @@ class FusedYaw:
             self._doubted = float(covariance[0, 0]) + (mean[0] - self._shift + self._drift) ** 2
 
     def _end_headings(self) -> None:
-        """Go on without headings: where they may have drifted and not the gyro, doubt them."""
+        """Continue without headings, with the variance by a possible drift of the headings."""
         self._loss.go_on(self._stamp, self._lost)
         self._lost = self._doubted = 0.0
         mean, covariance = self._loss.ahead()
@@ -284,22 +284,22 @@ class FusedYaw:
         then = self._at(stamp)
         if then is None:
             return None
-        # What was corrected since holds for then as well.
+        # Corrections since then apply to the earlier moment as well.
         return propagated(then.north, scaled(self._up.direction, self._shift - then.shift))
 
     @property
     def yaw_variance(self) -> float:
-        """Variance of the propagated yaw but for the calibration's part, rad²."""
+        """Variance of the propagated yaw without the calibration's part, rad²."""
         return self._filter.yaw_variance + (self.dispute.variance if self.dispute else 0.0)
 
     @property
     def is_disputed(self) -> bool:
-        """Whether most of the yaw's variance comes from the dispute."""
+        """Whether most of the yaw's variance is due to the dispute."""
         return self.yaw_variance > 2.0 * self._filter.yaw_variance
 
     @property
     def _disturbance_variance(self) -> float:
-        """Variance of what places do to the compass, rad²."""
+        """Variance of the compass's yaw by local disturbances, rad²."""
         return self.detector.amplitude_variance / self._level_share
 
     def _begin(self, seen: Triple, heading: Heading) -> None:
@@ -316,7 +316,7 @@ class FusedYaw:
         self._path.append(_Moment(self._stamp, level, self._shift))
 
     def _move_on(self, seconds: float, innovation: float, heading: Heading) -> None:
-        """Let the disturbance change with the place, and learn how large it is."""
+        """Let the disturbance change with the place, and learn its size."""
         known = self._filter.yaw_variance + self._by_tilt(heading)
         across = max(0.0, innovation**2 - known) * self._level_share
         self._filter.widen(self.detector.learn(seconds, self._up.variance, across))
@@ -329,7 +329,7 @@ class FusedYaw:
         return max(0.0, heading.yaw_variance - own)
 
     def _scene(self, stamp: float, field: Triple, up: Up, then: _Moment) -> Scene:
-        """Return the level field and what it is compared with while the yaw is disputed."""
+        """Return the level field, and the Earth's by the disputed yaw."""
         axis, since = up.direction, then.shift - self._disputed_shift
         north = propagated(then.north, scaled(axis, -since))
         level = self._strength * math.sqrt(self._level_share)
@@ -342,10 +342,7 @@ class FusedYaw:
     def _weigh(
         self, innovation: float, heading: Heading, compass: FloatArray, seconds: float
     ) -> bool:
-        """Correct yaw and bias by how far the compass is from the propagated yaw.
-
-        Returns whether the field overrules the yaw.
-        """
+        """Correct yaw and bias by the innovation; return whether the field overrules the yaw."""
         following = self._filter
         bent = self._disturbance_variance
         by_tilt = self._by_tilt(heading)
@@ -367,8 +364,7 @@ class FusedYaw:
         spread = following.known_spread(noise)
         share = min(1.0, seconds / FUSION.noise_tau)
         if momentary < following.yaw_variance and share * spread > following.yaw_variance:
-            # Errors by tilt are common to both: where the compass of the moment is the better
-            # one, a mean of both is not.
+            # Errors by tilt are common to both: if the present compass is better, a mean is not.
             following.follow(share, momentary, compass)
             turned = share * innovation
         else:
@@ -382,7 +378,7 @@ class FusedYaw:
         self._shift += angle
 
     def _at(self, stamp: float) -> _Moment | None:
-        """Return north at a stamp; after the newest message the body is taken to turn on."""
+        """Return north at a stamp; after the newest message the turn rate is constant."""
         found = enclosing(self._path, stamp)
         if found is None:
             return None

@@ -1,4 +1,4 @@
-"""Whether a robot moves, and what its motors do."""
+"""Detection of motion, and the inputs of the motors' field."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from magcal_ros.core.geometry.vec3 import Triple, length
 
 @dataclass(frozen=True)
 class RunningTuning:
-    """When a robot moves, and how well the inputs show what its motors add."""
+    """When a robot moves, and how well the inputs determine the motors' field."""
 
     rate: float = 0.03  # rad/s from which it turns, as for the smoother (`Lengths.moving`)
     speed: float = 0.01  # m/s from which it drives: below a step of a wheel's encoder
-    turning: float = 0.1  # rad/s at which it surely turns to one side
-    slow: float = 0.05  # m/s below which it is about to stop, and twice `rate` likewise
-    edge: float = 0.1  # seconds after a start or stop in which it is not known what runs
-    slowing: float = 0.3  # the same after the robot got slow
+    turning: float = 0.1  # rad/s from which it certainly turns to one side
+    slow: float = 0.05  # m/s below which it is about to stop; the same for twice `rate`
+    edge: float = 0.1  # seconds after a start or stop in which the state of motors is unknown
+    slowing: float = 0.3  # the same after the robot became slow
     settles: float = 0.7  # seconds at rest after which the current is that of rest
-    idle: float = 5.0  # seconds over which that is averaged
-    body_length: float = 4.0  # seconds over which what no input shows is alike
+    idle: float = 5.0  # seconds over which the current at rest is averaged
+    body_length: float = 4.0  # correlation time of the motors' residual field, seconds
     unseen: float = 0.1
     unseen_spread: float = 1.0
-    """Share of what the inputs show by which the motors' field differs from it, along its
-    direction: median, and standard deviation of its natural logarithm. Where nobody reports the
-    currents of wheels, they vary by a fifth to a third, with the floor and bends; a field that is
-    switched on with the motors hardly varies."""
-    unseen_lasts: float = 300.0  # seconds of motion over which it is the same
-    late_share: float = 0.03  # of the time in which motors run unseen, or do not
-    longest: float = 0.5  # seconds that this lasts at most
-    latency: float = 0.2  # seconds by which a speed or a current may be late
+    """Relative residual of the motors' field along the field by the inputs: median, and standard
+    deviation of the natural logarithm. Without reported currents, those of wheels vary by a fifth
+    to a third, with the floor and in curves; a field that is switched with the motors hardly
+    varies."""
+    unseen_lasts: float = 300.0  # correlation time of this ratio, seconds of motion
+    late_share: float = 0.03  # fraction of the time in which motors start or stop undetected
+    longest: float = 0.5  # longest such time, seconds
+    latency: float = 0.2  # latency of a speed or a current, seconds
 
 
 RUNNING = RunningTuning()
 
 
 class MotionSense:
-    """Follows whether a robot moves; `newest` is what the motors did when it was asked last."""
+    """Detects motion; `newest` are the inputs of the motors' field at the last call."""
 
     def __init__(self) -> None:
         self._moves: bool | None = None
@@ -56,13 +56,12 @@ class MotionSense:
         current: float,
         reference: float = math.nan,
     ) -> Running:
-        """Return what the motors do at a stamp, seconds; stamps go on or jump.
+        """Return the inputs of the motors' field at a stamp, seconds.
 
-        `rate` is less the gyro's bias, rad/s, body axes; None without a gyro. `is_at_rest` is
-        whether the IMU shows that the robot stands, or rolls on evenly. `speed` and `current` are
-        in m/s and amperes, NaN where they are unknown. Of the current only what is beyond a
-        `reference` counts, by default beyond that at rest: that of the calibration
-        (`MotorField.reference`).
+        `rate` is without the gyro's bias, rad/s, body axes; None without a gyro. `is_at_rest` is
+        whether the IMU shows a rest or steady motion. `speed` and `current` are in m/s and amperes,
+        NaN if unknown. The current is counted from `reference` (`MotorField.reference`), by default
+        from that at rest.
         """
         if stamp == self._stamp:
             return self.newest
@@ -73,10 +72,10 @@ class MotionSense:
         if turns > RUNNING.rate or drives > RUNNING.speed:
             moves = True
         elif not math.isnan(speed):
-            # Wheels that stand do not show a turn on the spot; the gyro would.
+            # A turn on the spot may have no speed; only a gyro excludes it.
             moves = None if rate is None else False
         if moves is not self._moves:
-            # What is not known at first was as it is now.
+            # The first known state counts from the beginning.
             self._since = -math.inf if self._moves is None else stamp
             self._moves = moves
         is_slow = turns < 2.0 * RUNNING.rate and drives < RUNNING.slow
@@ -90,7 +89,7 @@ class MotionSense:
         driven = speed * float(moves is not False)
         side = max(-1.0, min(1.0, turn_rate / RUNNING.turning))
         if is_edge and moves is False:
-            # Motors of a turn that has just ended may still run to its side.
+            # Just after a turn, its motors may still run.
             side = self.newest.side
         beyond = current - reference
         if math.isnan(reference):
@@ -99,7 +98,7 @@ class MotionSense:
         return self.newest
 
     def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
-        """Return by how much a current, if known, is beyond that at rest, and follow the latter."""
+        """Return a current minus that at rest, which is updated at rest."""
         rests = moves is False and self._stamp - self._since > RUNNING.settles
         if rests and not math.isnan(current):
             share = min(max(seconds, 0.0) / RUNNING.idle, 1.0)

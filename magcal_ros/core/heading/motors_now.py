@@ -1,9 +1,9 @@
-"""What field the motors add at the moment.
+"""The present field of the motors.
 
-Inputs come late and leave out a ripple: a current is reported some tenths of a second after it
-flows, and that a robot moves is seen after its motors have started. The field of the place cannot
-change so fast, except by the turn that the gyro measures. So a Kalman filter on the field of the
-place and on what is left of the motors' field divides each change between the two.
+The inputs have latency and no ripple: a current is reported some tenths of a second late, and
+motion is detected after the motors have started. The field of the place cannot change as fast,
+except by the turn that the gyro measures. A Kalman filter on the field of the place and on the
+residual of the motors' field therefore separates the two.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.motion_sense import RUNNING
 
 MICROTESLA = 1e6
-PLACE, LEFT = slice(0, 3), slice(3, 6)
-"""States: field of the place, and what is left of the motors' field; µT, body axes."""
+PLACE, RESIDUAL = slice(0, 3), slice(3, 6)
+"""States: field of the place, and residual of the motors' field; µT, body axes."""
 EYE = np.eye(3)
 
 
@@ -30,34 +30,33 @@ EYE = np.eye(3)
 class PlaceFieldTuning:
     """How the field of a place changes in the axes of a robot."""
 
-    field: float = 100.0  # µT of the Earth's field and all around it, before the first sample
+    field: float = 100.0  # prior sigma of the field before the first sample, µT
     longest: float = 1.0  # seconds without a sample after which the field of the place is unknown
     street: float = 1.0
     street_spread: float = 1.0
-    """µT per axis by which places differ: median, and standard deviation of its natural logarithm
-    (as of the unknown "street")."""
-    street_length: float = 30.0  # metres over which they are alike
-    passing: float = 0.03  # µT per root second by which the field changes while the robot stands
-    walk: float = 0.001  # rad per root second of the gyro's random walk, as for the fused yaw
-    turn_error: float = 0.005  # share of a turn that a gyro gets wrong, per root radian, likewise
-    latency: float = 0.01  # seconds by which gyro and field may be apart
-    beside: float = 0.15  # metres of the magnetometer from the pivot
-    unknown_speed: float = 0.3  # m/s of a robot that moves and does not tell its speed
+    """Size of the local disturbance, µT per axis: median, and standard deviation of the natural
+    logarithm (as of the unknown "street")."""
+    street_length: float = 30.0  # correlation length of the local disturbance, metres
+    passing: float = 0.03  # random walk of the field at rest, µT per root second
+    walk: float = 0.001  # random walk of the gyro, rad per root second, as for the fused yaw
+    turn_error: float = 0.005  # relative error of the gyro in a turn, per root radian, likewise
+    latency: float = 0.01  # seconds between gyro and field
+    beside: float = 0.15  # distance of the magnetometer from the pivot, metres
+    unknown_speed: float = 0.3  # m/s of a moving robot without a known speed
 
     def way(self, speed: float, rate: Triple) -> float:
-        """Return the metres a second of the magnetometer at a speed (m/s or NaN) and turn rate."""
+        """Return the speed of the magnetometer, m/s, for that of the robot (or NaN) and a rate."""
         known = self.unknown_speed if math.isnan(speed) else abs(speed)
         return math.hypot(known, self.beside * math.hypot(*rate))
 
     def change(
         self, place: FloatArray, turned: FloatArray, faster: FloatArray, way: float, seconds: float
     ) -> FloatArray:
-        """Return the covariance that a propagated field of the place gains, µT², shape (3, 3).
+        """Return the process noise of the field of the place, µT², shape (3, 3).
 
-        That by which places differ is not part of it (`passed`). `place` (3,) is the field in µT,
-        body axes, `turned` (3,) the radians by which the robot has turned, `faster` (3,) the rad/s
-        by which the turn rate has grown, and `way` the metres that the magnetometer has gone, zero
-        at rest.
+        The local disturbance is not included (`passed`). `place` (3,) is the field in µT, body
+        axes, `turned` (3,) the rotation of the robot, radians, `faster` (3,) the change of the turn
+        rate, rad/s, and `way` the path of the magnetometer, metres, zero at rest.
         """
         lost = self.turn_error**2 * math.sqrt(float(turned @ turned))
         lost += self.latency**2 * float(faster @ faster)
@@ -68,7 +67,7 @@ class PlaceFieldTuning:
         )
 
     def passed(self, way: float) -> float:
-        """Return the variance that it gains by a way, for places that differ by 1 µT, µT²."""
+        """Return the process noise by a path in metres, for a local disturbance of 1 µT, µT²."""
         return 2.0 * way / self.street_length
 
 
@@ -86,23 +85,23 @@ _STREETS, _STREET_ODDS = _log_normal(
     PLACE_FIELD.street, PLACE_FIELD.street_spread, np.linspace(-1.2, 1.2, 3)
 )
 UNSEEN, STREET = (each.ravel() for each in np.meshgrid(_SHARES, _STREETS))
-"""Pairs that are tried of the share that no input shows and the size of the places' field, µT."""
+"""Tried pairs: relative residual of the motors' field, and size of the local disturbance, µT."""
 ODDS = np.outer(_STREET_ODDS, _SHARE_ODDS).ravel()
 """Their prior odds."""
 
 
 class MotorDoubt(NamedTuple):
-    """Errors of a sample's field from which the motors' part was subtracted, tesla².
+    """Errors of a sample's field after the motors' field was subtracted, tesla².
 
-    What is subtracted follows the sample, its noise included: that part of the noise is gone.
+    The subtracted field contains a part of the sample's noise, which cancels.
     """
 
-    lasting: FloatArray  # covariance (3, 3) but for the sample's noise
-    noise: FloatArray  # covariance (3, 3) of what is left of the sample's noise
+    lasting: FloatArray  # covariance (3, 3) without the sample's noise
+    noise: FloatArray  # covariance (3, 3) of the remaining noise of the sample
 
 
 class _Answer(NamedTuple):
-    """What a sample shows, for each pair that is tried."""
+    """The update by a sample, for each tried pair."""
 
     likelihood: FloatArray  # logarithms, (g,)
     step: FloatArray  # (g, 6)
@@ -113,14 +112,14 @@ class _Answer(NamedTuple):
 
 
 class MotorsNow:
-    """Follows the field of the place and what is left of the motors' field.
+    """Estimates the field of the place and the residual of the motors' field.
 
-    How much no input shows of the motors' field is not known: a filter for each of `UNSEEN` runs
-    beside the others, and `odds` are their probabilities by the samples so far.
+    The size of the residual is unknown: there is a filter for each pair of `UNSEEN` and `STREET`,
+    and `odds` are their posterior probabilities.
 
     `matrix` (3, 3) is from the magnetometer's axes to those of the body, and `noise` (3, 3) the
-    covariance of a corrected sample, tesla². `iron` (3, 3) is that of the corrected field by the
-    calibration's own uncertainty, tesla²: that part does not turn as the field of the place does.
+    covariance of a corrected sample, tesla². `iron` (3, 3) is the covariance of the corrected field
+    by that of the calibration, tesla², which does not rotate like the field of the place.
     """
 
     def __init__(
@@ -139,7 +138,7 @@ class MotorsNow:
         self.use(motors)
 
     def use(self, motors: MotorField) -> None:
-        """Take what is known of the motors from now on."""
+        """Use another estimate of the motors' field from now on."""
         count = len(motors.inputs)
         self._motors = motors
         self._gains = motors.gain @ self._matrix.T * MICROTESLA
@@ -150,7 +149,7 @@ class MotorsNow:
         usual = self._gains * np.array(motors.usual)[:, None]
         self._whole = usual.T @ usual
         most = self._whole + self._mean_of(self._level(Running(1.0), np.array(motors.usual)))
-        # Motors that a sample's own noise hides are not worth the time.
+        # Motors within the noise of a sample are not worth the computation.
         self._is_felt = bool(np.trace(most) > np.trace(self._noise))
         late = (MotorInput.SPEED, MotorInput.CURRENT, MotorInput.ABS_SPEED)
         self._latency = np.array([RUNNING.latency * (each in late) for each in motors.inputs])
@@ -160,9 +159,10 @@ class MotorsNow:
     def add(
         self, stamp: float, field: Triple, rate: Triple | None, running: Running
     ) -> tuple[Triple, MotorDoubt]:
-        """Take a corrected sample; returns it less K u and what is left, and its errors.
+        """Add a corrected sample; return it minus K u and the residual, and its errors.
 
-        `field` is in tesla, body axes, `rate` in rad/s, less the gyro's bias, None without a gyro.
+        `field` is in tesla, body axes, `rate` in rad/s without the gyro's bias, None without a
+        gyro.
         """
         values, doubt = self._motors.known(running)
         if not self._is_felt or rate is None:
@@ -172,7 +172,7 @@ class MotorsNow:
         unknown = self._gains.T @ doubt @ self._gains
         level = self._level(running, values)
         if self._may_hold(running):
-            # A current that holds the robot lasts, as its field does.
+            # The current that holds a robot is constant, and so is its field.
             level, unknown = level + unknown, np.zeros((3, 3))
         self._predict(stamp, rate, running, values, level)
         known = values @ self._gains
@@ -181,9 +181,9 @@ class MotorsNow:
         one, other = self._answers(measured, unknown, unknown + otherwise)
         late = self._late(stamp, other.likelihood - one.likelihood)
         if late is None:
-            # What lasts is no start or stop: another motor, or at rest another place.
+            # A lasting change is no start or stop: it is another motor, or at rest the place.
             is_place = running.moving == 0.0 and not self._may_hold(running)
-            self._forget(PLACE if is_place else LEFT, self._whole + otherwise)
+            self._forget(PLACE if is_place else RESIDUAL, self._whole + otherwise)
             one, other = self._answers(measured, unknown, unknown)
             late = np.zeros(len(UNSEEN))
         elif running.moving > 0.0:
@@ -202,25 +202,25 @@ class MotorsNow:
     def _by_inputs(
         self, field: Triple, running: Running, values: FloatArray, doubt: FloatArray
     ) -> tuple[Triple, MotorDoubt]:
-        """Return a sample less K u alone: what samples cannot show need not be followed."""
+        """Return a sample minus K u alone, for a residual that samples cannot show."""
         x, y, z = (values @ self._gains / MICROTESLA).tolist()
         spread = self._mean_of(self._level(running, values)) + self._gains.T @ doubt @ self._gains
         known = MotorDoubt(spread / MICROTESLA**2, self._of_sample)
         return (field[0] - x, field[1] - y, field[2] - z), known
 
     def _mean_of(self, each: FloatArray) -> FloatArray:
-        """Return the mean over the shares that are tried, by their odds."""
+        """Return the mean over the tried pairs, weighted by their odds."""
         return np.asarray(np.tensordot(self.odds, each, 1))
 
     def _level(self, running: Running, values: FloatArray) -> FloatArray:
-        """Return the covariance of what motors add beside K u, µT², (g, 3, 3)."""
+        """Return the covariance of the motors' field about K u, µT², (g, 3, 3)."""
         by_gains = (self._by_gains @ values) @ values
         known = values @ self._gains
         beside = running.moving * self._ripple * EYE + by_gains
         return np.asarray(beside + np.square(UNSEEN)[:, None, None] * (known[:, None] * known))
 
     def _late(self, stamp: float, odds: FloatArray) -> FloatArray | None:
-        """Return the probability that motors run otherwise than is seen; None if that lasts."""
+        """Return the probability of an undetected start or stop of motors; None if it lasts."""
         share = RUNNING.late_share
         late = share / (share + (1.0 - share) * np.exp(np.minimum(-odds, 300.0)))
         if self.odds @ late < 0.5:
@@ -233,7 +233,7 @@ class MotorsNow:
         return np.asarray(late)
 
     def _weigh(self, likelihood: FloatArray, late: FloatArray) -> None:
-        """Learn from a sample which share is likely."""
+        """Update the odds of the tried pairs by a sample."""
         seen = likelihood - np.log1p(-np.minimum(late, 1.0 - 1e-12))
         odds = self.odds * np.exp(seen - seen.max())
         self.odds = odds / odds.sum()
@@ -241,30 +241,30 @@ class MotorsNow:
     def _answers(
         self, measured: FloatArray, unknown: FloatArray, otherwise: FloatArray
     ) -> tuple[_Answer, _Answer]:
-        """Return what a sample shows under two covariances of what no input shows of it."""
+        """Return the updates by a sample, under two covariances of the motors' field."""
         mean, covariance = self._mean, self._covariance
         either = np.stack([unknown, otherwise])[:, None]
-        off = (measured - mean[:, PLACE] - mean[:, LEFT])[:, :, None]
-        both = covariance[:, :, PLACE] + covariance[:, :, LEFT]
-        inverse = np.linalg.inv(both[:, PLACE] + both[:, LEFT] + either + self._noise)
-        left = both[:, LEFT] + either
+        off = (measured - mean[:, PLACE] - mean[:, RESIDUAL])[:, :, None]
+        both = covariance[:, :, PLACE] + covariance[:, :, RESIDUAL]
+        inverse = np.linalg.inv(both[:, PLACE] + both[:, RESIDUAL] + either + self._noise)
+        left = both[:, RESIDUAL] + either
         missed, seen = inverse @ off, left @ inverse
         rest = EYE - seen
-        # What is left is wrong by a share of the sample's noise, which is in the sample, too.
-        lasting = covariance[:, LEFT, LEFT] + either - seen @ left.swapaxes(2, 3)
+        # The residual contains a part of the sample's noise, which cancels in the difference.
+        lasting = covariance[:, RESIDUAL, RESIDUAL] + either - seen @ left.swapaxes(2, 3)
         lasting = lasting - seen @ self._noise @ seen.swapaxes(2, 3)
         found = (
             0.5 * (np.log(np.linalg.det(inverse)) - np.sum(off * missed, axis=(2, 3))),
             (both @ missed)[:, :, :, 0],
             covariance - both @ inverse @ both.swapaxes(1, 2),
-            mean[:, LEFT] + (left @ missed)[:, :, :, 0],
+            mean[:, RESIDUAL] + (left @ missed)[:, :, :, 0],
             lasting,
             rest @ self._noise @ rest.swapaxes(2, 3),
         )
         return _Answer(*(each[0] for each in found)), _Answer(*(each[1] for each in found))
 
     def _may_hold(self, running: Running) -> bool:
-        """Whether a current that is not measured may hold the robot where it stands."""
+        """Whether an unmeasured current may hold the robot at rest."""
         return running.moving == 0.0 and self._motors.may_hold(running)
 
     def _predict(
@@ -279,20 +279,20 @@ class MotorsNow:
         faster, self._rate, self._before = now - self._rate, now, running
         if not 0.0 < seconds < PLACE_FIELD.longest:
             self._forget(PLACE, level)
-            self._forget(LEFT, level)
+            self._forget(RESIDUAL, level)
             self._change = np.zeros(len(values))
             return
         share = min(seconds / RUNNING.latency, 1.0)
         self._change = self._change + share * (changed / seconds - self._change)
         turned = seconds * moves * (now - 0.5 * faster)
-        # Motors may hold a robot that stands.
+        # Motors may hold a robot at rest.
         alike = moves is moved and holds is held and (holds or (running.runs and before.runs))
         lasts = math.inf if holds else RUNNING.body_length
         keeps = math.exp(-seconds / lasts) if alike else 0.0
         if moves:
             self.odds = self.odds + seconds / RUNNING.unseen_lasts * (ODDS - self.odds)
         step = np.zeros((6, 6))
-        step[PLACE, PLACE], step[LEFT, LEFT] = exp_rotation(-turned), keeps * EYE
+        step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * EYE
         self._mean = self._mean @ step.T
         covariance = step @ self._covariance @ step.T
         way = seconds * moves * PLACE_FIELD.way(running.speed, rate)
@@ -302,15 +302,15 @@ class MotorsNow:
         across = skew(turned) / math.sqrt(max(math.sqrt(float(turned @ turned)), 1e-12))
         iron = across @ self._iron @ across.T
         covariance[:, PLACE, PLACE] += passed[:, None, None] * EYE + iron
-        # So large that in the latency it changes by as much as the inputs do.
+        # Within the latency, the residual changes by as much as the inputs.
         late = 0.5 * RUNNING.body_length / RUNNING.latency * self._latency**2
         level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains
-        covariance[:, LEFT, LEFT] += (1.0 - keeps**2) * level
-        covariance[:, LEFT, LEFT] += keeps**2 * (self._by_gains @ changed) @ changed
+        covariance[:, RESIDUAL, RESIDUAL] += (1.0 - keeps**2) * level
+        covariance[:, RESIDUAL, RESIDUAL] += keeps**2 * (self._by_gains @ changed) @ changed
         self._covariance = covariance
 
     def _forget(self, which: slice, level: FloatArray) -> None:
-        """Begin anew with a place of which nothing is known, or with motors of such a size."""
+        """Reset the field of the place, or the residual to the covariance `level`."""
         self._mean[:, which] = 0.0
         self._covariance[:, which] = self._covariance[:, :, which] = 0.0
         unknown = PLACE_FIELD.field**2 * EYE if which is PLACE else level
@@ -318,7 +318,7 @@ class MotorsNow:
 
 
 def _mixed(share: FloatArray, one: FloatArray, other: FloatArray, apart: FloatArray) -> FloatArray:
-    """Return the covariances of mixtures of two each, whose means are so far apart."""
+    """Return the covariances of mixtures of two each, with means that differ by `apart`."""
     part = share[:, None, None]
     apart = apart[:, :, None] * apart[:, None, :]
     spread = one + part * (other - one) + part * (1.0 - part) * apart

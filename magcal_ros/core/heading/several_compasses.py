@@ -1,8 +1,8 @@
-"""One heading from several magnetometers: weighed, and without those that are wrong.
+"""One heading from several magnetometers: a weighted mean without outliers.
 
-All of them measure the same field. Each sample is corrected by its own sensor's calibration and
-turned by the gyro to the moment of the message that is answered; the mean of them, weighed by
-their variances, is one field with one heading, and goes the way of a single sensor's.
+All magnetometers measure the same field. Each sample is corrected by the calibration of its sensor
+and rotated by the gyro to the moment of the present message. The mean, weighted by the variances,
+is used like the field of a single sensor.
 """
 
 from __future__ import annotations
@@ -20,38 +20,38 @@ from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up.follower import Up
 
-LASTING = 3.0  # seconds over which a disagreement is looked at: its errors are alike meanwhile
+LASTING = 3.0  # correlation time of a disagreement, seconds
 
 WRONG_BY = tuple(math.radians(5.0 * 2.0**k) for k in range(-1, 5))
 WRONG_ODDS = tuple(0.01 * each for each in (0.26, 0.32, 0.26, 0.12, 0.03, 0.01))
-"""Sizes of an error of yaw that no calibration's covariance holds, radians, and their prior odds.
-On one robot in a hundred a compass was mounted or calibrated wrongly, log-normally by 5° (a sigma
-of the logarithm of 1): a board fixed by hand is off by some degrees, one mounted anew by more."""
+"""Sizes of a yaw error that is not in a calibration's covariance, radians, and their prior odds. On
+one robot in a hundred a compass is mounted or calibrated wrongly, log-normally by 5° (sigma of the
+logarithm: 1): a board fixed by hand by some degrees, one that is mounted again by more."""
 
-SMALLEST_VARIANCE = 1e-10  # rad², the smallest that is believed
+SMALLEST_VARIANCE = 1e-10  # least variance that is assumed, rad²
 
 
 class CompassYaw(NamedTuple):
     """The yaw of one magnetometer at a moment."""
 
-    number: int  # which it is
+    number: int  # of the magnetometer
     field: Triple  # in the body axes of the moment, tesla
-    ahead: float  # its yaw less that of the origin common to all, radians
-    variance: float  # of its yaw, rad²
+    ahead: float  # yaw relative to an origin common to all, radians
+    variance: float  # of the yaw, rad²
 
 
 class Share(NamedTuple):
-    """How one magnetometer takes part in the heading."""
+    """The part of one magnetometer in the heading."""
 
     weight: float  # 0 to 1
-    why: str = ""  # what is wrong with it, in words; empty if nothing is
+    why: str = ""  # its fault in words; empty if there is none
 
 
 class Disagreement:
-    """By how much compasses disagree that have no reason to.
+    """Yaw errors of compasses beyond the covariances of their calibrations.
 
-    Each has, beside what its calibration's covariance says, an error of yaw of an unknown size
-    common to all. `variance` is its mean by the posterior, rad², and `chance` that there is one.
+    Each compass has an additional yaw error; its size is unknown and common to all. `variance` is
+    the posterior mean of the squared size, rad², and `chance` the probability of such an error.
     """
 
     def __init__(self) -> None:
@@ -59,9 +59,9 @@ class Disagreement:
         self._likely: tuple[float, ...] | None = None
 
     def add(self, yaws: list[CompassYaw], part: float, seconds: float) -> None:
-        """Take the yaws of two or more, `seconds` after those before.
+        """Add the yaws of two or more compasses, `seconds` after the previous ones.
 
-        `part` of what sound ones would show is seen: of a bent field less.
+        `part` is the weight of the evidence, one in an undisturbed field.
         """
         seen = tuple(_log_likelihood(yaws, size**2) for size in (0.0, *WRONG_BY))
         old = self._likely or seen
@@ -75,7 +75,7 @@ class Disagreement:
 
 
 def _log_likelihood(yaws: list[CompassYaw], more: float) -> float:
-    """Return that of the differences between yaws, if each has so much more variance, rad²."""
+    """Return the log likelihood of the differences of yaws with `more` variance each, rad²."""
     wider = [each._replace(variance=each.variance + more) for each in yaws]
     norm = sum(math.log(each.variance) for each in wider)
     norm += math.log(sum(1.0 / each.variance for each in wider))
@@ -84,30 +84,30 @@ def _log_likelihood(yaws: list[CompassYaw], more: float) -> float:
 
 @dataclass
 class _Member:
-    """A magnetometer with its calibration, and what came of it last."""
+    """A magnetometer with its calibration and its last message."""
 
     compass: Compass
     doubt: FieldDoubt
     moment: Moment | None = None
-    arrived: float = -math.inf  # stamp of the IMU when a message came
-    changed: float = -math.inf  # the same of one with other values
-    doubt_variance: float = 0.0  # what its field adds to its yaw's, rad²
-    off: float = math.nan  # smoothed yaw ahead of the origin of all, radians
-    offset: Triple = (0.0, 0.0, 0.0)  # its field less the mean of all, body axes, tesla
-    learnt: float = 0.0  # seconds over which that was learnt
+    arrived: float = -math.inf  # stamp of the IMU at the last message
+    changed: float = -math.inf  # the same for the last message with other values
+    doubt_variance: float = 0.0  # variance of the yaw by a disturbed field, rad²
+    off: float = math.nan  # smoothed yaw relative to the common origin, radians
+    offset: Triple = (0.0, 0.0, 0.0)  # its field minus the mean of all, body axes, tesla
+    learnt: float = 0.0  # seconds over which the offset was learnt
     share: Share = field(default_factory=lambda: Share(0.0))
 
     def take(self, moment: Moment, now: float) -> None:
-        """Take a message of this magnetometer."""
+        """Add a message of this magnetometer."""
         if self.moment is None or moment.field != self.moment.field:
             self.changed = now
         self.moment, self.arrived = moment, now
 
     def learn_doubt(self, stamp: float, turned: tuple[float, float]) -> None:
-        """Learn how far its field is from what its calibration and the gyro expect.
+        """Learn the deviation of its field from calibration and gyro.
 
-        `turned` is how far its yaw is ahead, radians, and the variance of the gyro's yaw, rad²;
-        infinite without one.
+        `turned` is its yaw minus that of the gyro, radians, and the variance of the gyro's yaw,
+        rad², infinite without one.
         """
         assert self.moment is not None
         assert self.moment.up is not None
@@ -116,7 +116,7 @@ class _Member:
 
     @property
     def heading(self) -> Heading:
-        """By its last message, of one that has a heading."""
+        """The heading of its last message, which has one."""
         assert self.moment is not None
         assert self.moment.heading is not None
         return self.moment.heading
@@ -129,7 +129,7 @@ class _Member:
 
     @property
     def is_doubted(self) -> bool:
-        """Whether its field departs from the calibrated one by more than its sigma."""
+        """Whether its field deviates from the calibrated one by more than its sigma."""
         return self.doubt_variance > self.own_variance
 
 
@@ -150,24 +150,22 @@ class SeveralCompasses:
 
     @property
     def lead(self) -> Compass | None:
-        """The compass in whose terms the joined field is: the first that is calibrated."""
+        """The first calibrated compass, whose terms the joined field is in."""
         return self._members[min(self._members)].compass if self._members else None
 
     @property
     def shares(self) -> dict[int, Share]:
-        """How each magnetometer with a calibration takes part, by its number."""
+        """The part of each calibrated magnetometer, by its number."""
         return {number: self._members[number].share for number in sorted(self._members)}
 
     def add(
         self, number: int, moment: Moment, now: float, fused: FusedYaw | None = None
     ) -> Moment | None:
-        """Take a magnetometer's moment; returns that of all if this magnetometer sets the pace.
+        """Add a moment of a magnetometer; return that of all if it is the first that sends.
 
-        The first magnetometer that sends sets it, so the heading comes at one sensor's rate.
-
-        `moment` is what a message of magnetometer `number` comes to by its own calibration, and
-        `now` the stamp of the newest IMU message, seconds, as the clocks of drivers may differ. The
-        gyro's yaw, `fused`, shows which one is wrong where they disagree.
+        The heading has the rate of this sensor. `moment` is a message of magnetometer `number`,
+        corrected by its calibration. `now` is the stamp of the newest IMU message, seconds, as the
+        clocks of drivers may differ. The gyro's yaw, `fused`, shows which compass is wrong.
         """
         if number not in self._members:
             return None
@@ -186,7 +184,7 @@ class SeveralCompasses:
         self._now = self._stamp = -math.inf
         self._is_by_gyro = False
         self._apart = Disagreement()
-        # Radians between those that disagree while none of them is known to be wrong.
+        # Radians between compasses that disagree while none is known to be wrong.
         self.disagreement = 0.0
         self._members = {
             number: _Member(each.compass, each.doubt, share=each.share)
@@ -201,7 +199,7 @@ class SeveralCompasses:
         yaws = self._compass_yaws(moment, up.direction, fused, seconds)
         if not yaws:
             return moment
-        kept = believed(yaws)
+        kept = without_outliers(yaws)
         self._note_disagreement(kept, seconds)
         weights = [1.0 / (each.variance + self._apart.variance) for each in kept]
         shares = [weight / sum(weights) for weight in weights]
@@ -213,9 +211,9 @@ class SeveralCompasses:
     def _compass_yaws(
         self, moment: Moment, up: Triple, fused: FusedYaw | None, seconds: float
     ) -> list[CompassYaw]:
-        """Return the yaws of those that send, and do not repeat one value."""
+        """Return the yaws of magnetometers that send, and do not repeat one value."""
         turned: dict[int, Triple] = {}
-        # Where nothing changes at all, a robot with coarse sensors stands.
+        # If no sensor changes, a robot with coarse sensors is at rest.
         changes = any(self._is_new(member.changed) for member in self._members.values())
         for number, member in sorted(self._members.items()):
             is_heard = self._is_new(member.changed if changes else member.arrived)
@@ -235,7 +233,7 @@ class SeveralCompasses:
         north = levelled(next(iter(turned.values())), up) if origin is None else origin
         assert north is not None
         share = 1.0 - math.exp(-max(seconds, 0.0) / DISTURBANCE.memory)
-        # The gyro shows which one has changed, so it is no help where none has agreed with another.
+        # The gyro shows which compass has changed. Until they have agreed, this is no evidence.
         shows = origin is not None and any(self._members[k].learnt for k in turned)
         known = fused.yaw_variance if fused is not None and shows else math.inf
         ahead = {
@@ -258,7 +256,7 @@ class SeveralCompasses:
         level = levelled(seen, up)
         if level is None:
             return None
-        # That two calibrations found another strength or dip is no disturbance.
+        # Different strengths or dips in two calibrations are no disturbance.
         own, common = member.compass.calibration, lead.calibration
         further = common.strength * math.cos(common.inclination)
         further -= own.strength * math.cos(own.inclination)
@@ -267,10 +265,10 @@ class SeveralCompasses:
         return plus(seen, plus(scaled(level, further), scaled(up, higher)))
 
     def _ahead(self, number: int, ahead: float, share: float) -> float:
-        """Average by how far a member's yaw is ahead of the origin, radians."""
+        """Return the smoothed yaw of a member relative to the origin, radians."""
         member = self._members[number]
         change = wrapped(ahead - member.off)
-        # A step that is too large for noise need not be averaged.
+        # A step that is larger than noise is not averaged.
         is_noise = abs(change) <= DISTURBANCE.gate * math.sqrt(member.heading.noise_variance)
         member.off = wrapped(member.off + share * change) if is_noise else ahead
         return member.off
@@ -279,7 +277,7 @@ class SeveralCompasses:
         self, number: int, seen: Triple, ahead: dict[int, float], known: float
     ) -> CompassYaw:
         member, own = self._members[number], ahead[number]
-        # One alone, or one that has turned as another did, may be right and the gyro's yaw wrong.
+        # A single compass, or one that agrees with another, may be right and the gyro's yaw wrong.
         others = [wrapped(own - each) for other, each in ahead.items() if other != number]
         member.learn_doubt(
             self._stamp, (min([own, *others], key=abs), known if others else math.inf)
@@ -304,10 +302,10 @@ class SeveralCompasses:
             self.disagreement = max(abs(wrapped(each.ahead - first)) for each in yaws)
 
     def _learn_offsets(self, kept: list[CompassYaw], shares: list[float], seconds: float) -> None:
-        """Learn how each field differs from the mean, while nothing seems wrong with any.
+        """Learn the offset of each field from the mean, while no compass seems wrong.
 
-        A difference of hard iron stays in the axes of the body. With it taken off, those that are
-        left go on where all of them were.
+        A difference of hard iron is constant in body axes. With the offsets subtracted, the mean
+        does not jump when a compass is left out.
         """
         is_bent = any(self._members[each.number].is_doubted for each in kept)
         if len(kept) < 2 or self.disagreement or is_bent or seconds <= 0.0:
@@ -337,10 +335,10 @@ class SeveralCompasses:
     def _with_heading(
         self, moment: Moment, up: Up, kept: list[CompassYaw], shares: list[float]
     ) -> Moment:
-        """Return the moment with the heading of its joined field, and what is not known of it.
+        """Return the moment with the heading of its joined field, and the variances.
 
-        The errors of all depend on the attitude as the lead's do. A disagreement without a reason
-        is alike at all attitudes, as a wrong mount is.
+        All calibration errors are assumed to depend on the attitude like those of the lead. The
+        additional yaw error is constant, like that of a wrong mounting.
         """
         assert self.lead is not None
         heading = self.lead.heading(moment.field, up.direction, up.variance)
@@ -353,7 +351,7 @@ class SeveralCompasses:
             lasting += share**2 * own.lasting_variance
             between += share**2 * self._apart.variance
             noise += share**2 * own.noise_variance
-            # Where all fields are bent, but not alike, their mean may look right.
+            # If all fields are disturbed differently, their mean may look undisturbed.
             bent += share**2 * self._members[each.number].doubt_variance * (len(kept) > 1)
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return moment._replace(
@@ -372,11 +370,11 @@ def _mean(vectors: list[Triple], shares: list[float]) -> Triple:
     return (x, y, z)
 
 
-def believed(yaws: list[CompassYaw]) -> list[CompassYaw]:
-    """Return the yaws without those that are wrong, as far as the yaws alone show it.
+def without_outliers(yaws: list[CompassYaw]) -> list[CompassYaw]:
+    """Return the yaws without outliers.
 
-    One is left out if the others agree far better without it, and far better than without any
-    other.
+    A yaw is an outlier if the others agree far better without it, and far better than without any
+    other yaw.
     """
     kept, gate = yaws, DISTURBANCE.gate**2
     while len(kept) > 1 and misfit(kept) > gate:
@@ -389,7 +387,7 @@ def believed(yaws: list[CompassYaw]) -> list[CompassYaw]:
 
 
 def misfit(yaws: list[CompassYaw]) -> float:
-    """Return the squared sigmas by which the yaws miss the one that suits best."""
+    """Return the sum of squared normalised residuals of yaws about their weighted mean."""
     whole = moment = square = 0.0
     for each in yaws:
         ahead, weight = wrapped(each.ahead - yaws[0].ahead), 1.0 / each.variance

@@ -1,8 +1,7 @@
-"""Yaw, gyro bias and the field's disturbance, estimated together.
+"""A Kalman filter of yaw, gyro bias and local disturbance, and the gyro's random walk.
 
 The disturbance changes with the place within seconds of driving, while an error of the propagated
-yaw stays: this separates the two. Plain floats: this is on the path of every
-message.
+yaw is constant: this separates the two. Plain floats: this is on the path of every message.
 """
 
 from __future__ import annotations
@@ -20,75 +19,74 @@ from magcal_ros.core.heading.compass import CERTAIN
 class FusionTuning:
     """The Kalman filter on yaw, gyro bias and the field's disturbance."""
 
-    angle_walk: float = 1e-3  # radians per root second that a gyro loses
-    turn_error: float = 0.005  # share of a turn that the gyro's scale gets wrong, per root radian
-    bias_sigma: float = 0.001  # rad/s about up that the up filter left, at the least
+    angle_walk: float = 1e-3  # random walk of the gyro's angle, radians per root second
+    turn_error: float = 0.005  # relative error of a turn by the gyro's scale, per root radian
+    bias_sigma: float = 0.001  # least sigma of the remaining bias about up, rad/s
     bias_walk: float = 1.8e-5
     walk_spread: float = 1.0
-    """Median of how much a gyro's bias walks, rad/s per root second, and standard deviation of its
-    natural logarithm: cheap gyros drift in a minute by a thousandth to a hundredth of a degree per
-    second."""
-    rest_turn: float = 1e-4  # rad/s, median of how fast a robot turns that seems to rest
-    rest_spread: float = 1.5  # sigma of its natural logarithm: wheels stand, boats swing
-    rest_lasts: float = 10.0  # seconds over which such a turn is the same
-    loss_spread: float = 1.5  # sigma of the logarithm of a gyro's loss over `angle_walk`²
-    tilt_tau: float = 3.0  # seconds over which errors by tilt are alike: more show no more
-    noise_tau: float = 0.5  # the same for the field's noise and for small iron on the way
-    small_iron: float = 0.3  # share of the disturbance's variance that changes within two metres
+    """Random walk of the gyro's bias, rad/s per root second: median, and standard deviation of the
+    natural logarithm. Cheap gyros drift by .001 to .01 °/s in a minute."""
+    rest_turn: float = 1e-4  # rad/s, median turn rate of a robot that seems to rest
+    rest_spread: float = 1.5  # sigma of the natural logarithm: wheels stand, boats swing
+    rest_lasts: float = 10.0  # correlation time of this turn rate, seconds
+    loss_spread: float = 1.5  # sigma of the logarithm of a gyro's random walk over `angle_walk`²
+    tilt_tau: float = 3.0  # correlation time of errors by tilt, seconds
+    noise_tau: float = 0.5  # the same for the field's noise and for small iron near the path
+    small_iron: float = 0.3  # fraction of the disturbance's variance that changes within two metres
     moving_tau: float = 20.0
-    """Seconds over which the disturbance of a moving robot is correlated: streets bend the field
-    over 25 to 30 m, which are 4 s of a car and 37 s at walking pace. With too short a time the yaw
-    would be reported as more certain than it is."""
-    standing_tau: float = 300.0  # the same of a robot that stands
-    learning_step: float = 0.1  # seconds after which the disturbance is learnt anew
-    overruled_after: float = 3.0  # seconds of doubt in a good field that turn the yaw to it
+    """Correlation time of the disturbance of a moving robot, seconds. The correlation length of
+    streets is 25 to 30 m: 4 s in a car and 37 s at walking pace. Too short a time would make the
+    variance of the yaw too small."""
+    standing_tau: float = 300.0  # the same at rest
+    learning_step: float = 0.1  # seconds between updates of the disturbance
+    overruled_after: float = 3.0  # seconds of disagreement after which a good field overrules
     beyond_doubt: float = 4.0  # squared gates of disagreement that count fully
     heading_tau: float = 2.0  # seconds of headings from another device that are joined
     heading_lasts: float = 1.0
     lasts_spread: float = 1.5
-    """Median of the seconds over which such a heading is wrong by the same, and standard deviation
-    of their natural logarithm: noise is new with each message, reflections last for a minute."""
+    """Correlation time of the error of such a heading, seconds: median, and standard deviation of
+    the natural logarithm. Noise is white, reflections last for a minute."""
     heading_wander: float = 7e-4  # rad/s per root second: .3°/s within a minute
-    """Change of the rate at which such headings drift, where reflections or a wrong ambiguity turn
-    them. A bias of the gyro that walks looks the same."""
-    wander_lasts: float = 100.0  # seconds over which the drift's rate and its error last
+    """Random walk of the drift rate of such headings, by reflections or a wrong ambiguity. It looks
+    like a random walk of the gyro's bias."""
+    wander_lasts: float = 100.0  # correlation time of the drift's rate and angle, seconds
     wander_jump: float = 0.1  # radians of error when headings come back from beyond the gate
     wander_odds: tuple[float, float] = (0.1, 1e-3)
-    """Prior odds that a device drifts, and that a sound one begins to within `heading_tau`."""
+    """Prior odds that a device drifts, and that a good one starts to within `heading_tau`."""
     integrated_rate: float = 2e-3  # rad/s, usual bias of a gyro that a device integrates
     integrated_odds: float = 0.01  # prior odds of such a device
-    heading_gate: float = 4.0  # sigmas by which such a heading may miss
-    unknown: float = 0.5  # radians of uncertainty of a start in a field that is not expected
-    start: float = 5.0  # seconds from the start in which that may be found out
+    heading_gate: float = 4.0  # largest normalised innovation of a heading
+    unknown: float = 0.5  # sigma of the yaw after a start in a disturbed field, radians
+    start: float = 5.0  # seconds from the start in which a disturbance may still be detected
 
     def lost(self, rate: float) -> float:
-        """Return the variance that the gyro's angle gains at a turn rate in rad/s, rad²/s.
+        """Return the growth of the variance of the gyro's angle, without bias, rad²/s.
 
-        Its bias is not part of it.
+        `rate` is the turn rate, rad/s.
         """
         return self.angle_walk**2 + self.turn_error**2 * abs(rate)
 
 
 FUSION = FusionTuning()
 BIAS_WALK = FUSION.bias_walk * math.exp(FUSION.walk_spread**2)
-"""Root mean square of how much a gyro's bias walks, rad/s per root second."""
+"""Root mean square of the random walk of a gyro's bias, rad/s per root second."""
 UNKNOWN_YAW = math.pi**2 / 3.0
-"""Variance of a yaw of which nothing is known, rad²."""
+"""Variance of an unknown yaw, rad²."""
 
 
-PERFECT: FloatArray = np.array((*CERTAIN, 1.0))  # a compass without errors, as `YawFilter` takes it
+PERFECT: FloatArray = np.array((*CERTAIN, 1.0))  # a compass without errors, for `YawFilter`
 
 
 class YawFilter:
     """A Kalman filter on the error of a propagated yaw, the gyro's bias about up, and disturbance.
 
-    `bias` is in rad/s about up, with `bias_variance`, and `disturbance` the angle by which the
-    field of the place turns the compass. `yaw_variance` (rad²) is without the calibration's errors,
-    whose shares are in the yaw. `errors` are estimates of them as far as a compass shows them that
-    the gyro turns to other headings, or another device's headings.
+    `bias` is in rad/s about up, with `bias_variance`, and `disturbance` is the yaw error of the
+    compass by the local disturbance. `yaw_variance` (rad²) is without the calibration's errors,
+    which are considered separately (Schmidt-Kalman). `errors` are estimates of these, as far as the
+    gyro at other headings or another device shows them.
 
-    A compass tells its errors as radians of yaw for each of unit variance, and after them a one:
-    how far the yaw comes from the compass.
+    The errors of a compass are given as yaw errors (radians) by each error of unit variance,
+    followed by one, the fraction of the yaw that comes from the compass.
     """
 
     def __init__(self) -> None:
@@ -103,13 +101,13 @@ class YawFilter:
     ) -> None:
         """Start from a compass reading and its errors.
 
-        The variances are those of the reading but for the disturbance, rad², of the bias, (rad/s)²,
+        The variances are those of the reading without the disturbance, rad², of the bias, (rad/s)²,
         and of the disturbance, rad².
         """
         self.bias = self.disturbance = 0.0
         self.yaw_variance = yaw_variance + disturbance
         self.bias_variance, self._disturbance = bias_variance, disturbance
-        # The yaw is wrong by what the disturbance is.
+        # The error of the yaw is that of the disturbance.
         self._yaw_disturbance = -disturbance
         self._yaw_bias = self._bias_disturbance = 0.0
         self._know_nothing_of_errors(compass)
@@ -120,17 +118,17 @@ class YawFilter:
         self._covariance = np.diag(np.append(np.ones(len(CERTAIN)), 0.0))
 
     def use_another_calibration(self) -> None:
-        """Go on with a compass whose errors are others; what they were stays in the variance."""
+        """Continue with a compass that has other errors; the old ones remain in the variance."""
         self.yaw_variance += self.own_error_variance
         self._know_nothing_of_errors(0.0 * self._shares)
 
     @property
     def own_error_variance(self) -> float:
-        """What the calibration adds to the yaw's variance, rad²."""
+        """Variance of the yaw by the calibration, rad²."""
         return float(self._shares @ self._covariance @ self._shares)
 
     def propagate(self, seconds: float, lost: float, bias_lost: float) -> None:
-        """Go on: the gyro loses so many rad² and (rad/s)² meanwhile."""
+        """Propagate with process noises of the angle, rad², and of the bias, (rad/s)²."""
         bias_part = self.bias_variance * seconds
         self.yaw_variance += (bias_part - 2.0 * self._yaw_bias) * seconds + lost
         self._yaw_bias -= bias_part
@@ -139,9 +137,9 @@ class YawFilter:
         self.bias_variance += bias_lost
 
     def move_on(self, share: float, variance: float) -> None:
-        """Let the disturbance become another one.
+        """Propagate the disturbance as a Gauss-Markov process.
 
-        `share` of it is left, 0 to 1, and `variance` is that of a disturbance, rad².
+        `share` is its correlation, 0 to 1, and `variance` its stationary variance, rad².
         """
         self.disturbance *= share
         self._yaw_disturbance *= share
@@ -150,9 +148,9 @@ class YawFilter:
         self._disturbance = share * share * self._disturbance + (1.0 - share * share) * variance
 
     def widen(self, ratio: float) -> None:
-        """Disturbances turn out to have so many times the variance that was thought."""
+        """Multiply the variance of the disturbance by a ratio."""
         root = math.sqrt(ratio)
-        # As far as the yaw comes from the compass, it is wrong by them.
+        # As far as the yaw comes from the compass, its error grows likewise.
         yaw = 1.0 + float(self._shares[-1]) * (root - 1.0)
         self.yaw_variance *= yaw * yaw
         self._yaw_disturbance *= yaw * root
@@ -161,23 +159,23 @@ class YawFilter:
         self._bias_disturbance *= root
 
     def spread(self, noise: float, compass: FloatArray) -> float:
-        """Return the variance of compass less propagated yaw, rad²; parameters as of `observe`."""
+        """Return the variance of compass minus yaw, rad²; parameters as for `observe`."""
         apart = self._apart(compass)
         return self.known_spread(noise) + float(apart @ self._covariance @ apart)
 
     def _apart(self, compass: FloatArray) -> FloatArray:
-        """Return what of the calibration's errors is in compass less propagated yaw."""
+        """Return the derivative of compass minus propagated yaw by the calibration's errors."""
         return compass - self._shares + self._disturbance_shares
 
     def known_spread(self, noise: float) -> float:
-        """Return the same if the calibration's errors were known."""
+        """Return the same without the calibration's errors."""
         return self.yaw_variance + 2.0 * self._yaw_disturbance + self._disturbance + noise
 
     def observe(self, innovation: float, noise: float, compass: FloatArray) -> float:
-        """Take compass less propagated yaw; returns by what to correct the yaw, radians.
+        """Update with compass minus propagated yaw; return the correction of the yaw, radians.
 
-        `innovation` is in radians, less what is known of the calibration's errors, `noise` its
-        variance beside that of the four, rad², and `compass` those errors.
+        `innovation` is in radians, without the estimated errors of the calibration, `noise` its
+        further variance, rad², and `compass` the errors of the compass.
         """
         by_yaw = self.yaw_variance + self._yaw_disturbance
         by_bias = self._yaw_bias + self._bias_disturbance
@@ -186,19 +184,19 @@ class YawFilter:
         return self._correct(left, self.known_spread(noise), by, self._apart(compass))
 
     def observe_yaw(self, innovation: float, noise: float) -> float:
-        """Take a yaw that no field disturbs less the propagated one; otherwise as `observe`."""
+        """Update with another device's yaw minus the propagated one; otherwise as `observe`."""
         gains = self.yaw_variance, self._yaw_bias, self._yaw_disturbance
         return self._correct(innovation, self.yaw_variance + noise, gains, -self._shares)
 
     def observe_bias(self, left: float, noise: float) -> float:
-        """Take a rate about up of a robot that does not turn less the bias; else as `observe`."""
+        """Update with the rate about up at rest minus the bias; otherwise as `observe`."""
         gains = self._yaw_bias, self.bias_variance, self._bias_disturbance
         return self._correct(left, self.bias_variance + noise, gains, self._bias_shares)
 
     def _correct(
         self, left: float, spread: float, by: tuple[float, float, float], apart: FloatArray
     ) -> float:
-        """Take an innovation; then what is left of it estimates the errors of shares `apart`."""
+        """Update with an innovation, then estimate the errors with the derivatives `apart`."""
         by_yaw, by_bias, by_disturbance = by[0] / spread, by[1] / spread, by[2] / spread
         self.bias += by_bias * left
         self.disturbance += by_disturbance * left
@@ -214,7 +212,7 @@ class YawFilter:
         shown = self._covariance @ apart
         whole = spread + float(apart @ shown)
         gain = shown / whole
-        # By how much compasses disagree changes: the error by it is considered and not learnt.
+        # The disagreement of compasses changes: its error is considered, but not estimated.
         gain[-2] = 0.0
         both = np.outer(gain, shown - 0.5 * whole * gain)
         self._covariance = self._covariance - both - both.T
@@ -225,12 +223,12 @@ class YawFilter:
         return by_yaw * left - float(self._shares @ found)
 
     def doubt(self, covariance: FloatArray) -> None:
-        """Take the larger covariance (2, 2) of the yaw and minus the bias."""
+        """Use a larger covariance (2, 2) of the yaw and minus the bias."""
         self.yaw_variance, self.bias_variance = float(covariance[0, 0]), float(covariance[1, 1])
         self._yaw_bias = -float(covariance[0, 1])
 
     def follow(self, share: float, variance: float, compass: FloatArray) -> None:
-        """Give up a share of the yaw for a compass whose variance is smaller, rad²."""
+        """Replace a fraction of the yaw by a compass with a smaller variance, rad²."""
         self.yaw_variance += share * (variance - self.yaw_variance)
         self._yaw_disturbance -= share * (self._disturbance + self._yaw_disturbance)
         self._yaw_bias *= 1.0 - share
@@ -238,21 +236,21 @@ class YawFilter:
 
 
 KINDS = 3
-"""Of a device's headings: sound ones, those that wander, and those that integrate a gyro's bias."""
+"""Kinds of devices: without drift, with a random drift, and with an integrated gyro bias."""
 WANDERS = 1
 
 
 class GyroLoss:
-    """How fast a gyro loses its angle and its bias, from headings of another device and from rests.
+    """The random walks of a gyro's angle and bias, from headings of another device and from rests.
 
-    For each set of sizes on a grid a Kalman filter follows by how much the robot is ahead of the
-    gyro, the bias, the part of the headings' error that lasts, and by how much and how fast they
-    have drifted away. Their likelihoods and log-normal priors weigh the sets.
+    There is a Kalman filter for each set of sizes on a grid. Its states are the yaw minus that of
+    the gyro, the gyro's negative bias, the correlated error of the headings, and angle and rate of
+    their drift. The sets are weighted by likelihood and log-normal priors.
 
-    `share` is the part of the usual loss of angle, rad², that this gyro has, one on average,
-    `walked` are the (rad/s)² a second by which its bias walks, `rest_turn` those by which the robot
-    still turns while it seems to rest, and `heading_lasts` the seconds over which headings are
-    wrong by the same.
+    `share` is the variance of this gyro's random walk of angle over the usual one. `walked` is the
+    random walk of its bias, (rad/s)² per second, and `rest_turn` the squared turn rate of a robot
+    that seems to rest, (rad/s)². `heading_lasts` is the correlation time of the headings' errors,
+    seconds.
     """
 
     def __init__(self) -> None:
@@ -283,9 +281,9 @@ class GyroLoss:
         self.begin(0.0, 0.0)
 
     def begin(self, bias: float, variance: float) -> None:
-        """Follow gap and bias anew; the sizes are still known.
+        """Restart the filters, and keep the weights of the sets.
 
-        The gyro's whole bias about up, rad/s, is known with a variance, (rad/s)².
+        `bias` is the gyro's whole bias about up, rad/s, with its `variance`, (rad/s)².
         """
         self._stamp, self._heard = math.nan, -math.inf
         count = len(self._walks)
@@ -297,11 +295,11 @@ class GyroLoss:
     def add_heading(
         self, stamp: float, ahead: float, variance: float, count: int, lost: float
     ) -> None:
-        """Take the mean of headings over `FUSION.heading_tau` seconds.
+        """Add the mean of headings over `FUSION.heading_tau` seconds.
 
-        It is `ahead` of the yaw of the gyro alone, radians. `variance` is that of the error of each
-        of so many, rad²; `lost` are the rad² that a gyro usually loses since the last heading or
-        rest, apart from its bias.
+        `ahead` is the mean minus the yaw of the gyro alone, radians. `variance` is the variance of
+        each of `count` headings, rad². `lost` is the usual random walk of the gyro's angle since
+        the last heading or rest, rad².
         """
         self.go_on(stamp, lost)
         if stamp - self._heard > 2.0 * FUSION.heading_tau:
@@ -317,12 +315,12 @@ class GyroLoss:
         self._take(ahead, np.array([1.0, 0.0, 1.0, 1.0, 0.0]), variance / count)
 
     def add_rest(self, stamp: float, rate: float, variance: float, lost: float) -> None:
-        """Take the gyro's mean rate about up while the robot seems to rest; as `add_heading`."""
+        """Add the gyro's mean rate about up while the robot seems to rest; as `add_heading`."""
         self.go_on(stamp, lost)
         self._take(-rate, np.array([0.0, 1.0, 0.0, 0.0, 0.0]), variance + self._turns)
 
     def go_on(self, stamp: float, lost: float) -> None:
-        """Go on to a stamp; `lost` as of `add_heading`."""
+        """Propagate to a stamp; `lost` as for `add_heading`."""
         seconds, self._stamp = stamp - self._stamp, stamp
         if not seconds > 0.0:
             return
@@ -343,7 +341,7 @@ class GyroLoss:
             covariance[:, rate, rate] += walked
 
     def ahead(self) -> tuple[FloatArray, FloatArray]:
-        """Return gap (radians) and minus the bias (rad/s) by all sets, with their covariance."""
+        """Return yaw minus that of the gyro and minus the bias, by all sets, with covariance."""
         mean = self._weights @ self._state[:, :2]
         off = self._state[:, :2] - mean
         spread = self._covariance[:, :2, :2] + off[:, :, None] * off[:, None]

@@ -1,1 +1,1 @@
-"""Self-calibration while driving: candidates, their probation, the return to the old one."""
+"""Self-calibration while driving: candidates, their probation, the return to an old calibration."""

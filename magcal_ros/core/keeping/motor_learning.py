@@ -1,9 +1,9 @@
 """The field of the motors, learnt while a robot drives: at starts, stops and turns.
 
-A Kalman filter follows the corrected field in body axes: the field of the place, which the gyro
-propagates and the way driven changes; what the hard iron is off by; coloured noise of the body;
-and the motors' gains, one vector an input. The place's field is forgotten within some metres, so
-that the gains rest on what changes with the inputs and not with the place.
+The states of a Kalman filter, in body axes, are the field of the place, the error of the hard iron,
+coloured noise of the body, and the motors' gains, one vector for each input. The gyro propagates
+the field of the place, which is forgotten within some metres: the gains are determined by changes
+of the inputs and not of the place.
 """
 
 from __future__ import annotations
@@ -26,36 +26,36 @@ FIXED = 9
 """States before the gains: field of the place, error of the hard iron, coloured noise; µT."""
 GAINS = slice(FIXED, FIXED + 3 * len(INPUTS))
 LATE = GAINS.stop
-"""State: seconds by which the current is reported late."""
+"""State: latency of the current, seconds."""
 CURRENT = INPUTS.index(MotorInput.CURRENT)
 
 
 @dataclass(frozen=True)
 class LearningTuning:
-    """What is taken for granted of robots and places."""
+    """Priors of robots and places."""
 
     block: float = 0.2  # seconds whose samples are averaged
     body: float = 0.05  # µT per axis of the body's coloured noise at rest
-    body_length: float = 4.0  # seconds over which it is alike
+    body_length: float = 4.0  # correlation time of this noise, seconds
     freedom: float = 5.0  # degrees of freedom of the Student distribution of samples
-    pace: float = 0.01  # share by which sizes of noise and inputs follow one block
-    street: float = 2.0  # µT per axis by which places differ
-    iron_walk: float = 0.003  # µT per root second by which the hard iron drifts
+    pace: float = 0.01  # weight of a block in the averages of noise and inputs
+    street: float = 2.0  # local disturbance, µT per axis
+    iron_walk: float = 0.003  # random walk of the hard iron, µT per root second
     usual: float = 0.05  # µT, median of the field of an input at its usual size
     spread: float = 2.0  # sigma of its natural logarithm, as of `motors_moving`
     most: float = 30.0  # µT, largest such field
-    late: float = 0.1  # seconds by which a current is reported late, and their sigma
+    late: float = 0.1  # prior mean and sigma of the current's latency, seconds
 
 
 TUNING = LearningTuning()
 
 USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0, 0.5, 0.5), strict=True))
-"""Of an input while a robot moves, until its own is known: rad/s, m/s, A."""
+"""Size of an input while a robot moves, until it is known: rad/s, m/s, A."""
 
 
 @dataclass
 class _Interval:
-    """Sums over the samples of a block, and how the robot has turned and gone in it."""
+    """Sums over the samples of a block, and rotation and path of the robot."""
 
     begin: float
     turned: FloatArray
@@ -69,7 +69,7 @@ class _Interval:
 
 
 class MotorLearning:
-    """Learns the motors' gains from one sample after another; `heard` are the inputs that came."""
+    """Learns the motors' gains from successive samples; `heard` are the measured inputs."""
 
     def __init__(self, calibration: Calibration) -> None:
         self.heard: frozenset[MotorInput] = frozenset()
@@ -99,10 +99,10 @@ class MotorLearning:
         self._forget_place()
 
     def add(self, stamp: float, raw: Triple, rate: Triple, running: Running) -> bool:
-        """Take a raw field sample with what the robot does; returns whether a block is done.
+        """Add a raw field sample; return whether a block is complete.
 
-        The stamp is in seconds, `raw` in tesla as the magnetometer reads it, `rate` in rad/s in
-        body axes, less the gyro's bias, and `running` what the motors do.
+        The stamp is in seconds, `raw` in tesla in the magnetometer's axes, `rate` in rad/s in body
+        axes without the gyro's bias, and `running` are the inputs of the motors' field.
         """
         seconds, self._stamp = stamp - self._stamp, stamp
         if not 0.0 < seconds < PLACE_FIELD.longest:
@@ -124,7 +124,7 @@ class MotorLearning:
         block.clear = block.clear and running.moving in (0.0, 1.0)
         if stamp - block.begin < TUNING.block:
             return False
-        # Sensors and motors are late by some tenths: beside a start or stop no block is clear.
+        # Sensors and motors have latency: next to a start or stop no block is clear.
         before, self._before, self._block = self._before, block, None
         if before is not None:
             self._take(before, block, self._was_clear and block.clear)
@@ -133,7 +133,7 @@ class MotorLearning:
 
     @property
     def motors(self) -> MotorField:
-        """What is known by now, with an input that explains nothing near zero."""
+        """The present estimate; the gain of an input that explains nothing is near zero."""
         here = np.r_[IRON, GAINS]
         which = [k for k, each in enumerate(INPUTS) if self._is_used(each)]
         rows = np.concatenate([np.arange(3), *(3 + 3 * k + np.arange(3) for k in which)])
@@ -147,17 +147,17 @@ class MotorLearning:
 
     @property
     def delay(self) -> tuple[float, float]:
-        """Seconds by which the current is reported late, and their standard deviation."""
+        """Latency of the current, and its standard deviation, seconds."""
         return float(self._mean[LATE]), math.sqrt(self._covariance[LATE, LATE])
 
     def _is_used(self, which: MotorInput) -> bool:
         return which in self.heard or INPUTS.index(which) in self._known
 
     def _scales(self, seen: _SeenGains, which: list[int]) -> FloatArray:
-        """Return the prior sigmas of the gains that nothing else tells, µT per unit, one a row.
+        """Return the prior sigmas of gains that the calibration does not contain, µT per unit.
 
-        The root of the expected square under the posterior of the size (`Unknown`), one input
-        after the other.
+        Each is the root mean square under the posterior of the size (`Unknown`), one input after
+        the other.
         """
         grid = TUNING.usual * np.exp(TUNING.spread * np.linspace(-2.0, 3.2, 14))
         grid = grid[grid < TUNING.most]
@@ -181,7 +181,7 @@ class MotorLearning:
     def _in_sensor_axes(
         self, covariance: FloatArray, mean: FloatArray, which: list[int]
     ) -> MotorField:
-        """Return the gains beside the calibration in force, whose hard iron stays as it is."""
+        """Return the gains, given the hard iron of the calibration in force."""
         calibration, count = self._calibration, len(which)
         back = np.linalg.inv(calibration.correction.matrix)
         gain = np.linalg.solve(covariance[:3, :3], covariance[:3, 3:]).T
@@ -203,7 +203,7 @@ class MotorLearning:
         )
 
     def _forget_place(self) -> None:
-        """Begin at a place of which nothing is known."""
+        """Reset the field of the place to its prior."""
         for at in (PLACE, BODY):
             self._mean[at] = 0.0
             self._covariance[at, :] = self._covariance[:, at] = 0.0
@@ -211,7 +211,7 @@ class MotorLearning:
         self._covariance[BODY, BODY] = TUNING.body**2 * np.eye(3)
 
     def _take(self, block: _Interval, after: _Interval, is_even: bool) -> None:
-        """Go on by a block and take its means; not where the robot stops or starts beside it."""
+        """Propagate over a block and update with its means, but not next to a start or stop."""
         count = block.count
         u = np.asarray(block.inputs) / count
         known = ~np.isnan(u)
@@ -219,7 +219,7 @@ class MotorLearning:
         u = np.where(known, u, 0.0)
         moves = u[0] > 0.0
         self._predict(block, moves)
-        # At rest all inputs are zero, also those that fall silent there; not what holds a robot.
+        # At rest all inputs are zero, also silent ones; except the current that holds a robot.
         is_known = known[CURRENT] or math.isnan(self._reference)
         if moves:
             is_known = known[[self._is_used(each) for each in INPUTS]].all()
@@ -235,11 +235,11 @@ class MotorLearning:
         noise = self._white / count + 1e-4
         p_h = self._covariance @ h.T
         spread = h @ p_h + noise * np.eye(3)
-        # The last column is how the current's delay changes the sum.
+        # The last column is the derivative by the current's latency.
         off = y - h[:, :LATE] @ self._mean[:LATE]
         square = float(off @ np.linalg.solve(spread, off))
         weight = (TUNING.freedom + 3.0) / (TUNING.freedom + square)
-        # A single odd block counts less; a large step that the gains may explain is none.
+        # Outliers have less weight; a large step that the gains may explain is no outlier.
         gain = np.linalg.solve(spread + (1.0 / min(weight, 1.0) - 1.0) * spread, p_h.T).T
         self._mean += gain @ off
         self._covariance -= gain @ p_h.T
@@ -272,7 +272,7 @@ class MotorLearning:
 
 
 def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozenset[int]]:
-    """Return mean and covariance of hard iron and gains beforehand (µT), and which are known."""
+    """Return prior mean and covariance of hard iron and gains (µT), and the known inputs."""
     matrix = calibration.correction.matrix
     size = 3 + 3 * len(INPUTS)
     mean, covariance = np.zeros(size), np.zeros((size, size))
@@ -291,11 +291,11 @@ def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozen
         mean[rows[3:]] = (motors.gain @ matrix.T).ravel() * MICROTESLA
         step = INPUTS.index(MotorInput.MOVING)
         if step in known and INPUTS.index(MotorInput.CURRENT) not in known:
-            # In the turn a current may have made what was taken for a step.
+            # The step found in the turn may have been the field of a current.
             at = slice(3 + 3 * step, 6 + 3 * step)
             whole = np.array(motors.usual) @ motors.gain @ matrix.T * MICROTESLA
             covariance[at, at] += np.outer(whole, whole)
-    # Files may hold numbers that are called exact; a filter needs a positive covariance.
+    # Files may contain exact numbers; a filter needs a positive covariance.
     return mean, covariance + 1e-6 * np.eye(size), known
 
 
@@ -307,29 +307,29 @@ def _positive(matrix: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _SeenGains:
-    """What samples show of the iron's error and the gains, apart from the priors."""
+    """The likelihood of the iron's error and the gains, and their priors."""
 
-    shown: FloatArray  # information of the samples alone, shape (m, m)
-    weighted: FloatArray  # the same times their mean, shape (m,)
-    prior: FloatArray  # information of what is known, shape (m, m)
-    prior_mean: FloatArray  # and its mean, shape (m,)
-    known: BoolArray  # of which numbers something is, shape (m,); the others have a sigma
+    shown: FloatArray  # information of the samples, shape (m, m)
+    weighted: FloatArray  # the same times the mean, shape (m,)
+    prior: FloatArray  # information of the prior of the known numbers, shape (m, m)
+    prior_mean: FloatArray  # shape (m,)
+    known: BoolArray  # which numbers have this prior, shape (m,); the others have a sigma
 
     def posterior(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return covariance and mean under sigmas of what is not known."""
+        """Return covariance and mean under prior sigmas of the other numbers."""
         information, weighted = self._believed(scales)
         covariance = np.linalg.inv(self.shown + information)
         return 0.5 * (covariance + covariance.T), covariance @ (self.weighted + weighted)
 
     def evidence(self, scales: FloatArray) -> float:
-        """Return the logarithm of the evidence of such sigmas, but for a constant."""
+        """Return the log evidence of such sigmas, up to a constant."""
         information, weighted = self._believed(scales)
         both, whole = self.shown + information, self.weighted + weighted
         cost = np.linalg.slogdet(both)[1] - np.linalg.slogdet(information)[1]
         return 0.5 * float(whole @ np.linalg.solve(both, whole) - cost)
 
     def _believed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the information of all priors, and the same times their mean."""
+        """Return the information of all priors, and the same times the mean."""
         known = self.known
         free = np.diag(np.where(known, 0.0, scales**-2))
         information = np.where(np.outer(known, known), self.prior, 0.0) + free

@@ -1,7 +1,7 @@
 """Self-calibration while driving: a state machine without a clock or a thread.
 
-Samples go in, jobs come out; whoever owns it has them done in a worker, and brings back what they
-found; decisions come out. Time is that of the samples, and only movement counts.
+Its inputs are samples, its outputs jobs. The owner runs a job in a worker and returns the findings,
+from which decisions follow. Time is that of the samples, and only movement counts.
 """
 
 from __future__ import annotations
@@ -38,27 +38,27 @@ TRIAL = "trial"
 
 
 class SelfCalibration:
-    """Follows a drive and decides; `recorder` remembers the movement."""
+    """Follows a drive and decides; `recorder` keeps the movement."""
 
     def __init__(self, mode: Mode = Mode.PROPOSE) -> None:
         self.mode = mode
-        self.proposal: Calibration | None = None  # what waits for a person
+        self.proposal: Calibration | None = None  # waits for the user
         self.recorder = DriveRecorder(KEEPING.memory)
         self._in_force: Calibration | None = None
         self.before: deque[Calibration] = deque(maxlen=KEEPING.kept)  # the newest last
         self._on_probation: dict[Kind, Probation] = {}
         self._first: DriveCandidate | None = None
-        self._trial: Step | None = None  # what was in force before, and is still compared
+        self._trial: Step | None = None  # the previous calibration, while it is still compared
         self.decisions: deque[Decision] = deque(maxlen=KEEPING.remembered)  # the oldest first
         self._not_before = self._changed = -math.inf
         self._looked = -math.inf
         self._round = 0
         self._is_pending = self._is_outdated = False
-        self.lost = 0  # jobs that were not finished since the last one that was
+        self.lost = 0  # failed jobs since the last finished one
 
     @property
     def in_words(self) -> str:
-        """What goes on, for a person."""
+        """The present state in words."""
         if self.mode is Mode.OFF:
             return "off"
         if self.proposal is not None:
@@ -74,7 +74,7 @@ class SelfCalibration:
 
     @property
     def _compared(self) -> Calibration | None:
-        """What anything new has to be better than: the proposal, or else what is in force."""
+        """The calibration to compare with: the proposal, or else the one in force."""
         return self._in_force if self.proposal is None else self.proposal
 
     def forget(self) -> None:
@@ -86,9 +86,10 @@ class SelfCalibration:
         self._is_outdated = True
 
     def put_in_force(self, calibration: Calibration | None) -> None:
-        """Take note that another calibration is in force, by whomever.
+        """Note that another calibration is in force.
 
-        One that it had decided for itself keeps the one before on trial; any other begins anew.
+        After a decision of this machine, the previous calibration remains on trial. Any other
+        calibration resets the comparison.
         """
         old = self._in_force
         if is_same(calibration, old):
@@ -115,9 +116,9 @@ class SelfCalibration:
             self._not_before = -math.inf
 
     def add(self, pair: Pair, speed: float = math.nan) -> bool:
-        """Take a pair, which counts only if its IMU has a rate.
+        """Add a pair, which counts only if its IMU has a rate.
 
-        The speed is in m/s, NaN where it is unknown. Returns whether a look is due.
+        The speed is in m/s, NaN if unknown. Returns whether a job is due.
         """
         if self.mode is Mode.OFF or not math.isfinite(sum(pair.imu.rate)):
             return False
@@ -126,11 +127,11 @@ class SelfCalibration:
         if self._is_pending or self.recorder.seconds < KEEPING.look_every:
             return False
         wait = KEEPING.look_again if Kind.IRON in self._on_probation else KEEPING.look_every
-        # What ends one job may well end the next: each time it is given twice as long to pass.
+        # The cause of a failed job may last: the wait doubles after each failure.
         return self.recorder.clock - self._looked >= wait * 2.0**self.lost
 
     def job(self, knowledge: Knowledge) -> DriveJob:
-        """Return what is to be computed for the look that is due; its findings come to `note`."""
+        """Return the job that is due; its findings are passed to `note`."""
         self._is_pending, self._is_outdated = True, False
         self._looked = self.recorder.clock
         self._round += 1
@@ -139,20 +140,20 @@ class SelfCalibration:
         if self._trial is not None:
             contests[TRIAL] = (self._trial,)
         if in_force is not None:
-            # One window a look is enough where something is in force already.
+            # With a calibration in force, one window for each job is enough.
             windows = windows[self._round % len(windows) :][:1]
         since = self._not_before, self._changed
         return DriveJob(self.recorder.log(), knowledge, in_force, windows, *since, contests)
 
     def fail(self) -> None:
-        """Take note that a job was lost; a later look tries again."""
+        """Note that a job has failed; a later one tries again."""
         self._is_pending = False
         self.lost += 1
 
     def note(self, findings: Findings) -> list[Decision]:
-        """Take what a job found; returns what was decided.
+        """Return the decisions that follow from a job's findings.
 
-        A calibration of a decision is to be put in force, or offered where it is `PROPOSED`.
+        The calibration of a decision must be put in force, or offered if it is `PROPOSED`.
         """
         is_current = self._is_pending and not self._is_outdated
         self._is_pending, self.lost = False, 0
@@ -176,7 +177,7 @@ class SelfCalibration:
         return made
 
     def _begin(self, findings: Findings) -> list[Decision]:
-        """With nothing in force two windows that agree are enough."""
+        """Accept the first calibration if two windows agree."""
         clock = findings.clock
         good = [each for each in findings.candidates if self._is_believable(each)]
         for candidate in sorted(good, key=lambda each: each.sigma):
@@ -199,7 +200,7 @@ class SelfCalibration:
         return []
 
     def _tried(self, findings: Findings) -> list[Decision]:
-        """Compare what is in force with what was before."""
+        """Compare the calibration in force with the previous one."""
         trial, proof = self._trial, findings.proofs.get(TRIAL)
         if trial is None or proof is None:
             return []
@@ -224,7 +225,7 @@ class SelfCalibration:
             proof = findings.proofs.get(kind.value, Proof())
             since = findings.since_change
             if kind is Kind.IRON and since is not None and is_another(since, in_force):
-                # The hard iron of all road since the change, as it is known by now.
+                # The newest fit of the hard iron since the change.
                 probation = self._on_probation[kind] = Probation.of(since, probation.steps)
             candidate = probation.candidate
             why = proof.stands(kind)
@@ -240,7 +241,7 @@ class SelfCalibration:
         return made
 
     def _refined(self, findings: Findings, in_force: Calibration) -> list[Decision]:
-        """Replace what came of driving by what more of the same driving shows."""
+        """Replace a calibration from driving by a fit to more data of the same drive."""
         if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
             return []
         found = [findings.finer] if math.isfinite(self._changed) else findings.candidates
@@ -253,7 +254,7 @@ class SelfCalibration:
         return []
 
     def _take_up(self, findings: Findings, in_force: Calibration) -> list[Decision]:
-        """Put on probation what is believable and differs from what is in force."""
+        """Put a plausible candidate that differs from the calibration in force on probation."""
         good = [
             each
             for each in findings.candidates
@@ -264,7 +265,7 @@ class SelfCalibration:
             return []
         best = min(good, key=lambda each: each.sigma)
         if known_sigma(in_force) > KEEPING.largest_sigma and is_finer(best, in_force):
-            # On the road since, both are about as likely: their sigmas are the proof.
+            # Both are about as likely on held-out data: their sigmas are the proof.
             known = math.degrees(known_sigma(in_force))
             words = (
                 f"{best.in_words}: it agrees with the calibration {self._which}, which was known "
@@ -279,7 +280,7 @@ class SelfCalibration:
         return [Decision(findings.clock, Verb.PROBATION, words)]
 
     def _notice(self, findings: Findings, in_force: Calibration) -> list[Decision]:
-        """Say that the hard iron seems to have changed, and put the new one on probation."""
+        """Report a change of hard iron, and put the new hard iron on probation."""
         since = findings.since_change
         if since is None or Kind.IRON in self._on_probation:
             return []
@@ -289,7 +290,7 @@ class SelfCalibration:
             return []
         self._on_probation[Kind.IRON] = Probation.of(since)
         if self.before:
-            # Iron that goes again leaves what was in force before it came.
+            # If the iron is removed again, the calibration before it is valid again.
             self._trial = Step(since.start, self.before[-1])
         words = (
             f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
@@ -301,14 +302,14 @@ class SelfCalibration:
         largest, few = KEEPING.largest_sigma, KEEPING.fewest_sectors
         if candidate.kind is Kind.IRON and self._compared is not None:
             few = KEEPING.fewest_for_iron
-            # What is plainly broken gives way to what is known roughly.
+            # A calibration that is clearly wrong may be replaced by a rough one.
             apart = difference(self._compared, candidate.calibration)
             largest = max(largest, KEEPING.plainly * apart)
         return candidate.sigma <= largest and candidate.sectors >= few
 
     @property
     def _which(self) -> str:
-        """What is compared, in words."""
+        """The calibration to compare with, in words."""
         return "in force" if self.proposal is None else "proposed"
 
     def _change(

@@ -1,6 +1,6 @@
-"""What self-calibration would have decided on a recorded drive, and where the field was disturbed.
+"""Replay of self-calibration on a recorded drive, and a map of the disturbed field.
 
-The same streams, up, speed and machine as in the node; fits are done at once.
+Streams, up, speed and state machine are those of the node; jobs are done at once.
 """
 
 from __future__ import annotations
@@ -34,29 +34,29 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True, eq=False)
 class DrivePath:
-    """Where was driven, and how the field was there under the last calibration."""
+    """The path of a drive, with the disturbance of the field under the last calibration."""
 
     place: FloatArray  # metres east and north of the beginning. Shape (n, 2).
     error: FloatArray
-    """Radians by which a disturbance may turn the heading: one as large as level and upright field
-    are off the calibrated ones, and across the level field. Shape (n,)."""
-    is_measured: bool  # whether a receiver measured the places; else compass and speed give them
-    has_speed: bool  # whether a speed was measured; else it was guessed
+    """Possible error of the heading by the disturbance, radians: its component across north is
+    assumed to be as large as the deviation of level and vertical field. Shape (n,)."""
+    is_measured: bool  # whether places are from a receiver; else dead reckoning
+    has_speed: bool  # whether a speed was measured; else it is assumed
 
 
 @dataclass(frozen=True, eq=False)
 class DriveStory:
-    """What became of a drive."""
+    """The result of a replay."""
 
     decisions: tuple[tuple[float, Decision], ...]  # seconds from the beginning, and the decision
     begun: Calibration | None  # in force at the beginning
     ended: Calibration | None  # in force at the end
-    seconds: float  # how long the recording is
-    moved: float  # how long the robot moved in it
-    doing: str  # what went on at the end, in words
-    path: DrivePath | None  # None where no calibration tells a heading
-    course: str = ""  # how the compass goes against course at the end, in words; or empty
-    fault: str = ""  # what may be wrong with the sensors, where no calibration was found
+    seconds: float  # duration of the recording
+    moved: float  # seconds of movement
+    doing: str  # the state at the end, in words
+    path: DrivePath | None  # None without a calibration
+    course: str = ""  # comparison of compass and course at the end, in words; or empty
+    fault: str = ""  # possible fault of the sensors, if no calibration was found
 
 
 def replayed(
@@ -66,9 +66,10 @@ def replayed(
     travel: Iterable[TravelSample],
     machine: SelfCalibration | None = None,
 ) -> DriveStory:
-    """Run self-calibration on a recording, and return what it decided.
+    """Run self-calibration on a recording.
 
-    Readings are in their order, travel by stamp; `calibration` is in force at the beginning.
+    Readings are in order of arrival, travel in order of stamps; `calibration` is in force at the
+    beginning.
     """
     streams, ways = Streams(STREAMS.max_gap), list(travel)
     replay, now, pairer = TravelReplay(ways, streams), calibration, Pairer(streams)
@@ -115,11 +116,11 @@ def path_along(
     speed: FloatArray,
     fixes: FloatArray | None = None,
 ) -> DrivePath:
-    """Return where was driven, and how the field was there.
+    """Return the path of a drive with the disturbance of the field.
 
-    Raw field (tesla) and up are (n, 3) in body axes, `time` (n,) in seconds, `speed` (n,) in m/s
-    and NaN where nobody measured it. `fixes` (k, 3) are stamps, metres east and north; without them
-    places are computed from heading and speed.
+    Raw field (tesla) and up are (n, 3) in body axes, `time` (n,) in seconds, `speed` (n,) in m/s,
+    NaN if unknown. `fixes` (k, 3) are stamps, metres east and north; without them places are
+    dead-reckoned.
     """
     field = calibration.correction.apply(raw)
     rise = np.sum(field * up, axis=1)
@@ -142,7 +143,7 @@ def path_along(
 
 
 def path_of_log(log: Window, calibration: Calibration) -> DrivePath | None:
-    """Return the path of what is remembered of a drive; None of less than a few seconds."""
+    """Return the path of the record of a drive; None if it is too short."""
     if len(log) < 10:
         return None
     every = max(1, round(KEEPING.map_every / float(np.median(np.diff(log.time)))))

@@ -31,7 +31,7 @@ from magcal_ros.core.smoother.nodes import Nodes
 
 
 def answer(job: DriveJob) -> Findings:
-    """Do a job."""
+    """Return the findings of a job."""
     nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
     since_change = _since_change(nodes, job, clock)
@@ -53,7 +53,7 @@ def answer(job: DriveJob) -> Findings:
 
 
 def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
-    """Return the hard iron of all road since a change, where the road is likelier with one."""
+    """Return the hard iron since the most likely change; None if no change is likely."""
     if job.in_force is None:
         return None
     first = max(clock - KEEPING.look_back, job.not_before)
@@ -64,7 +64,7 @@ def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate |
 
 
 def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
-    """Return the hard iron of all road since the change that was proved, if there is one."""
+    """Return the hard iron since the last proved change; None without one."""
     is_long = KEEPING.shortest_since <= clock - job.changed < math.inf
     if job.in_force is None or not is_long:
         return None
@@ -82,10 +82,10 @@ def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveC
 
 
 def prove(nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowledge) -> Proof:
-    """Compare two calibrations on road that neither was fitted to.
+    """Compare two calibrations on held-out data.
 
-    Of a new one that is fitted anew now and then each stretch is predicted by the fit before it
-    (prequential; Dawid, 1984), so that all road since the first fit counts.
+    If the new calibration is refitted, each stretch is predicted by the fit before it (prequential;
+    Dawid, 1984), so that all data since the first fit count.
     """
     road = nodes.between(new[0].since)
     if len(road) < 4:
@@ -109,11 +109,11 @@ def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:
 def candidate_of(
     fitted: drives.DriveFit, kind: Kind, job: DriveJob, start: float, end: float
 ) -> DriveCandidate:
-    """Make a candidate of a fit to the road between two stamps."""
+    """Return the candidate from a fit to the drive between two stamps."""
     posterior, before, reference = fitted.posterior, job.in_force, job.knowledge.reference
     sigma, covariance = posterior.heading_sigma, posterior.covariance
     if kind is Kind.IRON and before is not None:
-        # The matrix is the old one's, and so is its uncertainty.
+        # The matrix and its covariance are those of the old calibration.
         covariance = np.zeros_like(covariance)
         covariance[:9, :9] = before.covariance[:9, :9]
         covariance[9:, 9:] = posterior.covariance[9:, 9:]
@@ -127,7 +127,7 @@ def candidate_of(
         Figure.STREET.value: fitted.street,
         Figure.LOCAL_FIELD.value: fitted.local_field,
     }
-    # The road was driven without the motors' field as it is known.
+    # The raw field of the drive contains the motors' field.
     motors = None if before is None else before.motors
     motors = None if motors is None else motors.with_another_calibration()
     calibration = Calibration(
@@ -147,7 +147,7 @@ def candidate_of(
         ),
         motors,
     )
-    # Two more figures of the same evidence follow from it.
+    # Two more figures follow from the calibration.
     by_place = local_sigma(calibration)
     figures[Figure.LOCAL_SIGMA.value] = by_place
     figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, by_place)

@@ -1,5 +1,5 @@
-"""Every way from a window to a correction, all with one signature.
+"""The methods that estimate a correction from a window, all with one signature.
 
-A method is a function `fit(window, knowledge) -> Estimate` that raises `Refusal` when the samples
-cannot carry an answer.
+A method is a function `fit(window, knowledge) -> Estimate` that raises `Refusal` if the samples do
+not determine a calibration.
 """

@@ -18,7 +18,7 @@ from magcal_ros.core.samples.streams import STREAMS, SWAY
 from magcal_ros.core.samples.window import Window, without_spikes
 
 WEAKEST_FORCE = 0.8
-"""m/s². Gravity in any unit that can be named is larger, one g published as m/s² the least."""
+"""m/s². Gravity in any likely unit is larger; the smallest is 1 g published as m/s²."""
 
 NO_UNIT_EXPLAINS = {"magnetometer": 1e7, "accelerometer": 1e7, "gyro": 1e6}
 """Tesla, m/s², rad/s. The Earth's field, gravity and every turn are far below, even in nanotesla,
@@ -28,7 +28,7 @@ micro-g and millidegrees published as these."""
 def refuse_empty(window: Window, min_samples: int = 20) -> None:
     """Raise `Refusal` for a window that no method can use.
 
-    It has impossible numbers, too few samples, an accelerometer without gravity, or no field.
+    The reasons are impossible numbers, too few samples, and missing gravity or field.
     """
     _refuse_nonsense(window)
     if len(window) < min_samples:
@@ -50,7 +50,7 @@ def refuse_empty(window: Window, min_samples: int = 20) -> None:
 
 
 def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose gyro samples come too slowly; None if they do not."""
+    """Return the refusal of a turn with a too low rate of gyro samples; None if it is enough."""
     if window.angular_rate is None or knowledge.exact_sensors or window.imu_gap <= SWAY:
         return None
     return Refusal(
@@ -79,12 +79,12 @@ def _refuse_nonsense(window: Window) -> None:
 class Screening:
     """Bounds beyond which a turn is refused."""
 
-    least_motion: float = 2.5  # the raw field must move by this many times its own noise
-    smallest_motion: float = 0.005  # spread of the field, or of the force, over its own size
+    least_motion: float = 2.5  # least spread of the raw field over its noise
+    smallest_motion: float = 0.005  # least spread of the field, or of the force, over its size
     least_arc: float = math.radians(45.0)
     least_arc_alone: float = math.radians(90.0)
     """Radians; the latter without a known field or a gyro."""
-    arc_tolerance: float = math.radians(1.5)  # radians of uncertainty of the ends of an arc
+    arc_tolerance: float = math.radians(1.5)  # uncertainty of the ends of an arc, radians
     smallest_radius: float = 0.1
     """Radius of the circle over the field's strength, below which the heading is mostly noise."""
     steepest: float = math.radians(84.0)
@@ -101,7 +101,7 @@ SCREENING = Screening()
 
 
 def check_window(window: Window, knowledge: Knowledge) -> None:
-    """Raise `Refusal` for an unusable window, a field too steep, or one that did not move."""
+    """Raise `Refusal` for an unusable window, a field that is too steep, or a constant field."""
     refuse_empty(window)
     dip = knowledge.reference.inclination
     if not dip.is_unknown and abs(dip.value) > SCREENING.steepest:
@@ -160,9 +160,9 @@ def check_shape(
 ) -> None:
     """Raise `Refusal` if the field's circle does not determine the calibration of a turn.
 
-    `deviation` is that of the field from the model, over its strength; `wobble` the median angle of
-    the turn's axis from its median, radians. `across` is the radius of the circle over the
-    strength, `rival_gap` the heading between the two best solutions, radians.
+    `deviation` is the deviation of the field from the model, over its strength; `wobble` the median
+    angle of the turn's axis from its median, radians. `across` is the radius of the circle over the
+    strength, `rival_gap` the difference in heading of the two best solutions, radians.
     """
     causes = []
     if deviation > SCREENING.worst_field_noise:
@@ -200,7 +200,7 @@ def check_shape(
 def check_radius(across: float, inclination: float, tilt: float = math.inf) -> None:
     """Raise `Refusal` if the circle's radius over the field's strength, `across`, is too small.
 
-    The inclination, and how far the turn's axis may be from the vertical, are in radians.
+    The inclination, and the largest possible `tilt` of the turn's axis, are in radians.
     """
     if abs(inclination) > SCREENING.steepest:
         raise _too_steep(inclination)
@@ -223,8 +223,8 @@ def check_radius(across: float, inclination: float, tilt: float = math.inf) -> N
 def check_arc(arc: float, *, solved_by_knowledge: bool, tolerance: float = 0.0) -> None:
     """Raise `Refusal` if a turn of `arc` radians is too short.
 
-    `solved_by_knowledge` says that the reference field or a gyro is known; the ends of the arc have
-    a tolerance, radians.
+    `solved_by_knowledge` is whether the reference field is known or there is a gyro; the ends of
+    the arc have a tolerance, radians.
     """
     least = SCREENING.least_arc if solved_by_knowledge else SCREENING.least_arc_alone
     if arc >= least - tolerance:
@@ -241,7 +241,7 @@ def check_arc(arc: float, *, solved_by_knowledge: bool, tolerance: float = 0.0) 
 
 
 def _too_steep(inclination: float) -> Refusal:
-    # A search may leave the quarter circle of inclinations.
+    # A search may leave the range of inclinations.
     steep = math.degrees(math.asin(math.sin(inclination)))
     return Refusal(
         Reason.FIELD_TOO_STEEP,

@@ -1,10 +1,10 @@
 """The ST design tip DT0103 (A. Vitali, 2018): accelerometer-assisted calibration in a plane.
 
-Installation error and hard iron from one turn, in closed steps: the turn's axis from the
-accelerometer, the normal of the field's plane, the centre of its circle, and the installation
-that takes the one normal to the other. Known errors of the tip are corrected: its normals forced
-upwards one by one, its Newton search, its hard switch between level and tilted axes, and its
-silence about samples that do not determine an answer.
+Installation error and hard iron from one turn, in closed form. The steps are the turn's axis from
+the accelerometer, the normal of the field's plane, the centre of the field's circle, and the
+installation that rotates one normal to the other. Known errors of the tip are corrected: normals
+that are forced upwards separately, the Newton search, the switch between level and tilted axes, and
+answers to samples that do not determine a solution.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ class AssumedField:
 
     strength: float  # tesla
     inclination: float  # radians
-    axial: float  # its part along the axis, downwards, tesla
+    axial: float  # component along the axis, downwards, tesla
     basis: str  # what it is derived from, in words
     axial_unknown: bool = False  # whether the hard iron along the axis is an assumption
 
 
 @dataclass(frozen=True, eq=False)
 class TipSolution:
-    """The results of the steps, without their uncertainty."""
+    """The results of the steps, without covariance."""
 
     samples: TipSamples
     circle: FieldCircle
@@ -67,12 +67,12 @@ class TipSolution:
 
 
 def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
-    """Calibrate by the ST design tip DT0103, its known errors corrected.
+    """Calibrate by the ST design tip DT0103, with its known errors corrected.
 
-    The turn is of at least 45° about one axis within 75° of the vertical. Of the knowledge,
-    reference field and mounting count; residual soft iron is not modelled. The covariance comes
-    from leaving out pieces of the turn and from the reference's uncertainty. Raises `Refusal` if
-    the samples do not determine an answer.
+    The turn is at least 45° about one axis within 75° of the vertical. Reference field and mounting
+    are used; residual soft iron is not modelled. The covariance comes from a jackknife over pieces
+    of the turn and from the reference's uncertainty. Raises `Refusal` if the samples do not
+    determine a solution.
     """
     check_window(window, knowledge)
     solution = solve(window, knowledge)
@@ -107,7 +107,7 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
 
 
 def solve(window: Window, knowledge: Knowledge) -> TipSolution:
-    """Return the results of the tip's steps. Raises `Refusal` if a step has none."""
+    """Return the results of the tip's steps. Raises `Refusal` if a step has no solution."""
     samples = enter(window, knowledge.mounting)
     circle = fit_field_circle(samples)
     axis = find_axis(samples, circle)
@@ -194,12 +194,12 @@ def _spread(cloud: FloatArray, noise: float, least_noise: float) -> float:
 
 
 def assumed_field(reference: ReferenceField, candidate: Candidate, axis: TurnAxis) -> AssumedField:
-    """Return the reference field with its axial part, from what is known of it.
+    """Return the reference field with its axial component, from the known numbers.
 
-    Gravity times field is the strength times the sine of the inclination, in the world as in
-    the body: c k + d = B sin(i), where c is the axis's cosine from the vertical, k the field
-    along it and d the product across it. Besides, k² + radius² = B². No start that faces north on
-    level ground is needed. Raises `Refusal` if the circle contradicts the only number known.
+    The product of gravity and field is the strength times the sine of the inclination, in the world
+    as in the body: c k + d = B sin(i). Here c is the cosine between axis and vertical, k the field
+    along the axis and d the product across the axis. Also, k² + radius² = B². The turn need not
+    start facing north on level ground. Raises `Refusal` if the circle contradicts the reference.
     """
     strength, inclination = reference.strength, reference.inclination
     radius, height = candidate.circle.radius, candidate.circle.height

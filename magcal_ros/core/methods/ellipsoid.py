@@ -1,8 +1,8 @@
 """The ellipsoid through a tumbled sensor's samples, by least squares.
 
-Centre v, radii and axes of the ellipsoid give the correction S (x - v) that makes it a sphere. S is
-symmetric: it scales along the axes and does not rotate, because the field alone does not show
-whether the magnetometer is turned in the IMU's frame.
+Centre v, radii and axes of the ellipsoid give the correction S (x - v) to a sphere. S is symmetric:
+it scales along the axes and does not rotate, because the field alone does not determine the
+rotation of the magnetometer against the IMU.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ def fit(
 ) -> Estimate:
     """Calibrate by the ellipsoid through the samples.
 
-    The sensor has to be tumbled through most orientations. Without a known strength the correction
+    The sensor must be tumbled through most orientations. Without a known strength the correction
     keeps the geometric mean of the radii. Figures are in nominal body axes. The covariance comes
-    from leaving out pieces of time, and from the mounting as far as gravity shows it. Raises
-    `Refusal` if the samples do not determine an answer.
+    from a jackknife over pieces of time, and from the mounting as far as gravity shows it. Raises
+    `Refusal` if the samples do not determine a solution.
     """
     remedy = "Tumble again away from iron and moving loads."
     return finish(

@@ -1,4 +1,4 @@
-"""A calibration from standing at known headings, without a turn."""
+"""Calibration at rest at known headings, without a turn."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from magcal_ros.core.smoother.unknowns import ROLL_PITCH, STANDING, YAW, Size
 
 METHOD = "known_headings"
 DEGREES = 180.0 / math.pi
-FEW = 24  # up to so many standings it is asked which one contradicts the others
+MOST_SEARCHED = 24  # most standings among which the contradicting one is searched
 
 
 @dataclass(frozen=True)
 class ContradictionTuning:
     """When known headings contradict field and gyro."""
 
-    chance: float = 1e-3  # probability of a larger misfit by chance, below which they do
+    chance: float = 1e-3  # least probability of a larger misfit by chance (p-value)
     odds: float = 12.0
-    """Minus twice the logarithm of the likelihood ratio by which another reading of the headings
-    must be better to be named: one in four hundred."""
+    """Twice the log likelihood ratio from which another interpretation of the headings is named:
+    four hundred to one."""
 
 
 TUNING = ContradictionTuning()
@@ -54,7 +54,7 @@ READINGS: dict[str, tuple[float, float]] = {
     "they are a quarter turn too far to the left: two antennas mounted across the vehicle have "
     "another yaw than the vehicle": (1.0, -QUARTER),
 }
-"""What people and drivers mistake, and by which sign and shift (radians) the heading follows."""
+"""Common mistakes of headings, and the sign and shift (radians) that correct them."""
 
 
 def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING) -> Estimate:
@@ -63,7 +63,7 @@ def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STAND
     Returns
     -------
     Estimate
-        The yaw of the installation is among what is found. Its samples are the standings.
+        Includes the yaw of the installation. Its samples are the standings.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STAND
 def _refuse_contradiction(
     agreement: HeadingAgreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
 ) -> None:
-    """Refuse headings that field and gyro contradict, and say what they likely are instead."""
+    """Refuse headings that field and gyro contradict, and name the likely mistake."""
     if not agreement.freedom:
         return
     rivals = _rivals(standings, knowledge, place)
@@ -127,7 +127,7 @@ def _refuse_contradiction(
 def _rivals(
     standings: Sequence[Standing], knowledge: Knowledge, place: Size
 ) -> dict[str, HeadingAgreement]:
-    """Return what other readings of the headings come to, by what they say."""
+    """Return the agreement of other interpretations of the headings, by their words."""
     found = {}
     for words, (sign, shift) in READINGS.items():
         read = []
@@ -140,7 +140,7 @@ def _rivals(
 
 
 def _shift(standing: Standing, knowledge: Knowledge) -> float:
-    """Return a heading to magnetic north less the given one, radians."""
+    """Return a heading to magnetic north minus the given one, radians."""
     return (knowledge.reference.declination or 0.0) if standing.by_declination else 0.0
 
 
@@ -153,13 +153,13 @@ def _as_told(standing: Standing, knowledge: Knowledge) -> str:
 def _contradiction(
     agreement: HeadingAgreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
 ) -> str:
-    """Say which heading the others contradict; where none stands out, that they disagree."""
+    """Say which heading contradicts the others; if none stands out, that they disagree."""
     count = len(standings)
     apart = [replace(each, turned_sigma=math.inf) for each in standings]
     alone = agreement_of(apart, knowledge, place)
     if alone.chance > TUNING.chance:
         return _by_gyro(standings)
-    if 2 < count <= FEW:
+    if 2 < count <= MOST_SEARCHED:
         found = [agreement_of(_without(standings, k), knowledge, place) for k in range(count)]
         k = min(range(count), key=lambda j: found[j].cost)
         if found[k].chance > TUNING.chance:
@@ -175,7 +175,7 @@ def _contradiction(
 
 
 def _by_gyro(standings: Sequence[Standing]) -> str:
-    """Say between which headings the gyro saw another turn."""
+    """Say between which headings the gyro measured another turn."""
 
     def off(k: int) -> float:
         one, next_ = standings[k], standings[k + 1]
@@ -192,7 +192,7 @@ def _by_gyro(standings: Sequence[Standing]) -> str:
 
 
 def _without(standings: Sequence[Standing], left_out: int) -> list[Standing]:
-    """Return all standings but one; no gyro tells of the turn across the gap."""
+    """Return all standings but one, without the gyro's turn across the gap."""
     rest = [each for k, each in enumerate(standings) if k != left_out]
     if left_out < len(rest):
         next_ = rest[left_out]
@@ -204,10 +204,10 @@ def _without(standings: Sequence[Standing], left_out: int) -> list[Standing]:
 def declination_hint(
     estimate: Estimate, standings: Sequence[Standing], knowledge: Knowledge
 ) -> str:
-    """Say that the headings may be to the other north; empty where nothing points to it.
+    """Say that the headings may be to the other north; empty if that is unlikely.
 
-    A heading to the wrong north looks as if the magnetometer were mounted turned by the
-    declination, and nothing but the size of that turn tells the two apart.
+    A heading to the wrong north looks like a magnetometer that is rotated by the declination. Only
+    the size of this rotation separates the two.
     """
     declination = knowledge.reference.declination
     assert estimate.installation is not None
@@ -223,16 +223,16 @@ def declination_hint(
         return ""
     given, other = ("true", "magnetic") if all(told_true) else ("magnetic", "true")
     return (
-        f"the magnetometer would be mounted turned by {yaw * DEGREES:.0f}°, as much as the "
+        f"the magnetometer would be mounted at a yaw of {yaw * DEGREES:.0f}°, as much as the "
         f"declination here ({declination * DEGREES:.0f}°): if it is mounted straight, the "
         f"headings are to {other} north and not to {given} north"
     )
 
 
 def next_heading(standings: Sequence[Standing], knowledge: Knowledge) -> tuple[float, float]:
-    """Return which further heading would show most, and the heading's sigma with it, radians.
+    """Return the most informative further heading, and the compass's sigma with it, radians.
 
-    The heading is to magnetic north, of what the last standing's `forward` points along.
+    The heading is that of the last standing's `forward`, to magnetic north.
     """
     found = fit_headings(standings, knowledge)
     last = standings[-1].heading

@@ -1,9 +1,9 @@
 """Offset and scale of each axis from its smallest and largest reading.
 
 The offset is the middle of an axis' range; the scale brings half the range of every axis to the
-mean of the three, or to the field's strength where that is known. It needs a sensor that was
-tumbled until each axis pointed along the field and against it, and axes that neither lean on each
-other nor on the IMU's.
+mean of the three, or to the field's strength if that is known. The sensor must be tumbled until
+each axis has pointed along the field and against it. Its axes must be orthogonal and parallel to
+those of the IMU.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class MinMaxTuning:
     """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
     cells: float = 12.0  # number of cells along the longest range of an axis
     starting_quantile: float = 0.05
-    """Share of the cells left out at either end of an axis at the start."""
+    """Fraction of the cells left out at either end of an axis at the start."""
 
 
 TUNING = MinMaxTuning()
@@ -48,9 +48,9 @@ class Options:
     """Choices of the min/max method."""
 
     robust: bool = False
-    """Whether to leave out samples that are not on a common sphere. Quantiles of the samples would
-    move towards the orientation in which the sensor rested longest; so samples are sorted into
-    cells, each of which counts once."""
+    """Whether to leave out samples that are not on a common sphere. Samples are sorted into cells
+    that count once each, because quantiles of all samples would depend on how long the sensor
+    rested in each orientation."""
 
 
 def fit(
@@ -58,10 +58,10 @@ def fit(
 ) -> Estimate:
     """Calibrate by the extremes of each axis.
 
-    The sensor has to be tumbled through all orientations. Without a known strength the correction
-    keeps the mean of the half ranges. Figures are in nominal body axes. The covariance comes from
-    leaving out pieces of time, and from the mounting as far as gravity shows it. Raises `Refusal`
-    if the samples do not determine an answer.
+    The sensor must be tumbled through all orientations. Without a known strength the correction
+    keeps the mean of the half ranges. Figures are in nominal body axes. The covariance comes from a
+    jackknife over pieces of time, and from the mounting as far as gravity shows it. Raises
+    `Refusal` if the samples do not determine a solution.
     """
     remedy = "Tumble again away from iron, or fit a rotated ellipsoid."
     if not options.robust:
@@ -77,7 +77,7 @@ def fit(
 
 
 def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
-    """Return offset and scale of each axis. Raises `Refusal` if the range of one is too small."""
+    """Return offset and scale of each axis. Raises `Refusal` if the range of an axis is small."""
     nominal = nominal_field(window, knowledge)
     kept = (
         samples_on_ellipsoid(nominal) if options.robust else np.ones(len(nominal), dtype=np.bool_)
@@ -98,7 +98,7 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
 
 
 def samples_on_ellipsoid(nominal: FloatArray) -> BoolArray:
-    """Return which samples (n,) are on one common, axis-aligned ellipsoid, however they cluster.
+    """Return which samples (n,) are on a common axis-aligned ellipsoid, also if they cluster.
 
     The field (n, 3) is in nominal axes, tesla.
     """

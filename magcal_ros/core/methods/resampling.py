@@ -1,4 +1,4 @@
-"""The covariance of a correction, by fits without parts of the turn (jackknife)."""
+"""The covariance of a correction, by a jackknife over parts of the turn."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def jackknife_covariance(
     """Return the covariance (12, 12) of a method's twelve numbers, A row by row, then h in tesla.
 
     It is the sum of three parts. The first is the spread of fits that each leave out one of g
-    pieces of time, (g - 1)/g Σ (p_k - mean)(p_k - mean)ᵀ (Tukey's jackknife; in blocks, so that
-    correlated neighbours count, Künsch 1989). The second is the shift of the fit when strength or
-    inclination of the reference move by their own sigma. The third is `unknown` (12,), one sigma
-    along a direction that the turn does not show.
+    pieces of time, (g - 1)/g Σ (p_k - mean)(p_k - mean)ᵀ (Tukey's jackknife; in blocks because
+    neighbours are correlated, Künsch 1989). The second is the shift of the fit if strength or
+    inclination of the reference change by one sigma. The third is `unknown` (12,), one sigma along
+    an unobservable direction.
 
     Raises `Refusal` if the whole window, a moved reference, or more than half of the shortened
     windows have no answer.

@@ -23,7 +23,7 @@ from magcal_ros.core.smoother.drives import check_length, drive_nodes
 from magcal_ros.core.smoother.factors import (
     QUARTER,
     distortion,
-    of_the_motors,
+    motor_inputs,
     soft_iron,
     turned_by,
 )
@@ -56,9 +56,9 @@ METHOD, DRIVE_METHOD = "maximum_likelihood", "smoother"
 """Names of `fit` and of `fit_drive` in files and in the parameter `method`."""
 FEWEST_SECTORS = 4  # sectors of heading, of twelve, that a drive has to reach
 LARGEST_STREET = 12.0
-"""µT of local disturbance beyond which the axes of the sensors do not belong together."""
+"""µT of local disturbance beyond which the axes of the sensors do not match."""
 INLIER_WEIGHT = 0.3  # Student weight above which a node counts as an inlier
-WEAKENED = 0.1  # share of the level field by which no gain of a sensor is too low
+LARGEST_GAIN_ERROR = 0.1  # of a sensor, relative; a body explains a larger loss of the level field
 
 
 def fit(
@@ -68,8 +68,8 @@ def fit(
 ) -> Estimate:
     """Return the estimate of a turn or a drive, with a gyro or (turns only) without one.
 
-    `progress` is called with the share of the work that is done, 0 to 1. Raises `Refusal` if the
-    samples do not determine a calibration.
+    `progress` is called with the fraction of the work that is done. Raises `Refusal` if the samples
+    do not determine a calibration.
     """
     found = smoothed(window, knowledge, progress)
     estimate = estimate_of(found, window, knowledge)
@@ -112,7 +112,7 @@ def fit_log(log: Window, knowledge: Knowledge, window: Window | None = None) -> 
 def smoothed(
     window: Window, knowledge: Knowledge, progress: Callable[[float], object] | None = None
 ) -> Smoothed:
-    """Return the smoother's fit of a window that `check` has not seen yet.
+    """Return the smoother's fit of a window, before `check`.
 
     Raises `Refusal` if the window is unusable (`check_window`), or if no fit is found.
     """
@@ -137,7 +137,7 @@ def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowle
 
 
 def _check_drive(found: Smoothed, estimate: Estimate, all_axes: bool) -> None:
-    """Refuse a drive with too few headings, a silent axis of the gyro, or too large residuals."""
+    """Refuse a drive with too few headings, a silent gyro axis, or a too large disturbance."""
     if not all_axes:
         raise Refusal(Reason.AXES_DISAGREE, DEAD_AXES)
     street = found.fit.point.sizes["street"]
@@ -156,7 +156,7 @@ def _check_drive(found: Smoothed, estimate: Estimate, all_axes: bool) -> None:
 
 
 def _check_turn_without_gyro(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
-    """Refuse a turn without a gyro of which the model fits the samples by chance."""
+    """Refuse a turn without a gyro that does not determine the model."""
     sizes, state = found.fit.point.sizes, found.fit.state
     deviation = math.hypot(sizes["field"], sizes["body_field"], sizes["motors_noise"]) / MICROTESLA
     axes = np.einsum("nji,j->ni", state.attitude, estimate.axis)
@@ -168,7 +168,7 @@ def _check_turn_without_gyro(found: Smoothed, estimate: Estimate, knowledge: Kno
 
 
 def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
-    """Return a fit in the form that every method returns; residuals are of the window's rows."""
+    """Return the estimate of a fit; residuals are those of the window's rows."""
     best, nodes = found.fit, found.nodes
     shared, posterior = best.state.shared, found.posterior
     part = best.weighted["field"]
@@ -208,19 +208,19 @@ def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estima
 
 
 def _wobble(best: Fit) -> float:
-    """Return the RMS lean of the turn's axis in the body, radians per axis."""
+    """Return the RMS tilt of the turn's axis in the body, radians per axis."""
     up = best.state.attitude[:, :, 2]
     across = np.cross(unit(up.mean(axis=0)), up)
-    # On a slope the axis goes round in the body as the robot turns: what stays in world axes.
+    # On a slope the tilt is constant in world axes: its mean there is subtracted.
     world = np.einsum("nji,nj->ni", best.state.attitude, across)
     return math.sqrt(float(np.mean(np.sum((world - world.mean(axis=0)) ** 2, axis=1))) / 2.0)
 
 
 def _swing(found: Smoothed) -> GyroSwing:
-    """Return compass less corrected gyro by sectors of heading, while the robot moves."""
+    """Return compass minus corrected gyro by sectors of heading, while the robot moves."""
     best, nodes = found.fit, found.nodes
     shared, course = best.state.shared, best.point.course
-    run = of_the_motors(course, shared)
+    run = motor_inputs(course, shared)
     motors = sum(share * shared[AT[name]] for name, share in run.items())
     motors = motors + best.state.local[:, BODY_FIELD]
     back = np.linalg.inv(distortion(shared))
@@ -236,7 +236,7 @@ def _arc(found: Smoothed, window: Window) -> float:
     attitude, nodes = found.fit.state.attitude, found.nodes
     between = attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2)
     steps = rotation_vectors_near(between, -nodes.angle)
-    # The steps of a sway cancel each other, however fast it is; those of the turn add up.
+    # The steps of a sway cancel; those of the turn add up.
     turned = accumulated(steps)
     main = np.linalg.svd(turned - turned.mean(axis=0), full_matrices=False)[2][0]
     angle = turned @ main
@@ -248,7 +248,7 @@ def _arc(found: Smoothed, window: Window) -> float:
 
 
 def _level_acceleration(best: Fit) -> float:
-    """Return the mean level acceleration of a robot that moves, in its own axes, m/s²."""
+    """Return the mean level acceleration of a moving robot, in body axes, m/s²."""
     state, course = best.state, best.point.course
     rate = course.nodes.rate @ course.axes[:, 2]
     level = (rate * course.moving)[:, None] * state.local[:, VELOCITY] @ QUARTER.T
@@ -270,12 +270,12 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     size = float(np.linalg.norm(at_rate @ shared))
     doubt = math.sqrt(float(np.trace(at_rate @ best.covariance @ at_rate.T)))
     share = float(np.trace(soft_iron(shared)[:2, :2])) / 2.0
-    weakened = 1.0 - share > max(WEAKENED, CLEAR * sigma[SHIELDING])
+    weakened = 1.0 - share > max(LARGEST_GAIN_ERROR, CLEAR * sigma[SHIELDING])
     return {
         **(_of_a_drive(found) if found.mode in DRIVES else {}),
         Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: share,
         Figure.STEADY_ACCELERATION: _level_acceleration(best) / STANDARD_GRAVITY,
-        Figure.POSSIBLE_ACCELERATION: found.by_pull,
+        Figure.POSSIBLE_ACCELERATION: found.by_acceleration,
         Figure.GYRO_CARRIED: float(gyro_is_usual(best)),
         Figure.NOT_CONVERGED: float(not best.is_settled),
         Figure.ITERATIONS: float(best.rounds),
@@ -300,9 +300,9 @@ def _iron_drift(best: Fit) -> float:
 
 
 def _where_seen(found: Smoothed, motors: float) -> dict[Figure, float]:
-    """Return latency and motors' field (`motors`, µT), each where the samples can show it.
+    """Return latency and motors' field (`motors`, µT), each if it is observable.
 
-    Latency takes a gyro, and motors that show nothing take a rest to say that there is nothing.
+    Latency needs a gyro. The absence of a motors' field needs a rest.
     """
     scale, shared = found.fit.model.priors.scale, found.fit.state.shared
     latency, figures = AT["latency"], dict[Figure, float]()

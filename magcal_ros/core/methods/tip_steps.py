@@ -29,24 +29,24 @@ class TipTuning:
     """Which turns the geometry determines."""
 
     largest_normal_sigma: float = math.radians(10.0)
-    """Radians of uncertainty of the field plane's normal."""
+    """Largest sigma of the field plane's normal, radians."""
     largest_thickness: float = 0.25
     """RMS distance from the plane over the radius of the circle; a tumble has more."""
     smallest_axial_gravity: float = math.cos(math.radians(75.0))
     """Cosine between axis and vertical. The error of the inclination is divided by it."""
     clear_sense: float = 20.0
-    """Standard errors by which gravity must show the sense of rotation. Wobble is correlated and
-    counts for less than its number of samples; below this the smaller installation decides well."""
+    """Standard errors from which gravity determines the sense of rotation. It is large because
+    wobble is correlated; below it, the smaller installation is chosen."""
     least_gyro_agreement: float = 0.5
     """Slope of the field's phase against the gyro's angle from which the gyro's sense is used."""
     smallest_lever: float = math.sin(math.radians(10.0))
     """Length of the axis perpendicular to body y; below it the pitch is a rotation about the axis
     and not observable."""
     strength_margin: float = 0.1
-    """Share of the strength by which an installation may fit the reference worse than the best, and
-    by which the radius of the circle may exceed the strength."""
+    """Relative misfit of the strength, above the best one, up to which an installation fits; and
+    the largest relative excess of the circle's radius over the strength."""
     rival_margin: float = math.radians(2.0)
-    """Radians by which a rival's installation may be larger than the chosen one's and as likely."""
+    """Difference of size up to which a rival installation counts as equally likely, radians."""
     axial_sigma: float = 50e-6
     """Tesla, prior of the hard iron along the axis if neither strength nor inclination is known."""
 
@@ -56,14 +56,14 @@ TUNING = TipTuning()
 
 @dataclass(frozen=True, eq=False)
 class TipSamples:
-    """A window as the design tip sees it."""
+    """A window in the axes of the design tip."""
 
     down: FloatArray
     """Gravity in body axes, forward-right-down, scaled to a mean length of one. Shape (n, 3)."""
-    raw: FloatArray  # raw field in the sensor's own axes, tesla. Shape (n, 3).
+    raw: FloatArray  # raw field in sensor axes, tesla. Shape (n, 3).
     field: FloatArray
     """Field in nominal body axes, forward-right-down, gains removed, tesla. Shape (n, 3)."""
-    mounting: FloatArray  # takes `field` back to `raw`. Shape (3, 3).
+    mounting: FloatArray  # from `field` to `raw`. Shape (3, 3).
     turned: FloatArray | None
     """Rotation between neighbouring samples by the gyro, body axes, radians. Shape (n - 1, 3)."""
 
@@ -130,7 +130,7 @@ def fit_field_circle(samples: TipSamples) -> FieldCircle:
     Raises `Refusal` if the field is constant, on a line, or not on a plane.
     """
     plane = fit_plane(samples.raw)
-    # A normal belongs to the dual space: it maps by the inverse transpose of what maps points.
+    # A normal is transformed by the inverse transpose of the matrix that transforms points.
     normal = samples.mounting.T @ plane.normal
     normal /= np.linalg.norm(normal)
     basis = derotation(normal)
@@ -185,10 +185,10 @@ class TurnAxis:
 def find_axis(samples: TipSamples, circle: FieldCircle) -> TurnAxis:
     """Return the axis from the centre of gravity's circle and the normal of its plane.
 
-    On a level turn gravity is constant, and only the centre shows the axis; on a tilted one the
-    normal shows more. Each is weighted by its information. The centre is the constant part of
-    gravity beside a sinusoid of the field's phase: on part of a turn the plain mean is not on the
-    axis. Raises `Refusal` if the axis is nearly horizontal.
+    In a level turn gravity is constant, and only the centre shows the axis; in a tilted turn the
+    normal shows more. Each is weighted by its information. The centre is the constant term of
+    gravity in a fit with a sinusoid of the field's phase, because the mean over part of a turn is
+    not on the axis. Raises `Refusal` if the axis is nearly horizontal.
     """
     centre, centre_sigma, noise = _centre_of_gravity(samples.down, circle)
     if float(np.linalg.norm(centre)) < TUNING.smallest_axial_gravity:
@@ -221,12 +221,12 @@ def _centre_of_gravity(down: FloatArray, circle: FieldCircle) -> tuple[FloatArra
 
 
 def _weighed(centre: FloatArray, centre_sigma: float, plane: Plane | None) -> FloatArray:
-    """Return the axis from both; from the centre alone where gravity stood still."""
+    """Return the axis from both; from the centre alone if gravity was constant."""
     from_centre = centre / np.linalg.norm(centre)
     if plane is None:
         return np.asarray(from_centre)
     from_plane = plane.normal * (1.0 if plane.normal @ centre >= 0.0 else -1.0)
-    # The plane's information has no part along its normal, where the centre decides.
+    # The plane has no information along its normal, where the centre decides.
     of_centre = float(centre @ centre) / centre_sigma**2 * np.eye(3)
     of_plane = plane.normal_information(SMALLEST)
     weighted = of_centre @ from_centre + of_plane @ from_plane
@@ -243,7 +243,7 @@ def _horizontal() -> Refusal:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One installation that fits the two normals, in the tip's sense."""
+    """One installation that fits the two normals, as a rotation of the tip."""
 
     roll: float
     pitch: float  # of the passive rotation Rx(roll) Ry(pitch), radians
@@ -259,9 +259,9 @@ class Candidate:
 def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> list[Candidate]:
     """Return every installation that fits, at least one, the smallest first.
 
-    The field turns about its normal in the sense in which gravity turns about the axis. Where
-    neither gravity nor a gyro shows that sense, both normals are tried. Raises `Refusal` if none
-    fits, if the axis does not show the pitch, or if gravity and gyro contradict.
+    The field turns about its normal in the same sense as gravity about the axis. If neither gravity
+    nor a gyro shows this sense, both normals are tried. Raises `Refusal` if none fits, if the pitch
+    is not observable, or if gravity and gyro contradict each other.
     """
     if math.hypot(float(axis.direction[0]), float(axis.direction[2])) < TUNING.smallest_lever:
         raise Refusal(
@@ -311,8 +311,8 @@ def _sense_by_gravity(axis: TurnAxis, circle: FieldCircle) -> int:
 def _sense_by_gyro(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
     if samples.turned is None:
         return 0
-    # A field fixed in the world turns backwards in the body. Sines, because a pause in the stream
-    # may hide a step of half a turn, whose sense the field does not show.
+    # A field fixed in the world turns backwards in the body. Sines, because the field does not show
+    # the sense of a step of half a turn during a gap.
     expected = np.sin(-(samples.turned @ axis.direction))
     seen = np.sin(np.angle(circle.phasor[1:] * circle.phasor[:-1].conj()))
     power = float(expected @ expected)

@@ -1,8 +1,8 @@
 """Common part of the methods for tumbled sensors: from a fitted shape to an estimate.
 
-They use the field alone. The symmetric matrix that takes an ellipsoid to a sphere leaves a rotation
-undetermined, so these methods take the magnetometer's axes (after the nominal mounting) for the
-IMU's. The rotation that gravity shows is not corrected; it enters the covariance.
+They use the field alone. The symmetric matrix from an ellipsoid to a sphere leaves a rotation
+undetermined: these methods assume that the magnetometer's axes (after the nominal mounting) are the
+IMU's. The rotation by gravity is not corrected, but included in the covariance.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class CloudTuning:
-    """Bounds of a cloud of field samples that a tumble can have."""
+    """Bounds of the field samples of a tumbled sensor."""
 
     fewest_samples: int = 40
     thinnest_cloud: float = 0.15
@@ -37,8 +37,8 @@ class CloudTuning:
     largest_residual: float = 0.15
     """Root mean square of the distance from the sphere over its radius; beyond it is no sphere."""
     outlier_deviations: float = 5.0
-    """Robust standard deviations from the usual distance beyond which a sample is an outlier."""
-    least_gate: float = 0.02  # share of the radius within which a sample is never an outlier
+    """Robust standard deviations from the median distance beyond which a sample is an outlier."""
+    least_gate: float = 0.02  # deviation over the radius up to which a sample is never an outlier
     rounds: int = 10  # most times that outliers are left out and the rest is fitted again
     least_level_share: float = 0.1  # least level share of the field by which the scatter is divided
     installation_sigma: float = math.radians(3.0)
@@ -57,7 +57,7 @@ measured."""
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Centre of a cloud, and the matrix that makes it a sphere."""
+    """Centre of the samples, and the matrix to a unit sphere."""
 
     centre: FloatArray  # tesla, in nominal body axes. Shape (3,).
     to_unit: FloatArray
@@ -70,7 +70,7 @@ class Shape:
         return np.asarray((nominal - self.centre) @ self.to_unit.T)
 
     def correction(self, knowledge: Knowledge) -> Correction:
-        """Return the correction, scaled to the reference's strength where that is known."""
+        """Return the correction, scaled to the reference's strength if that is known."""
         mounting = knowledge.mounting.matrix
         size = strength_of(self, knowledge)
         return Correction(size * self.to_unit @ np.linalg.inv(mounting), mounting @ self.centre)
@@ -85,8 +85,8 @@ class MountingRotation:
 
     cosine: float  # of the angle between the field and up
     rotation: FloatArray
-    """Expectation of the rotation vector from the corrected field to the true one, radians. Shape
-    (3,)."""
+    """Posterior mean of the rotation vector from the corrected field to the true one, radians.
+    Shape (3,)."""
     covariance: FloatArray  # of `rotation`, rad². Shape (3, 3).
     scatter: float  # residual standard deviation of the cosine
 
@@ -107,9 +107,9 @@ class MountingRotation:
 def estimate_mounting(direction: FloatArray, up: FloatArray) -> MountingRotation:
     """Estimate the rotation of the magnetometer against the IMU from the angle between two vectors.
 
-    Field and gravity keep one angle in the world. A correction turned by a small rotation d changes
+    The angle between field and gravity is constant. A small rotation d of the correction changes
     it: u·m = c - d·(m x u), for unit vectors u up and m of the corrected field, both (n, 3) in the
-    order of time. Tumbling shows all three components of d, beside their prior.
+    order of time. Tumbling determines all three components of d, which have a prior.
     """
     cosines = np.sum(direction * up, axis=1)
     design = np.column_stack([np.ones(len(up)), -np.cross(direction, up)])
@@ -134,12 +134,12 @@ def _inefficiency(design: FloatArray, residual: FloatArray) -> float:
 
 
 def nominal_field(window: Window, knowledge: Knowledge) -> FloatArray:
-    """Return the field (n, 3) in nominal body axes, known gains removed, tesla."""
+    """Return the field (n, 3) in nominal body axes without known gains, tesla."""
     return np.asarray(window.field @ knowledge.mounting.to_body.T)
 
 
 def _refuse_flat(nominal: FloatArray) -> None:
-    """Refuse a cloud that did not move, or that lies on a plane."""
+    """Refuse samples that are constant or on a plane."""
     spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     spread = spread / math.sqrt(len(nominal))
     if spread[0] < SCREENING.smallest_motion * usual_size(nominal):
@@ -182,7 +182,7 @@ def finish(
     least_extent: float,
     remedy: str,
 ) -> Estimate:
-    """Fit a shape, check it, and bring it into the form that every method returns.
+    """Fit a shape, check it, and return the estimate.
 
     The estimate of `method` has no installation. The unit sphere, of extent 2, must be seen to
     `least_extent` in every direction; `remedy` is what to do if the samples are not on a sphere.
@@ -215,7 +215,7 @@ def finish(
         strength=strength,
         inclination=inclination,
         noise_field=noise,
-        # The field's own noise is in the scatter, too: rather too large than too small.
+        # An upper bound: the scatter contains the field's noise, too.
         noise_up=mounting.scatter / max(math.cos(inclination), CLOUD.least_level_share),
         inliers=inliers,
         residual=residual,

@@ -1,19 +1,18 @@
-"""Whether the field that a calibration corrects changes with the heading: the test of change.
+"""The test of change: whether the corrected field depends on the heading.
 
-A field that is corrected well has the same strength, rise and dip at every heading, and its yaw
-turns as the gyro does. What differs is fitted by harmonics of the heading, robustly, with a sigma
-that allows for places: errors within half a minute are alike, because steel is passed slowly. With
-n the level direction of magnetic north in body axes, B, H and V the strength and its level and
-downward parts:
+A well corrected field has the same strength, rise and dip at every heading, and its yaw turns like
+the gyro. Deviations are fitted robustly by harmonics of the heading. Errors within half a minute
+are correlated, because the robot stays near the same steel. With n the level direction of magnetic
+north in body axes, B, H and V the strength and its level and downward components:
 
-- hard iron b swings the strength by (H/B) b.n, once a turn, and not the field's rise above level;
-- a mounting that moved by a small rotation d swings the rise by H (d_x n_y - d_y n_x), once a
+- hard iron b changes the strength by (H/B) b.n, once per turn, and not the rise above level;
+- a mounting that moved by a small rotation d changes the rise by H (d_x n_y - d_y n_x), once per
   turn, and not the strength;
-- soft iron e swings the strength by e H²/B, twice a turn;
-- another place, or another reference, shifts both alike at all headings, and so does hard iron
-  along the vertical.
+- soft iron e changes the strength by e H²/B, twice per turn;
+- another place or reference, and hard iron along the vertical, shift both at all headings.
 
-The first three move the yaw. Strength needs no up vector, so acceleration cannot mimic hard iron.
+The first three cause a yaw error. Strength needs no up vector, so that acceleration cannot mimic
+hard iron.
 """
 
 from __future__ import annotations
@@ -33,25 +32,24 @@ from magcal_ros.core.samples.coverage import COVERAGE, Coverage
 
 @dataclass(frozen=True)
 class ChangeTuning:
-    """What is assumed of places, sensors and driving."""
+    """Assumptions about places, sensors and driving."""
 
-    correlation_time: float = 30.0  # seconds over which errors are alike, less and less
-    few: float = 10.0  # independent stretches that know their own scatter half as well as many do
+    correlation_time: float = 30.0  # of errors, seconds
+    few: float = 10.0  # independent stretches at which the allowance for chance is doubled
     huber: float = 1.5  # scatters from which a record weighs less
     smallest_scatter: float = 0.002  # of the field; the least scatter that is assumed for records
     fastest_curve: float = 0.15
-    """s/m, standard deviation of driving speed over gravity: how far curves may lean up, per
-    rad/s."""
+    """s/m, sigma of driving speed over gravity: tilt of the measured up in curves, per rad/s."""
     longest_piece: float = 60.0  # seconds over which the gyro's drift is taken as steady
-    steepest_nose: float = 0.75  # squared share of up along x (60°) beyond which no yaw counts
-    widest_hole: float = math.radians(100.0)  # radians that may be missing for swings
+    steepest_nose: float = 0.75  # squared component of up along x (60°) beyond which no yaw is used
+    widest_hole: float = math.radians(100.0)  # radians of heading that may be missing for harmonics
     chance: float = 2.0  # sigmas that chance may reach in a recheck
-    clearly: float = 4.0  # and in one of many looks, and on a street
+    clearly: float = 4.0  # the same in one of many tests, and on a street
     own_share: float = 0.25
-    """Of the bound of what is stale: so much of a swing the calibration's own sigma explains. A
-    rough calibration that swings is to be made again whether or not anything has changed."""
-    largest_sigma: float = 0.06  # of added iron, over level field, that shows nothing
-    sectors: int = 4  # courses, of eight, that the compass is compared with at least
+    """Largest swing that the calibration's sigma may explain, over the bound of stale. A rough
+    calibration that swings more must be made again whether or not anything has changed."""
+    largest_sigma: float = 0.06  # of added iron over level field; a larger one is inconclusive
+    sectors: int = 4  # least courses, of eight, for a comparison with the compass
     longest_visit: float = 4.0  # seconds after which a visit is recorded in any case
 
 
@@ -73,7 +71,7 @@ class Record(NamedTuple):
     stamp: float  # seconds
     yaw: float  # by the compass, radians
     strength: float  # of the corrected field, tesla
-    rise: float  # the same upwards
+    rise: float  # upward component of the corrected field, tesla
     turned: float  # by the gyro since its path began, radians; NaN without one
     path: int  # its number
     rate: float  # of yaw, rad/s
@@ -81,24 +79,24 @@ class Record(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """Harmonics of the heading that were fitted to some values of records."""
+    """Harmonics of the heading, fitted to values of records."""
 
     columns: FloatArray
     """Mean, sine and cosine of the heading, and of twice the heading. Shape (n, 3 or more)."""
     values: FloatArray  # of the columns
     covariance: FloatArray  # of these coefficients
     chance: float
-    """Sigmas that chance may reach; more where few stretches of driving were seen, which know
-    little of their own scatter."""
+    """Sigmas that chance may reach; more for few independent stretches of driving, whose scatter is
+    uncertain."""
 
     def amplitude(self, part: slice) -> tuple[float, float]:
-        """Return the size of one harmonic and what chance may reach."""
+        """Return the size of one harmonic, and the largest size by chance."""
         variance = float(np.trace(self.covariance[part, part])) / 2.0
         return float(np.hypot(*self.values[part])), self.chance * math.sqrt(variance)
 
     @property
     def spread(self) -> tuple[float, float]:
-        """The RMS over the headings that were seen, and what chance may reach."""
+        """The RMS over the headings that were seen, and the largest RMS by chance."""
         waves = self.columns[:, 1:5] - self.columns[:, 1:5].mean(axis=0)
         variance = np.einsum("ni,ij,nj->n", waves, self.covariance[1:5, 1:5], waves)
         size = math.sqrt(float(np.mean((waves @ self.values[1:5]) ** 2)))
@@ -106,12 +104,12 @@ class Waves:
 
     @property
     def chance_of_mean(self) -> float:
-        """What chance may reach of the mean over the headings that were seen."""
+        """The largest mean by chance over the headings that were seen."""
         mean = self.columns.mean(axis=0)
         return self.chance * math.sqrt(max(float(mean @ self.covariance @ mean), 0.0))
 
     def scatter(self, values: FloatArray, stamp: FloatArray) -> float:
-        """Return the RMS of what the harmonics leave of values (n,), and what chance adds to it."""
+        """Return the RMS of the residuals of values (n,), with an allowance for chance."""
         left = float(np.mean((values - self.columns @ self.values) ** 2))
         stretches = max(float(np.ptp(stamp)) / CHANGE.correlation_time, 1.0)
         return math.sqrt(left * (1.0 + CHANGE.chance * math.sqrt(2.0 / stretches)))
@@ -130,14 +128,14 @@ def fit_waves(
     sigmas: float,
     prior: tuple[int, float] | None = None,
 ) -> Waves:
-    """Fit coefficients by Huber's weights.
+    """Fit coefficients with Huber weights.
 
     Errors of neighbours are correlated: the covariance is that of Newey and West (1987), and never
-    smaller than for independent records. Less than two stretches of driving were in one place, and
-    cannot show how places differ.
+    smaller than for independent records. Fewer than two independent stretches are in one place, and
+    do not show how places differ.
 
-    The columns are (n, k), values and stamps (n,). Chance may reach so many `sigmas`. `prior` is a
-    column, and the standard deviation of its coefficient about zero.
+    The columns are (n, k), values and stamps (n,). `sigmas` is the allowance for chance. `prior` is
+    a column, and the sigma of its coefficient about zero.
     """
     weight = np.ones(len(values))
     for _ in range(ROUNDS):
@@ -153,7 +151,7 @@ def fit_waves(
     stretches = float(np.ptp(stamp)) / CHANGE.correlation_time
     if stretches < 2.0:
         return Waves(columns, found, np.asarray(alone, dtype=np.float64), sigmas)
-    # By sixths of that time, so that an hour takes no more memory than minutes do.
+    # In steps of a sixth of that time, to limit the memory for an hour of records.
     sixth = ((stamp - stamp.min()) * (6.0 / CHANGE.correlation_time)).astype(np.int64)
     scores = np.zeros((int(sixth.max()) + 1, columns.shape[1]))
     np.add.at(scores, sixth, (weight * misfit)[:, None] * columns)
@@ -165,9 +163,9 @@ def fit_waves(
 
 
 class GyroWaves(NamedTuple):
-    """Compass less gyro: the rows that are compared, the deviation there, and its harmonics.
+    """Compass minus gyro: the rows that are compared, the deviation, and its harmonics.
 
-    There are no harmonics of a part of a turn, which cannot tell them from a bias of the gyro.
+    A part of a turn has no harmonics: they cannot be separated from a bias of the gyro.
     """
 
     rows: IntArray
@@ -176,20 +174,19 @@ class GyroWaves(NamedTuple):
 
     @property
     def rms(self) -> float:
-        """Of the deviation, radians."""
+        """Root mean square of the deviation, radians."""
         return math.sqrt(float(np.mean(self.deviation**2)))
 
 
 def compass_less_gyro(records: FloatArray, heading: FloatArray, sigmas: float) -> GyroWaves | None:
-    """Return by how much the compass turns otherwise than the gyro; None without a comparison.
+    """Return the deviation of the compass from the gyro; None if there is nothing to compare.
 
-    One offset a piece and one steady bias are removed. Each record is compared as an angle: beside
-    iron that cancels the level field the compass may go once round, and is right again afterwards.
-    Over a single turn a periodic error resembles a bias in part: both are fitted together.
+    An offset for each piece and one constant bias are removed. Deviations are angles modulo a turn:
+    next to iron that cancels the level field, the compass may turn once too often. Over a single
+    turn a harmonic resembles a bias: both are fitted together.
 
-    The records (n, 7) have the columns of `Record`, with the yaw by the compass that is tried.
-    `heading` (n,) is where the robot looked as far as is known, radians. Chance may reach so many
-    `sigmas`.
+    The records (n, 7) have the columns of `Record`, with the yaw of the compass under test.
+    `heading` (n,) is the best known heading, radians. `sigmas` is the allowance for chance.
     """
     stamp, yaw, turned, path = (records[:, k] for k in (0, 1, 4, 5))
     spell = np.floor((stamp - stamp[:1]) / CHANGE.longest_piece)
@@ -219,8 +216,8 @@ def check_beside_chance(
 ) -> Check:
     """Grade the part of a figure that chance does not explain.
 
-    Where chance alone reaches the bound of stale, the turn is inconclusive: doubtful, unless the
-    figure is small, or the drive itself has shown whether iron was added (`decided`).
+    If chance alone reaches the bound of stale, the turn is inconclusive: doubtful, unless the
+    figure is small, or the drive has shown whether iron was added (`decided`).
     """
     excess = math.sqrt(max(figure**2 - chance**2, 0.0))
     seen = chance * bound.scale
@@ -237,7 +234,7 @@ def check_beside_chance(
 
 
 def rule_of(bound: Bound) -> str:
-    """Say from where a calibration is doubtful and stale; empty where more is better."""
+    """Return the limits of doubtful and stale in words; empty if larger figures are better."""
     if bound.at_least:
         return ""
     unit = bound.unit

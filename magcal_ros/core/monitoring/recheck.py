@@ -49,7 +49,7 @@ STATES = {
     Grade.WARN: "doubtful",
     Grade.REFUSED: "stale",
 }
-"""What a grade says of a calibration that is in force."""
+"""The state of a calibration in force by its grade."""
 
 SENTENCES = {
     "holds": "The calibration holds",
@@ -85,12 +85,15 @@ RECHECK_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.STRENGTH_OFFSET,
         (None, 5.0, 15.0),
-        "field strength is off the calibrated one by",
+        "field strength differs from the calibrated one by",
         ELSEWHERE,
         unit="%",
     ),
     Bound(
-        Figure.DIP_OFFSET, (None, 3.0, 8.0), "inclination is off the calibrated one by", ELSEWHERE
+        Figure.DIP_OFFSET,
+        (None, 3.0, 8.0),
+        "inclination differs from the calibrated one by",
+        ELSEWHERE,
     ),
     Bound(
         Figure.ARC,
@@ -101,7 +104,7 @@ RECHECK_BOUNDS: tuple[Bound, ...] = (
         at_least=True,
     ),
 )
-"""Nothing is better than good: that a calibration holds is all that a recheck can say."""
+"""There is no grade above good: a recheck can only confirm a calibration."""
 IRON_BOUND = Bound(
     Figure.HARD_IRON_CHANGE,
     (None, 6.0, 12.0),
@@ -113,22 +116,22 @@ IRON_BOUND = Bound(
 
 @dataclass(frozen=True, eq=False)
 class Recheck:
-    """What came of a recheck."""
+    """The result of a recheck."""
 
     verdict: Verdict
-    """Its quality says whether the calibration holds, its confidence how much of it was seen."""
-    estimate: Estimate  # the old numbers with the fresh residuals, as a report shows them
+    """Quality is whether the calibration holds, confidence how much of it was tested."""
+    estimate: Estimate  # the old calibration with the residuals of the new samples, for a report
     slopes: str = ""
     """Why the calibration's file does not show the heading on slopes; empty if it does."""
 
     @property
     def findings(self) -> tuple[Check, ...]:
-        """Everything that says whether the calibration holds."""
+        """The checks of whether the calibration holds."""
         return tuple(c for c in self.verdict.checks if c.aspect is Aspect.QUALITY)
 
     @property
     def is_judged(self) -> bool:
-        """Whether the samples show anything at all."""
+        """Whether any of the checks is conclusive."""
         return any(finding.is_judged for finding in self.findings)
 
     @property
@@ -143,7 +146,7 @@ class Recheck:
 
 
 def check(window: Window, calibration: Calibration, drive: Window | None = None) -> Recheck:
-    """Look at a fresh turn through a calibration; `drive` tells iron from streets."""
+    """Test a calibration by a new turn; `drive` separates added iron from local disturbances."""
     up = up_of(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
     corrected = _records(window, up, heading, calibration.correction)
@@ -156,7 +159,7 @@ def check(window: Window, calibration: Calibration, drive: Window | None = None)
     drove = iron is not None and drove_while_turning(SensorLog.of_window(window))
     chance = CHANGE.clearly if drove else CHANGE.chance
     added = None if iron is None else _check_iron(*iron, chance)
-    # A street that is driven once bends the field as other iron in the robot would.
+    # On a street that is driven once, a local disturbance looks like iron in the robot.
     is_street = iron is not None and (added is None or (drove and added.grade is not Grade.REFUSED))
     is_round = Coverage.of(corrected[:, 1]).gap <= CHANGE.widest_hole
     checks = []
@@ -166,7 +169,7 @@ def check(window: Window, calibration: Calibration, drive: Window | None = None)
             raw_figure, _ = before.get(bound.figure, (None, 0.0))
             most = CHANGE.own_share * bound.warn / bound.scale
             chance = math.hypot(min(_own(bound.figure, calibration), most), places)
-            # In a part of a turn, iron says nothing of an up that is off.
+            # In a part of a turn, the test of iron does not exclude an error of up.
             is_decided = added is not None and (is_round or bound.figure is not GYRO_BOUND.figure)
             graded = check_beside_chance(bound, figure, chance, raw_figure, is_decided)
             is_stale = graded.grade is Grade.REFUSED
@@ -193,7 +196,7 @@ def slopes_of(calibration: Calibration) -> str:
     error = f"±{math.degrees(tilted):.1f}°{'' if is_costly else ' or more'} (1σ) at 10° of tilt"
     return (
         "the heading on slopes: the calibration was made without a position, so its hard iron "
-        f"along the vertical axis is uncertain, and the heading is wrong by {error}; give the "
+        f"along the vertical axis is uncertain, and the heading error is {error}; give the "
         "position when you calibrate again, or turn on ramps"
     )
 
@@ -204,7 +207,7 @@ def sentence_of(state: str, slopes: str) -> str:
 
 
 def _own(figure: Figure, calibration: Calibration) -> float:
-    """Return by how much hard iron of the calibration's own sigma lets a figure swing."""
+    """Return the swing of a figure by hard iron of the calibration's sigma."""
     level, upright = math.cos(calibration.inclination), math.sin(calibration.inclination)
     shares = {
         Figure.HEADING_SWING: 1.0,
@@ -218,7 +221,7 @@ def _own(figure: Figure, calibration: Calibration) -> float:
 def _records(
     window: Window, up: FloatArray, heading: FloatArray, correction: Correction
 ) -> FloatArray:
-    """Return one record (n, 7) of each visit to a sector of heading, columns as of `Record`."""
+    """Return one record (n, 7) of each visit to a sector of heading, with columns of `Record`."""
     field = correction.apply(window.field)
     is_good = up[:, 0] ** 2 < CHANGE.steepest_nose
     turned = rate = np.full(len(window), math.nan)
@@ -246,14 +249,14 @@ def _records(
             *(mean(each) for each in (strength, rise, turned, path, rate)),
         ]
     )
-    # Beside iron the compass may go once round by itself, within moments.
+    # Next to iron, the compass may briefly turn once too often.
     return np.asarray(records[count >= min(3.0, float(np.median(count)))])
 
 
 def _figures(
     records: FloatArray, heading: FloatArray, calibration: Calibration
 ) -> tuple[dict[Figure, tuple[float, float]], GyroSwing | None]:
-    """Return the figures of records with what chance may reach of each, and compass less gyro."""
+    """Return figures of records, each with its largest size by chance, and compass minus gyro."""
     stamp, size, rise = records[:, 0], records[:, 2], records[:, 3]
     level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
     dip = np.arctan2(-rise, level)
@@ -274,9 +277,9 @@ def _figures(
     if gyro is None:
         return found, None
     rms = gyro.rms
-    # What does not come back with the heading is not the calibration's.
+    # A deviation that does not depend on the heading is not due to the calibration.
     if gyro.waves is None:
-        # An up that is off by so much sideways, as it is along the field, turns the compass.
+        # The error of up across the field is assumed to be that along the field.
         tilt = waves[Figure.DIP_SPREAD].scatter(dip, stamp)
         swing, chance = rms, abs(math.tan(calibration.inclination)) * tilt
     else:
@@ -287,7 +290,7 @@ def _figures(
 
 
 def _summary(verdict: Verdict, slopes: str) -> str:
-    """Return the state, and what speaks against the calibration."""
+    """Return the state, and the findings against the calibration."""
     state = STATES[verdict.quality]
     if state == "holds":
         return f"{sentence_of(state, slopes)}."
@@ -299,7 +302,7 @@ def _summary(verdict: Verdict, slopes: str) -> str:
 def _on_fresh_samples(
     calibration: Calibration, window: Window, up: FloatArray, arc: float, swing: GyroSwing | None
 ) -> Estimate:
-    """Return the old numbers with what is left of the fresh samples."""
+    """Return the old calibration with the residuals of the new samples."""
     correction = calibration.correction
     field = correction.apply(window.field)
     misfit = field - expected_field(field, up, calibration.strength, calibration.inclination)
@@ -330,7 +333,7 @@ def expected_field(
 
 
 def up_of(window: Window) -> FloatArray:
-    """Return up at each sample, propagated by the gyro where samples follow each other closely."""
+    """Return up at each sample, propagated by the gyro between gaps."""
     if window.angular_rate is None:
         return unit(window.specific_force)
     gaps = np.flatnonzero(np.diff(window.time) > STREAMS.longest_field_gap)
@@ -339,7 +342,7 @@ def up_of(window: Window) -> FloatArray:
 
 
 def _iron_of(drive: Window, calibration: Calibration) -> tuple[float, float, float] | None:
-    """Return added iron over the level field, its sigma, and that field, T; None where unknown."""
+    """Return added iron over the level field, its sigma, and this field, T; None if unknown."""
     reference = ReferenceField(
         Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
         Belief(calibration.inclination, math.radians(INCLINATION_SIGMA_DEG)),
@@ -349,7 +352,7 @@ def _iron_of(drive: Window, calibration: Calibration) -> tuple[float, float, flo
     found = fit_iron(drive_nodes(drive, known.mounting.to_body), correction, known)
     if found is None:
         return None
-    # On the level across body z; an iron along it is a matter of slopes.
+    # Only the part across body z: iron along z matters on slopes only.
     matrix = correction.matrix[:2]
     added = matrix @ (found.posterior.correction.hard_iron - correction.hard_iron)
     covariance = matrix @ found.posterior.covariance[9:, 9:] @ matrix.T
@@ -359,7 +362,7 @@ def _iron_of(drive: Window, calibration: Calibration) -> tuple[float, float, flo
 
 
 def _check_iron(share: float, sigma: float, level: float, chance: float) -> Check | None:
-    """Weigh added iron beside what chance of so many sigmas explains; None if too uncertain."""
+    """Grade added iron, with `chance` sigmas explained by chance; None if too uncertain."""
     beyond = share - CHANGE.clearly * sigma
     if sigma > CHANGE.largest_sigma and beyond * IRON_BOUND.scale < IRON_BOUND.warn:
         return None

@@ -28,16 +28,15 @@ class RecordedCourse:
 
     offset: CourseOffset
     checks: tuple[Check, ...]
-    """Of the calibration; empty where too few courses were driven, or nothing says that the vehicle
-    goes where it looks."""
+    """Of the calibration; empty if too few courses were driven, or if it is not known whether the
+    course is the heading."""
     mounting: MountingYaw | None = None  # of the IMU, by its acceleration
     declination: float | None = None
-    """Radians, positive east, of the place; it is part of the offset. None where it is not known
-    it."""
+    """Radians, positive east, of the place, a part of the offset; None if unknown."""
 
     @property
     def words(self) -> str:
-        """What was found, in one sentence."""
+        """The comparison in one sentence."""
         found = self.offset
         return (
             f"compass minus course {math.degrees(found.offset):+.1f}° "
@@ -68,9 +67,10 @@ def recorded_course(
     travel: Iterable[TravelSample],
     declination: float | None = None,
 ) -> RecordedCourse | None:
-    """Compare a calibration's compass with course; None where nothing was driven straight.
+    """Compare a calibration's compass with course; None without straight driving.
 
-    Readings are in their order, travel by stamp; `declination` (rad) is that of the place.
+    Readings are in order of arrival, travel in order of stamps; `declination` (rad) is that of the
+    place.
     """
     replay = TravelReplay(travel, Streams(STREAMS.max_gap))
     travelling = replay.travelling
@@ -89,7 +89,7 @@ def _yaws(
     replay: TravelReplay,
     readings: Iterable[ImuSample | FieldSample | None],
 ) -> Iterator[tuple[float, float]]:
-    """Yield stamp (s) and yaw (rad) of each field sample as the replay goes on."""
+    """Yield stamp (s) and yaw (rad) of each field sample of a replay."""
     compass = Compass(calibration)
     for sample in replay.readings(readings):
         if isinstance(sample, FieldSample):
@@ -135,8 +135,8 @@ def against_own_yaw(
         north = "declination subtracted"
     return (
         f"compass minus the autopilot's own yaw {math.degrees(wrapped(offset)):+.1f}°, scattered "
-        f"by {math.degrees(scatter):.1f}° (1σ) over {len(gaps)} samples, {north}: its yaw depends "
-        "on its own compass and calibration, so this proves nothing"
+        f"by {math.degrees(scatter):.1f}° (1σ) over {len(gaps)} samples, {north}: this proves "
+        "nothing, as the autopilot's yaw depends on its own compass and calibration"
     )
 
 
@@ -156,11 +156,11 @@ SWING_TWICE = Bound(
 
 
 def check_by_course(course: CourseOffset | None) -> tuple[Check, ...]:
-    """Grade a calibration by course; empty before enough courses were driven."""
+    """Grade a calibration by course; empty until enough courses were driven."""
     if course is None or course.sectors < CHANGE.sectors:
         return ()
     checks = []
-    # Once around is hard iron, twice around soft iron.
+    # A swing once per turn is hard iron, twice per turn soft iron.
     for order, bound in ((1, SWING_ONCE), (2, SWING_TWICE)):
         swing, sigmas = course.swing(order)
         is_clear = sigmas > CHANGE.clearly
@@ -172,5 +172,5 @@ def check_by_course(course: CourseOffset | None) -> tuple[Check, ...]:
 
 
 def course_fault(checks: tuple[Check, ...]) -> str:
-    """Return what is wrong with the calibration in words; empty if nothing is."""
+    """Return the faults of the calibration in words; empty if there are none."""
     return "; ".join(check.words for check in checks if check.grade.rank >= Grade.WARN.rank)

@@ -1,8 +1,8 @@
-"""Whether a calibration still holds while the robot drives, from message to message.
+"""Test of whether a calibration holds while the robot drives, from message to message.
 
-Each visit to a heading leaves one record, and a robot at rest leaves no more of them, so that
-neither a long pause beside a car nor a long straight road has much weight. Only what many headings
-show together, and for a while, counts as a change.
+Each visit to a heading gives one record, and a robot at rest gives no further ones: a long pause
+beside a car or a long straight road has little weight. A change must be visible at many headings
+for some time.
 """
 
 from __future__ import annotations
@@ -64,36 +64,35 @@ WATCH_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.STRENGTH_SHIFT,
         (None, 8.0, 15.0),
-        "at all headings the field's strength is off the calibrated one by",
+        "at all headings the field's strength differs from the calibrated one by",
         ELSEWHERE,
         unit="%",
     ),
     Bound(
         Figure.DIP_SHIFT,
         (None, 4.0, 8.0),
-        "at all headings the inclination is off the calibrated one by",
+        "at all headings the inclination differs from the calibrated one by",
         ELSEWHERE,
     ),
     replace(GYRO_BOUND, figure=Figure.GYRO_COMPASS_HARMONIC),
 )
-"""As those of a recheck; the records of a drive show what has changed."""
+"""As for a recheck, but the records of a drive show what has changed."""
 
 
 @dataclass(frozen=True)
 class WatchTuning:
-    """How a drive is watched."""
+    """How a drive is tested."""
 
-    memory: float = 600.0  # seconds of driving that are looked at
+    memory: float = 600.0  # seconds of driving that are used
     most_records: int = 400  # visits that are kept at most
-    turned: float = math.radians(12.0)  # radians from where a visit began that end it
-    most_in_a_row: int = 3  # records of one heading; the next one takes the place of the last
-    look_every: float = 15.0  # seconds between two looks at the records
-    confirm: float = 60.0  # seconds for which every look must agree before the state changes
-    shortest_span: float = 150.0  # seconds of records: what passes is shorter
+    turned: float = math.radians(12.0)  # radians of turning that end a visit
+    most_in_a_row: int = 3  # records of one heading; the next one replaces the last
+    look_every: float = 15.0  # seconds between two tests
+    confirm: float = 60.0  # seconds for which every test must agree before the state changes
+    shortest_span: float = 150.0  # seconds of records: passing disturbances are shorter
     predicted: float = 3.0  # predicted standard deviations of the heading that are no change
     lost: float = math.radians(20.0)
-    """Radians of compass against gyro, from which a compass that shows few headings is not to be
-    believed."""
+    """Radians of compass against gyro from which a compass is wrong, even with few headings."""
 
 
 WATCH = WatchTuning()
@@ -101,20 +100,20 @@ WATCH = WatchTuning()
 
 @dataclass(frozen=True)
 class Watched:
-    """What the last minutes of driving show."""
+    """The result of the last minutes of driving."""
 
     is_stale: bool = False  # whether the calibration no longer holds
     findings: tuple[Check, ...] = ()
-    """Everything measured at the last look; while stale, at the one that showed it."""
-    minutes: float = 0.0  # for how long it has not held, before the newest look
+    """The checks of the last test; while stale, of the one that detected it."""
+    minutes: float = 0.0  # for how long it has not held, before the newest test
     hard_iron: tuple[float, float] = (0.0, 0.0)  # its change in x and y, tesla
     was_judged: bool = False  # whether it could be judged at all since it is in force
     lacking: str = "the robot has not driven yet"
-    """What has not been seen in the last minutes; empty if they were judged."""
+    """The data that are missing in the last minutes; empty if they were judged."""
 
     @property
     def summary(self) -> str:
-        """One or two sentences for a person."""
+        """One or two sentences."""
         window = f"{self.lacking}, in the last {WATCH.memory / 60.0:.0f} minutes"
         if self.is_stale:
             causes = "; ".join(words for words in map(self._words, self.findings) if words)
@@ -138,10 +137,9 @@ class Watched:
 def measure(
     records: FloatArray, calibration: Calibration
 ) -> tuple[tuple[Check, ...], tuple[float, float]]:
-    """Compare the records (n, 7) of a drive with what the calibration predicts.
+    """Compare the records (n, 7) of a drive with the calibration.
 
-    Returns the findings, and the hard iron's change, tesla in body x and y. What does not stand out
-    of chance is no finding.
+    Returns the findings beyond chance, and the hard iron's change, tesla in body x and y.
     """
     figures, iron = _gyro_figure(records), (0.0, 0.0)
     if not what_lacks(records):
@@ -163,7 +161,7 @@ def measure(
 
 
 def what_lacks(records: FloatArray) -> str:
-    """Say what the records do not show yet; empty if they are enough to judge swings."""
+    """Return the missing data in words; empty if the records are enough to judge swings."""
     if len(records) < 2:
         return "the robot has not driven yet"
     gap = Coverage.of(records[:, 1]).gap
@@ -175,13 +173,13 @@ def what_lacks(records: FloatArray) -> str:
 def _swings(
     records: FloatArray, calibration: Calibration
 ) -> tuple[dict[Figure, tuple[float, float]], tuple[float, float]]:
-    """Return the figures over headings with what chance may reach, and the hard iron's change."""
+    """Return the figures over headings with their limits by chance, and the hard iron's change."""
     stamp, yaw, rate = records[:, 0], records[:, 1], records[:, 6]
     strength, rise = (records[:, 2:4] / calibration.strength).T
     level = math.cos(calibration.inclination)
     columns = harmonics(yaw)
     by_strength = fit_waves(columns, strength, stamp, CHANGE.clearly)
-    # In curves the accelerometer leans outwards, by the yaw rate and across north.
+    # In curves the measured up tilts with the yaw rate, which changes the rise.
     in_curves = np.column_stack([columns[:, :3], rate * columns[:, 2]])
     lean = 3, level * CHANGE.fastest_curve
     by_rise = fit_waves(in_curves, rise, stamp, CHANGE.clearly, lean)
@@ -201,7 +199,7 @@ def _swings(
 
 
 def _gyro_figure(records: FloatArray) -> dict[Figure, tuple[float, float]]:
-    """Return the RMS swing of compass less gyro, or its median where few headings were seen."""
+    """Return the RMS swing of compass minus gyro, or its median if few headings were seen."""
     name = Figure.GYRO_COMPASS_HARMONIC
     if np.ptp(records[:, 0]) < WATCH.shortest_span or np.ptp(records[:, 4]) < math.tau:
         return {}
@@ -218,9 +216,9 @@ def _gyro_figure(records: FloatArray) -> dict[Figure, tuple[float, float]]:
 def onset(records: FloatArray, calibration: Calibration) -> float:
     """Return the stamp from which the records contradict the calibration.
 
-    It is the change point that best separates records that fit the prediction from records that fit
-    what the newer half of them shows, by the sum of their squared misfits, each limited so that no
-    single one decides.
+    It is the change point that best separates records that fit the calibration from records that
+    fit the harmonics of the newer half, by the sum of squared residuals. Each residual is limited,
+    so that no single one decides.
     """
     columns = harmonics(records[:, 1])
     late = records[:, 0] >= np.median(records[:, 0])
@@ -238,7 +236,7 @@ def onset(records: FloatArray, calibration: Calibration) -> float:
 
 
 class Watch:
-    """Watches one calibration."""
+    """Tests one calibration during driving."""
 
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
@@ -255,7 +253,7 @@ class Watch:
         self.watched = Watched()
 
     def take(self, moment: Moment) -> None:
-        """Take a field message that has an up, a heading and a rate."""
+        """Add a field message, which counts if it has an up, a heading and a rate."""
         stamp, field, seen, heading, rate = moment
         if seen is None or heading is None or rate is None:
             return
@@ -277,7 +275,7 @@ class Watch:
         self._visit.append(row)
 
     def _propagate(self, stamp: float, rate: float) -> None:
-        """Integrate the gyro; a gap begins another path, and a jump of time clears the records."""
+        """Integrate the gyro; a gap starts another path, and a jump of time clears the records."""
         step = stamp - self._newest
         if not 0.0 <= step <= WATCH.memory:
             self._records.clear()
@@ -293,7 +291,7 @@ class Watch:
         self._newest, self._rate = stamp, rate
 
     def _close(self) -> None:
-        """Make one record of a visit, and look at all of them now and then."""
+        """Make one record of a visit, and test all records if that is due."""
         if not self._visit:
             return
         rows = np.array(self._visit)
@@ -319,7 +317,7 @@ class Watch:
 
     def _look(self, now: float) -> None:
         records: FloatArray = np.array(self._records)
-        # The newest half shows a change sooner, all of them one that needs many records.
+        # The newest half shows a change sooner; all records show a smaller one.
         late = records[records[:, 0] > now - 0.5 * WATCH.memory]
         findings: tuple[Check, ...] = ()
         for rows in (late, records):

@@ -1,1 +1,1 @@
-"""Several turns on different tilts, joined into one estimate of the full correction."""
+"""Several turns at different tilts, joined into one estimate of the full correction."""

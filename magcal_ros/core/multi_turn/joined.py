@@ -1,8 +1,8 @@
-"""Several turns joined: which agree, what they show, and what one more turn would add.
+"""Several turns joined: which agree, what they determine, and what one more turn would add.
 
-Whether a turn shows the same calibration as the others is a comparison of two hypotheses: one
-calibration for all turns, or one for the turn and another for the rest. Both are fitted, each with
-its own noise. The difference of their evidences is twice the log likelihood ratio.
+Whether a turn has the same calibration as the others is a test of two hypotheses: one calibration
+for all turns, or one for the turn and another for the rest. Both are fitted, each with separate
+noise sizes. The difference of their evidences is twice the log likelihood ratio.
 """
 
 from __future__ import annotations
@@ -42,15 +42,14 @@ from magcal_ros.core.smoother.unknowns import (
     YAW,
 )
 
-LOOKED_AT = 2.0  # misfit below which turns are not compared further; this only saves time
-LEAST = 0.03
-"""Share of a turn's own variance that the others take away at least, or they tell it nothing."""
-COPIED = 0.5  # share of samples in common from which a turn is a copy of another
-SHOWN_YAW = 0.5  # share of its prior's sigma below which the installation's yaw counts as shown
-SHORT = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
-"""Reasons that forbid a turn to stand alone and that other turns may mend."""
-GUESSED = (Reason.CIRCLE_TOO_SMALL, Reason.AXIS_ALONG_FIELD, Reason.FIELD_TOO_STEEP)
-"""The same where nothing is known of the field: one turn can only guess how steep it is."""
+COMPARED_ABOVE = 2.0  # misfit below which turns are not compared further; this only saves time
+LEAST_DIFFERENCE = 0.03  # least relative difference of the two variances in the Hausman test
+COPY_SHARE = 0.5  # fraction of common samples from which a turn is a copy of another
+SHOWN_YAW = 0.5  # ratio of posterior to prior sigma below which the installation's yaw is published
+JOINABLE = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
+"""Reasons for which a turn is not enough alone, but may be joined with others."""
+ALSO_JOINABLE = (Reason.CIRCLE_TOO_SMALL, Reason.AXIS_ALONG_FIELD, Reason.FIELD_TOO_STEEP)
+"""The same without a reference: one turn does not determine the dip of the field."""
 WORST_IS_LARGEST = (
     Figure.GYRO_COMPASS_SWING,
     Figure.STEADY_ACCELERATION,
@@ -59,10 +58,10 @@ WORST_IS_LARGEST = (
     Figure.IRON_DRIFT,
 )
 WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
-"""Figures of the turns' own fits of which the worst is reported."""
+"""Figures of the separate fits whose worst value is reported."""
 CONTRADICTS = (
-    "it contradicts {}: they differ by {:.0f} times what noise explains. Turn where the field is "
-    "undisturbed and the same, with the same load; if the robot itself has changed, start anew"
+    "it contradicts {}: their hard irons differ by {:.0f} sigmas. Turn where the field is "
+    "undisturbed and the same, with the same load; if the robot itself has changed, start over"
 )
 Z: FloatArray = np.array([0.0, 0.0, 1.0])
 SIDES = (
@@ -71,14 +70,14 @@ SIDES = (
     ("west", "the nose 10° up", (0.0, -CHECKED_TILT)),
     ("south", "the left side 10° up", (CHECKED_TILT, 0.0)),
 )
-"""Where a slope rises to; how a robot leans; roll and pitch (rad) that bring up to that axis."""
+"""Where a slope rises to; how a robot is tilted; roll and pitch (rad) of this tilt."""
 
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """One turn with its fits and what they come to, None where there are none.
+    """One turn with its estimate and fits, None if there are none.
 
-    `reason` is why it cannot stand alone, `unfit` why it cannot join; empty if it can.
+    `reason` is why the turn is not enough alone, `unfit` why it cannot join; empty if it can.
     """
 
     name: str
@@ -90,19 +89,19 @@ class Turn:
 
     @property
     def found(self) -> tuple[Estimate, Smoothed]:
-        """Its estimate and its fits, of a turn that may join."""
+        """The estimate and the fits of a turn that may join."""
         assert self.estimate is not None
         assert self.smoothed is not None
         return self.estimate, self.smoothed
 
     @property
     def fit(self) -> Fit:
-        """The fit of its most likely kind of motion."""
+        """The fit of the most likely kind of motion."""
         return self.found[1].fit
 
 
 def survey(windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge) -> list[Turn]:
-    """Fit each turn alone; what cannot join says why."""
+    """Fit each turn alone, and note why it cannot join."""
     turns: list[Turn] = []
     for window, name in zip(windows, names, strict=True):
         twin = next((t for t in turns if _is_copy(window, t.window)), None)
@@ -123,7 +122,7 @@ def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
         why = blamed_on_axes(refusal, window, knowledge)
         reference = knowledge.reference
         guessed = reference.strength.is_unknown and reference.inclination.is_unknown
-        mended = estimate is not None and refusal.reason in SHORT + GUESSED * guessed
+        mended = estimate is not None and refusal.reason in JOINABLE + ALSO_JOINABLE * guessed
         unfit = "" if mended else str(why).rstrip(".")
         return Turn(name, window, estimate, found, why.reason, unfit)
     wrong = wrong_axes(window, knowledge)
@@ -135,24 +134,24 @@ def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
 
 
 def _is_copy(window: Window, other: Window) -> bool:
-    """Return whether most samples of the shorter window are in the other; stamps may have moved."""
+    """Return whether most samples of the shorter window are in the other; stamps may differ."""
     one, two = (
         {row.tobytes() for row in np.hstack([each.field, each.specific_force])}
         for each in (window, other)
     )
-    return len(one & two) > COPIED * min(len(one), len(two))
+    return len(one & two) > COPY_SHARE * min(len(one), len(two))
 
 
 def agreement(alone: Sequence[Fit], together: Together, sigma: float) -> tuple[float, int | None]:
     """Compare each turn with all others.
 
-    Returns how many times as far as noise explains the hard iron of one is off that of all, at
-    worst, and the turn that most likely has another calibration than the rest; None if none has. Of
-    two that disagree it is the later one. `alone` are the fits of each turn by itself, `sigma`
-    (rad) is the prior of the installation's yaw.
+    Returns the largest normalised difference of a turn's hard iron from that of all turns, and the
+    turn that most likely has another calibration than the rest; None if none has. Of two turns that
+    disagree it is the later one. `alone` are the separate fits, `sigma` (rad) is the prior of the
+    installation's yaw.
     """
     misfit = max(_misfit(one, joint) for one, joint in zip(alone, together.fits, strict=True))
-    if misfit < LOOKED_AT or len(alone) < 2:
+    if misfit < COMPARED_ABOVE or len(alone) < 2:
         return misfit, None
     asked = range(len(alone)) if len(alone) > 2 else [1]
     gains = {k: _gain(alone, k, together, sigma) for k in asked}
@@ -161,33 +160,33 @@ def agreement(alone: Sequence[Fit], together: Together, sigma: float) -> tuple[f
 
 
 def _gain(alone: Sequence[Fit], odd: int, together: Together, yaw_sigma: float) -> float:
-    """Return twice the log likelihood ratio of a calibration of its own for one turn."""
+    """Return twice the log likelihood ratio of a separate calibration for one turn."""
     rest = fit_together([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
     own = fit_together([alone[odd]], yaw_sigma)
     return together.evidence - rest.evidence - own.evidence
 
 
 def _misfit(alone: Fit, joint: Fit) -> float:
-    """Return the RMS difference of hard iron in its own sigmas.
+    """Return the RMS difference of hard iron, normalised by its sigmas.
 
-    The answer of all varies with that of each, so that the variance of their difference is the
-    difference of their variances (Hausman, Econometrica 46, 1978).
+    The joint estimate is efficient: the variance of the difference is the difference of the
+    variances (Hausman, Econometrica 46, 1978).
     """
     iron = AT["iron"]
     values, vectors = np.linalg.eigh(alone.covariance[iron, iron])
     whiten = vectors / np.sqrt(np.maximum(values, 1e-12))
     shares, turned = np.linalg.eigh(whiten.T @ joint.covariance[iron, iron] @ whiten)
     off = turned.T @ whiten.T @ (alone.state.shared - joint.state.shared)[iron]
-    return float(np.sqrt(np.mean(off**2 / np.maximum(1.0 - shares, LEAST))))
+    return float(np.sqrt(np.mean(off**2 / np.maximum(1.0 - shares, LEAST_DIFFERENCE))))
 
 
-def those_that_agree(
+def agreeing_turns(
     surveyed: Sequence[Turn], knowledge: Knowledge
 ) -> tuple[list[Turn], Together | None, float]:
     """Leave out one turn after another until the rest agrees on one calibration.
 
-    Returns all turns, those left out with the reason, the joint fit of the others with the yaw of
-    the installation free, None if none is left, and by how much they disagree (`agreement`).
+    Returns all turns, those left out with the reason; the joint fit of the others with the yaw of
+    the installation free, None if none is left; and their misfit (`agreement`).
     """
     turns, sigma = list(surveyed), knowledge.mounting.yaw_sigma
     while members := [turn for turn in turns if not turn.unfit]:
@@ -209,12 +208,12 @@ def those_that_agree(
 def joint_estimate(
     together: Together, misfit: float, turns: Sequence[Turn], knowledge: Knowledge
 ) -> Estimate:
-    """Return a joint fit in the form that every method returns.
+    """Return the estimate of a joint fit.
 
     The turns are in the order of the fits; inliers and residuals are those of the last.
-    `Figure.HEADING_SIGMA` and its tilted twin leave out the offset that all headings have in
-    common, as for one turn; `installation_yaw_sigma` is that of the offset. The yaw is zero by
-    convention until the turns show it.
+    `Figure.HEADING_SIGMA` and `HEADING_SIGMA_TILTED` do not include the offset common to all
+    headings, as for one turn; its sigma is `installation_yaw_sigma`. The yaw is zero by convention
+    until the turns determine it.
     """
     prior_sigma = knowledge.mounting.yaw_sigma
     is_shown = yaw_sigma(together.fits[-1].covariance) < SHOWN_YAW * prior_sigma
@@ -222,9 +221,9 @@ def joint_estimate(
         together = fit_together([turn.fit for turn in turns], 0.0)
     fit, (_, own) = together.fits[-1], turns[-1].found
     found = posterior(fit, knowledge.mounting.matrix)
-    by_offset = rms_sigma(found.heading_jacobian, found.by_offset)
+    offset = rms_sigma(found.heading_jacobian, found.by_offset)
     joint = replace(
-        own, fits={own.mode: fit}, weights={own.mode: 1.0}, posterior=found, by_pull=by_offset
+        own, fits={own.mode: fit}, weights={own.mode: 1.0}, posterior=found, by_acceleration=offset
     )
     estimate = estimate_of(joint, turns[-1].window, knowledge)
     answers = [turn.found[0] for turn in turns]
@@ -232,7 +231,7 @@ def joint_estimate(
     figures = {
         **estimate.figures,
         **_worst_of(turns),
-        **_pulls(estimate, knowledge),
+        **_deviations(estimate, knowledge),
         Figure.HEADING_SIGMA: level,
         Figure.HEADING_SIGMA_TILTED: tilted,
         Figure.SAMPLES: float(sum(each.inliers.sum() for each in answers)),
@@ -247,7 +246,7 @@ def joint_estimate(
 
 
 def _worst_of(turns: Sequence[Turn]) -> dict[Figure, float]:
-    """Return the worst of the turns' own figures, of those that could stand alone."""
+    """Return the worst figures of the separate fits, of turns that are enough alone."""
     own = [turn.found[0].figures for turn in turns if turn.reason is None]
     figures: dict[Figure, float] = {}
     for names, worst in ((WORST_IS_LARGEST, max), (WORST_IS_SMALLEST, min)):
@@ -257,8 +256,8 @@ def _worst_of(turns: Sequence[Turn]) -> dict[Figure, float]:
     return figures
 
 
-def _pulls(estimate: Estimate, knowledge: Knowledge) -> dict[Figure, float]:
-    """Return by how many sigmas strength and inclination are off their beliefs."""
+def _deviations(estimate: Estimate, knowledge: Knowledge) -> dict[Figure, float]:
+    """Return the normalised differences of strength and inclination from the reference."""
     known = knowledge.reference
     pairs = (
         (Figure.STRENGTH_DEVIATION, estimate.strength, known.strength),
@@ -272,7 +271,7 @@ def _pulls(estimate: Estimate, knowledge: Knowledge) -> dict[Figure, float]:
 
 
 def heading_sigmas(found: Posterior) -> tuple[float, ...]:
-    """Return the yaw's sigma on the level and tilted, and both less the level's common offset."""
+    """Return the yaw's sigma on the level and tilted, and both without the level's mean offset."""
     field = field_in_enu(found.strength, found.inclination)
     level, tilted = (
         heading_jacobian(found.correction, field, tilt) for tilt in (0.0, CHECKED_TILT)
@@ -328,12 +327,12 @@ def _inverse(information: FloatArray) -> FloatArray:
 
 
 def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Advice, ...]:
-    """Return further turns, the one first that leaves the smallest absolute heading error.
+    """Return further turns, in order of the expected absolute heading error.
 
-    Each is imagined as the turn of `fit` about another axis; its expected information is added to
-    what there is. `information` (SHARED, SHARED) includes the priors.
+    Each repeats the turn of `fit` about another axis; its expected information is added to
+    `information` (SHARED, SHARED), which includes the priors.
     """
-    # What all attitudes keep is the axis of the turn, in the body and in the world.
+    # The direction that all attitudes share is the turn's axis, in the body and in the world.
     inside, _, outside = np.linalg.svd(fit.state.attitude.mean(axis=0))
     axis, up = (math.copysign(1.0, outside[0, 2]) * each for each in (inside[:, 0], outside[0]))
 
@@ -354,19 +353,19 @@ def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Adv
 def join(
     surveyed: Sequence[Turn], knowledge: Knowledge
 ) -> tuple[list[Turn], Estimate | None, Several | None]:
-    """Put together the turns that agree.
+    """Join the turns that agree.
 
-    Returns all turns, the estimate of those that joined (one alone stands by its own), and what
-    became of each; None where none joined.
+    Returns all turns, the joint estimate (None for less than two turns), and the report; None if
+    no turn joined.
     """
-    turns, together, misfit = those_that_agree(surveyed, knowledge)
+    turns, together, misfit = agreeing_turns(surveyed, knowledge)
     members = [turn for turn in turns if not turn.unfit]
     if together is None:
         return turns, None, None
     mounting, count = knowledge.mounting.matrix, len(members)
     known = [_known(together, first) for first in range(1, count + 1)]
     shown = [shown_by(each, together.fits[0], mounting) for each in known]
-    # The turn that saw most is the one that is imagined on other tilts.
+    # The advice repeats the turn with the longest arc at other tilts.
     whole = int(np.argmax([turn.found[0].arc for turn in members]))
     advice = advise(known[-1], together.fits[whole], mounting)
     several = Several(_fates(turns, shown), shown[-1], advice)
@@ -375,9 +374,9 @@ def join(
 
 
 def _known(together: Together, count: int) -> FloatArray:
-    """Return what is known of the unknowns that all share, by the first turns and beforehand.
+    """Return the information on the common unknowns, by the priors and the first turns.
 
-    The yaw of the installation stays zero by convention after one turn, whatever its sway shows.
+    After one turn, the yaw of the installation is zero by convention, whatever sway shows of it.
     """
     known = np.asarray(together.prior + np.sum(together.informations[:count], axis=0))
     if count == 1:

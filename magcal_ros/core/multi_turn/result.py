@@ -1,4 +1,4 @@
-"""What several turns show together, what the next one should be, and the turns that are kept."""
+"""The result of several turns, the advice for the next one, and the turns that are kept."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class KeptTuning:
-    """How much is kept of the turns: the oldest leaves first, and a long one is thinned."""
+    """How much is kept of the turns: the oldest is dropped first, and a long one is thinned."""
 
     most_turns: int = 12
     most_samples: int = 4000
@@ -31,7 +31,7 @@ class Kept:
     count: int = 0  # how many turns were tried, for the next one's name
 
     def joined(self, window: Window, several: Several) -> Kept:
-        """Return what is kept once a turn has joined; a turn that had to go for it goes."""
+        """Return the kept turns after a turn has joined, without those it has excluded."""
         windows, names = (*self.windows, window), (*self.names, self.next_name)
         rows = several.joined[-TUNING.most_turns :]
         return Kept(
@@ -42,7 +42,7 @@ class Kept:
 
     @property
     def next_name(self) -> str:
-        """What the next turn is called."""
+        """The name of the next turn."""
         return f"turn {self.count + 1}"
 
 
@@ -52,7 +52,7 @@ def _thinned(window: Window) -> Window:
 
 
 def names_of(paths: Sequence[str]) -> list[str]:
-    """Return names that tell recordings apart: the paths, numbered where one comes twice."""
+    """Return distinct names of recordings: the paths, numbered if repeated."""
     return [
         path if paths.count(path) == 1 else f"{path} ({paths[: k + 1].count(path)})"
         for k, path in enumerate(paths)
@@ -60,16 +60,16 @@ def names_of(paths: Sequence[str]) -> list[str]:
 
 
 WORTH_A_TURN = 0.85
-"""A number counts as better known below this share of its sigma; a further turn is advised where
-it does so for the absolute heading."""
+"""Ratio of sigmas below which a quantity counts as better known; a further turn is advised if that
+applies to the absolute heading."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """Standard deviations of what one turn cannot show, and of the heading.
+    """Standard deviations of quantities that one turn cannot determine, and of the heading.
 
-    Soft iron and the installation's yaw are unknown up to their priors, so that the numbers after
-    one turn and after several can be compared.
+    They include the priors of soft iron and the installation's yaw, so that those after one turn
+    and after several are comparable.
     """
 
     installation_yaw: float  # radians
@@ -79,13 +79,13 @@ class Shown:
     inclination: float  # tesla, radians
     level: float
     tilted: float
-    """Heading on the level and on slopes of 10° after one common offset is taken off, radians."""
+    """Heading on the level and on slopes of 10° without one common offset, radians."""
     absolute_level: float
-    absolute_tilted: float  # the same with that offset, which the yaw of the installation brings
+    absolute_tilted: float  # the same with this offset, the yaw of the installation
 
     @property
     def in_words(self) -> str:
-        """One line, people's units."""
+        """One line, in degrees and microtesla."""
         iron = 100.0 * max(self.soft_iron)
         return (
             f"installation yaw ±{_degrees(self.installation_yaw)}, "
@@ -97,7 +97,7 @@ class Shown:
         )
 
     def facts(self) -> dict[str, object]:
-        """Return the standard deviations in people's units, rounded."""
+        """Return the standard deviations in degrees, microtesla and percent, rounded."""
         degrees = {
             "installation_yaw": self.installation_yaw,
             "inclination": self.inclination,
@@ -115,14 +115,14 @@ class Shown:
         return facts
 
     def brought(self, before: Shown) -> str:
-        """Say what a turn brought, from what was shown before it."""
+        """Return in words what a turn has improved, compared with `before`."""
         said = self.changes(before)
         if not said:
             return "the same tilt as before: this reduces noise, but shows nothing new"
         return "brought " + ", ".join(said)
 
     def changes(self, before: Shown) -> list[str]:
-        """Name what is better known than before, the most important first."""
+        """Return what is better known than before, the most important first."""
         tilted, iron = "absolute heading at 10° of tilt", max(self.soft_iron)
         rows = [
             ("installation yaw", before.installation_yaw, self.installation_yaw, _degrees),
@@ -144,7 +144,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Advice:
-    """A further turn, and what it would bring."""
+    """A further turn, and the expected result."""
 
     pose: str  # how the robot should stand, to be read after "turn"
     after: Shown
@@ -152,20 +152,20 @@ class Advice:
 
 @dataclass(frozen=True)
 class TurnFate:
-    """What became of one turn."""
+    """The result for one turn."""
 
     name: str
     joined: bool
     words: str  # what it added, or why it was left out
-    shown: Shown | None = None  # what was shown once it had joined; None if it did not
+    shown: Shown | None = None  # standard deviations after it joined; None if it did not
 
 
 @dataclass(frozen=True)
 class Several:
-    """The report on turns that were put together."""
+    """The report on joined turns."""
 
-    fates: tuple[TurnFate, ...]  # one for each turn, in their order
-    shown: Shown  # what is shown by those that joined
+    fates: tuple[TurnFate, ...]  # one for each turn, in order
+    shown: Shown  # standard deviations by the turns that joined
     advice: tuple[Advice, ...]  # further turns, the best first
 
     @property
@@ -180,7 +180,7 @@ class Several:
 
     @property
     def advice_in_words(self) -> str:
-        """What the next turn should be, with the numbers before and after."""
+        """The advice for the next turn, with the numbers before and after."""
         now = f"absolute heading at 10° of tilt ±{_degrees(self.shown.absolute_tilted)}"
         if not self.advice:
             return f"Now {now}."
@@ -188,7 +188,7 @@ class Several:
         if not first.after.is_worth_a_turn(self.shown):
             left = _degrees(first.after.absolute_tilted)
             return f"Another turn would bring little: {now} (at best ±{left})."
-        # The best of the other kind: on a slope, or leaning.
+        # The best of the other kind: on a slope, or with a tilted robot.
         other = next((a for a in self.advice if a.pose[:2] != first.pose[:2]), first)
         both = [first]
         if other is not first and other.after.is_worth_a_turn(self.shown):
@@ -198,7 +198,7 @@ class Several:
 
     @property
     def in_words(self) -> str:
-        """Several sentences: what joined, what did not and why, what is shown, what next."""
+        """Several sentences: which turns joined, why others did not, results, advice."""
         count = len(self.joined)
         words = f"{count} turn{'s' if count > 1 else ''} together: {self.shown.in_words}."
         for fate in self.fates:
@@ -207,7 +207,7 @@ class Several:
         return f"{words} {self.advice_in_words}"
 
     def facts(self) -> dict[str, object]:
-        """Return everything as plain values in people's units, for JSON."""
+        """Return everything as plain values for JSON, in degrees, microtesla and percent."""
         return {
             "turns": [
                 {

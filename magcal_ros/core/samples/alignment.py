@@ -1,11 +1,10 @@
-"""The fit of a turn's field and gravity to the gyro, for many ways of the axes at once.
+"""The fit of a turn's field and gravity to the gyro, for many candidate axes at once.
 
-A field that stands still in the world is `v(t) = R(t) f` in the body, R propagated by the gyro from
-the first sample. A magnetometer whose axes are P shows `m(t) = P ((I + N) v(t - lag) + h)`: N holds
-a small installation error and soft iron, h is the hard iron. For every P, and for every way G in
-which the gyro's axes may lie, all of it is fitted together with the gyro's bias and scale and the
-direction of gravity, over the whole stretch and not between neighbours, where noise would hide the
-turn.
+A constant field in the world is `v(t) = R(t) f` in the body, with R propagated by the gyro from the
+first sample. A magnetometer with axes P measures `m(t) = P ((I + N) v(t - lag) + h)`: N is a small
+installation error and soft iron, h the hard iron. For every P, and for all possible axes G of the
+gyro, these are fitted together with the gyro's bias and scale and the direction of gravity. The fit
+spans the whole stretch; between neighbours, noise would hide the turn.
 """
 
 from __future__ import annotations
@@ -28,10 +27,9 @@ from magcal_ros.core.samples.window import Stretch
 
 @dataclass(frozen=True)
 class AlignmentTuning:
-    """What is assumed while the axes are weighed.
+    """Priors while candidate axes are compared.
 
-    Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a second of
-    latency.
+    They allow a gyro bias of 5 °/s, a scale error of a fifth, and half a second of latency.
     """
 
     installation: float = math.radians(5.0)
@@ -39,35 +37,35 @@ class AlignmentTuning:
     soft_iron: float = 0.05  # standard deviation of each element of the soft iron, dimensionless
     bias: float = math.radians(6.0)  # rad/s, standard deviation of the gyro's bias
     scale: float = 0.2  # standard deviation of the gyro's scale error
-    lag: float = 0.3  # seconds, standard deviation of how late the field is
+    lag: float = 0.3  # seconds, standard deviation of the field's latency
     hard_iron: float = 4.0  # standard deviation of the hard iron over the field's size
     field_floor: float = 0.01
     up_floor: float = math.radians(2.0)
-    """Least noise that is believed: over the field's size, and radians."""
+    """Least noise that is assumed: over the field's size, and radians."""
     freedom: float = 4.0  # degrees of freedom of the t distribution of the residuals
 
 
 WIDE = AlignmentTuning()
 START_NOISE = np.array([0.1, 0.1])
-"""Of field (over its size) and up (radians) in the first rounds: wide, so that all can move."""
+"""Noise of field (over its size) and up (radians) in the first rounds: wide, for all to move."""
 NO_BIAS = np.zeros(3)
 SETTLED = 0.01
 """Change of chi-square below which all candidates have settled."""
 FIRST_STEPS = 5
 ROUNDS = ((80.0, 4), (400.0, 4), (400.0, 4))
-"""Misfit, first with wide noise and then with that of the best one, beyond which a candidate is
-given up; and steps between estimates of the noise."""
+"""Misfit beyond which a candidate is dropped, first with wide noise and then with that of the best
+one; and steps between estimates of the noise."""
 PARAMETERS = 23
 SOFT, FIELD, IRON, UP = slice(0, 9), slice(9, 12), slice(12, 15), slice(15, 18)
 BIAS, SCALE, LAG = slice(18, 21), 21, 22
 OF_FIELD = np.r_[9:12, 18:23]
-"""What acts on the field before the soft iron does."""
+"""Parameters that act on the field before the soft iron."""
 OF_UP = np.r_[15:22]
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """What became of every candidate."""
+    """The fits of all candidates."""
 
     misfit: FloatArray
     """Twice the negative log of the posterior of independent samples above the best's, (k,)."""
@@ -76,15 +74,15 @@ class Alignment:
     """Soft iron and installation, field, hard iron, gravity (both sensors in body axes), the gyro's
     bias (rad/s) and scale error, and the field's lag (s). Shape (k, 23)."""
     covariance: FloatArray
-    """Of the parameters; infinite for candidates that were given up. Shape (k, 23, 23)."""
-    tilt: float  # radians RMS by which the movement was more than a turn about one axis
+    """Of the parameters; infinite for candidates that were dropped. Shape (k, 23, 23)."""
+    tilt: float  # deviation of the movement from a turn about one axis, radians RMS
     least_tilt: float
-    """The part of it that is not the gyro's own wandering: so much of it may be that as gravity
-    deviates in the world meanwhile."""
+    """The part of `tilt` that cannot be drift of the gyro. At most, drift is the deviation of
+    gravity in the world, by the gyro's attitudes."""
 
     @property
     def best(self) -> int:
-        """Which candidate explains the samples best."""
+        """Index of the candidate that explains the samples best."""
         return int(np.argmin(self.misfit))
 
 
@@ -95,9 +93,9 @@ def align(
     with_up: bool = True,
     bias: FloatArray = NO_BIAS,
 ) -> Alignment:
-    """Fit every candidate and say how much worse than the best it explains the samples.
+    """Return the fits of all candidates, with their misfit relative to the best.
 
-    Takes the same as `AlignmentFit`; `bias` (3,) is that of the gyro's rates at first, rad/s.
+    Parameters as for `AlignmentFit`; `bias` (3,) is the initial bias of the gyro, rad/s.
     """
     problem = AlignmentFit(stretch, axes, gyro, WIDE, with_up)
     some, noise = problem.descend(problem.start(bias), START_NOISE, FIRST_STEPS), START_NOISE
@@ -120,7 +118,7 @@ def align(
     attitude = problem.propagate(some)[0][int(np.argmin(cost))]
     apart = attitude - attitude.mean(axis=0)
     power = np.einsum("nij,nik->jk", apart, apart) / len(attitude)
-    # How far attitudes leave the turn about one axis.
+    # Deviation of the attitudes from a turn about one axis.
     tilt = math.sqrt(max(float(np.linalg.eigvalsh(power)[0]), 0.0))
     wandering = _gravity_spread(attitude, stretch.up)
     least_tilt = math.sqrt(max(tilt**2 - wandering**2, 0.0))
@@ -128,16 +126,16 @@ def align(
 
 
 def _gravity_spread(attitude: FloatArray, up: FloatArray) -> float:
-    """Return how far gravity deviates in the world that attitudes (n, 3, 3) tell, radians RMS."""
+    """Return the deviation of gravity in the world by attitudes (n, 3, 3), radians RMS."""
     up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
-    # Whatever the axes of gyro and accelerometer: those with which it deviates least count.
+    # The axes of gyro and accelerometer are unknown: those with the least deviation are used.
     world = np.einsum("nji,kjl,nl->kni", attitude, signed_permutations(), up)
     deviations = world - world.mean(axis=1, keepdims=True)
     return math.sqrt(float(np.sum(deviations**2, axis=2).mean(axis=1).min()))
 
 
 def inefficiency(residual: FloatArray) -> float:
-    """Return how many neighbours (n, 3) count as one sample: those of a vehicle repeat long."""
+    """Return the number of correlated residuals (n, 3) that count as one independent sample."""
     centred = residual - residual.mean(axis=0)
     power = float(np.sum(centred**2)) + 1e-300
     total, n = 1.0, len(centred)
@@ -152,9 +150,9 @@ def inefficiency(residual: FloatArray) -> float:
 class AlignmentFit:
     """The fit of all candidates at once; a state is an array (k, 23).
 
-    Rows of a candidate's `axes` (k, 3, 3) are the magnetometer's in the body's, and those of `gyro`
-    the gyro's. With `with_up` gravity takes part, as the second of two sensors. `share` is how many
-    independent samples one sample of each sensor counts.
+    Rows of a candidate's `axes` (k, 3, 3) are the magnetometer's axes in body axes, those of `gyro`
+    the gyro's. With `with_up` gravity is a second sensor. `share` is the number of independent
+    samples for each sample of a sensor.
     """
 
     def __init__(
@@ -171,7 +169,7 @@ class AlignmentFit:
         self.share = np.ones(self.sensors)
         self.gyro = gyro
         self.rate = stretch.rate @ gyro
-        # A mirrored gyro turns the order of two turns around.
+        # A mirrored gyro reverses the order of two turns.
         sense = np.linalg.det(gyro)[:, None, None]
         self.rotation = stretch.turn @ gyro + sense * (stretch.coning @ gyro)
         self.measured = np.einsum("kij,ni->knj", axes, stretch.field)
@@ -183,7 +181,7 @@ class AlignmentFit:
         ends = [tuning.scale**-2.0, tuning.lag**-2.0]
         sizes = [[0.0] * 9, [loose] * 3, [iron] * 3, [free] * 3, [bias] * 3, ends]
         self.prior = np.diag(np.concatenate(sizes))
-        # Of a rotation by d two elements are ± d, whence the half.
+        # A rotation by d has two elements ± d: hence the factor 0.5.
         self.prior[SOFT, SOFT] = (
             0.5 * antisymmetric / tuning.installation**2 + symmetric / tuning.soft_iron**2
         )
@@ -204,9 +202,9 @@ class AlignmentFit:
         return state
 
     def propagate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return attitudes (k, n, 3, 3) from the first sample's, and what bias and scale do.
+        """Return attitudes (k, n, 3, 3) since the first sample, and derivatives by bias and scale.
 
-        The latter has shape (k, n, 3, 4): rotation vectors, on the left of the attitudes.
+        The derivatives are rotation vectors on the left of the attitudes, shape (k, n, 3, 4).
         """
         bias, scale = state[:, BIAS], state[:, SCALE]
         seconds = self.stretch.seconds
@@ -219,21 +217,21 @@ class AlignmentFit:
         pushed[..., :3] = halfway * seconds[:, None, None]
         pushed[..., 3] = -np.einsum("knij,knj->kni", halfway, self.rotation)
         attitude = chained(steps)
-        # Pushes add up in the world; each is turned back into the body that it is asked for.
+        # The derivatives are summed in the world, and rotated into the body of each sample.
         pushes = np.cumsum(attitude[:, 1:].swapaxes(2, 3) @ pushed, axis=1)
         moved = np.zeros((count, n, 3, 4))
         moved[:, 1:] = attitude[:, 1:] @ pushes
         return attitude, moved
 
     def linearised(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return measured less expected, and how what is expected changes with the parameters.
+        """Return the residuals, and the Jacobian of the predictions.
 
         Shapes (k, s, n, 3) and (k, s, n, 3, 23); the first sensor is the field, the second up.
         """
         attitude, moved = self.propagate(state)
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
         rate = (1.0 + state[:, SCALE, None, None]) * self.rate - state[:, None, BIAS]
-        # What was measured a second ago was less turned by this.
+        # Derivative of the field by the lag.
         late = crossed(rate, body)
         seen = body + state[:, LAG, None, None] * late
         soft = np.eye(3) + state[:, SOFT].reshape(-1, 1, 3, 3)
@@ -253,7 +251,7 @@ class AlignmentFit:
         return residual, jacobian
 
     def noise(self, state: FloatArray, best: int) -> FloatArray:
-        """Return the noise per axis (s,) that one candidate's residuals show."""
+        """Return the noise per axis (s,) from the residuals of one candidate."""
         values = self.linearised(state)[0][best]
         typical = np.sqrt(np.median(np.sum(values**2, axis=2), axis=1) / 2.37)
         whole = float(np.linalg.norm(state[best, FIELD]))
@@ -306,5 +304,5 @@ class AlignmentFit:
 
 
 def turned(vectors: FloatArray, turns: FloatArray) -> FloatArray:
-    """Return how turns (k, n, 3, m) of the body move vectors (k, n, 3), shape (k, n, 3, m)."""
+    """Return the change of vectors (k, n, 3) by small rotations (k, n, 3, m) of the body."""
     return np.asarray(-skews(vectors) @ turns)

@@ -14,18 +14,17 @@ Messages: TypeAlias = Sequence[tuple[float, float]]
 """Stamps, seconds, and currents, amperes."""
 SILENT = 1.5  # seconds without a message after which a current counts as unknown
 LEAST = 0.05
-"""Share of the messages whose current may be below the reference: motors that brake may give a
-current back, which passes zero."""
+"""Fraction of the messages whose current may be below the reference: braking motors may return
+current, which then passes through zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class Battery:
     """The current of a battery over time.
 
-    A calibration by it is that of the robot at the current `reference`. That is the least current
-    of the turn: usually what the electronics draw while no motor runs. They always draw it, so that
-    its field is part of the hard iron. Motors that hold the robot add the field of what they draw
-    beyond it, also at rest.
+    A calibration refers to the robot at the current `reference`, the least current of the turn. It
+    is usually that of the electronics without motors, whose constant field is part of the hard
+    iron. Motors that hold the robot at rest add the field of the current beyond the reference.
     """
 
     time: FloatArray  # stamps, seconds, increasing. Shape (k,).
@@ -42,10 +41,9 @@ class Battery:
 
 
 def battery_of(messages: Messages, begin: float, end: float) -> Battery | None:
-    """Return the current from one moment to another by messages.
+    """Return the current between two moments, from messages.
 
-    None if it was not measured throughout, or if it is constant, as in drivers that fill in a
-    number: then it shows nothing.
+    None if it was not measured throughout, or if it is constant: some drivers publish a constant.
     """
     known = {stamp: current for stamp, current in messages if np.isfinite([stamp, current]).all()}
     rows = np.array(sorted(known.items())).reshape(-1, 2)
@@ -61,8 +59,7 @@ def battery_of(messages: Messages, begin: float, end: float) -> Battery | None:
 def with_one_reference(batteries: Sequence[Battery | None]) -> list[Battery | None]:
     """Return the currents of several turns beyond the same reference, the least of all.
 
-    None for all if it was not measured in each: a field that follows the current has no other
-    explanation in the turn without it.
+    All are None if one turn has no current: its field of the motors would have no explanation.
     """
     known = [each for each in batteries if each is not None]
     if len(known) < len(batteries):

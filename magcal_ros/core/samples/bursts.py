@@ -1,4 +1,4 @@
-"""Stamps that come in bursts, as where a buffer is read now and then."""
+"""Stamps that come in bursts, because samples are stamped when a buffer is read."""
 
 from __future__ import annotations
 
@@ -14,35 +14,34 @@ from magcal_ros.core.geometry.arrays import FloatArray, accumulated
 class BurstTuning:
     """When stamps come in bursts."""
 
-    share: float = 0.5  # of the time that passes in gaps
-    longer: float = 5.0  # how many usual gaps such a one lasts
-    fewest: int = 10  # gaps from which they are more than pauses
+    share: float = 0.5  # least fraction of the time in gaps between bursts
+    longer: float = 5.0  # least length of such a gap, in median gaps
+    fewest: int = 10  # least number of such gaps; fewer are pauses
     alike: float = 0.4
     apart: float = 0.25
-    """Share within this relative distance of the usual one: buffers are read by the clock."""
-    each: float = 3.0
-    """Samples that a burst has at least; pairs are rather messages that come twice."""
+    """Least fraction of gaps within this relative distance of their median: buffers are read at
+    regular intervals."""
+    each: float = 3.0  # least samples in a burst; pairs are more likely repeated messages
     straight: float = 1.5
-    """How many usual gaps the stamps may be off an even rate, from the earliest to the latest;
-    whole bursts are missing beyond."""
-    harmful: float = 0.1  # seconds between bursts from which a running robot's user is told
-    watched: int = 3000  # gaps that are looked at while samples come
+    """Largest range of the stamps about a constant rate, in gaps between bursts; beyond, whole
+    bursts are missing."""
+    harmful: float = 0.1  # seconds between bursts from which the user of a running robot is told
+    watched: int = 3000  # newest gaps that are examined while samples come
 
 
 BURSTS = BurstTuning()
 
 
 def long_gaps(time: FloatArray) -> FloatArray:
-    """Return the gaps between bursts, seconds; empty where most of the time passes otherwise.
+    """Return the gaps between bursts, seconds; empty if stamps (n,) do not come in bursts.
 
-    A few long gaps are pauses of a recording, and no bursts. Pauses are thinned out of a turn
-    before it is fitted, which leaves gaps of all lengths. `time` (n,) holds the stamps in their
-    order.
+    A few long gaps are pauses of a recording. Thinning the pauses of a turn leaves gaps of all
+    lengths. Neither are bursts.
     """
     gaps = np.diff(time)
     if len(gaps) < BURSTS.fewest:
         return gaps[:0]
-    # Stamps of one buffer may be equal but for rounding: then the median alone parts nothing.
+    # The stamps of one buffer may be equal except for rounding: the median gap is then near zero.
     long = gaps[gaps > max(BURSTS.longer * float(np.median(gaps)), float(np.mean(gaps)))]
     if len(long) < BURSTS.fewest or long.sum() <= BURSTS.share * float(time[-1] - time[0]):
         return gaps[:0]
@@ -52,7 +51,7 @@ def long_gaps(time: FloatArray) -> FloatArray:
 
 
 def bursts_in_words(time: FloatArray) -> str:
-    """Say that stamps (n,) come in bursts, and what to do about it; empty where they do not."""
+    """Return a warning that stamps (n,) come in bursts, with a remedy; empty if they do not."""
     long = long_gaps(time)
     if not len(long):
         return ""
@@ -69,13 +68,11 @@ def evenly(time: FloatArray) -> FloatArray:
 
 
 def spread_bursts(time: FloatArray) -> FloatArray | None:
-    """Return stamps that came in bursts as they would have been; None where that is not known.
+    """Return the stamps of a sensor with a constant rate, from stamps that come in bursts.
 
-    The sensor is taken to have measured at one rate all along. No sample was measured after its
-    stamp, and the newest of a buffer just before it was read.
-
-    `time` (n,) are the stamps of a whole recording, in the order in which they came, seconds. None
-    as well if samples are missing, or time was set back.
+    No sample was measured after its stamp, and the newest of a buffer was measured just before the
+    buffer was read. `time` (n,) are the stamps of a whole recording, in order of arrival, seconds.
+    None if there are no bursts, samples are missing, or time was set back.
     """
     long = long_gaps(time)
     if not len(long) or len(time) < BURSTS.each * len(long):
@@ -90,31 +87,31 @@ def spread_bursts(time: FloatArray) -> FloatArray | None:
 def spread_each(time: FloatArray) -> FloatArray:
     """Return stamps (n,) that come in bursts, each burst spread over the time before it was read.
 
-    For a recording in which samples are missing: a line through all stamps would be wrong by as
-    much as is missing. A buffer that held more than usual overlaps the one before.
+    For a recording with missing samples, whose stamps do not lie on a line. A buffer with more
+    samples than usual overlaps the previous one.
     """
     gaps = np.diff(time)
     first = np.append(0, np.flatnonzero(gaps >= long_gaps(time).min()) + 1)
     counts = np.diff(np.append(first, len(time)))
-    # Before the first one no gap is known; where bursts are missing, a gap is too long.
+    # There is no gap before the first burst; where bursts are missing, a gap is too long.
     period = float(np.median(gaps[first[1:] - 1] / counts[1:]))
     last = np.repeat(first + counts - 1, counts)
     return np.asarray(time[last] - period * (last - np.arange(len(time))))
 
 
 class BurstWatch:
-    """Watches whether stamps come in bursts, gap after gap."""
+    """Detects stamps that come in bursts, from the gaps between them."""
 
     def __init__(self) -> None:
         self._gaps: deque[float] = deque(maxlen=BURSTS.watched)
 
     def add(self, gap: float) -> None:
-        """Take the seconds from the stamp before."""
+        """Add the time since the previous stamp, seconds."""
         self._gaps.append(gap)
 
     @property
     def words(self) -> str:
-        """Say that they do, and what to do about it; empty where it does no harm."""
+        """A warning with a remedy; empty if bursts are absent or harmless."""
         time = accumulated(np.array(self._gaps))
         long = long_gaps(time)
         is_harmful = len(long) > 0 and float(np.median(long)) > BURSTS.harmful

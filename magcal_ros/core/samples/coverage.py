@@ -1,4 +1,4 @@
-"""How much of the turn has been seen, and where the gap is."""
+"""Which headings of a turn have been seen, and where the largest gap is."""
 
 from __future__ import annotations
 
@@ -13,25 +13,23 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, int
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
 from magcal_ros.core.geometry.shapes import fit_circle_in_space
 
-BINS, THINNED = 36, 180  # bins of the circle in which a turn is shown, and in which it is thinned
+BINS, THINNED = 36, 180  # bins of the circle, to display a turn and to thin it
 
 
 @dataclass(frozen=True)
 class CoverageTuning:
-    """When a turn is seen, and when it is complete."""
+    """When a turn is detected, and when it is complete."""
 
-    largest_gap: float = math.radians(20.0)
-    """Radians that a complete turn may leave out at one place."""
-    spacings: float = 4.0  # mean distances between samples that are no gap
+    largest_gap: float = math.radians(20.0)  # radians, of a complete turn
+    spacings: float = 4.0  # mean distances between samples that do not count as a gap
     spread_over_noise: float = 6.0
-    """The field's cloud must be so many times wider than its noise before it shows a phase."""
-    smallest_radius: float = 4e-6  # tesla, a smaller circle is noise, or a robot that stands
+    """Least ratio of the field's spread to its noise before the phase is used."""
+    smallest_radius: float = 4e-6  # tesla, a smaller circle is noise, or a robot at rest
     gyro_leads_until: float = math.radians(60.0)
-    """Radians. A shorter arc does not show its circle well; a gyro measures it."""
+    """Radians. A shorter arc does not determine the field's circle; the gyro is used instead."""
     smallest_turn: float = math.radians(10.0)
-    """Radians of the gyro that are a turn, beyond what its bias pretends."""
-    largest_gyro_bias: float = math.radians(1.0)
-    """rad/s. A gyro at rest may pretend to turn as fast as this."""
+    """Radians. Least turn by the gyro, in addition to the drift by its largest bias."""
+    largest_gyro_bias: float = math.radians(1.0)  # rad/s, of a gyro at rest
 
 
 COVERAGE = CoverageTuning()
@@ -43,7 +41,7 @@ class Coverage:
 
     filled: BoolArray  # bins of yaw relative to the first sample, counter-clockwise. Shape (36,).
     arc: float
-    """Radians seen: the full turn less the largest gap, unless that is a few samples' spacing."""
+    """Radians seen: the full turn minus the largest gap, if that exceeds a few sample spacings."""
     gap: float  # radians of the largest gap
     gap_centre: float
     """Radians from the start to the middle of the largest gap, positive to the left."""
@@ -56,7 +54,7 @@ class Coverage:
 
     @classmethod
     def of(cls, progress: FloatArray) -> Coverage:
-        """Measure the unwrapped yaw progress (n,), radians from the start, left positive."""
+        """Return the coverage of unwrapped yaw (n,), radians from the start, left positive."""
         if len(progress) < 2:
             return cls.nothing()
         around = np.sort(np.mod(progress, 2.0 * math.pi))
@@ -79,12 +77,12 @@ class Coverage:
 
     @property
     def has_turned(self) -> bool:
-        """Whether the robot has turned at all: at rest it may seem to have turned a little."""
+        """Whether the robot has turned by more than noise at rest."""
         return self.arc >= math.radians(5.0)
 
     @property
     def hole_in_words(self) -> str:
-        """The largest gap as a person would point at it; empty when the turn is complete."""
+        """The largest gap in words; empty when the turn is complete."""
         if self.is_complete:
             return ""
         size = math.degrees(self.gap)
@@ -111,12 +109,12 @@ def yaw_progress(
 ) -> FloatArray | None:
     """Return how far the robot has turned since the first sample.
 
-    The field's phase on its circle shows it; the gyro does before the circle can be seen, and
-    where the field is too steep to draw one.
+    It is the field's phase on its circle. The gyro is used while no circle is visible, also where
+    the field is too steep for one.
 
-    `field` (n, 3) is in nominal body axes, hard iron still in it, tesla, `force` (n, 3) in m/s²,
-    and `rate` (n, 3) in rad/s. Returns unwrapped radians (n,), counter-clockwise positive; None
-    while neither sensor shows a turn.
+    `field` (n, 3) is in nominal body axes, with hard iron, tesla, `force` (n, 3) in m/s², and
+    `rate` (n, 3) in rad/s. Returns unwrapped radians (n,), counter-clockwise positive; None while
+    neither sensor shows a turn.
     """
     if len(time) < 5:
         return None
@@ -131,7 +129,7 @@ def yaw_progress(
 
 
 def _beyond_drift(time: FloatArray, turned: FloatArray) -> FloatArray | None:
-    """Return the gyro's turn if it is more than a gyro at rest pretends; else None."""
+    """Return the gyro's turn if it exceeds the drift of a gyro at rest; else None."""
     drift = COVERAGE.largest_gyro_bias * float(time[-1] - time[0])
     return turned if np.ptp(turned) > COVERAGE.smallest_turn + drift else None
 
@@ -139,7 +137,7 @@ def _beyond_drift(time: FloatArray, turned: FloatArray) -> FloatArray | None:
 def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
     """Return minus the field's phase on its circle about `up`, unwrapped from the first sample."""
     spread = float(np.linalg.eigvalsh(np.cov(field.T))[-1])
-    # Third differences: a turn of half a radian from sample to sample leaves little in them.
+    # Third differences contain little of the turn, up to half a radian from sample to sample.
     steps = np.diff(field, 3, axis=0)
     noise = math.sqrt(float(np.median(np.sum(steps**2, axis=1))) / 60.0)
     if math.sqrt(max(spread, 0.0)) < COVERAGE.spread_over_noise * noise:
@@ -155,13 +153,13 @@ def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
 
 
 def thin_to_equal_angles(progress: FloatArray, most: int | None = None) -> IntArray:
-    """Choose samples so that a pause does not weigh.
+    """Choose samples so that pauses have no extra weight.
 
     A bin of headings keeps at most twice the median number of samples of a filled bin, evenly
-    spread over the time that was spent in it; fewer if that is still too many in all.
+    spread over the time in the bin; fewer if the total would exceed `most`.
 
-    `progress` (n,) is the yaw of each sample, radians, and `most` the samples to keep in all; at
-    least one stays of each filled bin. Returns increasing row numbers.
+    `progress` (n,) is the yaw of each sample, radians. At least one sample of each filled bin is
+    kept. Returns increasing row numbers.
     """
     where = (np.mod(progress, math.tau) * (THINNED / math.tau)).astype(np.int64) % THINNED
     counts = np.bincount(where, minlength=THINNED)

@@ -1,4 +1,4 @@
-"""A drive as it is remembered: sensors averaged over a tenth of a second."""
+"""The record of a drive: sensors averaged over a tenth of a second."""
 
 from __future__ import annotations
 
@@ -27,28 +27,27 @@ from magcal_ros.core.samples.window import Steps, Window, steps_of
 
 @dataclass(frozen=True)
 class RecorderTuning:
-    """How a drive is averaged, and when a robot rests on the way."""
+    """How a drive is averaged, and when the robot rests during it."""
 
-    row: float = 0.1  # seconds of samples that make one row
-    chunk: int = 10  # rows after which it is asked whether the robot rests
-    rests: int = 60
-    rest_chunks: int = 60
-    """What is remembered of the gyro: rests, and chunks of each that its mean is over."""
+    row: float = 0.1  # seconds of samples in one row
+    chunk: int = 10  # rows between tests for a rest
+    rests: int = 60  # newest rests whose gyro bias is stored
+    rest_chunks: int = 60  # memory of the mean rate during a rest, in chunks
     rest_field: float = 0.6e-6
     rest_rate: float = math.radians(0.5)
     rest_force: float = 0.15
     rest_noise: float = 0.5
     rest_speed: float = 0.1
-    """A robot rests while five seconds of rows change by less than this from half to half: tesla
-    and rad/s, so many times their spread included; the force may spread by m/s², and the speed,
-    where it is known, is m/s at most."""
+    """Limits of a rest over five seconds. For field (tesla) and rate (rad/s): the difference of
+    both halves, plus `rest_noise` standard deviations. For force: its standard deviation, m/s². For
+    a known speed: its size, m/s."""
 
 
 TUNING = RecorderTuning()
 
 
 def log_of(window: Window) -> Window:
-    """Average a window that has a gyro, as a recorder of a drive does."""
+    """Average a window with a gyro, as `DriveRecorder` does."""
     assert window.angular_rate is not None
     block = ((window.time - window.time[0]) / TUNING.row).astype(int)
     first = np.flatnonzero(np.diff(block, prepend=-1))
@@ -68,40 +67,39 @@ def log_of(window: Window) -> Window:
 
 
 RESTED, WIDTH = COLUMNS, COLUMNS + 1
-"""Of the rows of a drive, beside the columns of any samples in rows."""
+"""Columns of the rows of a drive, in addition to those of all samples in rows."""
 
-CHUNKS_OF_REST = 5  # chunks over which a rest is looked for
+CHUNKS_OF_REST = 5  # chunks over which a rest is detected
 
 
 @dataclass
 class _Rest:
-    """What the gyro reads at rest."""
+    """The gyro's rate at rest."""
 
-    clock: float  # the drive's own when the rest began, minus infinity before any movement
+    clock: float  # of the drive when the rest began, minus infinity before any movement
     rate: FloatArray
     sigma: float  # of the rate when the rest began
     chunks: int
 
     @classmethod
     def of(cls, clock: float, means: FloatArray) -> _Rest:
-        """Begin one with the means of some chunks (n, 3)."""
+        """Return a rest, from the means of its first chunks (n, 3)."""
         scatter = float(np.mean(means.var(axis=0, ddof=1)))
         return cls(clock, means.mean(axis=0), math.sqrt(scatter / len(means)), len(means))
 
     def add(self, mean: FloatArray, most: int) -> None:
-        """Take another chunk: a mean over the newest ones, as a bias wanders."""
+        """Add a chunk to the mean, which is over the newest chunks because a bias drifts."""
         self.chunks = min(self.chunks + 1, most)
         self.rate = self.rate + (mean - self.rate) / self.chunks
 
 
 class DriveRecorder:
-    """Averages samples into rows, and keeps those of so many seconds of movement.
+    """Averages samples into rows, and keeps those of the last `seconds` of movement.
 
-    Its clock runs while the robot moves: a pause is cut out, however long it is. Where time jumps,
-    or nothing is heard for longer than it takes to see a rest, a piece of the drive ends, and the
-    next follows it on the clock. A piece too short for that is dropped. `begun` is where its clock
-    began, seconds, NaN before the first movement; `rests` is whether the robot stood in the last
-    second.
+    Its clock runs while the robot moves: pauses are cut out. A jump of time, or a gap longer than
+    it takes to detect a rest, ends a piece of the drive; the next piece follows on the clock. A
+    piece too short to detect a rest is dropped. `begun` is the clock's start, seconds, NaN before
+    the first movement; `rests` is whether the robot rested in the last second.
     """
 
     def __init__(self, seconds: float) -> None:
@@ -132,28 +130,28 @@ class DriveRecorder:
 
     @property
     def clock(self) -> float:
-        """The newest moment that is kept, seconds; minus infinity before the first."""
+        """Time of the newest row that is kept, seconds; minus infinity before the first."""
         return float(self._chunks[-1][-1, 0]) if self._chunks else -math.inf
 
     @property
     def seconds(self) -> float:
-        """Of movement that are kept."""
+        """Seconds of movement that are kept."""
         return self.clock - float(self._chunks[0][0, 0]) if self._chunks else 0.0
 
     @property
     def moved(self) -> float:
-        """Seconds of movement since it began, with what is no longer kept."""
+        """Seconds of movement since the beginning, including rows no longer kept."""
         return self.clock - self.begun if self._chunks else 0.0
 
     def add(self, pair: Pair, speed: float = math.nan) -> bool:
-        """Take a pair whose IMU has a rate, and the speed, m/s; NaN where nobody measures it.
+        """Add a pair whose IMU has a rate, and the speed, m/s; NaN if it is not measured.
 
-        Returns whether more of the drive is known than before.
+        Returns whether the log has grown.
         """
         stamp, imu = pair.field.stamp, pair.imu
         if not 0.0 <= stamp - self._newest <= self._longest_silence:
             self._end_piece()
-            # The gyro's path does not reach across the hole that is left.
+            # The remaining gap is too long for the gyro to be integrated across it.
             hole = 2.0 * STREAMS.longest_gyro_step
             self._pause = stamp - self.clock - hole if self._chunks else 0.0
         self._newest = stamp
@@ -190,15 +188,14 @@ class DriveRecorder:
         self._begin_piece()
 
     def log(self) -> Window:
-        """Return everything that is kept, by the drive's own clock, a row a tenth of a second.
+        """Return all rows that are kept, a tenth of a second each, by the drive's clock.
 
-        The gyro's bias is taken off the rates where rests have shown it, between two of them as it
-        changes from one to the other.
+        The gyro's bias at the rests, interpolated between them, is subtracted from the rates.
         """
         rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, WIDTH))
         time, rate, sigma = rows[:, 0], rows[:, RATE], math.inf
         if self._rested:
-            # A rest before any movement was when that began.
+            # A rest before any movement counts from the start of the movement.
             first = time[0] if len(time) else 0.0
             clocks = np.maximum([rest.clock for rest in self._rested], first)
             biases = np.array([rest.rate for rest in self._rested])
@@ -220,7 +217,7 @@ class DriveRecorder:
         return log.with_steps(steps_of(rows)) if len(rows) else log
 
     def _close(self) -> bool:
-        """End a row, and a chunk of them now and then."""
+        """Finish a row, and a full chunk; return whether the log has grown."""
         if self._count:
             row = [value / self._count for value in self._sums]
             path, before = row[SPAN], self._path_of_row
@@ -243,7 +240,7 @@ class DriveRecorder:
         return True
 
     def _note_rest(self, chunk: FloatArray, *, begins: bool) -> None:
-        """Take a chunk at rest: of a rest its beginning and its end are kept."""
+        """Add a chunk at rest; the beginning and the end of a rest are kept."""
         if begins:
             means = np.array([each[:, RATE].mean(axis=0) for each in self._recent])
             self._rested.append(_Rest.of(self.clock, means))
@@ -251,7 +248,7 @@ class DriveRecorder:
                 each[:, RESTED] = 1.0
         else:
             self._rested[-1].add(chunk[:, RATE].mean(axis=0), TUNING.rest_chunks)
-            # Something switches there, or iron comes.
+            # A changing field, by a switch or added iron, is not marked as a rest.
             chunk[:, RESTED] = (_changes(chunk[:, FIELD]) < TUNING.rest_field).all()
         self._held.append(chunk)
         if len(self._held) >= CHUNKS_OF_REST:
@@ -260,11 +257,11 @@ class DriveRecorder:
             self._pause += float(gone[-1, 0] - gone[0, 0]) + TUNING.row
 
     def _keep(self, chunk: FloatArray) -> None:
-        """Write a chunk by the drive's own clock."""
+        """Store a chunk with stamps of the drive's clock."""
         stamps = chunk[:, 0] - self._pause
         if self._chunks:
             last = float(self._chunks[-1][-1, 0])
-            # What was cut out left no hole, and what was not heard leaves one.
+            # A pause that was cut out leaves no gap; missing samples leave one.
             early = last + TUNING.row - float(stamps[0])
             if early > 0.0 or (self._pause > 0.0 and -early < STREAMS.longest_gyro_step):
                 stamps = stamps + early
@@ -275,13 +272,13 @@ class DriveRecorder:
         self._chunks.append(chunk)
 
     def _is_quiet(self, *, field_too: bool) -> bool:
-        """Whether turn rate, force and speed were those of a rest over the last seconds."""
+        """Whether turn rate, force and speed were those of a rest in the last seconds."""
         if len(self._recent) < CHUNKS_OF_REST:
             return False
         rows = np.concatenate(list(self._recent))
         if (np.abs(rows[-TUNING.chunk :, SPEED]) > TUNING.rest_speed).any():
             return False
-        # A rest begins with a field that stays; once it has, iron may come to a robot that stands.
+        # A rest begins with a constant field; later, iron may be added to the resting robot.
         return bool(
             (_changes(rows[:, RATE]) < TUNING.rest_rate).all()
             and (rows[:, FORCE].std(axis=0) < TUNING.rest_force).all()
@@ -290,7 +287,7 @@ class DriveRecorder:
 
 
 def _changes(values: FloatArray) -> FloatArray:
-    """Return by how much values (n, 3) change from half to half and beside that, shape (3,)."""
+    """Return the difference of both halves of values (n, 3) plus weighted spread, shape (3,)."""
     half = len(values) // 2
     gap = np.abs(values[:half].mean(axis=0) - values[half:].mean(axis=0))
     return np.asarray(gap + TUNING.rest_noise * values.std(axis=0))

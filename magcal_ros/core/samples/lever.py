@@ -1,4 +1,4 @@
-"""The force that an accelerometer beside the axis of a rotation measures in addition."""
+"""The additional force on an accelerometer off the axis of rotation."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class LeverTuning:
     """The prior of the lever arm, and how it is fitted."""
 
     arm: float = 1.0  # metres, standard deviation of the lever arm along each axis
-    noise: float = 1e-3  # m/s² that the length of the specific force is off at best
-    wide: float = 3.0  # sigmas of that length from which a sample counts less
+    noise: float = 1e-3  # m/s², least noise of the length of the specific force
+    wide: float = 3.0  # sigmas of this length from which a sample loses weight
     rounds: int = 20
     most: int = 5000  # samples that are fitted
     fewest: int = 20
@@ -28,11 +28,11 @@ TUNING = LeverTuning()
 
 
 def without_lever_arm(window: Window) -> FloatArray:
-    """Return the specific force less what the lever arm adds to it, m/s², shape (n, 3).
+    """Return the specific force without the part due to the lever arm, m/s², shape (n, 3).
 
-    The lever arm is what makes the length of the specific force most constant. It needs the rates
-    alone, not the attitude. Without a gyro, or where the sensor turns too slowly to show a lever
-    arm, the specific force is returned as it was measured.
+    The lever arm is fitted so that the length of the specific force is most constant, which needs
+    rates but no attitude. Without a gyro, or if the sensor turns too slowly to show a lever arm,
+    the measured force is returned.
     """
     force, rate = window.specific_force, window.angular_rate
     if rate is None or len(window) < TUNING.fewest:

@@ -1,8 +1,8 @@
-"""What the sensors measure while their robot does not turn, and a turn without its rests.
+"""The rests of a robot before and after a turn, and the turn without them.
 
-A robot rests, or rolls straight on, where neither its field nor its turn rate moves. The field is
-needed: a robot that turns evenly has a steady rate, too. The rests before and after a turn have no
-weight in its fit; they show the gyro's bias, and the field while the motors are off.
+A robot rests, or drives straight, where neither its field nor its turn rate changes. The field is
+needed, because the rate is constant in a steady turn, too. Rests are not samples of the turn; they
+show the gyro's bias, and the field while the motors are off.
 """
 
 from __future__ import annotations
@@ -27,52 +27,51 @@ from magcal_ros.core.geometry.vec3 import Triple, length
 
 FIELD, FORCE, RATE = slice(1, 4), slice(4, 7), slice(7, 10)
 ANGLE, INTERVALS, SPAN, SPEED, COLUMNS = slice(10, 13), 16, slice(10, 17), 17, 18
-"""Of samples in rows: the first column is the stamp. `SPAN` is the `ImuSpan` from the row before,
-NaN where that is not known; `ANGLE` and `INTERVALS` are parts of it. `SPEED` is NaN where it is not
-known."""
-CHANGES_BY = 0.03
-"""Share by which a bias changes from rest to rest: 3.38 and 3.55 °/s within 40 s in a car."""
+"""Columns of samples in rows; the first column is the stamp. `SPAN` is the `ImuSpan` since the
+previous row, NaN if unknown; `ANGLE` and `INTERVALS` are parts of it. `SPEED` is NaN if unknown."""
+BIAS_CHANGE = 0.03
+"""Relative change of a bias from rest to rest: 3.38 and 3.55 °/s within 40 s in a car."""
 
 
 class GyroAtRest(NamedTuple):
-    """A gyro's bias as a rest has shown it."""
+    """A gyro's bias, measured at a rest."""
 
     rate: Triple  # rad/s, body axes
-    sigma: float  # of it, per axis, rad/s, while the robot stood
+    sigma: float  # of the bias during the rest, rad/s per axis
 
     @property
     def later_sigma(self) -> float:
-        """Sigma of the bias that is left when this is taken off later on, rad/s per axis."""
-        return math.hypot(self.sigma, CHANGES_BY * length(self.rate))
+        """Sigma of the remaining bias if this one is subtracted later, rad/s per axis."""
+        return math.hypot(self.sigma, BIAS_CHANGE * length(self.rate))
 
 
 class LongestRest(NamedTuple):
     """The longest rest."""
 
-    rate: FloatArray  # what the gyro read, rad/s. Shape (3,).
-    is_certain: bool  # whether a turn at that rate would have moved the field, which did not move
+    rate: FloatArray  # mean rate of the gyro, rad/s. Shape (3,).
+    is_certain: bool  # whether a turn at this rate would have changed the field, which was constant
 
 
 @dataclass(frozen=True)
 class BiasAtRestTuning:
-    """When a robot is taken to have rested, and which part of a rest is used."""
+    """When a robot counts as resting, and which part of a rest is used."""
 
-    block: float = 0.5  # seconds of samples that are averaged before anything is compared
-    at_least: int = 4  # blocks in a row that make a rest
+    block: float = 0.5  # seconds of samples that are averaged before they are compared
+    at_least: int = 4  # consecutive blocks in a rest
     clear: float = 4.0  # sigmas of a block's mean by which two blocks at rest may differ
     smallest_turn: float = 0.004
-    """Share of the field's swing that noise of another kind may move it by during a rest."""
+    """Change of the field during a rest beyond white noise, over the field's range."""
     shown: float = 3.0
-    """Times what a rest may move by that a turn at the gyro's rate must have moved the field by,
-    and without a gyro the field in all."""
+    """Least ratio of two changes of the field: by a turn at the gyro's rate (without a gyro, in the
+    whole window), and the limit of a rest."""
     most_moved: float = 0.4
-    """Share of that turn's way by which the field may seem to move during a rest."""
+    """Largest change of the field during a rest, over that by a turn at the gyro's rate."""
     loose_rate: float = 0.01  # rad/s by which an engine or a person may rock a robot at rest
-    next_to_nothing: float = 0.05
-    """Share of a turn's own rate at which no robot turns steadily for seconds beforehand."""
+    slow_share: float = 0.05
+    """Fraction of the turn's rate below which a constant rate counts as a rest."""
     longest: float = 10.0
-    """Seconds of a rest next to the turn that count: before, things may have been moved."""
-    fewest: int = 20  # rows that are left of a turn; where there are fewer, it hardly moved
+    """Seconds of a rest next to the turn that are used; earlier, things may have been moved."""
+    fewest: int = 20  # rows of a turn; with fewer, the robot hardly moved
 
 
 TUNING = BiasAtRestTuning()
@@ -80,16 +79,16 @@ TUNING = BiasAtRestTuning()
 
 @dataclass(frozen=True, eq=False)
 class RestBeside:
-    """What the sensors measured while a robot stood right before or after its turn."""
+    """Measurements at a rest right before or after a turn."""
 
-    seconds: float  # how long
+    seconds: float  # duration
     field: FloatArray  # mean raw field, tesla, shape (3,)
     force: FloatArray  # mean specific force in body axes, m/s². Shape (3,).
-    rate: FloatArray  # what the gyro read, rad/s: its bias; zero without a gyro. Shape (3,).
-    rate_sigma: float  # of that mean, per axis; infinite without a gyro
-    beside: float  # stamp of the turn's sample that is nearest, seconds
+    rate: FloatArray  # mean rate, rad/s: the gyro's bias; zero without a gyro. Shape (3,).
+    rate_sigma: float  # of the mean rate, per axis; infinite without a gyro
+    beside: float  # stamp of the turn's nearest sample, seconds
     turned: FloatArray
-    """Rotation from that sample's body axes to those at rest, by the gyro. Shape (3, 3)."""
+    """Rotation from the nearest sample's body axes to those at rest, by the gyro. Shape (3, 3)."""
 
     def __post_init__(self) -> None:
         freeze(self, field=(3,), force=(3,), rate=(3,), turned=(3, 3))
@@ -100,17 +99,16 @@ def apart_from_rests(
 ) -> tuple[FloatArray, tuple[RestBeside, ...], float]:
     """Subtract the gyro's bias, and separate the rests before and after the turn.
 
-    The rows (n, COLUMNS) hold samples; the rates are all finite, or none is. `known` is from a rest
-    before all of them; a rest among them has priority. Returns the rows of the turn, the rests, and
-    the sigma (rad/s) of the known bias if it was subtracted; else infinity.
+    The rows (n, COLUMNS) hold samples; the rates are all finite, or none is. `known` is the bias at
+    an earlier rest; a rest among the rows has priority. Returns the rows of the turn, the rests,
+    and the sigma (rad/s) of the known bias if it was subtracted; else infinity.
     """
     time, field, rate = rows[:, 0], rows[:, FIELD], _mean_rates(rows)
     has_gyro = bool(np.isfinite(rate).all())
     first, end, bias = rests_around(time, field, rate if has_gyro else None)
     if end - first < TUNING.fewest:
         first, end = 0, len(rows)
-    # Of a long recording, thinned, a rest may end long before the turn's first row: it says nothing
-    # of the turn then.
+    # In a long, thinned recording a rest may end long before the turn's first row, and is not used.
     before = rows[:first][time[:first] > time[first] - TUNING.longest]
     after = rows[end:][time[end:] < time[end - 1] + TUNING.longest]
     rests = [_rest(before, before[-1], rows[first], has_gyro)] if len(before) else []
@@ -126,9 +124,9 @@ def apart_from_rests(
 
 
 def _mean_rates(rows: FloatArray) -> FloatArray:
-    """Return the rates since the row before, where the IMU has samples between, shape (n, 3).
+    """Return mean rates since the previous row, where the IMU has samples between, shape (n, 3).
 
-    Single rates of a robot that shakes may look like those of a rest.
+    Single rates of a shaking robot may look like those of a rest.
     """
     rate = rows[:, RATE].copy()
     seen = np.flatnonzero(rows[1:, INTERVALS] > 1.0) + 1
@@ -137,12 +135,12 @@ def _mean_rates(rows: FloatArray) -> FloatArray:
 
 
 def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool) -> RestBeside:
-    """Return what rows at rest show; `last` is the one of them next to the turn's row `beside`."""
+    """Return the rest from its rows; `last` is the row next to the turn's row `beside`."""
     time = rows[:, 0]
     rate, rate_sigma, step = np.zeros(3), math.inf, np.zeros(3)
     if has_gyro:
         rate, rate_sigma = mean_and_sigma(time, _mean_rates(rows))
-        # Turned back by what the gyro read over the step between them, which may run either way.
+        # Rotation by the gyro over the step between them, which may go back in time.
         way, later = last[0] - beside[0], max(last, beside, key=lambda row: float(row[0]))
         gained = 0.5 * (last[RATE] + beside[RATE]) * way
         if np.isfinite(later[ANGLE]).all():
@@ -156,11 +154,11 @@ def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool
 def rests_around(
     time: FloatArray, field: FloatArray, rate: FloatArray | None
 ) -> tuple[int, int, FloatArray | None]:
-    """Return first row and end of what lies between the rests, and the gyro's bias, rad/s.
+    """Return first row and end of the turn between the rests, and the gyro's bias, rad/s.
 
-    The robot stood if the field did, and turned later, far faster than the gyro then read, if there
-    is one. The bias is the median of what it read at rests, those of which the field proves that
-    the robot stood if there are any; None without a rest or a gyro.
+    The robot rests if the field is constant and the rate is far below that of the turn. The bias is
+    the median rate at rests, of those that the field proves if there are any; None without a rest
+    or a gyro.
 
     `time` (n,) is in seconds, `field` (n, 3) raw and in any unit, `rate` (n, 3) in rad/s; None
     without a gyro.
@@ -170,9 +168,9 @@ def rests_around(
     first, end = 0, len(time)
     if count <= TUNING.at_least:
         return first, end, None
-    rests = _stands_by_field(field, blocks) if rate is None else _stands(field, rate, blocks)
+    rests = _rests_by_field(field, blocks) if rate is None else _rests(field, rate, blocks)
     for rest in rests if count > 2 * TUNING.at_least else []:
-        # The block in which the robot sets off, or comes to stand, counts on neither side.
+        # The block in which the robot starts or stops belongs to neither.
         if rest.first == 0 and rest.end < count:
             first = int(starts[rest.end - 1])
         elif rest.first > 0 and rest.end == count:
@@ -183,17 +181,17 @@ def rests_around(
 
 
 def longest_stand(time: FloatArray, field: FloatArray, rate: FloatArray) -> LongestRest | None:
-    """Return the longest rest; None if there was none. Takes the same as `rests_around`."""
+    """Return the longest rest; None if there was none. Parameters as for `rests_around`."""
     if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
         return None
-    # A robot that stands all the time has not swung its field; its level part is about so large.
+    # At rest the field shows no circle: the radius is assumed, as a usual level field.
     radius = 0.3 * usual_size(field)
     found = _steady(field, rate, _split(time), radius)
     if not found:
         return None
     longest = max(found, key=lambda each: each.end - each.first)
-    # A slow turn passes from block to block.
-    is_turn = longest.shows and not longest.stood
+    # From block to block, a slow turn may look like a rest.
+    is_turn = longest.shows and not longest.rested
     return None if is_turn else LongestRest(longest.rates.mean(axis=0), longest.shows)
 
 
@@ -207,42 +205,42 @@ def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, fl
 
 
 def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the first row of each block, and how many rows it has."""
+    """Return the first row and the number of rows of each block."""
     block = ((time - time[0]) / TUNING.block).astype(int)
     _, first, count = np.unique(block, return_index=True, return_counts=True)
     return first, count
 
 
 class _Stretch(NamedTuple):
-    """Blocks in a row in which nothing moved from one to the next."""
+    """Consecutive blocks without a change from one to the next."""
 
     first: int
     end: int
-    rates: FloatArray  # what the gyro read in them, rad/s, shape (b, 3)
-    stood: bool = False
-    """Whether the field moved far less than by a turn at the gyro's rate: over the whole of a
-    stretch a slow turn shows, which passes from block to block."""
-    shows: bool = False  # whether such a turn would have moved the field out of its limits
+    rates: FloatArray  # mean rates of the blocks, rad/s, shape (b, 3)
+    rested: bool = False
+    """Whether the field changed far less over the whole stretch than by a turn at the gyro's rate.
+    From block to block, a slow turn is not visible."""
+    shows: bool = False  # whether such a turn would have exceeded the limits of the field
 
     @property
     def is_proven(self) -> bool:
-        """Whether the field shows that the robot stood."""
-        return self.stood and self.shows
+        """Whether the field proves that the robot rested."""
+        return self.rested and self.shows
 
 
-def _stands(
+def _rests(
     field: FloatArray, rate: FloatArray, blocks: tuple[IntArray, IntArray]
 ) -> list[_Stretch]:
-    """Return every stretch in which the robot stood."""
+    """Return every stretch in which the robot rested."""
     rates = np.linalg.norm(block_means(rate, blocks[0]), axis=1)
-    creeps = TUNING.next_to_nothing * float(np.sort(rates)[-TUNING.at_least])
+    creeps = TUNING.slow_share * float(np.sort(rates)[-TUNING.at_least])
     found = _steady(field, rate, blocks, 0.5 * float(np.ptp(field, axis=0).max()))
     means = [float(np.linalg.norm(each.rates.mean(axis=0))) for each in found]
     return [s for s, mean in zip(found, means, strict=True) if s.is_proven or mean <= creeps]
 
 
-def _stands_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_Stretch]:
-    """Return the same without a gyro: where nothing moved over the whole; a slow turn does."""
+def _rests_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_Stretch]:
+    """Return every rest without a gyro: the field is constant over the whole stretch."""
     alone = _Blocks.of(field, *blocks, TUNING.smallest_turn * float(np.ptp(field, axis=0).max()))
     turned = np.ptp(alone.mean, axis=0) > TUNING.shown * np.median(alone.limit, axis=0)
     return [
@@ -255,14 +253,14 @@ def _stands_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> li
 def _steady(
     field: FloatArray, rate: FloatArray, blocks: tuple[IntArray, IntArray], radius: float
 ) -> list[_Stretch]:
-    """Return where field and gyro stay; `radius` is that of the field's circle, in its unit."""
+    """Return where field and rate are constant; `radius` is that of the field's circle."""
     swing = float(np.ptp(field, axis=0).max())
     fields = _Blocks.of(field, *blocks, TUNING.smallest_turn * swing)
     rates = _Blocks.of(rate, *blocks, TUNING.loose_rate)
     found = []
     for start, end in _runs(fields.stays & rates.stays):
         inside, seen = rates.mean[start:end], fields.mean[start:end]
-        # How far a turn at the mean rate would have moved the field.
+        # The change of the field by a turn at the mean rate.
         turned = float(np.linalg.norm(inside.mean(axis=0))) * TUNING.block * (len(inside) - 1)
         chord = 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
         moved = float(np.linalg.norm(seen - seen[0], axis=1).max())
@@ -273,7 +271,7 @@ def _steady(
 
 @dataclass(frozen=True, eq=False)
 class _Blocks:
-    """Means over blocks (b, 3), by how much two of rest may differ (b, 3), and which stay (b,)."""
+    """Means over blocks (b, 3), limits of changes at rest (b, 3), and which are constant (b,)."""
 
     mean: FloatArray
     limit: FloatArray
@@ -281,7 +279,7 @@ class _Blocks:
 
     @classmethod
     def of(cls, values: FloatArray, first: IntArray, count: IntArray, allowed: float) -> _Blocks:
-        """Average, and compare each block with those after it, `TUNING.at_least` with itself."""
+        """Average, and compare each block with the next `TUNING.at_least` - 1 blocks."""
         mean = block_means(values, first)
         noise = np.median(np.abs(np.diff(values, axis=0)), axis=0) / 0.954
         limit = allowed + TUNING.clear * noise * np.sqrt(2.0 / np.maximum(count, 1))[:, None]
@@ -294,5 +292,5 @@ class _Blocks:
 
 
 def _runs(stays: BoolArray) -> list[tuple[int, int]]:
-    """Return first block and end of every stretch in which each block stays with the next ones."""
+    """Return first block and end of every stretch without a change from block to block."""
     return [(first, end + TUNING.at_least - 1) for first, end in runs(stays)]

@@ -1,7 +1,4 @@
-"""Cleans the two raw streams, and pairs them by stamp.
-
-What is dropped is counted by its reason.
-"""
+"""Cleans the two raw streams, counts dropped samples by reason, and pairs samples by stamp."""
 
 from __future__ import annotations
 
@@ -17,20 +14,20 @@ from magcal_ros.core.samples.bursts import BurstWatch
 
 Stamped = TypeVar("Stamped", bound=tuple[object, ...])
 SWAY = 0.22
-"""Seconds of about half a period of the fastest sway of a body, of 2 Hz, which is not seen then."""
+"""About half a period of the fastest sway of a body, 2 Hz, seconds: slower samples miss it."""
 
 
 @dataclass(frozen=True)
 class StreamTuning:
-    """What passes for a sample, and how samples hang together."""
+    """Limits of valid samples, and of the gaps between samples."""
 
     restart_after: int = 10
-    """So many stamps in a row before the newest mean that time itself went back (a looped bag)."""
+    """Consecutive stamps before the newest after which time was set back (a looped bag)."""
     max_gap: float = 0.2  # seconds; IMU samples further apart are usually not interpolated between
     longest_gyro_step: float = 0.5
-    """Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
+    """Longest gap between two samples over which the gyro is integrated, seconds."""
     longest_field_gap: float = 0.6
-    """Seconds, the same of the field on a drive: gaps of 2 Hz are often longer than half of one."""
+    """The same for the field of a drive, seconds; gaps at 2 Hz are often longer than 0.5 s."""
     remembered: int = 4096  # samples kept of each stream: four seconds of the fastest sensors
     smallest: float = 1e-9  # tesla and m/s²; less is a sensor that reads nothing
     largest_field: float = 1e-3
@@ -64,9 +61,8 @@ class ImuSample(NamedTuple):
     force: Triple
     rate: Triple
     orientation: tuple[float, float, float, float] | None = None
-    """The driver's own, a quaternion x, y, z, w; only `magcal doctor` looks at it."""
-    is_measured: bool = True
-    """False of one that a reader has interpolated: it shows nothing of how the robot moved."""
+    """By the driver, a quaternion x, y, z, w; only `magcal doctor` uses it."""
+    is_measured: bool = True  # false if a reader has interpolated the sample
 
 
 class FieldSample(NamedTuple):
@@ -90,13 +86,13 @@ class Pair(NamedTuple):
     field: FieldSample
     imu: ImuSample
     span: ImuSpan | None = None
-    """From the pair before; None for the first one, and where IMU samples are missing."""
+    """Since the previous pair; None for the first one, and if IMU samples are missing."""
 
 
 class StampGuard:
-    """Lets only increasing stamps pass, and follows time when it is set back for good.
+    """Accepts increasing stamps only, until time is set back for good.
 
-    `newest` is in seconds, minus infinity before the first; `bursts` watches those that passed.
+    `newest` is in seconds, minus infinity before the first; `bursts` watches the accepted stamps.
     """
 
     def __init__(self) -> None:
@@ -124,12 +120,12 @@ class StampGuard:
 class Streams:
     """The newest samples of IMU and field, cleaned, and the IMU at any stamp among them.
 
-    IMU samples further apart than `max_gap`, seconds, are not interpolated between, and a field
-    sample that is further from the newest IMU sample has no up vector. The drops are counted by
-    reason. `is_repeated` is whether the newest field sample has the values of the one before it.
-    `lead_at_imu` and `lead_at_field` are the newest field stamp less the newest IMU stamp when the
-    newest sample of each came, seconds; infinite while one is missing. `largest_field` is the size
-    of the last field that was too large, tesla as published; zero if none was.
+    The IMU is not interpolated across gaps longer than `max_gap`, seconds, and a field sample
+    further from the newest IMU sample has no up vector. `is_repeated` is whether the newest field
+    sample has the same values as the previous one. `lead_at_imu` and `lead_at_field` are the newest
+    field stamp minus the newest IMU stamp, when the newest sample of each came, seconds; infinite
+    while one is missing. `largest_field` is the size of the last field that was too large, tesla as
+    published; zero if none was.
     """
 
     def __init__(self, max_gap: float) -> None:
@@ -149,17 +145,17 @@ class Streams:
     def add_imu(self, sample: ImuSample) -> bool:
         """Take an IMU sample; returns whether it was usable.
 
-        A robot without a gyro sends no rate. A gyro that was heard just before is not absent: a
-        sample that it leaves empty is a fault, and the path of the turn goes on over it.
+        A sample without a rate is valid if there is no gyro. Shortly after a rate it is a fault,
+        and the gyro is integrated across it.
         """
         p, q, r = sample.rate
         went_back_from = self.imu_stamps.newest
         reason = _fault(sample.force, STREAMS.largest_force)
-        # Without a gyro the rate is NaN, which is larger than nothing.
+        # Without a gyro the rate is NaN, and the comparison is false.
         if reason is None and p * p + q * q + r * r > STREAMS.largest_rate**2:
             reason = Drop.TOO_LARGE
         has_rate = math.isfinite(p + q + r)
-        # A rate came so shortly before that the gyro cannot be absent.
+        # A rate shortly before means that there is a gyro.
         has_gyro = abs(sample.stamp - self._last_rate) < STREAMS.longest_gyro_step
         if reason is None and not has_rate and has_gyro:
             reason = Drop.NOT_FINITE
@@ -178,8 +174,8 @@ class Streams:
     def add_field(self, sample: FieldSample) -> bool:
         """Take a field sample; returns whether a corrected field may be made of it.
 
-        A sample with the values of the one before is counted as repeated, and still usable: a
-        robot that stands still in a quantised field is no fault. `is_repeated` shows it.
+        A sample with the values of the previous one is counted as repeated, but usable: at rest,
+        quantised values may repeat.
         """
         reason = _fault(sample.field, STREAMS.largest_field)
         if reason is Drop.TOO_LARGE:
@@ -212,7 +208,7 @@ class Streams:
     def imu_between(self, start: ImuSample, end: ImuSample) -> ImuSpan | None:
         """Integrate the IMU between two samples; None if samples or rates are missing there.
 
-        By the trapezoidal rule; the rotations are multiplied, so that they may be large.
+        By the trapezoidal rule; rotations are multiplied, and may be large.
         """
         if start.stamp == end.stamp:
             return ImuSpan((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0)
@@ -259,7 +255,7 @@ class Streams:
         return self._imu[-1].rate if self._imu else None
 
     def imu_has_passed(self, stamp: float) -> bool:
-        """Whether waiting longer can bring no IMU sample before `stamp`."""
+        """Whether no further IMU sample before `stamp` can come."""
         return bool(self._imu) and self._imu[-1].stamp >= stamp
 
 
@@ -300,7 +296,7 @@ def _vector_of(w: float, part: Triple, near: Triple) -> Triple:
 class Pairer:
     """Holds field samples until the IMU samples around them have come.
 
-    One that `counts` adds those without any to the drops of the streams.
+    With `counts`, field samples without IMU samples are added to the drops of the streams.
     """
 
     def __init__(self, streams: Streams, *, counts: bool = True) -> None:
@@ -309,9 +305,9 @@ class Pairer:
         self._last: ImuSample | None = None
 
     def offer(self, sample: FieldSample) -> None:
-        """Take a field sample; an unchanged repetition of the one before should not come here.
+        """Add a field sample, which must not repeat the previous one.
 
-        A stamp before those that wait means that time was set back: their IMU never comes.
+        If its stamp is before those that wait, time was set back: their IMU samples never come.
         """
         while self._waiting and self._waiting[-1].stamp > sample.stamp:
             self._waiting.pop()
@@ -343,7 +339,7 @@ class Pairer:
 class SpeedSample(NamedTuple):
     """Speed along the vehicle's x (m/s, negative backwards) at a stamp (s).
 
-    `is_signed` is false where the source knows no backwards: a receiver's speed over ground.
+    `is_signed` is false if the source gives no direction, such as a receiver's speed over ground.
     """
 
     stamp: float

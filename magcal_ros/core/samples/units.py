@@ -1,4 +1,4 @@
-"""What is wrong with the samples that came in, and the unit that they may be in."""
+"""Faults of incoming samples, and the units that they may be in."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from magcal_ros.core.samples.lever import without_lever_arm
 from magcal_ros.core.samples.streams import STREAMS, SWAY, Drop, Streams
 from magcal_ros.core.samples.window import Window
 
-OF_ITS_OWN = "the field's strength there (tesla)"
+LOCAL_STRENGTH = "the field's strength there (tesla)"
 
 
 @dataclass(frozen=True)
@@ -23,17 +23,17 @@ class FieldUnit:
     """A unit in which a driver may publish the field instead of tesla."""
 
     name: str
-    factor: str  # what makes tesla of it
+    factor: str  # from this unit to tesla
     strengths: tuple[float, float]  # range of the Earth's field in it
     sizes: tuple[float, float]  # range of raw samples in it, hard iron included
-    drivers: str = ""  # those that are known to publish it
+    drivers: str = ""  # drivers that are known to publish it
 
 
 FIELD_UNITS: tuple[FieldUnit, ...] = (
     FieldUnit("gauss", "1e-4", (0.2, 0.7), (0.05, 5.0), "imu_3dm_gx4, Gazebo"),
-    FieldUnit("a unit of its own (1 on Earth)", OF_ITS_OWN, (0.7, 1.2), (0.7, 1.3), "Xsens MTi"),
+    FieldUnit("a relative unit (1 on Earth)", LOCAL_STRENGTH, (0.7, 1.2), (0.7, 1.3), "Xsens MTi"),
     FieldUnit(
-        "a unit of its own (1.4 on Earth)", OF_ITS_OWN, (1.2, 1.9), (1.2, 1.9), "Inertial Sense"
+        "a relative unit (1.4 on Earth)", LOCAL_STRENGTH, (1.2, 1.9), (1.2, 1.9), "Inertial Sense"
     ),
     FieldUnit("microtesla", "1e-6", (20.0, 70.0), (5.0, 150.0)),
     FieldUnit("milligauss", "1e-7", (200.0, 700.0), (150.0, 5000.0)),
@@ -42,7 +42,7 @@ FIELD_UNITS: tuple[FieldUnit, ...] = (
         "a thousand times milligauss", "1e-10", (2e5, 7e5), (80_000.0, 5e6), "MAVROS with ArduPilot"
     ),
 )
-SPREAD = 2.0  # sigmas of a strength within which the Earth's field may lie in a unit
+SPREAD = 2.0  # sigmas of a measured strength within which the Earth's field may lie
 
 
 def likely_field_unit(size: float) -> str:
@@ -52,7 +52,7 @@ def likely_field_unit(size: float) -> str:
 
 
 def unit_by_strength(strength: float, sigma: float = 0.0) -> str:
-    """Say in words which units a field has that is so strong without hard iron.
+    """Say in words which units a field of this strength without hard iron may have.
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ def unit_by_strength(strength: float, sigma: float = 0.0) -> str:
     Returns
     -------
     str
-        Empty if it may be tesla. Where the Earth's field lies within `sigma` in no unit, that of
-        raw samples of this size.
+        Empty if it may be tesla. If no unit gives the Earth's field within `sigma`, the unit of raw
+        samples of this size.
     """
     low, high = strength - SPREAD * sigma, strength + SPREAD * sigma
     fitting = [u for u in FIELD_UNITS if low < u.strengths[1] and high >= u.strengths[0]]
@@ -83,7 +83,7 @@ def _named(fitting: list[FieldUnit], what: str) -> str:
 
 
 def slow_words(gap: float) -> str:
-    """Say that IMU samples so many seconds apart are not joined; empty where they are."""
+    """Say that an IMU with a gap of so many seconds is too slow; empty if it is not."""
     if not gap > STREAMS.max_gap:
         return ""
     return (
@@ -94,7 +94,7 @@ def slow_words(gap: float) -> str:
 
 
 def slow_field_words(gap: float) -> str:
-    """Say that field samples so many seconds apart show no drive; empty where one is."""
+    """Say that a field with a gap of so many seconds is too slow for a drive; else empty."""
     if not gap > STREAMS.longest_field_gap:
         return ""
     return (
@@ -148,24 +148,25 @@ MISLED_BY_AXES = (
 """Refusals that wrong axes can cause."""
 
 LEAST_UPRIGHT = 0.5
-"""Share of gravity on a body's z from which z counts as up: less than 60 degrees of lean. Also the
-length of the mean direction of gravity from which a sensor has a usual orientation."""
+"""Component of gravity along body z, over its size, from which z counts as up: less than 60 degrees
+of tilt. Also the least length of the mean direction of gravity of a sensor that is not turned
+over."""
 
 
 def was_turned_over(window: Window) -> bool:
-    """Return whether the sensor had no usual orientation, as one that is turned over by hand.
+    """Return whether the sensor had no usual orientation, as if turned over by hand.
 
-    Then the mean of its directions of gravity is short, and nothing shows which side is up on the
-    robot. The acceleration of a sensor that a hand swings about an elbow is taken off.
+    The mean direction of gravity is then short, and the robot's up is unknown. The acceleration of
+    a sensor that is swung by hand is subtracted first.
     """
     mean = unit(without_lever_arm(window)).mean(axis=0)
     return float(np.linalg.norm(mean)) < LEAST_UPRIGHT
 
 
 def explained(refusal: Refusal, window: Window) -> Refusal:
-    """Add to a refusal what upsets every check before it shows by itself.
+    """Add the likely cause to a refusal, if it is a fault of the samples.
 
-    The field's likely unit, axes that point down, stamps in bursts, or an IMU that is too slow.
+    Such faults are the field's unit, axes that point down, stamps in bursts, and a slow IMU.
     """
     if len(window) == 0:
         return refusal
@@ -181,9 +182,9 @@ def explained(refusal: Refusal, window: Window) -> Refusal:
 
 
 def _slow_gyro_in_words(window: Window) -> str:
-    """Say that a gyro is too slow for a robot that shakes; empty where it is not."""
+    """Say that a gyro is too slow for a shaking robot; empty if it is not."""
     gap = window.imu_gap
-    # From two samples in each half of a period on, a sway is followed.
+    # A sway is resolved with at least two samples in half a period.
     if window.angular_rate is None or gap <= 0.5 * SWAY:
         return ""
     return (
@@ -194,14 +195,14 @@ def _slow_gyro_in_words(window: Window) -> str:
 
 @dataclass(frozen=True)
 class DiagnosisTuning:
-    """When a stream is worth a complaint."""
+    """When a stream causes a complaint."""
 
-    worth_a_word: float = 0.02  # share of dropped samples that is said
+    worth_a_word: float = 0.02  # fraction of dropped samples from which they are reported
     most_repeats: float = 0.9
-    """Share of repeated field values beyond which the sensor is frozen or the robot at rest."""
+    """Fraction of repeated field values from which the sensor is frozen or the robot at rest."""
     largest_offset: float = 1.0  # seconds between the two sensors' newest stamps
     ahead_in_gaps: float = 1.5
-    """Gaps (the largest that is bridged) by which a field may lead the IMU by mere jitter."""
+    """Largest lead of the field over the IMU by jitter, in `max_gap`."""
 
 
 TUNING = DiagnosisTuning()
@@ -226,21 +227,20 @@ IMU_WORDS = WORDS | {
 
 @dataclass(frozen=True)
 class Heard:
-    """What came on one topic in the time that is judged."""
+    """Counts of the messages of one topic."""
 
-    topic: str  # its name
-    messages: int  # how many came
-    drops: Counter[Drop] = field(default_factory=Counter)
-    """How many of them were not used, by reason."""
+    topic: str
+    messages: int
+    drops: Counter[Drop] = field(default_factory=Counter)  # messages not used, by reason
 
     def since(self, earlier: Heard) -> Heard:
-        """Return what came after an earlier count of the same topic."""
+        """Return the counts since an earlier count of the same topic."""
         drops = Counter({drop: n - earlier.drops[drop] for drop, n in self.drops.items()})
         return Heard(self.topic, self.messages - earlier.messages, drops)
 
 
 def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
-    """Say what is wrong with two streams, and what to do; empty if nothing is."""
+    """Return the faults of two streams in words, with remedies; empty if there is none."""
     found = []
     if mag.drops[Drop.TOO_LARGE]:
         unit = likely_field_unit(streams.largest_field)
@@ -265,10 +265,10 @@ def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
 
 
 def stamp_offset(streams: Streams) -> float:
-    """Return by how many seconds the field's stamps lead the IMU's; zero where no fault shows.
+    """Return the lead of the field's stamps over the IMU's, seconds; zero if there is no fault.
 
-    The true lead lies between the leads seen when each sensor's newest sample came, and neither of
-    the two grows when a sensor dies.
+    The true lead lies between the leads at the newest sample of each sensor. Neither of these grows
+    if a sensor dies.
     """
     least, most = streams.lead_at_imu, streams.lead_at_field
     if math.isfinite(least) and least > min(

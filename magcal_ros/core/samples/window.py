@@ -28,21 +28,21 @@ from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
 NO_ORIENTATION = (math.nan,) * 4
 ROLLS = 0.2  # m/s of the speed of the wheels from which a robot certainly drives
-LONGEST = 60.0  # seconds of a log that are looked at; the field of a drive does not stay the same
+LONGEST = 60.0  # seconds of a log that are used; the field of a longer drive is not constant
 WIDEST_BLOCK = math.radians(4.0)  # radians of turn that are averaged
 NEIGHBOURS, SPIKE = 9, 4.5
-"""A spike is so many robust sigmas from the median of so many samples, itself among them."""
+"""Window of the median filter, samples, and deviation of a spike from the median, robust sigmas."""
 NOISELESS, FEWEST_BENDS = 1e-4, 50
-"""Share of its largest value by which a rate without noise bends from sample to sample, and the
-samples below which noise is not looked for."""
+"""Largest second difference of a rate without noise, over the largest rate; and the fewest second
+differences for this test."""
 
 
 class Steps(NamedTuple):
-    """Integrals of the IMU from each of some samples to the next."""
+    """Integrals of the IMU from each sample to the next."""
 
     angle: FloatArray  # rotation vectors in body axes, rad. Shape (n - 1, 3).
     velocity: FloatArray  # of the specific force in body axes, m/s. Shape (n - 1, 3).
-    intervals: FloatArray  # between IMU samples, as many as were integrated. Shape (n - 1,).
+    intervals: FloatArray  # number of integrated intervals between IMU samples. Shape (n - 1,).
 
     @classmethod
     def straight(cls, time: FloatArray, force: FloatArray, rate: FloatArray) -> Steps:
@@ -62,15 +62,14 @@ class Steps(NamedTuple):
         return Steps(-rotation_vectors_near(turned, -sums[0]), *sums[1:])
 
     def beyond(self, line: Steps) -> Steps:
-        """Return what is missed by straight lines; their intervals stay."""
+        """Return the difference from straight lines, with the same intervals."""
         return Steps(self.angle - line.angle, self.velocity - line.velocity, self.intervals)
 
 
 def steps_of(rows: FloatArray) -> Steps:
     """Return the steps of samples in rows (n, COLUMNS or more).
 
-    Where the span from the row before is not known, it is that of a straight line; without a gyro
-    nothing turns.
+    An unknown span is that of a straight line; without a gyro the rotation is zero.
     """
     span = rows[1:, SPAN].copy()
     lost = ~np.isfinite(span).all(axis=1)
@@ -96,20 +95,20 @@ class Window:
     angular_rate: FloatArray | None = None
     """rad/s in body axes at the same moments; None without a gyro. Shape (n, 3)."""
     missed: Steps | None = None
-    """What the IMU samples between those of the window add to straight lines between them; None
-    if they are not known, or without a gyro."""
+    """Difference of `steps` from straight lines, by the IMU samples between those of the window;
+    None if these are unknown, or without a gyro."""
     rests: tuple[RestBeside, ...] = ()
-    """What was seen right before and after the turn, where the robot stood there; the gyro's bias
-    that they show is taken off `angular_rate`."""
+    """Rests right before and after the turn. The gyro's bias at the rests is subtracted from
+    `angular_rate`."""
     sigma_before: float = math.inf
-    """Of a bias known before, which was taken off too, rad/s per axis; infinite without one."""
+    """Sigma of a bias from earlier that was subtracted, too, rad/s per axis; else infinite."""
     speed: FloatArray | None = None
     """Of the wheels, m/s ahead, NaN where it was not measured; None if it never was. Shape (n,)."""
-    battery: Battery | None = None  # its current; None if that was not measured throughout
+    battery: Battery | None = None  # its current; None if it was not measured throughout
     rested: BoolArray | None = None
-    """Where a recorder saw the robot stand; None where none was looked for. Shape (n,)."""
+    """Where a recorder detected a rest; None without detection. Shape (n,)."""
     longest_step: float = math.inf
-    """Seconds between samples; across longer gaps the gyro is not integrated."""
+    """Longest gap between samples across which the gyro is integrated, seconds."""
 
     def __post_init__(self) -> None:
         freeze(self, time=(-1,))
@@ -120,10 +119,7 @@ class Window:
 
     @property
     def bias_sigma(self) -> float:
-        """Sigma of the bias that `angular_rate` still has, rad/s; infinite where it is unknown.
-
-        It was taken off where a rest has shown it.
-        """
+        """Sigma of the remaining bias of `angular_rate`, rad/s; infinite if none was subtracted."""
         return min([self.sigma_before, *(rest.rate_sigma for rest in self.rests)])
 
     def __len__(self) -> int:
@@ -131,7 +127,7 @@ class Window:
 
     @property
     def wheel_speed(self) -> FloatArray | None:
-        """The speed; None if it is zero throughout, as in odometry whose twist stays empty.
+        """The speed; None if it is zero throughout, as in odometry with an empty twist.
 
         On a steady circle no other sensor would contradict the zeros.
         """
@@ -148,7 +144,7 @@ class Window:
 
     @property
     def imu_gap(self) -> float:
-        """Usual seconds between two samples of the IMU; zero of less than two samples."""
+        """Median time between two samples of the IMU, seconds; zero for less than two samples."""
         if len(self) < 2:
             return 0.0
         intervals = np.ones(1) if self.missed is None else self.missed.intervals
@@ -156,7 +152,7 @@ class Window:
 
     @property
     def steps(self) -> Steps:
-        """By all samples of the IMU that are known; without a gyro nothing turns."""
+        """Integrals of all known IMU samples; without a gyro the rotation is zero."""
         line, missed = self._straight, self.missed
         if missed is None:
             return line
@@ -173,11 +169,11 @@ class Window:
         return taken.with_steps(self.steps.over(np.arange(len(self))[rows]))
 
     def with_steps(self, steps: Steps) -> Window:
-        """Return the window with the steps that all samples of an IMU with a gyro show."""
+        """Return the window with the integrals of all samples of an IMU with a gyro."""
         return replace(self, missed=steps.beyond(self._straight))
 
     def with_battery(self, messages: Messages) -> Window:
-        """Return the window with the current by messages, if that is known."""
+        """Return the window with the battery's current from messages, if it is known."""
         if not len(messages) or not len(self):
             return self
         begin, end = float(self.time[0]), float(self.time[-1])
@@ -195,9 +191,9 @@ class Window:
 
 
 def white_noise(values: FloatArray) -> FloatArray:
-    """Return the noise of samples (n, 3) per axis by fourth differences, to which sway adds little.
+    """Return the noise of samples (n, 3) per axis, from fourth differences; zero if too few.
 
-    It is zero where there are too few.
+    Sway adds little to fourth differences.
     """
     bends = np.diff(values, 4, axis=0)
     if not len(bends):
@@ -206,7 +202,7 @@ def white_noise(values: FloatArray) -> FloatArray:
 
 
 def is_noiseless(rate: FloatArray) -> bool:
-    """Return whether rates (n, 3) change without noise: a simulator's may stay at one value."""
+    """Return whether rates (n, 3) have no noise: an axis in a simulation may be constant."""
     changed = (np.diff(rate, axis=0) != 0.0).any(axis=1)[1:]
     bend = np.abs(np.diff(rate, 2, axis=0)).max(axis=1)[changed]
     if len(bend) < FEWEST_BENDS:
@@ -215,7 +211,7 @@ def is_noiseless(rate: FloatArray) -> bool:
 
 
 def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
-    """Return which axes of a gyro (n, 3) measure, shape (3,): without noise all, if any changes."""
+    """Return which axes of a gyro (n, 3) measure: without noise all do, if any changes."""
     if rate is None or not len(rate):
         return False, False, False
     x, y, z = (bool(spread > 0.0) for spread in np.ptp(rate, axis=0))
@@ -228,14 +224,14 @@ def without_spikes(values: FloatArray) -> BoolArray:
     padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
     stretches = np.lib.stride_tricks.sliding_window_view(padded, NEIGHBOURS, axis=0)
     away = np.abs(values - np.median(stretches, axis=2))
-    # Where the values rise or fall the median is the middle one, and only their peaks deviate.
+    # On a slope the median is the value in the middle, and only peaks deviate.
     usual = np.maximum(1.4826 * np.median(away, axis=0), white_noise(values)) + 1e-12
     return np.asarray((away < SPIKE * usual).all(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class SensorLog:
-    """Both streams in the order in which they came, nothing cleaned."""
+    """Both raw streams, in order of arrival."""
 
     imu_time: FloatArray  # stamps, seconds, shape (n,)
     force: FloatArray  # specific force as published, meant as m/s². Shape (n, 3).
@@ -262,10 +258,10 @@ class SensorLog:
 
     @classmethod
     def of_window(cls, window: Window) -> SensorLog:
-        """Return the samples of a window as two streams; drivers without a gyro send zeros.
+        """Return the samples of a window as two streams; a rate of zeros counts as no gyro.
 
-        Where the window left IMU samples out, one is inserted, so that by the trapezoidal rule the
-        integrals are those over all of them.
+        Where the window omits IMU samples, one sample is inserted to give the same integrals by the
+        trapezoidal rule.
         """
         time, rate = window.time, window.angular_rate
         if rate is None or not rate.any():
@@ -291,11 +287,11 @@ class Stretch:
     """Averaged samples with the turns between them."""
 
     field: FloatArray  # over `size`, shape (n, 3)
-    up: FloatArray  # specific force over its own usual size. Shape (n, 3).
+    up: FloatArray  # specific force over its usual size. Shape (n, 3).
     turn: FloatArray
     """The gyro's rate integrated from each sample to the next, radians. Shape (n - 1, 3)."""
     coning: FloatArray
-    """Second order of the rotation vectors, as turns do not commute. Shape (n - 1, 3)."""
+    """Second order of the rotation vectors (coning). Shape (n - 1, 3)."""
     seconds: FloatArray  # shape (n - 1,)
     rate: FloatArray  # the gyro's mean rate, rad/s. Shape (n, 3).
     size: float  # of the field's changing part, tesla
@@ -305,10 +301,10 @@ class Stretch:
 def stretch_of_log(
     log: SensorLog, lag: float = 0.0, fewest: int = 120, most: int = 240
 ) -> Stretch | None:
-    """Average a log of increasing stamps that has a gyro; None where there is too little of it.
+    """Average a log with a gyro, finite values and increasing stamps; None if it is too short.
 
-    Its numbers are finite; `lag` (seconds, by which the field is late) is taken off its stamps.
-    There are from `fewest` to `most` averages.
+    `lag`, the latency of the field in seconds, is subtracted from the field's stamps. The result
+    has `fewest` to `most` averages.
     """
     field_time = log.field_time - lag
     span = _liveliest(log, field_time)
@@ -333,7 +329,7 @@ def stretch_of_log(
         for path in (turned, integral(time, np.cross(turned, rate)))
     )
     step = np.diff(angle, axis=0)
-    # How large the changing part of the field is.
+    # The size of the field's changing part.
     swing = np.ptp(np.quantile(field, (0.02, 0.98), axis=0), axis=0)
     size = max(float(np.linalg.norm(swing)) / 2.0, 1e-12)
     return Stretch(
@@ -349,7 +345,7 @@ def stretch_of_log(
 
 
 def _liveliest(log: SensorLog, field_time: FloatArray) -> tuple[float, float] | None:
-    """Return from when to when the robot turns most, where no gap of the gyro lies between."""
+    """Return begin and end of the time in which the robot turns most, without gaps of the gyro."""
     if min(len(log.imu_time), len(field_time)) < 20:
         return None
     breaks = np.flatnonzero(np.diff(log.imu_time) > STREAMS.longest_gyro_step) + 1

@@ -1,11 +1,11 @@
 """The current of a battery in each node.
 
-Between two messages the current is not measured. It is a random walk there, by a clock that goes at
-one pace at rest, at another in motion, and ahead wherever the turn rate changes: there motors start
-and stop. In motion a ripple comes on top, which lasts for less than the time between two messages.
-Messages have noise. Paces, ripple and noise are those that explain best how the messages differ.
-The mean of the walk between two messages is then linear in the clock, and its variance that of a
-Brownian bridge.
+Between two messages the current is modelled as a random walk. Its variance grows at one rate at
+rest and at another in motion, and also where the turn rate changes, as motors start and stop there.
+In motion a ripple is added, which is shorter than the time between two messages. Messages have
+noise. The rates of variance, the ripple and the noise are estimated from the differences of
+neighbouring messages. The mean of the walk between two messages is linear in its accumulated
+variance (`Clock`), and its variance is that of a Brownian bridge.
 """
 
 from __future__ import annotations
@@ -19,75 +19,75 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, integral
 from magcal_ros.core.samples.battery import Battery
 from magcal_ros.core.smoother.unknowns import UNKNOWNS, USUALLY_LATE
 
-FAR = 1e4  # seconds beyond the first and the last message, up to which the current stays
-POINTS = (np.arange(8) + 0.5) / 8.0  # of a node at which the current is computed, as shares of it
-STARTS = 0.1  # seconds in which motors start
-SHORT = 0.02  # seconds of a delay's change, by which derivatives are taken
-DELAYS = np.arange(0.0, 0.41, 0.1)  # seconds by which the messages may be late, for the paces
+MARGIN = 1e4  # of the clock before the first and after the last message, s and A²
+POINTS = (np.arange(8) + 0.5) / 8.0  # fractions of a node at which the current is computed
+START_TIME = 0.1  # seconds in which motors start
+STEP = 0.02  # seconds, of the derivative by the delay
+DELAYS = np.arange(0.0, 0.41, 0.1)  # delays of the messages that are tried, seconds
 SPREAD = 2.0
-"""Standard deviation of the natural logarithm of each pace, and of the variances of the rest."""
-MOST_SPREADS = 4.0  # up to which they may differ from the usual
+"""Prior standard deviation of the natural logarithm of each rate and variance."""
+MOST_SPREADS = 4.0  # limit of these logarithms, in standard deviations
 NOISE = 0.01  # usual noise of a message over the largest current
 LEAST = 1e-6  # A² that is added to each variance
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """How far the current may have changed up to any moment, as a variance."""
+    """Accumulated variance of the current's random walk over time."""
 
     time: FloatArray  # seconds, increasing. Shape (m,).
     variance: FloatArray  # A², increasing. Shape (m,).
     motion: FloatArray  # seconds of motion up to each moment. Shape (m,).
-    ripple: float  # variance in motion beside that, A²
+    ripple: float  # variance of the ripple in motion, A²
     noise: float  # variance of a message, A²
 
     @classmethod
     def of(cls, battery: Battery, time: FloatArray, rate: FloatArray, rests: BoolArray) -> Clock:
-        """Return the clock of a battery's messages, by turn rates (m, 3) and rests (m,)."""
+        """Return the clock for a battery's messages, from turn rates (m, 3) and rests (m,)."""
         parts = np.column_stack(
             [
                 integral(time, rests.astype(float)),
                 integral(time, (~rests).astype(float)),
-                integral(time, _square_of_change(time, rate)),
+                integral(time, _squared_acceleration(time, rate)),
             ]
         )
-        beyond = np.array([FAR, 0.0, 0.0])
-        time = np.concatenate([[time[0] - FAR], time, [time[-1] + FAR]])
+        beyond = np.array([MARGIN, 0.0, 0.0])
+        time = np.concatenate([[time[0] - MARGIN], time, [time[-1] + MARGIN]])
         parts = np.vstack([-beyond, parts, parts[-1] + beyond])
         sizes = _sizes(battery, time, parts)
         ripple, noise = sizes[-2:].tolist()
         return cls(time, parts @ sizes[:-2], parts[:, 1], ripple, noise)
 
     def at(self, moments: FloatArray) -> FloatArray:
-        """Return the variance up to moments, A²."""
+        """Return the accumulated variance at moments, A²."""
         return np.interp(moments, self.time, self.variance)
 
-    def beside(self, moments: FloatArray) -> FloatArray:
-        """Return the variance by which messages at moments differ from the walk, A²."""
+    def message_variance(self, moments: FloatArray) -> FloatArray:
+        """Return the variance of messages at moments about the walk, A²."""
         return np.asarray(self.noise + self.ripple * _moves(moments, self.time, self.motion))
 
 
 def _moves(moments: FloatArray, time: FloatArray, motion: FloatArray) -> FloatArray:
-    """Return the share of the time in which the robot moves around moments."""
-    around = [np.interp(moments + by, time, motion) for by in (-STARTS, STARTS)]
-    return np.asarray((around[1] - around[0]) / (2.0 * STARTS))
+    """Return the fraction of the time around moments in which the robot moves."""
+    around = [np.interp(moments + by, time, motion) for by in (-START_TIME, START_TIME)]
+    return np.asarray((around[1] - around[0]) / (2.0 * START_TIME))
 
 
-def _square_of_change(time: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the squares of the change of the turn rate, (rad/s²)², shape (m,)."""
+def _squared_acceleration(time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return the squared angular acceleration, (rad/s²)², shape (m,)."""
     angle = integral(time, rate)
     ahead, behind = (
         np.column_stack([np.interp(time + by, time, each) for each in angle.T])
-        for by in (STARTS, -STARTS)
+        for by in (START_TIME, -START_TIME)
     )
-    return np.asarray(np.sum((ahead - 2.0 * angle + behind) ** 2, axis=1) / STARTS**4)
+    return np.asarray(np.sum((ahead - 2.0 * angle + behind) ** 2, axis=1) / START_TIME**4)
 
 
 def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
-    """Return the most likely paces, A² over the unit of each part of the clock (m, k), and more.
+    """Return the most likely rates of variance, and the variances of ripple and noise, A².
 
-    By the differences of neighbouring messages, and by how late these may be. The last two are the
-    variances of ripple and noise, A². Shape (k + 2,).
+    The rates are per unit of each column of `parts` (m, k). The estimate uses the differences of
+    neighbouring messages, at the most likely delay. Shape (k + 2,).
     """
     from scipy.optimize import minimize
 
@@ -119,14 +119,14 @@ def _sizes(battery: Battery, time: FloatArray, parts: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """The steps from message to message of a walk with a ripple, whose covariance is banded."""
+    """Differences of neighbouring messages of a walk with a ripple; their covariance is banded."""
 
     ripple: FloatArray  # variance of each message's ripple and noise, A². Shape (k,).
-    factor: FloatArray  # of the covariance, by Cholesky. Shape (2, k - 1).
+    factor: FloatArray  # Cholesky factor of the covariance. Shape (2, k - 1).
 
     @classmethod
     def of(cls, walked: FloatArray, ripple: FloatArray) -> _Steps:
-        """Return them by the variances of the walk's steps (k - 1,) and of the ripple (k,), A²."""
+        """Return the steps, given the variances of the walk (k - 1,) and the ripple (k,), A²."""
         from scipy.linalg import cholesky_banded
 
         band = np.zeros((2, len(walked)))
@@ -140,7 +140,7 @@ class _Steps:
         return float(2.0 * np.sum(np.log(self.factor[1])) + steps @ solved)
 
     def of_ripple(self, steps: FloatArray) -> FloatArray:
-        """Return the mean of each message's ripple, A, (k,)."""
+        """Return the posterior mean of each message's ripple, A, (k,)."""
         return np.asarray(self.ripple * -np.diff(self._solved(steps), prepend=0.0, append=0.0))
 
     def _solved(self, steps: FloatArray) -> FloatArray:
@@ -167,7 +167,7 @@ class Currents:
 
     def change(self, delay: float) -> FloatArray:
         """Return the derivative of the currents by the delay, A/s, (n,)."""
-        return (self._means(delay + SHORT) - self._means(delay - SHORT)) / (2.0 * SHORT)
+        return (self._means(delay + STEP) - self._means(delay - STEP)) / (2.0 * STEP)
 
     def _means(self, delay: float) -> FloatArray:
         now = np.interp(self.clock.at(self._moments), *self._walk(delay))
@@ -177,19 +177,19 @@ class Currents:
         """Return the clock at the messages, A², and the current without its ripple there, A."""
         moments, current = self.battery.time - delay, self.battery.current
         known = self.clock.at(moments)
-        steps = _Steps.of(np.diff(known), self.clock.beside(moments))
+        steps = _Steps.of(np.diff(known), self.clock.message_variance(moments))
         return known, current - steps.of_ripple(np.diff(current))
 
     def variance(self, delay: float) -> FloatArray:
-        """Return the variance of each node's current that no message shows, A², (n,).
+        """Return the variance of each node's current, given the messages, A², (n,).
 
-        The nodes between two messages share it. Nodes that each had the sum of their covariances
-        with all nodes would be as wrong together.
+        The errors of the nodes between two messages are correlated. Each variance is the sum of a
+        node's covariances with all nodes, so that independent nodes have the same total variance.
         """
         points = self.clock.at(self._moments).ravel()
         order = np.argsort(points, kind="stable")
         known = self.clock.at(self.battery.time - delay)
-        known = np.concatenate([[known[0] - FAR], known, [known[-1] + FAR]])
+        known = np.concatenate([[known[0] - MARGIN], known, [known[-1] + MARGIN]])
         at = points[order]
         row = np.searchsorted(known, at, side="right").clip(1, len(known) - 1)
         start, end = known[row - 1], known[row]
@@ -205,9 +205,9 @@ class Currents:
         found[order] = both
         bridge = found.reshape(-1, len(POINTS)).mean(axis=1)
         between = float(np.median(np.diff(self.battery.time)))
-        beside = self.clock.beside(self._moments).mean(axis=1)
-        # It lasts from one message to the next.
-        return np.asarray(bridge + beside * between / (self.end - self.begin))
+        ripple = self.clock.message_variance(self._moments).mean(axis=1)
+        # The ripple is correlated from one message to the next.
+        return np.asarray(bridge + ripple * between / (self.end - self.begin))
 
     @property
     def _moments(self) -> FloatArray:
@@ -215,7 +215,7 @@ class Currents:
         return np.asarray(self.begin[:, None] + (self.end - self.begin)[:, None] * POINTS)
 
     def with_rest(self, at: int, begin: float, end: float) -> Currents:
-        """Return the currents with a rest from one moment to another as two nodes, from `at` on."""
+        """Return the currents with a rest inserted as two nodes at row `at`."""
         nodes = np.array([at, at])
         return Currents(
             self.battery,

@@ -1,7 +1,7 @@
 """Fits of a drive: all numbers, the hard iron alone, and the likelihood ratio of two calibrations.
 
-All are fits of a drive on wheels by the same model. Where a calibration is held, the field is
-corrected by it, and of the twelve numbers only those that are sought are free.
+All use the same model of a drive on wheels. To hold a calibration fixed, the field is corrected
+with the calibration, and only those of the twelve numbers that are sought are free.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window, living_axes
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import (
-    BELIEVED,
     DIFFERENT_TURNS,
+    EVIDENCE_WEIGHT,
     NO_SOLUTION,
     WHILE_DRIVING,
     is_possible,
@@ -41,7 +41,7 @@ from magcal_ros.core.smoother.unknowns import (
 from magcal_ros.core.smoother.without_gyro import DEAD_AXES
 
 FEWEST = 16  # nodes of the shortest drive that is fitted
-FIXED = 0.01  # spread of the logarithm of a size that is known
+FIXED = 0.01  # prior spread of the logarithm of a size that is held fixed
 TOLERANCES = Tolerances(rounds=60, step=0.2)
 HELD = (
     "installation",
@@ -53,9 +53,9 @@ HELD = (
     "drift",
     "force_moving",
 )
-"""The unknowns that are zero after correction by a calibration."""
+"""The unknowns that are held at zero after correction by a calibration."""
 KEPT_TILT, KEPT_SOFT_IRON = math.radians(0.5), 0.002
-"""Sigmas of a change of installation and soft iron beside that of the hard iron."""
+"""Sigmas of the small changes of installation and soft iron that `fit_iron` allows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class DriveFit:
 
     @property
     def sectors(self) -> int:
-        """Number of the twelve sectors of 30° that were driven with the changed hard iron."""
+        """Number of heading sectors, of twelve, that were driven with the changed hard iron."""
         return len(np.unique(self.fit.state.sector[self._counted]))
 
     @property
@@ -82,7 +82,7 @@ class DriveFit:
 
     @property
     def local_field(self) -> float:
-        """The local disturbance with the unsteady field of the motors, tesla per axis."""
+        """Local disturbance and fluctuating field of the motors together, tesla per axis."""
         return self.fit.local_field / MICROTESLA
 
     @property
@@ -105,8 +105,8 @@ def drive_nodes(log: Window, to_body: FloatArray) -> Nodes:
 def fit_drive(log: Window, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     """Return the fit of all twelve numbers to a drive on wheels.
 
-    The nodes are those of the log. Raises `Refusal`: `TOO_FEW_SAMPLES` of too short a drive,
-    `NO_SOLUTION` if no fit converges.
+    The nodes are those of the log. Raises `Refusal`: `TOO_FEW_SAMPLES` if the drive is too short,
+    `NO_SOLUTION` if no fit converges, `AXES_DISAGREE` if the gyro or the axes are wrong.
     """
     check_length(nodes)
     if not all(living_axes(log.angular_rate)):
@@ -129,7 +129,7 @@ def check_length(nodes: Nodes) -> None:
 
 
 def why_too_little(nodes: Nodes) -> Refusal | None:
-    """Return the refusal of a drive too short or without gyro; None if it is usable."""
+    """Return the refusal if the drive is too short or the gyro is missing, else None."""
     if len(nodes) < FEWEST:
         return Refusal(
             Reason.TOO_FEW_SAMPLES,
@@ -139,8 +139,8 @@ def why_too_little(nodes: Nodes) -> Refusal | None:
     if np.mean(nodes.is_tied) < 0.5:
         return Refusal(
             Reason.AXES_DISAGREE,
-            "for most of the drive gyro samples are missing: stamps come in bursts, or too seldom;"
-            " stamp each sample when it is measured, not when a buffer is read",
+            "gyro samples are missing for most of the drive: the stamps come in bursts or too"
+            " seldom; stamp each sample when it is measured, not when a buffer is read",
         )
     return None
 
@@ -155,7 +155,7 @@ def corrected(nodes: Nodes, correction: Correction, to_sensor: FloatArray) -> No
 
 
 def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = False) -> Priors:
-    """Return the priors of a corrected field: the unknowns of its calibration are held.
+    """Return the priors for a field corrected with a calibration that is held fixed.
 
     `iron` (3,) is the sigma of the remaining hard iron, µT. `may_change` allows small changes of
     installation and soft iron.
@@ -164,7 +164,7 @@ def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = Fa
     scale = priors.scale.copy()
     for name in HELD:
         scale[AT[name]] = 0.0
-    # Up is taken as measured, whose offset along z leans nothing; without it, bends lean up.
+    # Up is taken as measured: only an offset along z is free, which does not tilt up.
     scale[AT["force_offset"]][:2] = 0.0
     scale[AT["iron"]] = iron
     if may_change:
@@ -178,7 +178,7 @@ def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
     try:
         state, about = start(inside, priors)
         mean = about.mean.copy()
-        # What a calibration left of the hard iron is about zero.
+        # The expected remaining hard iron is zero, not that of the start.
         mean[AT["iron"]] = priors.mean[AT["iron"]]
         shared = mean.copy()
         for which in (AT["gyro_bias"], EARTH):
@@ -193,7 +193,7 @@ def fit_iron(nodes: Nodes, correction: Correction, knowledge: Knowledge) -> Driv
     """Return the fit of the change of hard iron since a calibration was made.
 
     The matrix of the correction is kept, apart from the small changes that the priors allow. The
-    result is that of the raw field; None if the drive is too short.
+    result refers to the raw field. None if the drive is too short or the fit fails.
     """
     if why_too_little(nodes) is not None:
         return None
@@ -210,7 +210,7 @@ def added_to(correction: Correction, found: Fit, iron: slice) -> DriveFit:
     swapped[AT["iron"]], swapped[iron] = swapped[iron].copy(), swapped[AT["iron"]].copy()
     moved = replace(moved, covariance=found.covariance[np.ix_(swapped, swapped)])
     change = posterior(moved, np.eye(3))
-    # A = A1 A0 and h = h0 + A0^-1 h1: how the twelve numbers follow those of the change.
+    # Derivatives of the twelve numbers by those of the change: A = A1 A0 and h = h0 + A0^-1 h1.
     by_change = np.eye(len(change.numbers))
     by_change[:9, :9] = np.kron(np.eye(3), correction.matrix.T)
     by_change[9:12, 9:12] = np.linalg.inv(correction.matrix)
@@ -231,9 +231,9 @@ class LikelihoodRatio:
     """The log likelihood ratio of nodes between a new calibration and an old one."""
 
     by_node: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """Log likelihood ratio of each node, times `BELIEVED`. Shape (n,)."""
+    """Log likelihood ratio of each node, weighted by `EVIDENCE_WEIGHT`. Shape (n,)."""
     sector: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    """Of twelve headings, by the new one. Shape (n,)."""
+    """Heading sector of each node by the new calibration, 0 to 11. Shape (n,)."""
 
     @property
     def gain(self) -> float:
@@ -274,7 +274,7 @@ def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> Likelih
     known = [each for each in fits if each is not None]
     if len(known) < len(fits):
         return LikelihoodRatio()
-    # Costs compare at the same sizes of noise only.
+    # Costs are comparable at the same noise sizes only.
     likelier = min(known, key=lambda each: each.evidence)
     sizes = {
         name: priors.sizes[name]._replace(usual=size, spread=FIXED)
@@ -283,7 +283,7 @@ def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> Likelih
     before, after = (held_fit(each, replace(priors, sizes=sizes)) for each in (old, new))
     if before is None or after is None:
         return LikelihoodRatio()
-    by_node = BELIEVED * (_costs(before) - _costs(after))
+    by_node = EVIDENCE_WEIGHT * (_costs(before) - _costs(after))
     return LikelihoodRatio(by_node, after.state.sector)
 
 

@@ -1,4 +1,4 @@
-"""What is known of the Earth's field: a mixture of Gaussians of its level and downward part."""
+"""Prior of the Earth's field: a mixture of Gaussians of its level and downward components."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.smoother.unknowns import FIELDS_ON_EARTH, MICROTESLA
 
-LEVEL_SIGMA = 2.0  # µT, of a level field that is measured at the start
+LEVEL_SIGMA = 2.0  # µT, sigma of the level field measured at the start
 
 
 class EarthPrior(NamedTuple):
@@ -22,7 +22,7 @@ class EarthPrior(NamedTuple):
     information: FloatArray  # shape (2, 2)
 
     def cost(self, earth: FloatArray) -> float:
-        """Return minus twice the log density at a field, but for a constant."""
+        """Return minus twice the log density at a field, up to a constant."""
         off = earth - self.mean
         determinant = np.linalg.slogdet(self.information)[1]
         return float(off @ self.information @ off) - float(determinant)
@@ -30,15 +30,15 @@ class EarthPrior(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fields:
-    """Prior of the Earth's field where the robot is: one Gaussian if it is known, else several."""
+    """Prior of the Earth's field at the robot: one Gaussian if it is known, else a mixture."""
 
-    shares: FloatArray  # Shape (k,).
+    shares: FloatArray  # weights of the components. Shape (k,).
     means: FloatArray  # µT. Shape (k, 2).
     covariances: FloatArray  # µT². Shape (k, 2, 2).
 
     @classmethod
     def of(cls, reference: ReferenceField) -> Fields:
-        """Return the prior by what is known of strength and inclination."""
+        """Return the prior, given what is known of strength and inclination."""
         strength, dip = reference.strength, reference.inclination
         if reference.is_complete:
             size, angle = strength.value * MICROTESLA, dip.value
@@ -71,28 +71,28 @@ class Fields:
         return EarthPrior(mean, np.asarray(np.linalg.inv(covariance)))
 
     def about(self, earth: FloatArray) -> EarthPrior:
-        """Return the first Gaussian: about the field of a start, if the field is not known."""
+        """Return the initial Gaussian, about the field of the start if the field is not known."""
         prior = self.gaussian
         return prior if self.is_known else prior._replace(mean=self.at_level(earth[0]))
 
     def at_level(self, level: float) -> FloatArray:
-        """Return the expected level and downward field where a level field was measured, µT."""
+        """Return the expected level and downward field, given a measured level field, µT."""
         information = np.array([LEVEL_SIGMA**-2.0, 0.0])
         return self._given(np.diag(information), information * level)[0]
 
     def seen(
         self, prior: EarthPrior, mean: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, FloatArray, float]:
-        """Return by how much the posterior moves, its covariance, and the gain in log evidence.
+        """Return the shift of the posterior mean, its covariance, and the gain in log evidence.
 
-        `mean` and `covariance` are the posterior under `prior`. That prior is removed from them,
-        and what the samples alone show is combined with all fields. Where that lies between two
-        likely fields, the new covariance is larger than that of the samples alone.
+        `mean` and `covariance` are the posterior under `prior`. This prior is removed from them,
+        and the likelihood is combined with the mixture. If it lies between two components, the
+        new covariance is larger than that of the likelihood alone.
         """
         by_posterior = np.linalg.inv(covariance)
         values, vectors = np.linalg.eigh(by_posterior - prior.information)
         by_samples = (vectors * np.maximum(values, 0.0)) @ vectors.T
-        # With the mean as the origin: the samples may be far more precise than the fields.
+        # The mean is the origin: the samples may be far more precise than the prior.
         drawn = prior.information @ (mean - prior.mean)
         spread = np.asarray(np.linalg.inv(prior.information))
         before = Fields(np.ones(1), (prior.mean - mean)[None], spread[None])
@@ -124,7 +124,7 @@ class Fields:
         return mean, covariance, likely
 
     def _measured(self, along: FloatArray, value: float, sigma: FloatArray | float) -> Fields:
-        """Return the fields where the parts along unit vectors (k, 2) are known, µT."""
+        """Return the mixture, given measured components along unit vectors (k, 2), µT."""
         variance = np.maximum(np.square(sigma), 1e-6) * np.ones(len(self.shares))
         gain = np.einsum("kij,kj->ki", self.covariances, along)
         total = np.sum(gain * along, axis=1) + variance

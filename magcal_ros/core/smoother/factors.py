@@ -1,7 +1,7 @@
-"""Factors: residuals of the measurements, with their derivatives by the unknowns.
+"""Factors: residuals of the measurements, and derivatives with respect to the unknowns.
 
-Each residual is a measurement less its prediction. Attitudes change on the body's side,
-R <- exp(phi) R; all derivatives are of the prediction.
+A residual is the measurement minus its prediction; the derivatives are those of the prediction.
+Attitudes are perturbed on the body's side, R <- exp(phi) R.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from magcal_ros.core.smoother.unknowns import (
 DEGREE = math.radians(1.0)
 
 ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Rows and columns of the numbers of soft iron."""
+"""Row and column of each soft-iron parameter."""
 
 
 def _element_matrices() -> FloatArray:
@@ -58,7 +58,7 @@ def _element_matrices() -> FloatArray:
 
 
 ELEMENT_MATRICES = _element_matrices()
-LEVEL = np.diag([1.0, 1.0, 0.0])  # what shielding adds to the soft iron
+LEVEL = np.diag([1.0, 1.0, 0.0])  # derivative of the soft iron by the shielding
 X, Y, Z = np.eye(3)
 LEVEL_AXES, UP_AXIS = slice(0, 2), slice(2, 3)  # components of a residual in body axes
 
@@ -68,11 +68,11 @@ class Linear:
     """Residuals of one kind with their derivatives."""
 
     residual: FloatArray  # Shape (k, d)
-    here: FloatArray  # by the unknowns of node k. Shape (k, d, LOCAL).
+    here: FloatArray  # derivatives by the unknowns of node k. Shape (k, d, LOCAL).
     there: FloatArray | None = None
-    """By those of node k + 1, for residuals between neighbours. Shape (k, d, LOCAL)."""
+    """By the unknowns of node k + 1, for residuals between neighbours. Shape (k, d, LOCAL)."""
     shared: FloatArray | None = None
-    """By the shared unknowns; those of the centres of `Places` may be left out at the end. Shape
+    """By the shared unknowns; the last columns, of the centres of `Places`, may be missing. Shape
     (k, d, s)."""
 
     def part(self, components: slice) -> Linear:
@@ -81,13 +81,13 @@ class Linear:
         return Linear(self.residual[:, components], self.here[:, components], *rest)
 
     def times(self, matrices: FloatArray) -> Linear:
-        """Return the residuals multiplied by a matrix each, shape (k, d, d)."""
+        """Return the residuals, each multiplied by its matrix, shape (k, d, d)."""
         rest = (None if each is None else matrices @ each for each in (self.there, self.shared))
         residual = np.einsum("kij,kj->ki", matrices, self.residual)
         return Linear(residual, matrices @ self.here, *rest)
 
     def by(self, free: IntArray) -> FloatArray:
-        """Return the derivatives by the free shared unknowns, without those left out."""
+        """Return the derivatives by the free shared unknowns, without missing columns."""
         assert self.shared is not None
         return self.shared[:, :, free[free < self.shared.shape[2]]]
 
@@ -110,14 +110,14 @@ def gyro_matrix(shared: FloatArray) -> FloatArray:
 
 
 def gyro_error(nodes: Nodes, shared: FloatArray) -> FloatArray:
-    """Return the gyro's rotation between nodes by bias and matrix, radians, shape (n - 1, 3)."""
+    """Return the gyro's rotation error by bias and matrix, radians, shape (n - 1, 3)."""
     bias = nodes.seconds[:, None] * shared[AT["gyro_bias"]]
     bias[:, 2] += bias_waves(nodes) @ shared[AT["bias_walk"]]
     return np.asarray(bias + nodes.angle @ gyro_matrix(shared).T)
 
 
 def bias_waves(nodes: Nodes) -> FloatArray:
-    """Return the rotation between nodes by each wave of a bias that walks, √s s, (n - 1, WAVES).
+    """Return the rotation between nodes by each wave of the bias walk, √s s, (n - 1, WAVES).
 
     A random walk over T seconds is a sum of independent waves sqrt(2 T) sin(w t / T) / w, with w =
     pi / 2, 3 pi / 2, ... (Karhunen and Loève).
@@ -138,8 +138,8 @@ def distortion(shared: FloatArray) -> FloatArray:
     return soft_iron(shared) @ installation(shared)
 
 
-def of_the_motors(course: Course, shared: FloatArray) -> dict[str, FloatArray]:
-    """Return the inputs of the motors' field by its unknowns, each of shape (n, 1)."""
+def motor_inputs(course: Course, shared: FloatArray) -> dict[str, FloatArray]:
+    """Return the input of each group of unknowns of the motors' field, shapes (n, 1)."""
     nodes = course.nodes
     found = {"motors_moving": course.moving[:, None], "motors_rate": nodes.rate[:, 2:]}
     if nodes.currents is not None:
@@ -165,7 +165,7 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     by_earth, by_street = full @ nodes.inside, turn @ nodes.inside
     inside_earth = np.einsum("nij,nj->ni", nodes.inside, earth)
     inside_street = np.einsum("nij,nj->ni", nodes.inside, street)
-    count, motors = len(nodes), of_the_motors(course, shared)
+    count, motors = len(nodes), motor_inputs(course, shared)
     of_the_body = {"iron": np.ones((count, 1)), **motors, "drift": course.span[:, None]}
     of_the_body["added"] = added
     predicted = inside_earth @ full.T + inside_street @ turn.T + state.local[:, BODY_FIELD]
@@ -216,8 +216,8 @@ QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])  # A quarter turn to the left in t
 def force(course: Course, state: State) -> Linear:
     """Return the residuals of the specific force between nodes, m/s².
 
-    A vehicle's velocity stays level while its body sways, so that its acceleration is computed in
-    level axes; the lever arm turns with the body.
+    A vehicle's velocity stays level while its body sways: its acceleration is computed in level
+    axes. The lever arm rotates with the body.
     """
     nodes, shared = course.nodes, state.shared
     level, up = course.axes[:, :2], course.axes[:, 2]
@@ -227,7 +227,7 @@ def force(course: Course, state: State) -> Linear:
     mean = 0.5 * (velocity[1:] + velocity[:-1])
     seconds = nodes.seconds[:, None]
     gravity = STANDARD_GRAVITY * state.attitude[:, :, 2]
-    # Half by the attitude of each end: what the gyro missed between them is no error of force.
+    # Half by the attitude of each end, so that a gyro error between them is no error of force.
     along, back = 0.5 * nodes.along, 0.5 * nodes.along @ np.swapaxes(nodes.turned, 1, 2)
     spin = skews(rate)
     by_arm = spin @ spin + skews(nodes.swing)
@@ -274,7 +274,7 @@ def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Lin
     `heading` (n,) is the ENU yaw to magnetic north, radians, and `forward` (n, 3) its direction in
     body axes.
     """
-    off, by_attitude = _heading_less(heading, forward, state)
+    off, by_attitude = _heading_residual(heading, forward, state)
     here = np.zeros((len(heading), 1, LOCAL))
     here[:, 0, ATTITUDE] = by_attitude
     here[:, :, HEADING_DRIFT] = DEGREE
@@ -286,9 +286,9 @@ def known_turn(
 ) -> Linear:
     """Return the residuals of turns between nodes by the gyro, (n - 1,) radians to the left.
 
-    The gyro's bias counts over so many `seconds`, (n - 1,).
+    `seconds` (n - 1,) are the durations over which the gyro's bias was integrated.
     """
-    ahead, by_attitude = _heading_less(np.zeros(len(forward)), forward, state)
+    ahead, by_attitude = _heading_residual(np.zeros(len(forward)), forward, state)
     here, there = (np.zeros((len(turned), 1, LOCAL)) for _ in range(2))
     here[:, 0, ATTITUDE], there[:, 0, ATTITUDE] = -by_attitude[:-1], by_attitude[1:]
     by = np.zeros((len(turned), 1, SHARED))
@@ -298,10 +298,10 @@ def known_turn(
     return Linear(wrap_angle(off)[:, None], here, there, by)
 
 
-def _heading_less(
+def _heading_residual(
     heading: FloatArray, forward: FloatArray, state: State
 ) -> tuple[FloatArray, FloatArray]:
-    """Return headings less those of a state, and the derivative of a state's by the attitudes."""
+    """Return headings minus those of a state, and the derivative of the latter by attitude."""
     east, north = state.attitude[:, :, 0], state.attitude[:, :, 1]
     x, y = np.sum(east * forward, axis=1), np.sum(north * forward, axis=1)
     turned = x[:, None] * np.cross(north, forward) - y[:, None] * np.cross(east, forward)
@@ -311,7 +311,7 @@ def _heading_less(
 def speed(measured: FloatArray, state: State, *, is_ahead: bool) -> Linear:
     """Return the residuals of the wheels' speed, (n,) in m/s.
 
-    It is that along the body's x axis if `is_ahead`, or else along any direction.
+    The speed is along the body's x axis if `is_ahead`, else in any direction.
     """
     here = np.zeros((len(measured), 1, LOCAL))
     velocity = state.local[:, VELOCITY]
@@ -343,11 +343,11 @@ def gyro(course: Course, state: State) -> Linear:
     return Linear(-off, here, there, by)
 
 
-def followed(state: State, row: int, keeps: FloatArray, by: tuple[int, int]) -> Linear:
+def second_order(state: State, row: int, keeps: FloatArray, by: tuple[int, int]) -> Linear:
     """Return the residuals of a process of second order, x[k + 1] = keeps x[k] + noise.
 
-    `row` is the index of the unknown at the nodes. `keeps` (2, n - 1) are its factors of the two
-    unknowns `by` at the node before.
+    `row` is the index of the unknown at the nodes. `keeps` (2, n - 1) are the coefficients of the
+    two unknowns `by` at the previous node.
     """
     values, count = state.local, len(state.local) - 1
     here, there = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))
@@ -371,7 +371,7 @@ def process(state: State, which: slice, keeps: FloatArray) -> Linear:
 
 
 def heading_drift(state: State, keeps: FloatArray, seconds: FloatArray) -> Linear:
-    """Return the residuals of headings that drift at random, and evenly over so many seconds."""
+    """Return the residuals of a heading drift: a Gauss-Markov process, plus a constant rate."""
     drift = process(state, HEADING_DRIFT, keeps)
     drift.here[:, :, HEADING_RATE] = -seconds[:, None, None]
     evenly = seconds[:, None] * state.local[:-1, HEADING_RATE]

@@ -23,9 +23,9 @@ from magcal_ros.core.smoother.unknowns import (
 def force_at_nodes(course: Course, state: State) -> Linear:
     """Return the residuals of the specific force at the nodes of a turn without a gyro.
 
-    It is the mean of the same samples as the field's, so that a lean within a node is no error. The
-    velocity of node k is that of the accelerometer between nodes k - 1 and k. The last node, whose
-    end has no velocity, is left out.
+    The force is averaged over the same samples as the field, so that tilting within a node causes
+    no error. The velocity of node k is that of the accelerometer between nodes k - 1 and k. The
+    last node is left out, because it has no velocity at its end.
     """
     nodes, shared = course.nodes, state.shared
     level, up = course.axes[:, :2], course.axes[:, 2]
@@ -64,11 +64,11 @@ def force_at_nodes(course: Course, state: State) -> Linear:
 
 
 def sway(course: Course, state: State) -> Linear:
-    """Return the residuals of the accelerometer's velocity against the sway of its body, m/s.
+    """Return the residuals of the accelerometer's velocity due to the sway of the body, m/s.
 
-    An accelerometer off the pivot is moved by every change of lean: above it to the side, beside
-    it along the turn's axis. The velocity of node k, in level axes, is that between nodes k - 1
-    and k.
+    An accelerometer off the pivot moves with every change of tilt: sideways if it is above the
+    pivot, along the turn's axis if it is beside the pivot. The velocity of node k, in level axes,
+    is that between nodes k - 1 and k.
     """
     shared, attitude, seconds = state.shared, state.attitude, course.nodes.seconds[:, None]
     between = attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2)
@@ -77,7 +77,7 @@ def sway(course: Course, state: State) -> Linear:
     arm = course.axes @ shared[AT["sway_arm"]]
     # Of rate x (height up), in level axes.
     across = -course.axes[:, :2].T @ skew(course.axes[:, 2])
-    upright, by_upright = _leaning(np.eye(3), shared[AT["upright"]])
+    upright, by_upright = _tilted(np.eye(3), shared[AT["upright"]])
     axis = attitude @ upright
     rises = (axis[1:] - axis[:-1]) / seconds
     count = len(seconds)
@@ -100,10 +100,10 @@ def sway(course: Course, state: State) -> Linear:
 def turning(course: Course, state: State, axes: FloatArray) -> Linear:
     """Return the residuals of steady rotation about the turn's axis, (n - 1, 1) radians.
 
-    The last one of the axes is near the turn's.
+    The last column of `axes` is near the turn's axis.
     """
     seconds, rate = course.nodes.seconds[:, None], state.local[:-1, RATE]
-    axis, by_axis = _leaning(axes, state.shared[AT["axis"]])
+    axis, by_axis = _tilted(axes, state.shared[AT["axis"]])
     between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
     off = rotation_vectors(between @ exp_rotations(seconds * rate * axis))
     count = len(seconds)
@@ -119,10 +119,10 @@ def turning(course: Course, state: State, axes: FloatArray) -> Linear:
 def lean(state: State, axes: FloatArray, keeps: FloatArray) -> Linear:
     """Return the residuals of a Gauss-Markov process of the axis' tilt, (n - 1, 2) radians.
 
-    The body turns about an axis that is fixed in the body and in the world, and sways around it.
+    The body turns about an axis fixed in the body and in the world, and sways about this axis.
     """
-    axis, by_axis = _leaning(axes, state.shared[AT["axis"]])
-    upright, by_upright = _leaning(np.eye(3), state.shared[AT["upright"]])
+    axis, by_axis = _tilted(axes, state.shared[AT["axis"]])
+    upright, by_upright = _tilted(np.eye(3), state.shared[AT["upright"]])
     across = axes[:, :2].T
     turned = state.attitude @ upright
     leans = (turned - axis) @ across.T
@@ -138,8 +138,8 @@ def lean(state: State, axes: FloatArray, keeps: FloatArray) -> Linear:
     return Linear(residual, here, there, by[1:] - kept * by[:-1])
 
 
-def _leaning(axes: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a unit vector (3,) off the last axis by (2,) along the others, and its derivative."""
+def _tilted(axes: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the last axis (3,) tilted by `off` (2,) along the others, and its derivative."""
     vector = axes[:, 2] + axes[:, :2] @ off
     length = np.linalg.norm(vector)
     axis = vector / length

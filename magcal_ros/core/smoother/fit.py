@@ -15,21 +15,21 @@ from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.sizes import (
-    as_large_as_all,
     effect_factors,
     expected_square,
     noise_sizes,
+    whole_field_factors,
 )
 from magcal_ros.core.smoother.solver import Solution, Weighted, log_determinant
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, KindOfMotion
 
 STEPS = {EARTH.stop - 1: 0.1, AT["sway_arm"].stop - 1: 0.01}
-"""Of the downward field, µT, and the height above the pivot, m, by which derivatives are taken."""
+"""Steps of derivatives by the downward field (µT) and by the height above the pivot (m)."""
 NEGLIGIBLE = 20.0
 """Difference of minus twice the log evidence from which the worse of two fits has no weight."""
 SETTLED = 0.2
-"""Step of the answer, in its own sigmas, of a fit whose last rounds still change something else."""
+"""Largest step of the answer, in its own sigmas, of a fit that counts as settled."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +38,15 @@ class Tolerances:
 
     rounds: int = 80  # steps at most
     fewest: int = 8  # steps at least
-    step: float = 0.05  # of the answer, in its own sigmas
+    step: float = 0.05  # of the answer (`answer_of`), in its own sigmas
     evidence: float = 0.5  # change of minus twice the logarithm of the evidence
     largest_turn: float = 0.4  # radians that a step may turn any node; longer steps are shortened
     places_at: tuple[int, ...] = (7, 11)  # rounds in which the places passed are computed again
-    held: int = 3
-    """Rounds in which the sigmas of effects keep their usual sizes, until the rest fits."""
-    gaussian: int = 5  # rounds in which all residuals count fully
+    held: int = 3  # first rounds, in which the sigmas of effects keep their usual sizes
+    gaussian: int = 5  # first rounds, in which residuals are Gaussian instead of Student
     ahead: int = 10
-    """Rounds that may each gain as much as the last one; a fit that stays behind even then ends."""
-    undamped: int = 20
-    """Rounds in which each step is taken as a whole, though it may go back on the one before."""
+    """A fit ends if this many more rounds, each with the last gain, would not reach the limit."""
+    undamped: int = 20  # first rounds, in which every step is taken in full
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ class Fit:
     model: Model
     point: Point
     covariance: FloatArray  # of the shared unknowns. Shape (SHARED, SHARED).
-    evidence: float  # minus twice the logarithm of the evidence, but for a constant of the window
+    evidence: float  # minus twice the logarithm of the evidence, up to a constant of the window
     weighted: dict[str, Weighted]  # the residuals at the optimum
     rounds: int
     converged: bool
@@ -72,13 +70,13 @@ class Fit:
 
     @property
     def local_field(self) -> float:
-        """Size of the local disturbance, with what motors add unsteadily, µT per axis."""
+        """Local disturbance and fluctuating field of the motors together, µT per axis."""
         return math.hypot(self.point.sizes["street"], self.point.sizes["motors_noise"])
 
     @property
     def is_settled(self) -> bool:
         """Whether the answer no longer changes."""
-        # Velocities may alternate between two sets of outliers, on which no answer depends.
+        # Velocities may alternate between two sets of outliers without an effect on the answer.
         return self.converged or self.moved < SETTLED
 
     @property
@@ -99,10 +97,11 @@ def fit(
 ) -> Fit:
     """Return the fit of a window by Gauss-Newton steps, with the sizes of noises and effects.
 
-    The priors are those about the start. `like` is an optimum of another kind of motion to begin
-    at, or a fit of this one to continue. `report` is called with the number of each round. The
-    iterations end early if the evidence will not come near `rival`, with which another fit would
-    have the same weight. Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
+    The priors are those about the start. `like` is the optimum of another kind of motion to start
+    from, or a fit of this kind to continue. `report` is called with the number of each round.
+    `rival` is the evidence at which a competing fit has the same weight; the iterations end early
+    if they cannot come near it. Raises `numpy.linalg.LinAlgError` if a matrix is not positive
+    definite.
     """
     model = Model.of(nodes, priors, start, kind)
     point, first, fewest = _begin(model, start, kind, tolerances, like)
@@ -117,8 +116,8 @@ class Optimum:
     models: list[Model]
     points: list[Point]
     joint: Joint  # the last step, which is not taken
-    wide: list[Point]  # the points with the sizes' posterior mean squares
-    doubted: Joint  # the covariance there
+    wide: list[Point]  # the points with the root mean squares of the sizes under their posterior
+    widened: Joint  # the covariance at `wide`
     evidence: float
     rounds: int
     converged: bool
@@ -129,7 +128,7 @@ class Optimum:
         end, out = (self.rounds, self.converged, self.moved), []
         for k, (kind, model) in enumerate(zip(kinds, self.models, strict=True)):
             free, covariance = model.free, np.zeros((SHARED, SHARED))
-            known = self.doubted.solutions[k].covariance[: len(free), : len(free)]
+            known = self.widened.solutions[k].covariance[: len(free), : len(free)]
             covariance[np.ix_(free, free)] = known
             parts = self.joint.weighted[k]
             out.append(Fit(kind, model, self.points[k], covariance, self.evidence, parts, *end))
@@ -147,8 +146,8 @@ def optimum(
 ) -> Optimum:
     """Iterate from initial points to the optimum of all windows.
 
-    `first` is the number of the first round, `fewest` that from which the iterations may end. They
-    end early if the evidence will not come below `limit`.
+    `first` is the number of the first round; the iterations may end after round `fewest`. They end
+    early if the evidence will not come below `limit`.
     Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     models, points, every = list(models), list(points), range(len(models))
@@ -198,21 +197,21 @@ def _with_covariance(
     evidence: float,
     end: tuple[int, bool, float],
 ) -> Optimum:
-    """Return the optimum with its covariance, by all fields that the Earth may have.
+    """Return the optimum with its covariance, under the mixture prior of the Earth's field.
 
     `end` are the rounds, whether they converged, and the last step of the answer.
     """
     windows = zip(models, points, joint.solutions, strict=True)
     wide = agreed(models, [_widened(*each) for each in windows])
-    doubted = Joint.at(models, wide, is_expected=True)
+    widened = Joint.at(models, wide, is_expected=True)
     if not models[0].priors.fields.is_known:
         means = [earth_of(*each) for each in zip(models, points, joint.solutions, strict=True)]
-        joint, gain = _among_fields(models, joint, means)
-        doubted, _ = _among_fields(models, doubted, means)
+        joint, gain = _with_mixture(models, joint, means)
+        widened, _ = _with_mixture(models, widened, means)
         taken = zip(models, points, joint.solutions, strict=True)
         points = [stepped(model, point, solution, 1.0) for model, point, solution in taken]
         evidence -= 2.0 * gain
-    return Optimum(models, points, joint, wide, doubted, evidence, *end)
+    return Optimum(models, points, joint, wide, widened, evidence, *end)
 
 
 def earth_of(model: Model, point: Point, solution: Solution) -> FloatArray:
@@ -220,14 +219,14 @@ def earth_of(model: Model, point: Point, solution: Solution) -> FloatArray:
     return np.asarray(point.state.shared[EARTH] + solution.shared[model.rows_of_earth])
 
 
-def _among_fields(
+def _with_mixture(
     models: Sequence[Model], joint: Joint, means: Sequence[FloatArray]
 ) -> tuple[Joint, float]:
-    """Return the step to the optimum by all fields that the Earth may have, and what they gain.
+    """Return the step to the optimum under the mixture prior of the Earth's field, and its gain.
 
-    The iterations use one wide Gaussian: with several, they could end at any of them. `means` are
-    the posterior means of level and downward field (2,) under that one. The gain is that of the log
-    evidence; all windows share the field, so that each has the same.
+    The iterations use one wide Gaussian, because with a mixture they could end at any component.
+    `means` are the posterior means of level and downward field (2,) under this Gaussian. The gain
+    is in log evidence; all windows share the field, and so the gain.
     """
     found, gain = [], 0.0
     for model, solution, mean in zip(models, joint.solutions, means, strict=True):
@@ -243,7 +242,7 @@ def _among_fields(
 
 
 def _robust(model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution) -> Point:
-    """Return the point with Student residuals; without a gyro all tilts are integrated out."""
+    """Return the point with Student residuals; without a gyro all tilts are marginalised."""
     point = replace(point, is_robust=True)
     if model.nodes.tied_to is None:
         return point
@@ -256,9 +255,8 @@ def marginal_gradient(
     """Return the gradient of the log determinant of the nodes' information matrix.
 
     Shape (SHARED,), by the downward field and the height of the accelerometer. Both multiply the
-    tilt, and the joint optimum makes the tilts too small and both too large (Neyman and Scott,
-    Econometrica 16, 1948). `weighted` are the residuals at the point, `solution` is the step from
-    there.
+    tilts: the joint optimum underestimates the tilts and overestimates both (Neyman and Scott,
+    Econometrica 16, 1948). `weighted` and `solution` are the residuals and the step at the point.
     """
     prior, out = prior_at(model, point), np.zeros(SHARED)
     for which, step in STEPS.items():
@@ -283,7 +281,7 @@ def _begin(
     if like.kind == kind:
         return like.point, max(tolerances.places_at) + 1, last
     if model.travels and not like.model.travels:
-        # The optimum on the spot is near enough for the path to be computed once.
+        # From the optimum on the spot, it is enough to compute the path once.
         last = min(tolerances.places_at)
     return like.point.moved_to(model), tolerances.gaussian, last
 
@@ -295,7 +293,7 @@ def share_of(solution: Solution, tolerances: Tolerances) -> float:
 
 
 def answer_of(model: Model, solution: Solution) -> FloatArray:
-    """Return the step of the answer, in its own sigmas."""
+    """Return the step of the answer (hard and soft iron, installation, axes), in its sigmas."""
     answer = np.flatnonzero(model.free < AT["axes"].stop)
     sigma = np.sqrt(np.diag(solution.covariance)[answer])
     return np.asarray(solution.shared[answer] / sigma)
@@ -322,7 +320,7 @@ def stepped(model: Model, point: Point, solution: Solution, share: float) -> Poi
     shared[SHARED:] = solution.shared[free:]
     state = point.state.moved(share * solution.local, share * shared)
     if state.is_backward and model.nodes.tied_to is None:
-        # A start may be off by half a turn, and a level field that goes through zero shows it.
+        # If the start is off by half a turn, the level field passes through zero.
         state = state.turned_about()
     return replace(point, state=state, course=course_at(model, state))
 
@@ -336,13 +334,13 @@ def with_places(model: Model, point: Point) -> Point:
 
 @dataclass(frozen=True)
 class SizeSteps:
-    """The last change of the noises' sizes, to shorten alternating steps."""
+    """The last step of the noise sizes, to shorten alternating steps."""
 
     pace: dict[str, float] | None = None
     steps: dict[str, float] | None = None
 
     def next(self, model: Model, point: Point, solution: Solution) -> tuple[SizeSteps, Point]:
-        """Return the change and the point after it; alternating steps are shortened."""
+        """Return the step and the point after it."""
         wanted, _, doubt = noise_sizes(model, point, solution)
         pace, steps = {}, {}
         for name, size in wanted.items():
@@ -356,11 +354,11 @@ class SizeSteps:
 
 
 def _widened(model: Model, point: Point, solution: Solution) -> Point:
-    """Return the point with the sizes' posterior mean squares, for the covariance.
+    """Return the point with the root mean squares of the sizes, for the covariance.
 
-    The yaw error of axes out of square is known from the size of the soft iron only, which counts
-    by its mean square. The motors' field may be a step, or proportional to the rate or the current.
-    An even turn cannot separate them: each may be as large as all together.
+    The yaw error of non-orthogonal axes is known from the size of the soft iron only, whose mean
+    square is used. The motors' field may be a step, or proportional to the rate or the current. A
+    steady turn cannot separate these: each may be as large as their sum.
     """
     _, shown, _ = noise_sizes(model, point, solution)
     beliefs = model.priors.sizes
@@ -370,5 +368,5 @@ def _widened(model: Model, point: Point, solution: Solution) -> Point:
     }
     expected = effect_factors(model, point, solution, frozenset({"soft_iron"}))
     groups = point.groups | {name: expected[name] for name in ("soft_iron", "axes")}
-    groups |= as_large_as_all(point)
+    groups |= whole_field_factors(point)
     return replace(point, sizes=wide, groups=groups)

@@ -1,4 +1,4 @@
-"""What the IMU shows from each sample of a window to the next."""
+"""Increments of angle and velocity between the samples of a window."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from magcal_ros.core.up.follower import unseen_angles
 
 
 def gyro_steps(window: Window) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what the IMU shows from each sample to the next, (n - 1, ...).
+    """Return the IMU's increments from each sample to the next, (n - 1, ...).
 
     Angles, radians; the variances of their errors; the velocity by the specific force in body axes,
-    m/s; and over how many intervals between IMU samples these were integrated.
+    m/s; and the number of IMU intervals over which these were integrated.
 
     Over m intervals the error of the trapezoidal rule is smaller by m**2 than over one
     (Euler-Maclaurin), and the variance of the angle that the samples miss is smaller by m**5.
@@ -35,14 +35,14 @@ def gyro_steps(window: Window) -> tuple[FloatArray, FloatArray, FloatArray, Floa
 def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the angles between samples, radians, and the variances of their errors, (n - 1, 3).
 
-    A polynomial through six samples underrates the sway where samples come at hardly more than
-    twice its frequency, and the fit would take that for a stronger field. There it is interpolated
-    as what has no frequencies beyond the fastest sway.
+    A polynomial through six samples underestimates sway near the Nyquist frequency, and the fit
+    would compensate with a stronger field. At such sample rates the rate is interpolated as a
+    signal band-limited to the fastest sway.
     """
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     if SWAY / 3.0 < usual < SWAY and len(time) > 2:
         steps, unseen = _band_limited(time, rate)
-        # Faster sway beside a hole would be extrapolated into it.
+        # Band-limited interpolation would extrapolate sway into a gap.
         hole = np.flatnonzero(np.diff(time) > SWAY)
         steps[hole] = trapezoids(time, rate)[hole]
         unseen[hole] = unseen_angles(time, rate)[hole]
@@ -55,7 +55,7 @@ def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def _band_limited(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Integrate rates as a Gaussian process: a constant, and equal power up to the fastest sway."""
+    """Integrate rates as a Gaussian process: a constant plus white power up to the fastest sway."""
     size, level, noise = min(12, len(time)), 30.0, 1e-3
     row = np.arange(len(time) - 1)
     rows = np.clip(row - size // 2 + 1, 0, len(time) - size)[:, None] + np.arange(size)
@@ -71,7 +71,7 @@ def _band_limited(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, Float
     whole = np.einsum("nq,nqp,np->n", share, alike(inside, inside), share)
     missed = np.maximum(whole - np.einsum("nj,nj->n", weights, along), 0.0)
     power = np.zeros_like(rate)
-    # Of white noise, a second difference has six times the variance.
+    # The second difference of white noise has six times its variance.
     power[1:-1] = np.diff(rate, 2, axis=0) ** 2 / 6.0
     unseen = 0.5 * missed[:, None] * (power[:-1] + power[1:])
     return np.einsum("nj,njk->nk", weights, rate[rows]), unseen

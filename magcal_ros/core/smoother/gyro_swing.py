@@ -1,8 +1,8 @@
 """The swing of the corrected compass against the gyro over a turn.
 
-In a distorted room a robot's field draws a clean circle, and only the gyro shows the distortion.
-The persistent deviation counts: noise of single samples and the gyro's own bias and scale are
-subtracted.
+In a distorted room the field of a turn may still be a clean circle, and only the gyro shows the
+distortion. Noise of single samples and errors of the gyro's bias and scale are subtracted, so that
+the persistent deviation remains.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class SwingTuning:
     sector: float = math.radians(12.0)  # radians of the turn over which the deviation is averaged
     bias: float = 0.003
     scale: float = 0.01
-    """Usual errors of gyros (rad/s and one). A larger slope is subtracted only if it explains
-    nearly all of the deviation: a swing once a turn looks like a slope in part."""
-    rounds: int = 10  # of Cauchy weights; they settle sooner
-    spike: float = 6.0  # times the median deviation beyond which a sector does not count
+    """Usual errors of gyros (rad/s and ratio). A larger slope is subtracted only if it explains
+    nearly all of the deviation: a swing once per turn is partly a slope, too."""
+    rounds: int = 10  # iterations of the Cauchy weights
+    spike: float = 6.0  # multiples of the median deviation beyond which a sector is an outlier
 
 
 SWING = SwingTuning()
@@ -96,13 +96,13 @@ def _without_gyro_errors(sectors: _Sectors) -> FloatArray:
             sectors.turned - sectors.turned.mean(),
         ]
     )
-    believed = np.diag([0.0, SWING.bias**-2, SWING.scale**-2])
+    prior = np.diag([0.0, SWING.bias**-2, SWING.scale**-2])
     left = sectors.deviation - np.median(sectors.deviation)
     for _ in range(SWING.rounds):
         scale = float(np.median(np.abs(left))) + 1e-9
         weight = 1.0 / (1.0 + (left / (3.0 * scale)) ** 2)
         spread = float(np.sum(weight * left**2) / np.sum(weight)) + 1e-12
         weighted = rows.T * weight / spread
-        found = np.linalg.solve(weighted @ rows + believed, weighted @ sectors.deviation)
+        found = np.linalg.solve(weighted @ rows + prior, weighted @ sectors.deviation)
         left = sectors.deviation - rows @ found
     return np.asarray(left)

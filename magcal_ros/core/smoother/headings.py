@@ -1,4 +1,4 @@
-"""Calibration from the field at standings of known heading."""
+"""Calibration from stationary measurements of the field at known headings."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import MICROTESLA, SHARED, STANDING, YAW, Size
 
 SPREADS = np.linspace(-2.4, 2.4, 7)
-"""Spreads of its logarithm at which the size of the local disturbance is tried."""
-BELIEVED = -2
-"""Which of them is the largest size beside which headings that do not fit are contradicted."""
+"""Sizes of the local disturbance that are tried, as prior spreads of its logarithm."""
+LARGEST_PLAUSIBLE = -2
+"""Index of the largest plausible size; headings that misfit even there are contradicted."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class HeadingAgreement:
     """How well known headings, field and gyro agree."""
 
     cost: float
-    """Minus twice the logarithm of the evidence, but for a constant of the number of standings."""
+    """Minus twice the logarithm of the evidence, up to a constant of the number of standings."""
     misfit: float
-    """Squared deviations over their variances at the usual size of the local disturbance."""
+    """Sum of squared normalised residuals at the usual size of the local disturbance."""
     least: float  # the same at the largest plausible size
     freedom: int
-    """How many deviations that adds up: those of the field but for the hard iron, and of turns."""
+    """Degrees of freedom: components of the field, less the hard iron, plus turns by the gyro."""
 
     @property
     def chance(self) -> float:
@@ -50,7 +50,7 @@ class HeadingAgreement:
 
     @property
     def times(self) -> float:
-        """The misfit over its expectation, as a root mean square."""
+        """Root mean square of the normalised residuals."""
         return math.sqrt(self.misfit / self.freedom) if self.freedom else 0.0
 
 
@@ -63,16 +63,16 @@ class HeadingFit:
     posterior: Posterior
     agreement: HeadingAgreement
     residual: FloatArray
-    """Field less the model's without the local disturbance, tesla, sensor axes. Shape (n, 3)."""
+    """Residuals of the field, tesla, sensor axes. Shape (n, 3)."""
     yaw_sigma: float  # of the installation's yaw, radians
 
 
 def fit_headings(
     standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
 ) -> HeadingFit:
-    """Return the fit of the shared unknowns to standings at known headings.
+    """Return the fit of the shared unknowns to one or more standings at known headings.
 
-    At least one standing; `place` is the size of the local disturbance. Raises
+    `place` is the size of the local disturbance. Raises
     `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     model = Standings.of(standings, knowledge)
@@ -101,12 +101,12 @@ def _optima(
     sizes = place.usual * np.exp(place.spread * SPREADS)
     found = [model.optimum(float(size), middle.state) for size in sizes]
     costs = np.array([each.cost for each in found]) + SPREADS**2
-    usual, large = middle, found[BELIEVED]
+    usual, large = middle, found[LARGEST_PLAUSIBLE]
     if model.drifts:
         best = int(np.argmin(costs))
         size, start = float(sizes[best]), found[best].state
         drifting = [model.optimum(size, start, drift) for drift in DRIFTS]
-        # Other sizes of the disturbance are taken to be as likely beside a drift as without one.
+        # The sizes of the disturbance are assumed to be as likely with a drift as without one.
         others = 2.0 * math.log(np.exp(-0.5 * (costs - costs[best])).sum()) - SPREADS[best] ** 2
         odds = 2.0 * np.log(list(DRIFTS.values()))
         costs = np.append(costs, [each.cost for each in drifting] - odds - others)
@@ -115,17 +115,17 @@ def _optima(
         if k >= 0:
             drift, start = list(DRIFTS)[k], drifting[k].state
             usual = model.optimum(rms_size(place), start, drift)
-            large = model.optimum(float(sizes[BELIEVED]), start, drift)
+            large = model.optimum(float(sizes[LARGEST_PLAUSIBLE]), start, drift)
     return found, costs, _agreement(model, usual, large)
 
 
 def agreement_of(
     standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
 ) -> HeadingAgreement:
-    """Return the agreement of standings; parameters and errors as of `fit_headings`."""
+    """Return the agreement of standings; parameters and errors as for `fit_headings`."""
     model = Standings.of(standings, knowledge)
     middle = model.optimum(rms_size(place))
-    size = place.usual * math.exp(place.spread * SPREADS[BELIEVED])
+    size = place.usual * math.exp(place.spread * SPREADS[LARGEST_PLAUSIBLE])
     return _agreement(model, middle, model.optimum(size, middle.state))
 
 
@@ -141,12 +141,12 @@ def sigma_with(
 ) -> float:
     """Return the sigma of the heading on the level after one more standing, radians.
 
-    `fit` is that of the standings so far, `heading` that of the further one, radians to magnetic
-    north, with the sigma of the last one.
+    `fit` is the fit of the standings so far. The next standing has `heading`, radians to magnetic
+    north, and the sigma of the last standing.
     """
     last = replace(standings[-1], heading=heading, turned_sigma=math.inf, way=math.inf)
     more = Standings.of([*standings, last], knowledge)
-    # Its field is what the fit expects there, so that only the covariance changes.
+    # The new field is the expected one, so that only the covariance changes.
     state = replace(more.start, shared=fit.state.shared)
     fields = more.course.nodes.field - more.field_of(state).residual
     found = replace(more, course=course_of(fields), start=state).optimum(rms_size(STANDING))

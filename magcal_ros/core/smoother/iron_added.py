@@ -1,9 +1,9 @@
 """A change of hard iron during a drive: its time and its size.
 
-A calibration is held. That nothing changed, beyond what the calibration itself is uncertain by, is
-compared with a hard iron that is there from one moment on. The gyro gives the heading past that
-moment, so the jump of the compass counts. Where the robot moves then, the change is also compared
-with steel on the way; only the next turn tells them apart.
+A calibration is held. The hypothesis of no change, beyond the calibration's own uncertainty, is
+compared with hard iron added at one moment. The gyro carries the heading past this moment, so that
+a jump of the compass is evidence. If the robot moves at that moment, a local disturbance on its
+path is a third hypothesis; only the next turn can separate it from added iron.
 """
 
 from __future__ import annotations
@@ -27,46 +27,46 @@ from magcal_ros.core.smoother.drives import (
 )
 from magcal_ros.core.smoother.factors import magnetic, turned_by
 from magcal_ros.core.smoother.fit import Fit, fit
-from magcal_ros.core.smoother.kinds_of_motion import BELIEVED
-from magcal_ros.core.smoother.model import solve_at, way_between
+from magcal_ros.core.smoother.kinds_of_motion import EVIDENCE_WEIGHT
+from magcal_ros.core.smoother.model import path_between, solve_at
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import AT, KINDS, MICROTESLA, ON_WHEELS, STREET, UNKNOWNS
 
 FEWEST_SINCE = 4  # nodes before and after the moment at which iron was added
-SELDOM, STEEL = 300.0, 100.0
-"""How many times as often a robot that moves comes to steel as iron comes to it, and the mean
-length of what disturbs the field on the way, metres: bridges, tunnels, garages."""
-LASTING = 0.15  # µT that sensors and a place err by all along a stretch in which nothing moves
+STEEL_ODDS, STEEL_LENGTH = 300.0, 100.0
+"""Prior odds of steel on the path (bridges, tunnels, garages) against iron added to the robot, and
+the mean length of such a disturbance, metres."""
+CONSTANT_ERROR = 0.15  # sigma of the constant error of sensors and place over a drive, µT
 
 
 @dataclass(frozen=True, eq=False)
 class IronChange:
     """A change of hard iron during a drive."""
 
-    since: float  # clock from which it is there, seconds
-    gain: float  # log evidence ratio of a change against none, times `BELIEVED`
-    fit: DriveFit  # of the raw field since then
+    since: float  # time of the change, seconds
+    gain: float  # log evidence ratio of a change against none, weighted by `EVIDENCE_WEIGHT`
+    fit: DriveFit  # of the raw field since the change
 
 
 def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) -> IronChange | None:
     """Return the change of hard iron, at the time that explains the nodes best.
 
-    The calibration is the one before the change. None if the drive is too short, or if no time of a
-    change explains the nodes better.
+    `calibration` is that of the robot before the change. None if the drive is too short, or if no
+    time of a change is likely.
     """
     if why_too_little(nodes) is not None:
         return None
     correction = calibration.correction
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     own = correction.matrix @ calibration.covariance[9:, 9:] @ correction.matrix.T
-    known = np.hypot(MICROTESLA * np.sqrt(np.maximum(np.diag(own), 0.0)), LASTING)
+    known = np.hypot(MICROTESLA * np.sqrt(np.maximum(np.diag(own), 0.0)), CONSTANT_ERROR)
     priors = held_priors(knowledge, known)
     same = held_fit(inside, priors)
     if same is None:
         return None
-    # It comes within the first node that it is in, or within the one before.
+    # The change happens within its first node, or within the node before.
     within = {first - back for first in _moments(same) for back in (0, 1)}
     trials = [_changed(same, priors, "added", node) for node in sorted(within)]
     fits = [each for each in trials if each is not None]
@@ -75,16 +75,16 @@ def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) ->
     best = min(fits, key=lambda each: each.evidence)
     node = int(np.searchsorted(inside.time, best.model.nodes.added_from))
     least = same.evidence
-    # What disturbs a robot at rest does not follow it when it leaves.
+    # A disturbance that appears beside a resting robot does not follow the robot when it leaves.
     quiet = inside.quiet
     rests = quiet[node - 2 : node].any() and quiet[node + 1 : node + 3].any()
     if best.evidence < least and not rests:
         other = _changed(same, priors, "entered", node)
         if other is not None:
-            way = float(np.sum(way_between(other.model, other.point)[node:]))
-            least = min(least, other.evidence - 2.0 * (math.log(SELDOM) - way / STEEL))
+            way = float(np.sum(path_between(other.model, other.point)[node:]))
+            least = min(least, other.evidence - 2.0 * (math.log(STEEL_ODDS) - way / STEEL_LENGTH))
     since = float(0.5 * (inside.time[node] + inside.time[node + 1]))
-    gain = BELIEVED * (least - best.evidence)
+    gain = EVIDENCE_WEIGHT * (least - best.evidence)
     return IronChange(since, gain, added_to(correction, best, AT["added"]))
 
 
@@ -106,10 +106,11 @@ def _changed(same: Fit, priors: Priors, name: str, node: int) -> Fit | None:
 def _moments(same: Fit) -> set[int]:
     """Return the likely first nodes of a change, by a score test; often none.
 
-    The cost is quadratic about the optimum without a change: with the gradient g by iron that is
-    there since a node and the information I, all other unknowns integrated out, it falls by
-    g^T I^-1 g. The evidence has the determinant of I besides. A jump that passes for an outlier of
-    the local disturbance leaves no gradient; what it costs there is another reason to try.
+    About the optimum without a change the cost is quadratic. Let g and I be gradient and
+    information of iron added at a node, with all other unknowns marginalised: the iron lowers the
+    cost by g^T I^-1 g, and the evidence also contains the determinant of I. A jump that is
+    absorbed as an outlier of the local disturbance has no gradient; its cost as an outlier is a
+    second criterion.
     """
     weighted, solution = solve_at(same.model, same.point)
     part, count = weighted["field"], len(same.model.nodes)

@@ -1,8 +1,8 @@
 """A Gauss-Newton step of one window, or of several that share unknowns.
 
-Each window keeps its model, its sizes of noises and its kind of motion. Nothing links the nodes of
-two windows. What belongs to the robot and to the place is one unknown for all windows; what belongs
-to a moment is an unknown of each.
+Each window keeps its model, noise sizes and kind of motion. Nothing links the nodes of two windows.
+Properties of the robot and of the place are common unknowns of all windows; what changes with time
+is a separate unknown of each window.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from magcal_ros.core.smoother.unknowns import (
 )
 
 OF_A_MOMENT = ("gyro_bias", "bias_walk", "drift", "gradient", "place")
-"""Groups of shared unknowns that each window has for itself."""
+"""Groups of shared unknowns that are separate for each window."""
 OF_A_TURN = ("gyro_matrix", "lever_arm", "sway_arm", "axis", "upright")
-"""The same if axes of the gyro are silent: the turn's axis and its circle."""
+"""Further such groups if axes of the gyro are silent: the turn's axis and circle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +65,14 @@ class Layout:
 
 def own_groups(model: Model) -> tuple[str, ...]:
     """Return the groups of shared unknowns that belong to one window."""
-    # Dead axes leave the gyro's matrix no spread.
+    # With silent axes the factor of the gyro's matrix is fixed.
     has_dead_axes = model.priors.spread["gyro_matrix"] == 0.0
     is_by_field = model.nodes.tied_to is not None
     return OF_A_MOMENT + (OF_A_TURN if has_dead_axes or is_by_field else ())
 
 
 def common_groups(models: Sequence[Model]) -> dict[str, int]:
-    """Return the common groups, and the window in which most of each is free."""
+    """Return the common groups, each with the window that has most of its unknowns free."""
     own = [own_groups(model) for model in models]
     found = {}
     for name in AT:
@@ -86,7 +86,7 @@ def common_groups(models: Sequence[Model]) -> dict[str, int]:
 
 
 def is_own(model: Model, counted: IntArray) -> BoolArray:
-    """Return which unknowns belong to one window; those of its centres do."""
+    """Return which unknowns belong to one window; its centres do."""
     return np.isin(counted, rows_of(own_groups(model))) | (counted >= SHARED)
 
 
@@ -141,7 +141,7 @@ class Joint:
         for model, point, solution, row in zip(models, points, alone, layout.rows, strict=True):
             before = prior_at(model, point)
             by_prior = before.information @ before.offset
-            # The prior of what windows have in common counts once.
+            # The prior of the common unknowns counts once.
             new = ~known[row]
             total[np.ix_(row[new], row[new])] += before.information[np.ix_(new, new)]
             gradient[row[new]] += by_prior[new]
@@ -164,7 +164,7 @@ class Joint:
     def evidence(self, models: Sequence[Model], points: Sequence[Point]) -> float:
         """Return minus twice the logarithm of the evidence by Laplace's approximation.
 
-        But for a constant of the windows; the sizes are at their most likely values.
+        It is up to a constant of the windows, at the most likely sizes.
         """
         common, out = common_groups(models), self.log_determinant
         for k, (model, point) in enumerate(zip(models, points, strict=True)):
@@ -222,7 +222,7 @@ def _cost_of_shared(model: Model, point: Point, names: Iterable[str]) -> float:
         scale = scales[at][seen]
         cost += float(np.sum((off[at][seen] / scale) ** 2 + 2.0 * np.log(scale)))
         if model.priors.spread[name] > 0.0:
-            # The factor of crooked axes follows from that of the distortion.
+            # The factor of non-orthogonal axes follows from that of the distortion.
             if name != "axes":
                 x = np.log([point.groups[name]])
                 cost -= 2.0 * float(model.priors.log_density(name, x, known)[0])

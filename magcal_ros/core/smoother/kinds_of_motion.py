@@ -1,4 +1,4 @@
-"""On the spot, in a small circle, or a drive: each kind of motion is fitted and weighed."""
+"""Fits of a window for each kind of motion (turn, small circle, drive), weighted by evidence."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ from magcal_ros.core.smoother.unknowns import (
 )
 from magcal_ros.core.smoother.without_gyro import with_dead_axes
 
-BELIEVED = 0.25
-"""Of the evidence, which is minus twice a logarithm; exact evidence would count by a half.
+EVIDENCE_WEIGHT = 0.25
+"""Weight of the evidence, which is minus twice a logarithm; exact evidence would have 0.5.
 
 It is approximate (Laplace, at the most likely sizes), and real robots differ from the model."""
 
@@ -48,24 +48,24 @@ DIFFERENT_TURNS = (
     "their stamps, and check that no samples of a shaking gyro are lost"
 )
 
-BESIDE_SPOT = SMALL_CIRCLE, ON_WHEELS
-"""What a turn may be beside one on the spot. A small circle is driven any way."""
-ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
-"""Tolerances of a first, rough fit of a kind of motion, and the difference of evidence from which
-it is left out then."""
+ALTERNATIVES = SMALL_CIRCLE, ON_WHEELS
+"""Kinds of motion that are also fitted if a turn on the spot explains the samples."""
+ROUGH, DROPPED_BEYOND = Tolerances(rounds=20), 400.0
+"""Tolerances of a first, rough fit of a kind of motion, and the difference of evidence from the
+best one beyond which the kind is then left out."""
 WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 300)
-"""Of a drive, in which there is more of everything than in one turn, longer means are enough."""
+"""Nodes of a drive: it has more data than a turn, so that longer means are enough."""
 PART, FEWEST_OF_PART = 200.0, 100
-"""Seconds of a long window with which a turn on the spot is tried first, and the fewest samples."""
+"""Length in seconds of the part of a long window that is first tried as a turn on the spot, and the
+fewest samples in it."""
 MOST_FITS = 3 * len(KINDS)
 """Of a drive: each kind of motion roughly, to the end, and from the best of the others."""
-LATE_BY = 0.1  # initial delay of the field, seconds, of the iterations of `LATE`
-BENT = "installation", "soft_iron", "axes", "iron"
-"""Unknowns that would explain the field of a part that is moved on the robot."""
-LARGEST_GAIN = 3.0
-"""By which soft iron may strengthen the field along an axis: its prior ends there."""
-NEARLY = 0.95
-"""Share of the largest gyro noise, beyond which the gyro does not agree with the other sensors."""
+LATE_BY = 0.1  # initial delay of the field in the iterations of `LATE`, seconds
+CONFOUNDED = "installation", "soft_iron", "axes", "iron"
+"""Unknowns that are confounded with a part moved on the robot."""
+LARGEST_GAIN = 3.0  # by which soft iron may amplify the field along an axis: its prior ends there
+NEAR_LIMIT = 0.95
+"""Fraction of the largest gyro noise from which the gyro disagrees with the other sensors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +77,9 @@ class Smoothed:
     fits: dict[str, Fit]  # by kind of motion
     weights: dict[str, float]  # their probabilities
     posterior: Posterior  # of all kinds together
-    by_pull: float
-    """Standard deviation of the level heading, radians, that is left as nothing shows whether the
-    robot or its accelerometer makes up lean: between and within the kinds of motion."""
+    by_acceleration: float
+    """Part of the sigma of the heading on the level, radians, between and within kinds of motion:
+    acceleration of the robot and offset of the accelerometer cannot be separated."""
 
     @property
     def fit(self) -> Fit:
@@ -90,7 +90,7 @@ class Smoothed:
 class _Trials:
     """The fits of a window by kind of motion, the best of each as `fits`.
 
-    `progress` is called with the share of the work that is done, 0 to 1.
+    `progress` is called with the fraction of the work that is done.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class _Trials:
         if part is not None and _Trials(part, self._knowledge).on_the_spot() is None:
             return None
         self._begin(Spacing())
-        self.add(ON_THE_SPOT, tolerances=ROUGHLY)
+        self.add(ON_THE_SPOT, tolerances=ROUGH)
         spot = self.fits.get(ON_THE_SPOT)
         return spot if spot is not None and gyro_is_usual(spot) else None
 
@@ -134,16 +134,16 @@ class _Trials:
         def report(rounds: int) -> None:
             if self._progress is not None:
                 # How many rounds it takes is not known beforehand.
-                share = rounds / (rounds + 0.5 * ROUGHLY.rounds)
+                share = rounds / (rounds + 0.5 * ROUGH.rounds)
                 self._progress(min((done + share) / MOST_FITS, 1.0))
 
         start = self.nodes, self._priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
-        # Of drives none has a rival: the evidence still gains when the places on the way are known.
+        # A drive has no rival: its evidence still improves when its places are computed.
         spot, rival = self.fits.get(ON_THE_SPOT), math.inf
         if spot is not None and name != ON_THE_SPOT:
             # With this evidence both kinds would have the same weight.
             odds = self._usual.get(name, 1.0) / self._usual[ON_THE_SPOT]
-            rival = spot.evidence + math.log(odds) / BELIEVED
+            rival = spot.evidence + math.log(odds) / EVIDENCE_WEIGHT
         try:
             found = fit(*start, tolerances, like, report, rival)
         except np.linalg.LinAlgError:
@@ -152,15 +152,15 @@ class _Trials:
             self._impossible = True
             return
         known = self.fits.get(name)
-        # A fit that goes on from the known one takes its place: that one had not converged.
+        # A fit that continues the known one replaces it, which had not converged.
         if known is None or like is known or found.evidence < known.evidence:
             self.fits[name] = found
 
     def field_late(self) -> Fit:
         """Return the better fit of a turn on the spot, with or without a delayed field.
 
-        From rest to rest at one heading, a delayed field and that of motors look alike. Each is an
-        optimum of its own, and the motors' is found first.
+        In a turn between rests at one heading, a delayed field resembles the field of motors. Each
+        is a separate optimum, and the iterations find that of the motors first.
         """
         spot = self.fits[ON_THE_SPOT]
         groups = spot.point.groups
@@ -178,23 +178,23 @@ class _Trials:
         return min(self.fits.values(), key=lambda each: each.evidence)
 
     def parts_moved(self, usual: Fit) -> Fit:
-        """Return the likelier fit of a turn on the spot, with or without moving parts on the robot.
+        """Return the likelier fit of a turn on the spot, with or without parts that are moved.
 
-        Without them soft iron and installation explain a step that lasts, and begin at zero here.
-        The likelier explanation holds for the other kinds of motion, too.
+        Without moved parts, soft iron and installation absorb a lasting step of the field: they
+        start at their means here. The likelier explanation is used for other kinds of motion, too.
         """
         priors = self._priors
         self._priors = priors.with_parts_moved
         point, shared = usual.point, usual.state.shared.copy()
-        for name in BENT:
+        for name in CONFOUNDED:
             shared[AT[name]] = priors.mean[AT[name]]
         state = replace(usual.state, shared=shared)
-        groups = {**point.groups, **dict.fromkeys(BENT, 1.0)}
+        groups = {**point.groups, **dict.fromkeys(CONFOUNDED, 1.0)}
         self.add(MOVED, replace(usual, point=replace(point, state=state, groups=groups)))
         moved = self.fits.get(MOVED, usual)
-        # By the same weights as in the mean of all fits.
+        # With the same weights as in `mixed`.
         odds = USUAL[MOVED] / USUAL[ON_THE_SPOT]
-        if BELIEVED * (usual.evidence - moved.evidence) > -math.log(odds):
+        if EVIDENCE_WEIGHT * (usual.evidence - moved.evidence) > -math.log(odds):
             return moved
         self._priors = priors
         return usual
@@ -206,32 +206,32 @@ class _Trials:
         fits = self.fits
         for name in DRIVES if self._samples.rolls else KINDS:
             if name != ON_THE_SPOT and name not in fits:
-                self.add(name, tolerances=ROUGHLY)
+                self.add(name, tolerances=ROUGH)
         self._started = max(self._started, len(KINDS))
         least = min((each.evidence for each in fits.values()), default=0.0)
         for name, rough in tuple(fits.items()):
-            if rough.evidence > least + HOPELESS:
+            if rough.evidence > least + DROPPED_BEYOND:
                 del fits[name]
             elif not rough.converged:
                 self.add(name, rough)
         self._started = max(self._started, 2 * len(KINDS))
         for name, other in tuple(fits.items()):
-            # Another kind may have stopped at a worse optimum than the best one's lies at.
+            # Another kind may have stopped at a local optimum that is worse than the best fit.
             best = min(fits.values(), key=lambda each: each.evidence)
-            if best.evidence < other.evidence < best.evidence + HOPELESS:
+            if best.evidence < other.evidence < best.evidence + DROPPED_BEYOND:
                 self.add(name, best)
-        # An implausible gyro is a sign of the wrong kind of motion, if another one does without.
+        # Implausible gyro noise indicates a wrong kind of motion, if another kind needs none.
         usual = {name: each for name, each in fits.items() if gyro_is_usual(each)}
         self.fits = usual or fits
 
     def _without_false_rests(self) -> None:
         """Drop the rests if that is more likely: driving on a smooth road may look like a rest."""
-        self.add(ON_WHEELS, tolerances=ROUGHLY)
+        self.add(ON_WHEELS, tolerances=ROUGH)
         if self._samples.rested is not None or not self.nodes.quiet.any():
             return
         resting, rested = self.nodes, self.fits.pop(ON_WHEELS, None)
         self.nodes = replace(resting, quiet=np.zeros(len(resting), dtype=np.bool_))
-        self.add(ON_WHEELS, tolerances=ROUGHLY)
+        self.add(ON_WHEELS, tolerances=ROUGH)
         moved = self.fits.get(ON_WHEELS)
         if rested is not None and (moved is None or rested.evidence < moved.evidence):
             self.nodes, self.fits[ON_WHEELS] = resting, rested
@@ -253,7 +253,7 @@ class _Trials:
 def liveliest_part(window: Window) -> Window | None:
     """Return the part of a long window in which the force changes most.
 
-    None of a short window, and where that part has too few samples.
+    None if the window is short or the part has too few samples.
     """
     time, force = window.time, window.specific_force
     if len(time) == 0 or time[-1] - time[0] < 2.0 * PART:
@@ -274,8 +274,8 @@ def smooth(
 ) -> Smoothed:
     """Fit a window for each kind of motion, and weight the fits by their evidence.
 
-    The window has a gyro. `progress` is called with the share of the work that is done, 0 to
-    1. Raises `Refusal` if no fit converges.
+    The window has a gyro. `progress` is called with the fraction of the work that is done. Raises
+    `Refusal` if no fit converges.
     """
     trials = _Trials(window, knowledge, progress)
     if (spot := trials.on_the_spot()) is not None:
@@ -285,7 +285,7 @@ def smooth(
         if not knowledge.exact_sensors:
             # With exact sensors, only a turn on the spot without moved parts is tried.
             best = trials.parts_moved(best)
-            for name in BESIDE_SPOT:
+            for name in ALTERNATIVES:
                 trials.add(name, best)
     else:
         trials.drives()
@@ -295,12 +295,12 @@ def smooth(
 def promised_sigma(window: Window, knowledge: Knowledge) -> float:
     """Return an approximate sigma of the heading on the level by `smooth`, radians.
 
-    Parameters and errors as of `smooth`. It takes less time, of a drive two fifths: two fits are
-    made, and not to the end.
+    Parameters and errors as for `smooth`. It takes less time (two fifths for a drive): only two
+    fits are made, with few iterations.
     """
     trials = _Trials(window, knowledge)
     if (spot := trials.on_the_spot()) is not None:
-        trials.add(SMALL_CIRCLE, spot, ROUGHLY)
+        trials.add(SMALL_CIRCLE, spot, ROUGH)
     else:
         trials.drives_roughly()
     return trials.mixed().posterior.heading_sigma
@@ -308,21 +308,21 @@ def promised_sigma(window: Window, knowledge: Knowledge) -> float:
 
 def gyro_is_usual(fit: Fit) -> bool:
     """Return whether the estimated noise of the gyro is plausible, and its axes are not silent."""
-    believed = fit.model.priors.sizes
+    prior = fit.model.priors.sizes
     return all(
-        fit.point.sizes[name] < NEARLY * SIZES[name].most
+        fit.point.sizes[name] < NEAR_LIMIT * SIZES[name].most
         for name in ("gyro", "gyro_up")
-        if believed[name] == SIZES[name]
+        if prior[name] == SIZES[name]
     )
 
 
 def mixed(
     fits: dict[str, Fit], nodes: Nodes, knowledge: Knowledge, usual: Mapping[str, float] = USUAL
 ) -> Smoothed:
-    """Return the weights of fits, by their evidence and the prior of their kinds of motion."""
+    """Return fits with their weights: evidence times the prior weight of the kind of motion."""
     least = min(each.evidence for each in fits.values())
     odds = {
-        n: usual.get(n, 1.0) * math.exp(-BELIEVED * min(f.evidence - least, 700.0))
+        n: usual.get(n, 1.0) * math.exp(-EVIDENCE_WEIGHT * min(f.evidence - least, 700.0))
         for n, f in fits.items()
     }
     weights = {name: value / sum(odds.values()) for name, value in odds.items()}
@@ -338,7 +338,7 @@ def mixed(
 
 
 def is_possible(fit: Fit, largest_gain: float = LARGEST_GAIN) -> bool:
-    """Return whether the soft iron of a fit neither mirrors nor strengthens the field too far."""
+    """Return whether the soft iron of a fit neither mirrors the field nor amplifies it too much."""
     least, _, most = np.linalg.eigvalsh(soft_iron(fit.state.shared))
     return bool(least > 0.0 and most < largest_gain)
 

@@ -40,8 +40,7 @@ GAUSSIAN = 1e9  # degrees of freedom at which a Student distribution is Gaussian
 LEAST_VARIANCE = 1e-9  # added to the variance of the processes' steps, which would be zero at rest
 
 CHANGES = "acceleration", "slip"  # the sizes of the change of velocity, ahead and sideways
-VELOCITIES = "velocity ahead", "velocity sideways"
-"""Residuals that have no size of their own: velocity follows its change."""
+VELOCITIES = "velocity ahead", "velocity sideways"  # residuals without an estimated size
 
 LARGEST_MOTORS = UNKNOWNS["motors_moving"].sigma[0] * UNKNOWNS["motors_moving"].most  # µT per axis
 
@@ -54,7 +53,7 @@ class Model:
     axes: FloatArray  # the body's level axes (`level_axes`). Shape (3, 3).
     priors: Priors
     kind: KindOfMotion
-    earth: EarthPrior  # of the iterations
+    earth: EarthPrior  # the Gaussian of the iterations
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -72,7 +71,7 @@ class Model:
             scale[AT["motors_current"]] = per_ampere * np.array(UNKNOWNS["motors_current"].sigma)
             scale[CURRENT_LATE] = UNKNOWNS["current_late"].sigma[0]
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
-        # Wheels change their velocity less to the side than ahead.
+        # On wheels the velocity changes less sideways than ahead.
         begun = zip(CHANGES, (1.0, math.sqrt(kind.aside)), strict=True)
         begins = {n: priors.sizes[n]._replace(start=kind.begins * by) for n, by in begun}
         spread = {**priors.spread, **dict.fromkeys(MOTORS, kind.motors)}
@@ -92,12 +91,12 @@ class Model:
 
     @property
     def rows_of_earth(self) -> IntArray:
-        """Where level and downward field are among the free unknowns, shape (2,)."""
+        """Indices of level and downward field among the free unknowns, shape (2,)."""
         return np.searchsorted(self.free, np.arange(EARTH.start, EARTH.stop))
 
     @property
     def speed(self) -> FloatArray:
-        """m/s per axis, ahead and sideways, that are usual for the kind of motion, shape (2,)."""
+        """Usual velocity ahead and sideways, m/s, shape (2,)."""
         return self.kind.velocity
 
     @property
@@ -120,7 +119,7 @@ class Model:
 
     @cached_property
     def free(self) -> IntArray:
-        """Which of the shared unknowns are free; those of the centres of places come after."""
+        """Indices of the free shared unknowns, without the centres of places."""
         return np.flatnonzero(self.priors.scale > 0.0)
 
 
@@ -136,11 +135,11 @@ class Point:
     doubt: FloatArray = field(repr=False)
     """Variance of the nodes' velocities, both axes together, (m/s)². Shape (n,)."""
     marginal: FloatArray | None = field(default=None, repr=False)
-    """Gradient by the shared unknowns of the logarithm of the determinant of the nodes' information
-    matrix: the most likely nodes are not where those unknowns are most likely. Shape (SHARED,)."""
+    """Gradient by the shared unknowns of the log determinant of the nodes' information matrix, to
+    estimate them with the nodes marginalised. Shape (SHARED,)."""
     is_robust: bool = False
-    """Whether residuals follow Student distributions; at first they are Gaussian, or the few
-    residuals that show an effect, as rests show the motors, would pass for outliers."""
+    """Whether residuals follow Student distributions. At first they are Gaussian: the few residuals
+    that show an effect, such as rests for the motors, would count as outliers."""
 
     @classmethod
     def begin(cls, model: Model, state: State) -> Point:
@@ -180,7 +179,7 @@ class Point:
 
 
 def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
-    """Return the initial factors of the groups' sigmas: larger where a start exceeds them."""
+    """Return the initial factors of the groups' sigmas: larger where the start exceeds a sigma."""
     found = dict.fromkeys(AT, 1.0)
     for name, at in AT.items():
         scale = priors.scale[at]
@@ -191,7 +190,7 @@ def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
 
 
 def course_at(model: Model, state: State) -> Course:
-    """Return where the robot rests, by the gyro's bias at a state."""
+    """Return the course: where the robot rests, given the gyro's bias of a state."""
     bias = state.shared[AT["gyro_bias"]]
     axes = model.axes @ rotation_about(factors.Z, state.shared[AT["mounting_yaw"]])[0]
     return Course.of(model.nodes, axes, bias, model.priors.lengths)
@@ -205,9 +204,9 @@ def _measured(
     scale: FloatArray,
     more: FloatArray | float = 0.0,
 ) -> Weighted:
-    """Weigh residuals of a noise: its squared size times `scale` (k,) is the variance, and `more`.
+    """Weight residuals of one noise by the inverse of the variance size² `scale` + `more`.
 
-    An infinite scale leaves a residual out.
+    An infinite scale (k,) leaves a residual out.
     """
     variance = point.sizes[name] ** 2 * scale + more
     return Weighted(linear, variance, point.freedom(model, name), {name: np.isfinite(scale)})
@@ -221,7 +220,7 @@ def _changing(
     scale: FloatArray,
     at_rest: BoolArray,
 ) -> Weighted:
-    """Weigh the residuals (k,) of a process that has one size at rest and another one else."""
+    """Weigh the residuals (k,) of a process that has one size at rest and another otherwise."""
     rest, other = names
     size = np.where(at_rest, point.sizes[rest], point.sizes[other])
     freedom = np.where(at_rest, point.freedom(model, rest), point.freedom(model, other))
@@ -236,7 +235,7 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     measured, changing = partial(_measured, model, point), partial(_changing, model, point)
     per_node = np.median(nodes.count) / nodes.count
     per_node = per_node + nodes.noise**2 / nodes.count / sizes["field"] ** 2
-    # The share of an edge's node in which motors run is uniform between zero and one.
+    # At a start or stop, the fraction of the node in which motors run is uniform in 0 to 1.
     per_node = per_node + point.course.edge * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
     with np.errstate(divide="ignore"):
         per_link = np.median(nodes.samples[nodes.samples > 0]) / nodes.samples
@@ -245,7 +244,7 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     field = factors.magnetic(course, state, places)
     most = 0.0 if point.is_robust else LARGEST_MOTORS / math.sqrt(12.0)
     field = with_unknown_current(field, nodes, state.shared, sizes["field"] ** 2 * per_node, most)
-    # What motors do while they run says nothing of the rest before or after.
+    # The fluctuation of running motors is independent of the field in the rest before or after.
     still = course.still
     fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
     keeps = np.exp(-fades)
@@ -267,7 +266,7 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         )
     force, gyro, unseen = factors.force(course, state), factors.gyro(course, state), nodes.unseen
     stands = still[1:] & still[:-1] & model.kind.traffic
-    keeps = np.where(stands, 1.0, np.exp(-way_between(model, point) / places.length))
+    keeps = np.where(stands, 1.0, np.exp(-path_between(model, point) / places.length))
     return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),
         "force_up": measured("force_up", force.part(UP_AXIS), per_link),
@@ -289,8 +288,8 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
 def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
     """Return the prior residuals of velocity and acceleration along one level axis.
 
-    The velocity v and its change a follow dv/dt = a, da/dt = -d a - (A / V)^2 v + noise, in which V
-    and A are their usual sizes. The damping d is 1 / T, and at least critical: neither oscillates.
+    The velocity v and its change a follow dv/dt = a, da/dt = -d a - (A / V)^2 v + noise. V and A
+    are their usual sizes. The damping d is 1 / T, but at least critical.
     """
     seconds, name = model.nodes.seconds, CHANGES[axis]
     speed, size = model.speed[axis], point.sizes[name]
@@ -305,7 +304,7 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
         (name, by_a, a_square, ACCELERATION),
     ):
         by = VELOCITY.start + axis, ACCELERATION.start + axis
-        linear = factors.followed(point.state, column.start + axis, keeps, by)
+        linear = factors.second_order(point.state, column.start + axis, keeps, by)
         sized = {kind: np.ones(len(seconds), dtype=bool)} if kind == name else {}
         found[kind] = Weighted(
             linear, np.maximum(variance, 0.0) + LEAST_VARIANCE, point.freedom(model, name), sized
@@ -342,11 +341,8 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     }
 
 
-def way_between(model: Model, point: Point) -> FloatArray:
-    """Return the path of the magnetometer between nodes, m, (n - 1,).
-
-    By the expected square of the velocity.
-    """
+def path_between(model: Model, point: Point) -> FloatArray:
+    """Return the path of the magnetometer between nodes, m, (n - 1,), by the RMS velocity."""
     velocity, nodes, moving = point.state.local[:, VELOCITY], model.nodes, point.course.moving
     mean = 0.5 * (velocity[1:] + velocity[:-1])
     square = np.sum(mean**2, axis=1) + 0.5 * (point.doubt[1:] + point.doubt[:-1])
@@ -380,7 +376,7 @@ def prior_at(model: Model, point: Point) -> Prior:
 
 
 def counted_unknowns(model: Model, places: Places) -> IntArray:
-    """Return the indices of the solved shared unknowns: the free ones, then the centres'."""
+    """Return the indices of the solved shared unknowns: the free ones, then the centres."""
     return np.concatenate([model.free, np.arange(SHARED, SHARED + 3 * len(places))])
 
 

@@ -17,9 +17,9 @@ from magcal_ros.core.smoother.rests import rests
 from magcal_ros.core.smoother.unknowns import MICROTESLA
 
 LINKS = ("seconds", "turned", "angle", "force", "along", "swing", "samples", "unseen")
-"""What the nodes hold of the links between them."""
-UNTIED, APART = 10.0, 1000.0
-"""Variance of the turn, radians², and seconds between nodes without gyro samples."""
+"""Fields of `Nodes` that describe the links between nodes."""
+NO_GYRO_VARIANCE, NO_GYRO_SECONDS = 10.0, 1000.0
+"""Variance of the rotation (radians²) and duration (seconds) of a link without gyro samples."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Spacing:
     longest: float = 0.6  # seconds of a node
     most_turn: float = math.radians(6.0)  # radians that a robot turns during a node
     most_unseen: float = math.radians(0.1)
-    """Radians within a node that samples which come slowly may miss."""
-    most: int = 1000  # nodes; beyond, all become longer
+    """Rotation within a node that a low sample rate may miss, radians."""
+    most: int = 1000  # nodes; in longer windows all nodes become longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,37 +44,36 @@ class Nodes:
     rate: FloatArray  # mean turn rate by the gyro, rad/s. Shape (n, 3).
     count: FloatArray  # samples in each mean. Shape (n,).
     quiet: BoolArray
-    """Whether the field stays, and force and rate shake as little as at rest. Shape (n,)."""
+    """Whether the field is constant, and force and rate vary as at rest. Shape (n,)."""
     seconds: FloatArray  # between the middles of neighbours. Shape (n - 1,).
     turned: FloatArray
     """Rotation from the body axes of a node to those of the next, by the gyro. Shape (n - 1, 3,
     3)."""
-    angle: FloatArray  # the integral of the turn rate there, radians. Shape (n - 1, 3).
+    angle: FloatArray  # the integral of the turn rate between them, radians. Shape (n - 1, 3).
     force: FloatArray  # mean specific force between the middles, m/s². Shape (n - 1, 3).
     along: FloatArray
     """Mean rotation from the body axes of the first node to those of the force's samples. Shape (n
     - 1, 3, 3)."""
     swing: FloatArray  # change of the turn rate, rad/s². Shape (n - 1, 3).
-    samples: FloatArray  # of force in each mean; zero where there is none. Shape (n - 1,).
+    samples: FloatArray  # number of force samples in each mean. Shape (n - 1,).
     unseen: FloatArray
-    """Variance of the angle there by what samples that come slowly miss, radians². Shape (n - 1,
-    3)."""
+    """Variance of the angle due to a low sample rate, radians². Shape (n - 1, 3)."""
     noise: float  # white noise of a field sample per axis, microtesla
     mean_force: FloatArray
     """Mean specific force of the same samples as the field, m/s². Shape (n, 3)."""
     speed: FloatArray | None = None
     """Mean speed ahead, m/s; NaN where none was measured. Shape (n,)."""
-    added_from: float = math.inf  # seconds after which iron that was added is there
+    added_from: float = math.inf  # time from which added iron is present, seconds
     tied_to: FloatArray | None = None
     """Without a gyro: axes as columns, the last one along the axis of the turn. The rates are then
-    those that the field shows, and serve to average. Shape (3, 3)."""
+    estimated from the field, and used only for averaging. Shape (3, 3)."""
     currents: Currents | None = None  # of the battery; None if it was not measured
 
     def __len__(self) -> int:
         return len(self.time)
 
     def between(self, start: float, end: float = math.inf) -> Nodes:
-        """Return the nodes after one moment, up to another, seconds."""
+        """Return the nodes after `start` up to `end`, seconds."""
         first, last = np.searchsorted(self.time, [start, end], side="right")
         links = slice(first, max(last - 1, first))
         changes = {}
@@ -91,13 +90,10 @@ class Nodes:
     @property
     def is_tied(self) -> BoolArray:
         """Whether the gyro has samples all the way between neighbours, shape (n - 1,)."""
-        return np.asarray(self.unseen.max(axis=1) < UNTIED)
+        return np.asarray(self.unseen.max(axis=1) < NO_GYRO_VARIANCE)
 
     def in_axes(self, rotation: FloatArray) -> Nodes:
-        """Return the nodes in other body axes, by a rotation (3, 3).
-
-        Field and force stay what they are.
-        """
+        """Return the nodes in rotated body axes (3, 3), with the same field and force."""
         back = rotation.T
         return replace(
             self,
@@ -113,7 +109,7 @@ class Nodes:
     def turned_since(self, delay: float) -> tuple[FloatArray, FloatArray]:
         """Return the turn by the gyro over a delay before each node, and the rate at its start.
 
-        `delay` is in seconds; a negative one begins after the node. Radians and rad/s, shapes
+        `delay` is in seconds, negative for times after the node. Radians and rad/s, shapes
         (n, 3). The integrated rate is interpolated by cubic Hermite polynomials, and extrapolated
         linearly.
         """
@@ -177,24 +173,24 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
         None if window.wheel_speed is None else block_means(window.wheel_speed, first),
         currents=_currents(window, first, quiet),
     )
-    nodes = _untied(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
+    nodes = _without_lost_links(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
     return _with_rests(nodes, window, attitude, middle, to_body)
 
 
-def _untied(nodes: Nodes, lost: BoolArray) -> Nodes:
+def _without_lost_links(nodes: Nodes, lost: BoolArray) -> Nodes:
     """Return the nodes without the links (n - 1,) in which gyro samples are missing."""
     if not lost.any():
         return nodes
     rows, empty = lost[:, None], np.zeros(3)
     return replace(
         nodes,
-        seconds=np.where(lost, APART, nodes.seconds),
+        seconds=np.where(lost, NO_GYRO_SECONDS, nodes.seconds),
         turned=np.where(rows[:, None], np.eye(3), nodes.turned),
         angle=np.where(rows, empty, nodes.angle),
         along=np.where(rows[:, None], np.eye(3), nodes.along),
         swing=np.where(rows, empty, nodes.swing),
         samples=np.where(lost, 0.0, nodes.samples),
-        unseen=np.where(rows, UNTIED, nodes.unseen),
+        unseen=np.where(rows, NO_GYRO_VARIANCE, nodes.unseen),
     )
 
 
@@ -209,12 +205,12 @@ def _first_rows(
     clock /= max(1.0, (time[-1] - time[0]) / spacing.longest / spacing.most)
     clock += np.concatenate([[0.0], np.cumsum(lost)])
     first = np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
-    # What is left over at the end is no node of its own, which would look quiet.
+    # A short remainder at the end is dropped: as a node it would look quiet.
     return first[:-1] if len(first) > 1 and clock[-1] - clock[first[-1]] < 0.5 else first
 
 
 def _currents(window: Window, first: IntArray, quiet: BoolArray) -> Currents | None:
-    """Return the currents in the nodes, of which `first` are the first rows."""
+    """Return the currents in the nodes, whose first rows are `first`."""
     if window.battery is None:
         return None
     assert window.angular_rate is not None
@@ -226,7 +222,7 @@ def _currents(window: Window, first: IntArray, quiet: BoolArray) -> Currents | N
 
 
 def _quiet(window: Window, field: FloatArray, first: IntArray) -> BoolArray:
-    """Return in which nodes the robot may rest, by its samples, shape (n,)."""
+    """Return in which nodes the robot may rest, shape (n,)."""
     assert window.angular_rate is not None
     count = np.diff(first, append=len(window)).astype(float)
     sensors = field, window.specific_force, window.angular_rate

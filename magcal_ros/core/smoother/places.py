@@ -1,8 +1,8 @@
-"""The local disturbance as a field over places; passing a place again adds no information.
+"""The local disturbance as a function of place: repeated passes add no independent information.
 
 The disturbance is a Gaussian process over the plane with covariance `s^2 exp(-distance / L)`. Its
-values at a few centres on the way are shared unknowns. What these leave open at a node is an
-Ornstein-Uhlenbeck process along the way (FITC: Snelson and Ghahramani, Sparse Gaussian processes
+values at a few centres on the path are shared unknowns. The residual at the nodes is an
+Ornstein-Uhlenbeck process along the path (FITC: Snelson and Ghahramani, Sparse Gaussian processes
 using pseudo-inputs, 2006).
 """
 
@@ -18,18 +18,18 @@ from magcal_ros.core.smoother.unknowns import STREET, VELOCITY
 
 MOST = 32  # centres at most
 CLOSEST = 5.0  # metres between centres at least
-AGAIN = 3.0  # path over straight line between two nodes from which a place is passed again
-SMALL = 0.03  # share of the disturbance's variance that is of small extent, as of a manhole cover
+REVISIT_RATIO = 3.0  # ratio of path to straight line between two nodes for a repeated pass
+SMALL_SCALE = 0.03  # fraction of the disturbance's variance with a small extent: manhole covers
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Centres of the disturbance's field, and their weights at the nodes."""
+    """Centres of the Gaussian process, and their weights at the nodes."""
 
     weights: FloatArray
     """The expected disturbance at the nodes is `weights @ values at the centres`. Shape (n, k)."""
     chosen: IntArray  # the nodes where the centres are. Shape (k,).
-    rest: FloatArray  # standard deviation of what is left, over the disturbance's own. Shape (n,).
+    rest: FloatArray  # standard deviation of the residual over the disturbance's. Shape (n,).
     information: FloatArray  # inverse correlation of the centres. Shape (k, k).
     log_determinant: float  # of the correlation
     length: float  # correlation length of the residual, metres
@@ -65,8 +65,8 @@ class Places:
         to_nodes = np.exp(-_distances(way, centres) / length)
         information = np.asarray(np.linalg.inv(among), dtype=np.float64)
         weights = to_nodes @ information
-        explained = (1.0 - SMALL) * np.sum(weights * to_nodes, axis=1)
-        rest = np.sqrt(np.clip(1.0 - explained, SMALL, 1.0))
+        explained = (1.0 - SMALL_SCALE) * np.sum(weights * to_nodes, axis=1)
+        rest = np.sqrt(np.clip(1.0 - explained, SMALL_SCALE, 1.0))
         determinant = float(np.linalg.slogdet(among)[1])
         return cls(weights, chosen, rest, information, determinant, min(apart, length))
 
@@ -76,7 +76,7 @@ class Places:
         return by_centres + self.rest[:, None] * state.local[:, STREET]
 
     def with_disturbance(self, state: State, disturbance: FloatArray) -> State:
-        """Return a state with the same disturbance by these centres."""
+        """Return a state with a given disturbance, expressed by these centres."""
         centres = disturbance[self.chosen]
         local = state.local.copy()
         local[:, STREET] = (disturbance - self.weights @ centres) / self.rest[:, None]
@@ -92,12 +92,12 @@ def dead_reckoned(course: Course, state: State) -> FloatArray:
 
 
 def _passed_again(way: FloatArray, length: float) -> BoolArray:
-    """Return which nodes (n,) are near another part of the path, far from them along it."""
+    """Return which nodes (n,) are near another node that is far away along the path."""
     steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
     metres = np.concatenate([[0.0], np.cumsum(steps)])
     along = np.abs(metres[:, None] - metres)
     apart = _distances(way, way)
-    again = (along > AGAIN * apart) & (along > CLOSEST) & (apart < length)
+    again = (along > REVISIT_RATIO * apart) & (along > CLOSEST) & (apart < length)
     return np.asarray(again.any(axis=1))
 
 

@@ -40,7 +40,7 @@ from magcal_ros.core.smoother.unknowns import (
 
 INPUTS = MotorInput.MOVING, MotorInput.TURN_RATE, MotorInput.CURRENT
 """The inputs of the motors' unknowns (`MOTORS`); the current is the last, as it may be unknown."""
-ONE_WAY = 0.8  # mean sign of the turn rate beyond which a turn went one way
+ONE_WAY = 0.8  # mean sign of the turn rate beyond which a turn counts as one way
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Posterior:
     ampere (`INPUTS`). Shape (18,) or (21,)."""
     joint: FloatArray  # their covariance. Shape (18, 18) or (21, 21).
     by_offset: FloatArray
-    """The part of it that knowing the accelerometer's offset would take away. Shape (12, 12)."""
+    """Part of the covariance that is due to the accelerometer's offset. Shape (12, 12)."""
     strength: float
     inclination: float  # of the Earth's field after the fit: tesla, radians
 
@@ -92,7 +92,7 @@ def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
 
 
 def posterior_at(state: State, known: FloatArray, to_sensor: FloatArray) -> Posterior:
-    """Return the posterior at a state, by the covariance (SHARED, SHARED) of shared unknowns."""
+    """Return the posterior, from a state and the covariance (SHARED, SHARED) of its unknowns."""
     shared = state.shared
     up = unit(np.median(state.attitude[:, :, 2], axis=0))
     correction = correction_of(shared, to_sensor, up)
@@ -118,8 +118,8 @@ def posterior_at(state: State, known: FloatArray, to_sensor: FloatArray) -> Post
 def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
     """Return the motors' field of a fit; None if the model had no motors.
 
-    The current is one of its inputs if the turn has found a field that follows it. A turn by hand
-    shows the current of the electronics alone, and nothing of the motors' field.
+    The current is an input only if the turn shows a field that follows the current. In a turn by
+    hand, the current is that of the electronics and says nothing of the motors' field.
     """
     if not (np.diag(found.joint)[PARAMETERS:] > 0.0).all():
         return None
@@ -148,22 +148,23 @@ def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
 
 
 def _usual(values: FloatArray) -> float:
-    """Return the root mean square; zero of no values."""
+    """Return the root mean square; zero if there are no values."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def correction_of(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> Correction:
     """Return the correction of the shared unknowns, SI units.
 
-    It gives the field in the axes in which the accelerometer shows up. `to_sensor` (3, 3) leads
-    from nominal body axes to sensor axes; `up` (3,) is that of the level robot, in body axes.
+    The corrected field is in axes in which up is that of the accelerometer at rest. `to_sensor`
+    (3, 3) is the rotation from nominal body axes to sensor axes; `up` (3,) is up in body axes of
+    the level robot.
     """
     matrix = _to_shown(shared, up) @ np.linalg.inv(to_sensor @ distortion(shared))
     return Correction(np.asarray(matrix), to_sensor @ shared[AT["iron"]] / MICROTESLA)
 
 
 def _to_shown(shared: FloatArray, up: FloatArray) -> FloatArray:
-    """Return the rotation from body axes to those in which the accelerometer shows up."""
+    """Return the rotation from body axes to those in which up is that of the accelerometer."""
     shown = unit(STANDARD_GRAVITY * up + shared[AT["force_offset"]])
     return np.asarray(exp_rotations(np.cross(up, shown)[None])[0])
 

@@ -30,9 +30,9 @@ from magcal_ros.core.smoother.unknowns import (
     Size,
 )
 
-GRID = 60  # factors of an effect's sigma that are tried
+GRID = 60  # number of factors of an effect's sigma that are tried
 RATIOS = np.linspace(-8.0, 8.0, 81)
-"""Logarithms of the ratios that are tried of a distortion by soft iron to that by crooked axes."""
+"""Tried logarithms of the ratio of distortions by soft iron and by non-orthogonal axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +40,13 @@ class Priors:
     """Means and sigmas of the unknowns' priors."""
 
     mean: FloatArray  # Shape (SHARED,)
-    scale: FloatArray  # sigma of each number; zero for one that is known. Shape (SHARED,).
+    scale: FloatArray  # sigma of each unknown; zero if it is held fixed. Shape (SHARED,).
     fields: Fields  # of the Earth, in place of mean and scale
     forward: FloatArray  # front of the vehicle in body axes. Shape (3,).
     spread: Mapping[str, float] = field(
         default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
     )
-    """Of the groups' factors (`Unknown`)."""
+    """Spreads of the groups' factors (`Unknown`)."""
     most: Mapping[str, float] = field(
         default_factory=lambda: {name: each.most for name, each in UNKNOWNS.items()}
     )
@@ -54,10 +54,10 @@ class Priors:
     sizes: Mapping[str, Size] = field(default_factory=lambda: dict(SIZES))
     lengths: Lengths = field(default_factory=Lengths)
     iron_over_axes: float = IRON_OVER_AXES
-    """Median distortion by soft iron over that by crooked axes."""
+    """Median distortion by soft iron over that by non-orthogonal axes."""
 
     def about(self, iron: FloatArray, axes: FloatArray) -> Priors:
-        """Return the priors about a start: its hard iron, and its level axes (`level_axes`)."""
+        """Return the priors about a start with this hard iron and these level axes."""
         mean = self.mean.copy()
         mean[AT["iron"]] = iron
         ahead, left, _ = self.forward @ axes
@@ -66,7 +66,7 @@ class Priors:
 
     @property
     def with_parts_moved(self) -> Priors:
-        """The priors of a robot on which something is moved meanwhile, and stays there."""
+        """The priors of a robot on which a part is moved during the window."""
         return replace(self, lengths=replace(self.lengths, body_field=LASTING))
 
     def log_factor(self, name: str, known: Mapping[str, float]) -> tuple[float, float]:
@@ -83,8 +83,8 @@ class Priors:
     def factors_of(self, name: str, known: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
         """Return possible logarithms of a group's factor, and their log densities.
 
-        No sample separates the two causes of a distortion, crooked axes and soft iron: the factor
-        of the axes is at most that of the distortion.
+        Two causes of a distortion, non-orthogonal axes and soft iron, cannot be separated. The
+        factor of the axes is at most that of the distortion.
         """
         if name == "axes":
             axes, density = self._by_cause(np.log([known["soft_iron"]]), known)
@@ -94,14 +94,14 @@ class Priors:
 
     @cached_property
     def _grids(self) -> dict[str, FloatArray]:
-        """The logarithms that are tried of each group's factor."""
+        """The tried logarithms of each group's factor."""
         return {
             name: np.linspace(-3.0 * spread, math.log(self.most[name]), GRID)
             for name, spread in self.spread.items()
         }
 
     def log_density(self, name: str, x: FloatArray, known: Mapping[str, float]) -> FloatArray:
-        """Return the log density of the logarithm of a group's factor, but for a constant."""
+        """Return the log density of the logarithm of a group's factor, up to a constant."""
         if name == "soft_iron" and not self.has_exact_axes:
             density = self._by_cause(x, known)[1]
             peak = density.max(axis=1)
@@ -110,10 +110,10 @@ class Priors:
         return np.asarray(-0.5 * (x - mean) ** 2 / variance)
 
     def _by_cause(self, x: FloatArray, known: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-        """Return the logarithms of what crooked axes may be of a distortion, and their log density.
+        """Return possible logarithms of the axes' factor in a distortion, and their log density.
 
-        `x` are logarithms of the distortion's factor. The squares of both causes add up to its
-        square: at a ratio tan(u) they are its shares cos(u) and sin(u). Shapes (x, `RATIOS`).
+        `x` are logarithms of the distortion's factor. Its square is the sum of the squares of both
+        causes: at a ratio tan(u) they are cos(u) and sin(u) of the factor. Shapes (x, `RATIOS`).
         """
         mean, variance = self.log_factor("axes", known)
         axes = x[:, None] - 0.5 * np.log1p(np.exp(2.0 * RATIOS))
@@ -131,7 +131,7 @@ class Priors:
 
     @property
     def has_exact_axes(self) -> bool:
-        """Whether the magnetometer's axes are square: soft iron alone distorts the field."""
+        """Whether the magnetometer's axes are orthogonal: soft iron alone distorts the field."""
         return not self._varies("axes")
 
     def _varies(self, name: str) -> bool:
@@ -142,7 +142,7 @@ class Priors:
 def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     """Return the priors from the knowledge of a robot and its place.
 
-    `bias_sigma` is that of the gyro's bias by a rest, rad/s per axis, else infinite.
+    `bias_sigma` is the sigma of the gyro's bias from a rest, rad/s per axis; infinite without one.
     """
     mean = np.zeros(SHARED)
     scale = np.concatenate([np.array(each.sigma) for each in UNKNOWNS.values()])
@@ -150,7 +150,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if math.isfinite(bias_sigma):
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
-    # With a gyro these are not needed, or only several turns separate them.
+    # With a gyro these are not needed, or are observable only in several turns or with a change.
     for name in (
         "sway_arm",
         "axis",
@@ -160,7 +160,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         "added",
         "entered",
         "came",
-        # Only with a battery are these free (`Model.of`).
+        # These are free only with a battery (`Model.of`).
         "motors_current",
         "current_late",
     ):

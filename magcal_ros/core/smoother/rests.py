@@ -7,7 +7,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 
 STILL_FIELD = 0.3
-"""µT by which the mean field of a robot at rest may change from node to node beside noise."""
+"""Change of the mean field between nodes of a robot at rest, in addition to noise, µT."""
 
 
 def rests(
@@ -19,15 +19,15 @@ def rests(
 ) -> BoolArray:
     """Return in which nodes the robot may be at rest, by field, force and rate, shape (n,).
 
-    Of each node there are the mean field (n, 3) in µT, the number of samples (n,), and the standard
-    deviations (n,) of field (µT), force (m/s²) and rate (rad/s).
+    Each node has a mean field (n, 3) in µT, a number of samples (n,), and standard deviations (n,)
+    of field (µT), force (m/s²) and rate (rad/s).
     """
     quiet = _as_at_rest(shaking, 0.01) & _as_at_rest(rocking, 0.002)
     return quiet & _field_stays(mean_field, field, count)
 
 
 def _as_at_rest(spread: FloatArray, least: float) -> BoolArray:
-    """Return which nodes (n,) shake no more than the quietest tenth of them, ten at least."""
+    """Return which nodes (n,) vary little more than the quietest tenth (ten nodes at most)."""
     return np.asarray(spread < 1.6 * _most_quiet(spread) + least)
 
 
@@ -36,7 +36,7 @@ def _most_quiet(spread: FloatArray) -> float:
 
 
 def _field_stays(mean: FloatArray, spread: FloatArray, count: FloatArray) -> BoolArray:
-    """Return which nodes (n,) have the field of a neighbour, within the noise at rest."""
+    """Return which nodes (n,) have the same field as a neighbour, within the noise at rest."""
     noise = _most_quiet(spread) / np.sqrt(count)
     limit = STILL_FIELD + 3.0 * np.hypot(noise[1:], noise[:-1])
     stays = np.abs(np.diff(mean, axis=0)).max(axis=1) < limit

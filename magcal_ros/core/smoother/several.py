@@ -1,6 +1,6 @@
-"""Several turns of one robot: each is a block of nodes of its own, and they share the calibration.
+"""Joint fit of several turns of one robot: each has its own nodes, and all share the calibration.
 
-Each begins at its own fit.
+The iterations start from the separate fits.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from magcal_ros.core.smoother.unknowns import AT, NOTHING, SHARED, STREET, TURNE
 class Together:
     """The optimum of several windows."""
 
-    fits: list[Fit]  # of each window, with the information of all; its evidence is that of all
+    fits: list[Fit]  # of each window, given all windows; with the joint evidence
     informations: list[FloatArray]
     """Information of each window on the common unknowns. Shape (SHARED, SHARED)."""
-    prior: FloatArray  # what is known of these beforehand. Shape (SHARED, SHARED).
-    evidence: float  # minus twice the logarithm of the evidence, but for a constant of the windows
+    prior: FloatArray  # prior information on the common unknowns. Shape (SHARED, SHARED).
+    evidence: float  # minus twice the logarithm of the evidence, up to a constant of the windows
 
 
 def information_of(model: Model, point: Point, solution: Solution) -> FloatArray:
@@ -56,7 +56,7 @@ def information_of(model: Model, point: Point, solution: Solution) -> FloatArray
 
 
 def imagined_information(fit: Fit, body: FloatArray, world: FloatArray) -> FloatArray:
-    """Return the expected information of the same turn on another tilt, (SHARED, SHARED).
+    """Return the expected information of the same turn at another tilt, (SHARED, SHARED).
 
     The robot is rotated by `world` (3, 3) in world axes, then by `body` (3, 3) in its own axes.
     """
@@ -77,14 +77,14 @@ def fit_together(
 ) -> Together:
     """Return the joint fit of windows that share the calibration, from the fits of each.
 
-    `yaw_sigma` is the prior of the installation's yaw, radians, which several tilts show. Raises
-    `numpy.linalg.LinAlgError` if a matrix is not positive definite.
+    `yaw_sigma` is the prior sigma of the installation's yaw, radians, which is observable with
+    several tilts. Raises `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
     models = _with_one_prior([each.model for each in alone], yaw_sigma)
     travels = any(model.travels for model in models)
     fewest = max(tolerances.places_at) if travels else tolerances.fewest
     found = optimum(models, _from_one_start(models, alone), tolerances, 0, fewest)
-    windows = zip(models, found.wide, found.doubted.solutions, strict=True)
+    windows = zip(models, found.wide, found.widened.solutions, strict=True)
     informations = [information_of(*each) for each in windows]
     prior = prior_of_common(models, found.wide)
     fits = found.fits([each.kind for each in alone])
@@ -92,7 +92,7 @@ def fit_together(
 
 
 def _with_one_prior(models: Sequence[Model], yaw_sigma: float) -> list[Model]:
-    """Return models with common priors of the shared unknowns: the widest of each."""
+    """Return models with the same priors of the common unknowns: the widest of each."""
     scale = np.stack([model.priors.scale for model in models]).max(axis=0)
     scale[TURNED] = yaw_sigma
     first, out = models[0].priors, []
@@ -108,7 +108,7 @@ def _with_one_prior(models: Sequence[Model], yaw_sigma: float) -> list[Model]:
 
 
 def _from_one_start(models: Sequence[Model], alone: Sequence[Fit]) -> list[Point]:
-    """Return each window's optimum, moved to the common mean of the shared unknowns."""
+    """Return each window's optimum, moved to the weighted mean of the common unknowns."""
     layout = Layout.of(models, [each.point for each in alone])
     common = layout.common
     total, right = np.zeros((len(common), len(common))), np.zeros(len(common))

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.smoother.factors import of_the_motors
+from magcal_ros.core.smoother.factors import motor_inputs
 from magcal_ros.core.smoother.model import Model, Point
 from magcal_ros.core.smoother.solver import Solution, Stack, Weighted
 from magcal_ros.core.smoother.unknowns import AT, LOCAL, UNKNOWNS, VELOCITY, Size
 
 SMALLEST = 4.0
-"""Spreads below the median to which a size may fall; what is smaller makes no difference."""
+"""Lower limit of a size, in spreads below the median; smaller sizes make no difference."""
 LARGEST_STEP = 0.7
-"""Of the logarithm of a noise's size, or of the distortion's factor, in one round."""
+"""Largest step of the logarithm of a noise size, or of the distortion's factor, in one round."""
 
 
 def noise_sizes(
@@ -26,7 +26,7 @@ def noise_sizes(
     """Return the next sizes of the noises, and the effective number of residuals of each.
 
     By MacKay's fixed point (Bayesian interpolation, Neural Computation 4, 1992): the squared
-    residuals over their variance add up to the number of residuals that the samples determine.
+    normalised residuals add up to the number of residuals that the samples determine.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def noise_sizes(
 
 
 def _by_centres(point: Point, solution: Solution) -> tuple[float, float]:
-    """Return the centres' squares over their variance, and the part due to their covariance."""
+    """Return the centres' squared normalised values, and the part due to their covariance."""
     places, variance = point.places, point.sizes["street"] ** 2
     rows = slice(-3 * len(places), None)
     blocks = solution.covariance[rows, rows].reshape(len(places), 3, len(places), 3)
@@ -106,9 +106,9 @@ class _Spread:
 
 
 def _next_size(size: float, total: float, shown: float, belief: Size) -> float:
-    """Return the size that explains `total` squares over the old variance.
+    """Return the next size, where `total` is the sum of squared normalised residuals.
 
-    Solves t exp(-2 x) - n - (x + x0 - m) / s^2 = 0 for the step x of the logarithm by Newton.
+    Newton's method solves t exp(-2 x) - n - (x + x0 - m) / s^2 = 0 for the step x of the logarithm.
     """
     shown = max(shown, 1e-3)
     off, change = math.log(size / belief.usual), 0.0
@@ -128,7 +128,7 @@ def _next_size(size: float, total: float, shown: float, belief: Size) -> float:
 def expected_square(size: float, shown: float, belief: Size) -> float:
     """Return the root mean square of a size under its posterior.
 
-    Its logarithm is about normal, with the information of the residuals shown and of the prior.
+    Its logarithm is about normal, with the information of the `shown` residuals and of the prior.
     """
     return size * math.exp(1.0 / (2.0 * shown + belief.spread**-2.0))
 
@@ -138,13 +138,13 @@ def effect_factors(
 ) -> dict[str, float]:
     """Return the factors of the effects' sigmas: the most likely ones, or root mean squares.
 
-    Each group's factor is chosen with the others at their new values, one after the other, so that
-    of two effects that explain the same samples one remains. The shared unknowns of the point are
-    at their posterior mean, `solution` has the covariance by the point's factors. `expected` are
-    the groups of which the root mean square is returned.
+    The factors are chosen one after the other, each given the new values of the others: of two
+    effects that explain the same samples, one remains. The shared unknowns of the point are at
+    their posterior mean, and `solution` has the covariance for the point's factors. `expected` are
+    the groups whose root mean square is returned.
     """
     free, found = model.free, dict(point.groups)
-    # By the samples and the fixed priors alone, each unknown over its usual sigma.
+    # Each unknown is divided by its usual sigma.
     scale, count = model.priors.scale[free], len(free)
     covariance = solution.covariance[:count, :count] / np.outer(scale, scale)
     off = (point.state.shared - model.priors.mean)[free] / scale
@@ -156,13 +156,13 @@ def effect_factors(
         alone, column = np.eye(len(rows)), covariance[:, rows]
         own = np.asarray(np.linalg.inv(column[rows]), dtype=np.float64)
         mean = covariance[rows] @ by_samples
-        x, believed = model.priors.factors_of(name, found)
+        x, log_prior = model.priors.factors_of(name, found)
         as_expected = name in expected or name == "axes"
         if name == "soft_iron" and not (as_expected or model.priors.has_exact_axes):
-            # It multiplies the attitudes: farther than that the posterior is not that of the point.
+            # Soft iron multiplies the attitudes: the linearisation holds near the point only.
             is_near = np.abs(x - math.log(found[name])) < LARGEST_STEP
-            believed = np.where(is_near, believed, -math.inf)
-        factor = _factor(x, believed, own, mean, found[name], is_expected=as_expected)
+            log_prior = np.where(is_near, log_prior, -math.inf)
+        factor = _factor(x, log_prior, own, mean, found[name], is_expected=as_expected)
         if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:
             # By the matrix inversion lemma.
             covariance -= column @ np.linalg.solve(alone / more + column[rows], column.T)
@@ -172,7 +172,7 @@ def effect_factors(
 
 def _factor(
     x: FloatArray,
-    believed: FloatArray,
+    log_prior: FloatArray,
     posterior: FloatArray,
     mean: FloatArray,
     before: float,
@@ -181,29 +181,29 @@ def _factor(
 ) -> float:
     """Return the factor of a group's sigmas: the most likely one, or its root mean square.
 
-    Of a group the posterior less its prior is what the samples say, with all else integrated out.
-    From that the marginal likelihood of any other factor follows in closed form. `x` are the
-    logarithms that are tried, and `believed` their log density before the samples.
+    The posterior of a group without its prior is the likelihood with all other unknowns
+    marginalised. The marginal likelihood of any factor follows in closed form. `x` are the tried
+    logarithms of the factor, and `log_prior` their log prior density.
     """
     values, vectors = np.linalg.eigh(posterior - np.eye(len(mean)) / before**2)
     values = np.maximum(values, 0.0)
     drawn = vectors.T @ posterior @ mean
     square = np.exp(2.0 * x)[:, None]
     more = square * values
-    likely = 0.5 * (square * drawn**2 / (1.0 + more) - np.log1p(more)).sum(axis=1) + believed
+    likely = 0.5 * (square * drawn**2 / (1.0 + more) - np.log1p(more)).sum(axis=1) + log_prior
     if not is_expected:
         return float(np.exp(x[np.argmax(likely)]))
     odds = np.exp(likely - likely.max())
     return math.sqrt(float(odds @ square[:, 0] / np.sum(odds)))
 
 
-def as_large_as_all(point: Point) -> dict[str, float]:
-    """Return the factors of the motors' priors (`Unknown`) by which each may be the whole field."""
+def whole_field_factors(point: Point) -> dict[str, float]:
+    """Return factors of the motors' priors with which each input may explain the whole field."""
     shared, course = point.state.shared, point.course
     runs = course.moving > 0.0
     usual = {
         name: math.sqrt(float(np.sum(values[runs] ** 2)) / max(int(runs.sum()), 1))
-        for name, values in of_the_motors(course, shared).items()
+        for name, values in motor_inputs(course, shared).items()
     }
     usual["motors_moving"] = 1.0
     usual["motors_rate"] += 1e-3

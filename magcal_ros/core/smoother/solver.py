@@ -1,7 +1,7 @@
 """Normal equations of the smoother: the nodes are eliminated block by block.
 
-The nodes form a block tridiagonal system. What is left for the shared unknowns is the Schur
-complement, whose inverse is their covariance. The time is linear in the nodes.
+The nodes form a block tridiagonal system. The Schur complement is the information on the shared
+unknowns; its inverse is their covariance. The time is linear in the number of nodes.
 """
 
 from __future__ import annotations
@@ -25,28 +25,27 @@ class Weighted:
     variance: FloatArray  # per component; infinite where there was no measurement. Shape (k,).
     freedom: float | FloatArray  # degrees of freedom of the Student distribution, one or (k,)
     sized: Mapping[str, BoolArray] = field(default_factory=dict)
-    """By size of noise (`SIZES`), the residuals whose standard deviation is proportional to it.
+    """For each noise size (`SIZES`), the residuals whose standard deviation is proportional to it.
     Shapes (k,)."""
     is_expected: bool = False
-    """Whether the weights are the expected curvature of the cost, of which the inverse is the
-    covariance; those of the steps bound the cost from above (Lange, Little and Taylor, JASA 84,
-    1989)."""
+    """Whether the weights are the expected curvature of the cost, for the covariance. The weights
+    of the steps bound the cost from above (Lange, Little and Taylor, JASA 84, 1989)."""
 
     @cached_property
     def chi2(self) -> FloatArray:
-        """Squared residuals over the variance, shape (k,)."""
+        """Squared normalised residuals, shape (k,)."""
         return np.asarray(np.sum(self.linear.residual**2, axis=1) / self.variance)
 
     @cached_property
     def weight(self) -> FloatArray:
-        """Student weights over the variance, shape (k,)."""
+        """Student weights divided by the variance, shape (k,)."""
         reach = self.freedom + self.linear.residual.shape[1]
         weight = reach / (self.freedom + self.chi2) / self.variance
         return np.asarray(weight * reach / (reach + 2.0) if self.is_expected else weight)
 
     @property
     def imagined(self) -> Weighted:
-        """Imagined samples of the same kind: zero residuals, and the expected curvature."""
+        """The same for samples not yet measured: zero residuals, and the expected curvature."""
         linear = replace(self.linear, residual=np.zeros_like(self.linear.residual))
         reach = self.freedom + linear.residual.shape[1]
         variance = self.variance * (reach + 2.0) / self.freedom
@@ -78,12 +77,10 @@ class Solution:
     shared: FloatArray  # step of the shared unknowns that are free. Shape (s,).
     covariance: FloatArray  # of the shared unknowns that are free. Shape (s, s).
     follow: FloatArray
-    """By how much the nodes' unknowns follow the shared ones, with the opposite sign. Shape (n,
-    LOCAL, s)."""
+    """Minus the derivative of the nodes' optimum by the shared unknowns. Shape (n, LOCAL, s)."""
     information: FloatArray
-    """Of the shared unknowns, with the nodes' unknowns integrated out. Shape (s, s)."""
-    gradient: FloatArray
-    """What the step of the shared unknowns solves for: `information @ shared`. Shape (s,)."""
+    """Of the shared unknowns, with the nodes' unknowns marginalised. Shape (s, s)."""
+    gradient: FloatArray  # `information @ shared`. Shape (s,).
     log_determinant: float  # of the information matrix of all unknowns
     chain: Chain  # the information matrix of the nodes' unknowns
     stacks: list[Stack]  # the residuals
@@ -100,10 +97,9 @@ class Prior:
 
     local_information: FloatArray
     local_offset: FloatArray
-    """Information of each of the nodes' unknowns, and its expectation less its value. Shape (n,
-    LOCAL)."""
+    """Information of each of the nodes' unknowns, and prior mean minus value. Shape (n, LOCAL)."""
     information: FloatArray  # of the shared unknowns that are free. Shape (s, s).
-    offset: FloatArray  # their expectation less their value. Shape (s,).
+    offset: FloatArray  # their prior mean minus their value. Shape (s,).
 
 
 def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
@@ -155,7 +151,7 @@ class Stack:
 
     @classmethod
     def of(cls, weighted: list[Weighted], free: IntArray) -> list[Stack]:
-        """Return the stacks: of nodes and of links, with the shared unknowns and without."""
+        """Return the stacks: of nodes and of links, with and without shared unknowns."""
         alike: dict[tuple[int, bool, bool], list[Weighted]] = {}
         for part in weighted:
             linear = part.linear
@@ -188,7 +184,7 @@ class Stack:
 
     @property
     def square(self) -> FloatArray:
-        """Weighted squares of residual and derivatives by the shared, shape (1 + s, 1 + s)."""
+        """Normal equations of the shared unknowns, residual first, shape (1 + s, 1 + s)."""
         right, heavy = (each[:, :, self.reached :] for each in (self.rows, self.weighted))
         width = right.shape[2]
         return np.asarray(right.reshape(-1, width).T @ heavy.reshape(-1, width))
@@ -197,7 +193,7 @@ class Stack:
 def _of_nodes(
     stacks: list[Stack], prior: Prior, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the nodes' diagonal and off-diagonal blocks, gradient, and blocks with the shared."""
+    """Return the nodes' diagonal and upper blocks, and gradient with blocks of shared unknowns."""
     nodes = len(prior.local_information)
     diagonal = np.zeros((nodes, LOCAL, LOCAL))
     upper = np.zeros((nodes - 1, LOCAL, LOCAL))
@@ -227,18 +223,17 @@ def inverse_and_log_determinant(information: FloatArray) -> tuple[FloatArray, fl
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A block tridiagonal matrix, of which every second node is eliminated, then again.
+    """A block tridiagonal matrix, factorised by cyclic reduction (Hockney, J. ACM 12, 1965).
 
-    All nodes of a level are eliminated at once (cyclic reduction; Hockney, J. ACM 12, 1965).
+    Every second node is eliminated at once, then every second of the remaining nodes, and so on.
     """
 
-    inverse: (
-        FloatArray  # of the blocks of the eliminated nodes 0, 2, 4, ... Shape (m, LOCAL, LOCAL)
-    )
+    inverse: FloatArray
+    """Of the blocks of the eliminated nodes 0, 2, 4, ... Shape (m, LOCAL, LOCAL)."""
     before: FloatArray
-    """By how much these, but for the first, follow the node before, with the opposite sign."""
+    """`inverse` times the block of these nodes, except the first, with the node before."""
     after: FloatArray
-    """By how much these follow the node after, if there is one, with the opposite sign."""
+    """`inverse` times the block of these nodes with the node after, if there is one."""
     rest: Chain | None  # the other nodes
     log_determinant: float
 
@@ -266,7 +261,7 @@ class Chain:
         own = np.empty((len(self.inverse) + len(others), *self.inverse.shape[1:]))
         beside = np.empty((len(own) - 1, *self.inverse.shape[1:]))
         own[1::2], inner = others, len(between)
-        # With the node before and after, of a node between two.
+        # Covariances of the eliminated nodes with the node after and the node before.
         by_after, by_before = -self.after @ others, -self.before @ others[:left]
         by_after[1:] -= self.before[: right - 1] @ between
         by_before[:inner] -= self.after[1 : inner + 1] @ np.swapaxes(between, 1, 2)
@@ -286,7 +281,7 @@ def block_chain(diagonal: FloatArray, upper: FloatArray) -> Chain:
     determinant = float(2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
     if len(diagonal) == 1:
         return Chain(inverse, upper, upper, None, determinant)
-    # From the eliminated nodes to those after them, and from those before.
+    # Blocks of the eliminated nodes with the node after, and of the node before with them.
     later, earlier = upper[::2], upper[1::2]
     after = inverse[: len(later)] @ later
     before = inverse[1:] @ np.swapaxes(earlier, 1, 2)

@@ -1,7 +1,7 @@
 """Standings at known headings, as nodes of the smoother.
 
-Each standing is a node without a link, or with the turn that the gyro saw since the one before.
-The unknowns and their priors are the smoother's; what only motion makes stays zero.
+Each standing is a node. It has no link to the one before, or only the gyro's turn since then. The
+unknowns and their priors are those of the smoother; unknowns of motion stay zero.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ BY_MOTION = (
     *("gyro_bias", "bias_walk", "gyro_matrix", "lever_arm", "latency"),
     *("motors_moving", "motors_rate", "drift", "force_moving", "gradient"),
 )
-"""Unknowns that standing does not ask for."""
+"""Unknowns of motion, which stay zero."""
 
 
 class Drift(NamedTuple):
     """The part of a device's headings that drifts."""
 
     sigma: float  # degrees
-    lasts: float  # seconds over which it is correlated
-    rate: float = 1e-4  # degrees per second, sigma of the rate at which it drifts evenly
+    lasts: float  # correlation time, seconds
+    rate: float = 1e-4  # sigma of a constant drift rate, degrees per second
 
 
 INTEGRATED = math.degrees(FUSION.integrated_rate)
@@ -67,9 +67,9 @@ DRIFTS: dict[Drift, float] = {
     Drift(6.0, 3.0 * FUSION.wander_lasts): 0.3,
     Drift(2.0, FUSION.wander_lasts, INTEGRATED): 0.1,
 }
-"""Drifts with their prior odds against none. Reflections by walls and trees turn antennas a metre
-apart by some degrees for minutes, on every second robot; what is larger lasts longer. A
-device that integrates a gyro drifts evenly from its start: one of ten."""
+"""Drifts with their prior odds against none. Reflections from walls and trees turn the heading of
+antennas a metre apart by some degrees for minutes, on half of all robots; larger errors last
+longer. One device in ten integrates a gyro and drifts at a constant rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,26 +79,26 @@ class Standing:
     field: FloatArray  # mean raw field, tesla, in the magnetometer's axes. Shape (3,).
     force: FloatArray  # mean specific force, m/s², body axes. Shape (3,).
     heading: float  # ENU yaw to magnetic north of `forward`, radians
-    sigma: float  # its standard deviation
+    sigma: float  # standard deviation of the heading, radians
     by_declination: bool = False
-    """Whether it is to true north: such headings share the declination's error."""
+    """Whether the heading was given to true north: such headings share the declination's error."""
     forward: FloatArray = member(default_factory=lambda: X)
-    """Direction in body axes whose heading it is; body x unless given. Shape (3,)."""
+    """Direction in body axes that `heading` refers to; body x unless given. Shape (3,)."""
     turned: float = 0.0
     turned_sigma: float = math.inf
-    """Radians to the left since the standing before, by the gyro; the sigma is infinite without
-    one."""
+    """Gyro rotation since the previous standing, radians to the left, with an infinite sigma if
+    there is none."""
     way: float = math.inf
-    """Metres from the standing before, for the correlation of the local disturbance; infinite if it
-    is another place."""
-    seconds: float = 0.0  # since the standing before, for the gyro's bias and a drift
-    drifts: bool = False  # whether the heading is of a device, whose error may drift meanwhile
-    common_sigma: float = 0.0  # of the error that all headings share, radians
+    """Distance from the previous standing, metres, for the correlation of the local disturbance;
+    infinite for another place."""
+    seconds: float = 0.0  # since the previous standing, for the gyro's bias and a drift
+    drifts: bool = False  # whether a device gives the heading, with an error that may drift
+    common_sigma: float = 0.0  # of the error common to all headings, radians
     noise_field: float = 0.3e-6
     noise_up: float = 0.003
     """Standard deviations of single samples: tesla per axis, radians of tilt per axis."""
     force_sigma: float = SIZES["force"].usual
-    """m/s² per axis of `force`; larger where up is of a robot that moves."""
+    """m/s² per axis of `force`; larger if it is measured in motion."""
 
     def __post_init__(self) -> None:
         freeze(self, field=(3,), force=(3,), forward=(3,))
@@ -135,7 +135,7 @@ class Standings:
     seconds: FloatArray
     drifts: bool
     keeps: FloatArray
-    """Correlation of the local disturbance with that of the standing before. Shape (n - 1,)."""
+    """Correlation of the local disturbance with the previous standing. Shape (n - 1,)."""
     common: FloatArray
     priors: Priors
     start: State
@@ -177,7 +177,7 @@ class Standings:
     def weighed(self, state: State, size: float, drift: Drift) -> dict[str, Weighted]:
         """Return all residuals with their variances.
 
-        `size` is that of the local disturbance, and `drift` is that of the headings.
+        `size` is the size of the local disturbance, `drift` the drift of the headings.
         """
         ones = np.ones(len(self.heading))
 
@@ -204,7 +204,7 @@ class Standings:
         return found
 
     def prior(self, state: State, size: float, drift: Drift) -> Prior:
-        """Return the priors for sizes as of `weighed`."""
+        """Return the priors; parameters as for `weighed`."""
         local = np.full_like(state.local, 1.0)
         local[:, : LOCAL - 8] = LEAST_VARIANCE
         local[0, HEADING_DRIFT], local[0, HEADING_RATE] = drift.sigma**-2.0, drift.rate**-2.0
@@ -226,7 +226,7 @@ class Standings:
     def optimum(
         self, size: float, start: State | None = None, drift: Drift = NO_DRIFT
     ) -> StandingOptimum:
-        """Return the optimum for sizes as of `weighed`."""
+        """Return the optimum; parameters as for `weighed`."""
         state, free = start or self.start, self.free
         for _ in range(STEPS):
             weighted, prior = self.weighed(state, size, drift), self.prior(state, size, drift)
@@ -236,7 +236,7 @@ class Standings:
             shared = np.zeros(SHARED)
             shared[free] = solution.shared
             state = state.moved(solution.local, shared)
-        covariance = solution.covariance + self._by_declination(weighted, prior, solution)
+        covariance = solution.covariance + self._by_common_errors(weighted, prior, solution)
         whole = np.zeros((SHARED, SHARED))
         whole[np.ix_(free, free)] = covariance
         misfit = self._misfit(weighted, prior)
@@ -246,15 +246,15 @@ class Standings:
         return StandingOptimum(state, whole, cost, misfit)
 
     def _misfit(self, weighted: dict[str, Weighted], prior: Prior) -> float:
-        """Return the sum of squares over variances; the hard iron adds next to nothing."""
+        """Return the sum of squared normalised residuals; the hard iron adds almost nothing."""
         square = sum(float(part.chi2.sum()) for part in weighted.values())
         square += float(np.sum(prior.local_information * prior.local_offset**2))
         return square + float(prior.offset @ prior.information @ prior.offset)
 
-    def _by_declination(
+    def _by_common_errors(
         self, weighted: dict[str, Weighted], prior: Prior, solution: Solution
     ) -> FloatArray:
-        """Return the covariance by what all headings share: the north, or how antennas sit."""
+        """Return the covariance by errors common to all headings: declination, antenna mounting."""
         if not self.common.any():
             return np.zeros_like(solution.covariance)
         still = {name: _with_residual(part, 0.0) for name, part in weighted.items()}
@@ -266,7 +266,7 @@ class Standings:
 
 
 def _log_steps(keeps: FloatArray, size: float, width: int) -> float:
-    """Return the logarithm of the determinant of a process's steps and start, as of `weighed`."""
+    """Return the log determinant of the covariance of a process (`weighed`): start and steps."""
     steps = np.log(size**2 * (1.0 - keeps**2) + LEAST_VARIANCE).sum()
     return width * (2.0 * math.log(size) + float(steps))
 
@@ -286,12 +286,12 @@ def rms_size(size: Size) -> float:
 
 
 def _priors(knowledge: Knowledge, by_gyro: bool) -> Priors:
-    """Return the priors of standings; uncertain sigmas count by their mean squares."""
+    """Return the priors of standings; uncertain sigmas are replaced by their RMS."""
     priors = priors_of(knowledge)
     scale = priors.scale.copy()
     for name, at in AT.items():
         scale[at] *= 0.0 if name in BY_MOTION else _mean_factor(name, priors)
-    # Nothing but known headings shows how the magnetometer is turned about up.
+    # Only known headings show the yaw of the magnetometer.
     scale[YAW] = math.hypot(scale[YAW], knowledge.mounting.yaw_sigma)
     if by_gyro:
         scale[BIAS_UP] = FUSION.bias_sigma

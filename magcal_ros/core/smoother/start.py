@@ -1,4 +1,4 @@
-"""Initial values: with a gyro by a linear fit, without one every geometric solution."""
+"""Initial values: from a linear fit; without a gyro, every geometric solution."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magcal_ros.core.geometry.rotations import (
 )
 from magcal_ros.core.geometry.shapes import Circle, fit_circle_robustly, plane_normal
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.smoother.factors import of_the_motors
+from magcal_ros.core.smoother.factors import motor_inputs
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.state import Course, State, level_axes
@@ -34,20 +34,20 @@ from magcal_ros.core.smoother.unknowns import (
 )
 
 BIASES = (0.0, 0.01, -0.01, 0.025, -0.025, 0.05, -0.05, 0.1, -0.1)
-"""rad/s about up of the gyro's bias that are tried."""
-SMOOTHED = 4.0  # seconds over which up is averaged
+"""Tried values of the gyro's bias about up, rad/s."""
+UP_SECONDS = 4.0  # seconds over which up is averaged
 LARGEST_MOTORS = 20.0
-"""µT of the motors' field, over the usual misfit of a node in µT: what the start allows for."""
-DRIFTED = 100.0  # seconds in which the yaw by the gyro drifts too little to harm the start
+"""Prior sigma of the motors' field at the start, over the usual residual of a node."""
+PIECE_SECONDS = 100.0  # seconds in which the yaw by the gyro drifts too little to harm the start
 Z = np.array([0.0, 0.0, 1.0])
 
 
 def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> tuple[State, Priors]:
     """Return an initial state, and the priors about it.
 
-    Turned to level axes, the field is `m = R c + h + k u + l w` with one vector c of the Earth's
-    field, one h of hard iron, and the motors' k while the robot moves (u) and l per turn rate (w),
-    which is linear. A current adds a term of the same form. Installation and soft iron begin at
+    With the rotation R from level axes, the field is linear in the unknowns: `m = R c + h + k u +
+    l w`. They are the Earth's field c, the hard iron h, and the motors' field k in motion (u) and l
+    per turn rate (w). A current adds a term of the same form. Installation and soft iron start at
     zero.
     """
     up, level, yaw = held_by_gyro(nodes)
@@ -63,7 +63,7 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     axes, along = level_axes(np.median(up, axis=0)), np.median(up, axis=0)
     for bias in biases:
         course = Course.of(nodes, axes, bias * along, priors.lengths)
-        motors = np.hstack(list(of_the_motors(course, priors.mean).values()))
+        motors = np.hstack(list(motor_inputs(course, priors.mean).values()))
         motors[:, 2:] /= largest
         turned = level @ rotation_about(Z, -(yaw - bias * (nodes.time - nodes.time[0])))
         rows = nodes.field[longest], turned[longest], motors[longest], piece, trust[longest]
@@ -119,14 +119,14 @@ def _up(nodes: Nodes, path: FloatArray) -> FloatArray:
         [nodes.samples[:1], np.minimum(nodes.samples[1:], nodes.samples[:-1]), nodes.samples[-1:]]
     )
     held = np.einsum("nji,nj->ni", path, force)
-    apart = (nodes.time[:, None] - nodes.time) / SMOOTHED
+    apart = (nodes.time[:, None] - nodes.time) / UP_SECONDS
     kernel = np.exp(-0.5 * apart**2) * np.maximum(worth, 1e-3)
     return unit(np.einsum("nij,nj->ni", path, kernel @ held))
 
 
 def _pieces(time: FloatArray) -> IntArray:
-    """Return the piece of the drive, about `DRIFTED` long, that each node is in, from 0."""
-    count = max(1, round(float(np.ptp(time)) / DRIFTED))
+    """Return the piece of the drive, about `PIECE_SECONDS` long, that each node is in, from 0."""
+    count = max(1, round(float(np.ptp(time)) / PIECE_SECONDS))
     piece = np.floor((time - time[0]) * count / max(float(np.ptp(time)), 1e-9))
     return np.asarray(np.unique(np.minimum(piece, count - 1), return_inverse=True)[1])
 
@@ -139,12 +139,11 @@ def _linear(
     trust: FloatArray,
     upward: float,
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return c, h, k and l by iterated weighted least squares, the yaw's drift, and the misfit.
+    """Return c, h, k and l by iteratively reweighted least squares, the yaw's drift, the residual.
 
-    The level part of c is that of the first piece; in each `piece` (n,) it has a direction of its
-    own. `trust` (n,) is the weight of a node by what is known of its current. The drift (n,) is
-    that of the yaw since the first piece, radians, and the misfit the median
-    in µT.
+    The level part of c has a separate direction in each `piece` (n,); that of the first piece is
+    returned. `trust` (n,) is the weight of a node, lower if its current is uncertain. The drift of
+    the yaw (n,) is since the first piece, radians. The residual is the median, µT.
     """
     count, pieces = len(field), int(piece[-1]) + 1
     eye = np.broadcast_to(np.eye(3), (count, 3, 3))
@@ -175,11 +174,11 @@ def _linear(
     return np.append(first, found[2 * pieces :]), drift, middle
 
 
-VISIBLE_CONE = 4.0
-"""A circle of up vectors is seen where its variance exceeds its thickness by this factor."""
+CONE_RATIO = 4.0
+"""Least ratio of the variances within and across a visible circle of up vectors."""
 THINNEST_CONE = 0.005
-"""Standard deviation, of unit vectors, that its thickness is taken for at least."""
-DIP = math.radians(60.0)  # dips that are tried if neither the field's strength nor its dip is known
+"""Least standard deviation across the circle, of unit vectors."""
+DIP = math.radians(60.0)  # dip that is tried if neither the field's strength nor its dip is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +214,7 @@ def _axes(up: FloatArray) -> list[FloatArray]:
     """Return candidates for the turn's axis in body axes: mean of up, and normal of its circle."""
     mean = unit(up.mean(axis=0))
     normal, variances = plane_normal(up)
-    if variances[1] < VISIBLE_CONE * max(variances[0], THINNEST_CONE**2):
+    if variances[1] < CONE_RATIO * max(variances[0], THINNEST_CONE**2):
         return [mean]
     return [mean, normal * math.copysign(1.0, float(normal @ mean))]
 
@@ -288,7 +287,7 @@ def _with_dips(
     tilt: tuple[float, float],
     dips: _Dips,
 ) -> Iterator[Guess]:
-    """Yield a guess for each angle that the field can have to the turn's plane."""
+    """Yield a guess for each possible angle between the field and the turn's plane."""
     body_axis = minimal_rotation(Z, axis)
     installed = (field - circle.centre) @ rotation_from_rpy(*tilt).T @ body_axis
     turned = body_axis @ _turned_to(installed)
@@ -307,7 +306,7 @@ def _turned_to(field: FloatArray) -> FloatArray:
 def _level_start(field: FloatArray, up: FloatArray, dips: _Dips) -> Guess | None:
     """Guess without installation error: `m.u = c + h.u` and `|m|^2 = 2 m.h + k`, linear in h.
 
-    It needs no circle, so it survives a turn that wobbles too much to draw one.
+    It needs no circle, so that it also works if a turn wobbles too much for one.
     """
     if dips.strength is None or dips.inclination is None:
         return None

@@ -37,13 +37,13 @@ class State:
 
     @property
     def is_backward(self) -> bool:
-        """Whether the level field points to the south: then all headings are off by half a turn."""
+        """Whether the level field points south: all headings are then off by half a turn."""
         return bool(self.shared[EARTH][0] < 0.0)
 
     def turned_about(self) -> State:
         """Return the same state with the world's axes turned by half a turn about up.
 
-        Field, gravity and gyro are explained equally well. Not for a state without a gyro, whose
+        Field, gravity and gyro are explained equally well. Not for a turn without a gyro: its
         nodes have other unknowns.
         """
         about = np.array([-1.0, -1.0, 1.0])
@@ -73,8 +73,8 @@ class State:
 def damped(seconds: FloatArray, damping: float, pace: float) -> FloatArray:
     """Return exp(A t) for A = [[0, 1], [-pace^2, -damping]], shape (2, 2, n).
 
-    By it a value and its change follow after so many seconds (n,) where the change is damped and
-    the value is drawn back to zero.
+    This is the transition matrix of a value and its rate of change over `seconds` (n,): the rate is
+    damped, and the value is drawn back to zero.
     """
     root = np.sqrt(complex(0.25 * damping**2 - pace**2))
     root = root if abs(root) > 1e-6 else complex(1e-6)
@@ -93,21 +93,19 @@ def level_axes(up: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Constants of the iterations."""
+    """Rests, motion and added iron at the nodes."""
 
     nodes: Nodes
     axes: FloatArray
     """The body's level axes: ahead, left and up in body axes, as columns. Shape (3, 3)."""
     moving: FloatArray
-    """Expected share of the node in which the robot moves: one, zero at rest, and a half where it
-    starts or stops. Shape (n,)."""
-    edge: BoolArray
-    """Whether the robot starts or stops there; the share is between zero and one then. Shape
-    (n,)."""
-    still: BoolArray  # whether the robot rests there. Shape (n,).
+    """Expected fraction of the node in which the robot moves: one, zero at rest, and a half at a
+    start or stop. Shape (n,)."""
+    edge: BoolArray  # whether the robot starts or stops in the node. Shape (n,).
+    still: BoolArray  # whether the robot rests in the node. Shape (n,).
     added: FloatArray
-    """Expected share of the node in which iron that was added is there: zero, one, and a half where
-    it comes. Shape (n,)."""
+    """Expected fraction of the node in which added iron is present: zero, one, or a half. Shape
+    (n,)."""
     span: FloatArray  # time over the window's length, its middle at zero. Shape (n,).
 
     @classmethod

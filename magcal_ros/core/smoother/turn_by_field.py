@@ -1,7 +1,7 @@
 """A turn without a gyro: each geometric solution is fitted and weighted by its evidence.
 
-The sense of rotation is that of a magnetometer whose z is less than a quarter turn off its
-nominal pose: nothing but a gyro shows one that is mounted upside down.
+The sense of rotation follows from a magnetometer whose z is within a quarter turn of its nominal
+direction; only a gyro could show that it is mounted upside down.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, SMALL_CIRCLE
 from magcal_ros.core.smoother.without_gyro import (
     apart,
     guesses,
-    in_a_bent_field,
     in_a_circle,
+    in_a_gradient,
     nodes_by_field,
     without_rates,
 )
@@ -34,15 +34,15 @@ NOTHING_FITS = "no installation and hard iron fit these samples; check the axes 
 OTHER = ", other root"
 USUAL = {SMALL_CIRCLE: 0.1}
 USUAL |= {name + OTHER: share for name, share in USUAL.items()}
-"""How usual kinds of motion are without a gyro, which alone would show them, over the usual one."""
-AGAIN = Tolerances(fewest=4)  # from the optimum of another kind of motion
-SKETCH = Tolerances(rounds=5, fewest=5)  # rounds that are enough to rank the starts
-ROOTS = 2  # starts that are followed to the end
+"""Prior weights of the kinds of motion without a gyro, which alone could distinguish them."""
+RESTART = Tolerances(fewest=4)  # from the optimum of another kind of motion
+RANKING = Tolerances(rounds=5, fewest=5)  # rounds that are enough to rank the starts
+ROOTS = 2  # starts that are iterated to the end
 RIVAL = 0.05  # probability from which another root is a rival
-APART = 0.05  # radians of installation and hard iron over the field by which two starts are two
-FURTHEST, HOPELESS = 60.0, 30.0
-"""Of minus twice the logarithm of the evidence over the best one's: starts that are worse after a
-few rounds are dropped, and solutions that are worse at their optimum have no weight."""
+DISTINCT = 0.05  # least distance of distinct solutions: radians, and hard iron over the field
+STARTS_WITHIN, ROOTS_WITHIN = 60.0, 30.0
+"""Largest difference of minus twice the log evidence from the best one: of starts after a few
+rounds, and of solutions at their optimum. The others are dropped."""
 
 
 def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
@@ -56,31 +56,31 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     rests = bool(Course.of(nodes, nodes.tied_to, np.zeros(3), usual.lengths).still.any())
     priors = without_rates(usual, rests=rests)
     led = (_upright(like.model.priors, like) for like in _best(nodes, priors, knowledge))
-    roots = _distinct([each for each in led if each is not None], HOPELESS)
+    roots = _distinct([each for each in led if each is not None], ROOTS_WITHIN)
     if not roots:
         raise Refusal(Reason.NO_SOLUTION, NOTHING_FITS)
     fits: dict[str, Fit] = {}
     for each, root in zip(roots, ("", OTHER), strict=False):
-        # Sensors that are exact move no more than their robot does.
-        found = {ON_THE_SPOT: each} if knowledge.exact_sensors else _elsewhere(each)
+        # With exact sensors only a turn on the spot is considered.
+        found = {ON_THE_SPOT: each} if knowledge.exact_sensors else _with_gradient(each)
         fits |= {name + root: other for name, other in found.items()}
     return mixed(fits, roots[0].model.nodes, knowledge, USUAL)
 
 
-def _elsewhere(first: Fit) -> dict[str, Fit]:
+def _with_gradient(first: Fit) -> dict[str, Fit]:
     """Fit a turn again with a field gradient, on the spot and in a small circle.
 
-    The field of an open place is one that bends by nothing, not another kind of motion.
+    A uniform field is not another kind of motion, but the special case of a zero gradient.
     """
-    # A field that bends looks like axes out of square, which are square to begin with.
+    # A gradient resembles non-orthogonal axes, so that these start as orthogonal.
     groups = {**first.point.groups, "axes": 1.0, "soft_iron": 1.0}
     like = replace(first, point=replace(first.point, groups=groups))
-    spot = _upright(in_a_bent_field(first.model.priors), like) or first
+    spot = _upright(in_a_gradient(first.model.priors), like) or first
     circle = _upright(in_a_circle(spot.model.priors), spot)
     if circle is None:
         return {ON_THE_SPOT: spot}
     if circle.evidence < spot.evidence:
-        # The sizes of the noises may have gone on to shrink there.
+        # The noise sizes may have shrunk further in the circle's fit.
         again = _upright(spot.model.priors, circle)
         spot = again if again is not None and again.evidence < spot.evidence else spot
     return {ON_THE_SPOT: spot, SMALL_CIRCLE: circle}
@@ -88,16 +88,16 @@ def _elsewhere(first: Fit) -> dict[str, Fit]:
 
 def _upright(priors: Priors, like: Fit) -> Fit | None:
     """Return the fit of a turn from another optimum; None if it fails or mirrors the axes."""
-    found = _fitted(like.model.nodes, priors, like.state, AGAIN, like)
-    # While the field is taken for uniform, soft iron of any size explains its gradient.
+    found = _fitted(like.model.nodes, priors, like.state, RESTART, like)
+    # With the field assumed uniform, soft iron of any size may explain its gradient.
     return found if found is not None and is_possible(found, math.inf) else None
 
 
 def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
-    """Return the distinct fits with an evidence near the best one's, the best first."""
+    """Return the distinct fits whose evidence is near the best, in order of evidence."""
     kept: list[Fit] = []
     for each in sorted(fits, key=lambda fit: fit.evidence):
-        new = all(apart(each.state, other.state) > APART for other in kept)
+        new = all(apart(each.state, other.state) > DISTINCT for other in kept)
         if new and each.evidence < (kept or [each])[0].evidence + furthest:
             kept.append(each)
     return kept
@@ -114,16 +114,16 @@ def _fitted(
 
 
 def _best(nodes: Nodes, priors: Priors, knowledge: Knowledge) -> list[Fit]:
-    """Return the distinct starts of the highest evidence after a few rounds, the best first."""
+    """Return the distinct starts of the highest evidence after a few rounds, in order."""
     led = [
-        _fitted(turning, about, state, SKETCH)
+        _fitted(turning, about, state, RANKING)
         for turning, state, about in guesses(nodes, priors, knowledge.reference)
     ]
-    return _distinct([each for each in led if each is not None], FURTHEST)[:ROOTS]
+    return _distinct([each for each in led if each is not None], STARTS_WITHIN)[:ROOTS]
 
 
 def rival_gap(found: Smoothed) -> float:
-    """Return the heading between the solutions of a turn, radians; zero if only one fits."""
+    """Return the difference of heading between two solutions, radians; zero if only one fits."""
     by_root: dict[bool, str] = {}
     for name in sorted(found.weights, key=found.weights.__getitem__):
         by_root[name.endswith(OTHER)] = name

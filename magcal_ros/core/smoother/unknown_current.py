@@ -1,4 +1,4 @@
-"""The field of a current that is not known between the messages of a battery."""
+"""Uncertainty of the motors' field, as the current is unknown between the battery's messages."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from magcal_ros.core.smoother.unknowns import AT, CURRENT_LATE
 def with_unknown_current(
     linear: Linear, nodes: Nodes, shared: FloatArray, variance: FloatArray, most: float
 ) -> Linear:
-    """Return the field's residuals, of which the part along the motors' field counts less.
+    """Return the field's residuals, scaled down along the motors' field.
 
-    With the scale that they get here, residuals of this `variance` per axis (n,) have it in all
-    directions, what is unknown of the current included. `most` is the field per axis at the largest
-    current that motors may add besides, µT, while theirs is not yet known.
+    The scaled residuals have `variance` per axis (n,) in all directions, including the uncertainty
+    of the current. `most` is the largest field per axis that the motors may add at the largest
+    current, µT, until the iterations have estimated it.
     """
     if nodes.currents is None:
         return linear

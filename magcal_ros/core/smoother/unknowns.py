@@ -15,17 +15,17 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 
 MICROTESLA = 1e6  # microtesla in a tesla
-WAVES = 6  # sine waves that a walk of the gyro's bias over a window is made of
+WAVES = 6  # sine waves that represent the random walk of the gyro's bias over a window
 
 ATTITUDE, VELOCITY, STREET, BODY_FIELD = slice(0, 3), slice(3, 5), slice(5, 8), slice(8, 11)
 ACCELERATION = slice(11, 13)
-"""Unknowns of a node: attitude increment (rad, body axes), velocity (m/s, level axes of the body),
-local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT),
-lasting change of the velocity (m/s², level axes of the body)."""
+"""Unknowns of a node: attitude increment (rad, body axes); velocity (m/s, level axes of the body);
+local disturbance of the Earth's field (µT, world axes); coloured noise of the body's field (µT);
+correlated change of the velocity (m/s², level axes of the body)."""
 LOCAL = 13
 HEADING_DRIFT, HEADING_RATE = slice(3, 4), slice(4, 5)
-"""At standings, in place of the velocity: the part of a device's heading that drifts, degrees, and
-the rate at which it does so evenly, degrees per second."""
+"""At standings, in place of the velocity: the drift of a device's heading, degrees, and its
+constant rate, degrees per second."""
 RATE, CLIMB = slice(5, 6), 6
 """Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s,
 and the accelerometer's velocity upward, m/s."""
@@ -36,7 +36,7 @@ class Unknown(NamedTuple):
 
     The prior is Gaussian about zero. Its sigma is uncertain itself: the whole group is larger or
     smaller by one factor with a truncated log-normal prior, which is estimated with the unknowns.
-    An effect that the samples do not show stays near zero, and one that they show is not held back.
+    An effect that the samples do not show stays near zero; one that they show is not shrunk.
     """
 
     sigma: tuple[float, ...]  # median of the sigma of each number
@@ -71,7 +71,7 @@ UNKNOWNS: dict[str, Unknown] = {
         1.2,
         60.0,
         "-",
-        "symmetric distortion (xx, yy, zz, xy, xz, yz) by soft iron, gains and crooked axes",
+        "symmetric distortion (xx, yy, zz, xy, xz, yz) by soft iron, gains and axes not orthogonal",
         "0 to 30%; the median is `IRON_OVER_AXES` of this",
     ),
     "axes": Unknown(
@@ -79,7 +79,7 @@ UNKNOWNS: dict[str, Unknown] = {
         0.9,
         8.0,
         "-",
-        "the yaw that crooked axes turn; they distort the field by as much",
+        "yaw error of non-orthogonal axes; their distortion is of the same size",
         "data sheets of MEMS magnetometers: axes .3 to 1.2% out of square",
     ),
     "shielding": Unknown(
@@ -112,7 +112,7 @@ UNKNOWNS: dict[str, Unknown] = {
         (0.08,) * 3, 0.5, 4.0, "m", "accelerometer from the pivot", "small robots"
     ),
     "latency": Unknown(
-        (0.005,), 1.5, 60.0, "s", "by how much the field is late", "drivers: 0 to 20 ms, some .3 s"
+        (0.005,), 1.5, 60.0, "s", "latency of the field", "drivers: 0 to 20 ms, some .3 s"
     ),
     "motors_moving": Unknown(
         (0.05,) * 3, 2.0, 600.0, "µT", "field while the robot moves", "most: none"
@@ -126,7 +126,7 @@ UNKNOWNS: dict[str, Unknown] = {
         1.0,
         10.0,
         "µT",
-        "hard iron that is there from one moment on",
+        "hard iron that is added at one moment",
         "a load: 3 to 30",
     ),
     "entered": Unknown(
@@ -134,7 +134,7 @@ UNKNOWNS: dict[str, Unknown] = {
         1.0,
         10.0,
         "µT",
-        "local disturbance that a drive meets at one moment and does not leave, world axes",
+        "local disturbance that starts at one moment of a drive and stays, world axes",
         "bridges, garages: 5 to 20",
     ),
     "came": Unknown(
@@ -142,7 +142,7 @@ UNKNOWNS: dict[str, Unknown] = {
         0.0,
         1.0,
         "-",
-        "share of its node in which a change is there, less a half",
+        "fraction of its node in which a change is present, minus a half",
         "uniform",
     ),
     "force_moving": Unknown(
@@ -165,7 +165,7 @@ UNKNOWNS: dict[str, Unknown] = {
         "robots: 0 to .6 above it",
     ),
     "mounting_yaw": Unknown(
-        (0.06,), 0.7, 8.0, "rad", "ahead of wheels, left of the x axis", "boards fixed by hand"
+        (0.06,), 0.7, 8.0, "rad", "forward direction, left of the x axis", "boards fixed by hand"
     ),
     "axis": Unknown(
         (0.3, 0.3), 0.0, 1.0, "rad", "the turn's axis in the body, off its guess", "level by hand"
@@ -178,7 +178,7 @@ UNKNOWNS: dict[str, Unknown] = {
         1.5,
         60.0,
         "µT",
-        "local disturbance on the turn's own small circle, by east and north of the body's x axis",
+        "field gradient on the magnetometer's circle, by east and north of the body's x axis",
         "a sensor 0 to .25 m beside the axis; .1 to 20 µT/m",
     ),
     "place": Unknown(
@@ -186,7 +186,7 @@ UNKNOWNS: dict[str, Unknown] = {
         1.0,
         30.0,
         "µT",
-        "the field where a turn was made less that of the other turns, world axes",
+        "field at the place of a turn, minus that of the other turns, world axes",
         "a few metres apart in the open: .02 to .3",
     ),
     "motors_current": Unknown(
@@ -198,25 +198,25 @@ UNKNOWNS: dict[str, Unknown] = {
         "most: none, some 20",
     ),
     "current_late": Unknown(
-        (0.1,), 0.0, 1.0, "s", "by how much the current is late, about `USUALLY_LATE`", "drivers"
+        (0.1,), 0.0, 1.0, "s", "latency of the current, about `USUALLY_LATE`", "drivers"
     ),
 }
 MOTORS = "motors_moving", "motors_rate", "motors_current"
 BEYOND_USUAL = 2.0  # factor of the motors' usual size from which they are taken to add a field
-USUALLY_LATE = 0.1  # seconds by which the current of a battery is published late
+USUALLY_LATE = 0.1  # usual latency of the current of a battery, seconds
 
-IRON_OVER_AXES = 0.4  # median distortion by soft iron over that by gains and crooked axes
+IRON_OVER_AXES = 0.4  # median distortion by soft iron over that by gains and non-orthogonal axes
 MODULE = ("axes", "gyro_bias", "gyro_matrix", "force_offset")
 """Groups that depend on the quality of the sensor module: a cheap one has all of them larger."""
 ALIKE = 0.5  # correlation of the logarithms of their factors
 
 SIZES: dict[str, Size] = {
     "field": Size(
-        0.07, 0.7, 6.0, "µT", "noise of a node's field beside white noise", "steps of resolution"
+        0.07, 0.7, 6.0, "µT", "noise of a node's field beyond white noise", "steps of resolution"
     ),
     "force": Size(0.03, 1.5, 4.0, "m/s²", "noise of a link's level force", "vibration: .01 to .5"),
     "force_up": Size(0.03, 1.5, 4.0, "m/s²", "the same along z", "bumps of the road: to 1"),
-    # Without a limit the fit takes the acceleration of a drive for gyro noise.
+    # Without a limit the fit would explain the acceleration of a drive by gyro noise.
     "gyro": Size(
         0.001, 0.5, 3.0, "rad/√s", "random walk about x and y", "MEMS: .0002 to .003", most=0.004
     ),
@@ -228,7 +228,7 @@ SIZES: dict[str, Size] = {
         0.05, 1.5, 6.0, "µT/√s", "change of the local disturbance at rest", "none to .3 in traffic"
     ),
     "body_field": Size(0.1, 1.0, 6.0, "µT", "coloured noise of the body at rest", "currents"),
-    # It begins wide: else the local disturbance takes what motors do.
+    # The initial value is large: otherwise the local disturbance absorbs the motors' field.
     "motors_noise": Size(
         0.1, 1.5, 3.0, "µT", "the same while the robot moves", "currents .05, motors to 20", 0.5
     ),
@@ -248,7 +248,7 @@ SIZES: dict[str, Size] = {
 STANDING = Size(
     0.7, 0.5, 6.0, "µT", "local disturbance where a robot stands, per axis", "open places: .3 to 2"
 )
-"""Of a robot at rest at a known heading, instead of one that drives along a street."""
+"""Of a robot at rest at a known heading, in place of `street`."""
 
 
 FIELDS_ON_EARTH = (
@@ -260,10 +260,10 @@ FIELDS_ON_EARTH = (
     (0.10, 18.0, -17.0, 5.0, 6.0),
     (0.02, 25.0, -53.0, 5.0, 6.0),
 )
-"""Where nobody knows the field: shares, level and downward field, and their sigmas, µT. It is the
+"""Prior of an unknown field: weights, level and downward field, and their sigmas, µT. It is the
 World Magnetic Model at the 6,200 cities of more than 100,000 people (GeoNames), with a local
 deviation of 4 µT."""
-NOTHING = 1e-3  # µT of a local disturbance or of currents that are known to be none
+NOTHING = 1e-3  # size of a local disturbance or of motors' noise that is known to be zero, µT
 EXACT_IRON = 1e-5, 2.5, 1e4
 """Median size of soft iron, its spread and its largest factor, where the sensors are exact."""
 
@@ -278,13 +278,12 @@ class KindOfMotion(NamedTuple):
     """Initial size of the acceleration, m/s². If it is too small, acceleration is taken for tilt;
     if it is too large, tilt is taken for acceleration."""
     motors: float = 2.0
-    """Spread of the logarithm of the motors' field. A vehicle's is small where a compass sits; what
-    differs between its rest and its way is the place."""
+    """Spread of the logarithm of the motors' field. In a vehicle it is small at the compass: rest
+    and motion differ because the place does."""
     soft_iron: float = 1.0  # factor of the usual soft iron: a vehicle's body is of steel
     gradient: float = 1.0
-    """Factor of the usual gradient of the field: a drive has local disturbances on its way."""
-    traffic: bool = False
-    """Whether the local disturbance changes where a robot stands, as other vehicles pass it."""
+    """Factor of the usual gradient of the field; a drive has local disturbances instead."""
+    traffic: bool = False  # whether passing vehicles change the local disturbance at rest
 
     @property
     def velocity(self) -> FloatArray:
@@ -306,18 +305,18 @@ KINDS: dict[str, KindOfMotion] = {
     ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0, 0.0, True),
     ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0, 0.0, True),
 }
-"""The kinds of motion that are tried; they differ in nothing else."""
+"""The kinds of motion that are tried; they differ in these priors only."""
 LATE = f"{ON_THE_SPOT}, field late"
-"""A turn on the spot again, in which a late field explains what motors may."""
+"""A turn on the spot, in which a latency of the field replaces the motors' field."""
 MOVED = f"{ON_THE_SPOT}, parts moved"
-"""A turn on the spot again, in which a lid, an arm or a load on the robot is moved."""
-LASTING = 60.0  # seconds of the correlation time of the body's coloured noise then: steps that last
+"""A turn on the spot, in which a lid, an arm or a load on the robot is moved."""
+LASTING = 60.0  # correlation time of the body's coloured noise for `MOVED`: steps that last, s
 USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, LATE: 0.5, MOVED: 0.05, ANY_WAY: 0.1}
-"""Relative prior weights of the kinds of motion; one where none is given. Most robots have wheels,
-and few turn exactly on a spot; on few is anything moved meanwhile."""
+"""Relative prior weights of the kinds of motion; one if none is given. Most robots have wheels, few
+turn exactly on the spot, and few have a part that is moved during a turn."""
 ROLLING: Mapping[str, float] = {**USUAL, ANY_WAY: 0.5}
-"""The same where the speed of the wheels is known. Some IMUs are mounted sideways and no parameter
-says so; a steady circle does not show it."""
+"""The same if the speed of the wheels is known. Some IMUs are mounted sideways without a parameter
+that says so; a steady circle does not show it."""
 
 
 @dataclass(frozen=True)
@@ -328,7 +327,7 @@ class Lengths:
     body_field: float = 4.0  # correlation time of the body's coloured noise, seconds
     acceleration: float = 3.0  # correlation time of the change of velocity, seconds
     beside: float = 0.15
-    """Metres of the magnetometer from the pivot: its path while the robot turns."""
+    """Distance of the magnetometer from the pivot, metres, for its path in a turn."""
     creep: float = 0.01  # m/s that a robot at rest may still move
     moving: float = 0.03  # rad/s of turn rate from which a robot on the spot counts as moving
     sway: float = 1.0  # correlation time of the tilt of a robot that sways, seconds

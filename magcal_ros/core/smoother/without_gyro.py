@@ -1,8 +1,8 @@
 """Windows without a gyro or with silent axes: a turn rate from the field, and wider priors.
 
-An axis that never changes measures nothing. The field shows how the robot turned about its axis;
-that rate serves only to average samples to nodes. What ties the attitudes of neighbouring nodes is
-that up changes slowly in body axes: the robot turns about an axis that it keeps, and sways.
+An axis that never changes measures nothing. The field shows the turn rate about the turn's axis,
+which is used only to average samples to nodes. The attitudes of neighbouring nodes are linked
+because the robot turns about a fixed axis and sways, so that up changes slowly in body axes.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ from magcal_ros.core.smoother.unknowns import (
 
 SMOOTHED = 0.5
 """Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
-NODE = 0.3  # seconds of a node; a sway of more than 1 Hz is not followed
-AXIS = 0.3  # radians by which the turn's axis may lean from the one that is guessed, per axis
-CIRCLE = 0.6  # metres of the accelerometer from the middle of a small circle: one sigma
+NODE = 0.3  # seconds of a node; a sway of more than 1 Hz is not resolved
+AXIS = 0.3  # sigma of the turn's axis off its guess, radians per axis
+CIRCLE = 0.6  # sigma of the accelerometer's distance from the centre of a small circle, metres
 Z = np.array([0.0, 0.0, 1.0])
 DEAD_AXES = (
-    "an axis of the gyro never changes, so that acceleration and lean of a robot that drives "
-    "cannot be separated; turn once on the spot, and rest for some seconds before and after"
+    "an axis of the gyro never changes, so that acceleration and tilt of a driving robot cannot "
+    "be separated; turn once on the spot, and rest for some seconds before and after"
 )
 
 
-DEAD = Size(0.01, 1.5, 6.0, "rad/√s", "sway about axes that do not live", "robots: 0 to .1", 0.1)
+DEAD = Size(0.01, 1.5, 6.0, "rad/√s", "sway about silent axes of the gyro", "robots: 0 to .1", 0.1)
 SWAY: Mapping[str, Size] = {
-    "lean": Size(0.01, 1.5, 6.0, "rad", "lean of the body from its axis", "robots: 0 to .05", 0.03),
-    "gyro_up": Size(0.01, 1.5, 4.0, "rad/√s", "yaw beside a rate that changes", "jerks", 0.05),
+    "lean": Size(0.01, 1.5, 6.0, "rad", "tilt of the body off its axis", "robots: 0 to .05", 0.03),
+    "gyro_up": Size(0.01, 1.5, 4.0, "rad/√s", "yaw beyond a changing rate", "jerks", 0.05),
     "rate_change": Size(0.05, 1.5, 4.0, "rad/s/√s", "change of the turn rate", "0 to .3", 0.2),
     "speed_change": Size(
         0.003, 1.2, 4.0, "m/s", "velocity that neither turn nor sway explains", "on the spot: none"
@@ -59,7 +59,7 @@ SWAY: Mapping[str, Size] = {
 
 
 def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
-    """Return the nodes of a window without a gyro, by the turn rate of its field."""
+    """Return the nodes of a window without a gyro, with the turn rate from the field."""
     window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
     field = window.field @ to_body.T * MICROTESLA
     circle = fit_circle_robustly(field)
@@ -89,7 +89,7 @@ def _smooth(time: FloatArray, values: FloatArray) -> FloatArray:
 def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
     """Return the priors of a window in which axes of the gyro are silent.
 
-    About a silent axis the robot turns by its share of the turn about the other axis, and sways.
+    The rotation about a silent axis is a fraction of that about the other axes, plus sway.
     """
     if all(living):
         return priors
@@ -103,7 +103,7 @@ def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
 
 
 def without_rates(priors: Priors, *, rests: bool) -> Priors:
-    """Return the priors of a window that has no gyro; `rests` says whether it shows a rest."""
+    """Return the priors of a window without a gyro; `rests` is whether it contains a rest."""
     scale = priors.scale.copy()
     for name in ("gyro_bias", "bias_walk", "gyro_matrix", "gradient"):
         scale[AT[name]] = 0.0
@@ -112,12 +112,12 @@ def without_rates(priors: Priors, *, rests: bool) -> Priors:
     scale[AT["latency"]] = 0.0
     if not priors.fields.is_known:
         scale[AT["shielding"]] = 0.0
-    # Without a rest nothing shows how large a shift is that lasts while the robot moves.
+    # Without a rest, the size of the accelerometer's shift in motion is not observable.
     spread = priors.spread if rests else {**priors.spread, "force_moving": 0.0}
     return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, **SWAY})
 
 
-def in_a_bent_field(priors: Priors) -> Priors:
+def in_a_gradient(priors: Priors) -> Priors:
     """Return the priors of a magnetometer that moves through a field gradient."""
     scale = priors.scale.copy()
     scale[AT["gradient"]] = UNKNOWNS["gradient"].sigma
@@ -139,14 +139,14 @@ def guesses(
     found = []
     assert nodes.tied_to is not None
     for guess in starts(nodes.field, up, reference):
-        # The axis that the field shows leans by the installation.
+        # The installation tilts the axis that the field shows.
         turning = nodes.in_axes(minimal_rotation(nodes.tied_to[:, 2], guess.axis))
         found.append((turning, *_as_state(guess, turning, priors)))
     return found
 
 
 def apart(one: State, other: State) -> float:
-    """Return the largest difference of installation (radians) and of hard iron over the field."""
+    """Return the larger difference: of installation (radians), or of hard iron over the field."""
     off = np.abs(one.shared - other.shared)
     field = float(np.linalg.norm(one.shared[EARTH]))
     return float(max(off[ROLL_PITCH].max(), off[AT["iron"]].max() / field))
@@ -170,9 +170,9 @@ def _as_state(guess: Guess, nodes: Nodes, priors: Priors) -> tuple[State, Priors
 
 
 def _gain(field: FloatArray, attitude: FloatArray, earth: FloatArray) -> float:
-    """Return the ratio of a field's (n, 3) varying part to that of the attitudes.
+    """Return the ratio of the varying part of a field (n, 3) to that expected by the attitudes.
 
-    `earth` is the level and the downward field. Bodies may weaken the field to a fifth.
+    `earth` is the level and the downward field. A steel body may weaken the field to a fifth.
     """
     level, down = earth
     expected = attitude @ np.array([0.0, level, -down])

@@ -1,1 +1,1 @@
-"""Where up is: propagated by the gyro, corrected by the accelerometer."""
+"""The direction of up: propagated by the gyro, corrected by the accelerometer."""

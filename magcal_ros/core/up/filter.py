@@ -1,11 +1,11 @@
-"""Up, gyro bias and the robot's velocity, estimated together, and all assumptions about up.
+"""A Kalman filter of up, gyro bias and velocity, and the tuning of all estimates of up.
 
-The accelerometer of a robot that speeds up, brakes or circles points away from up. The gyro
-propagates up through this, but drifts. What separates them: up stays where it is in the world,
-the velocity where it is in the body: in a steady circle it is accelerated by turn rate x velocity
-for however long, and what is left is soon over.
+While a robot accelerates, brakes or circles, its accelerometer does not measure up. The gyro
+propagates up meanwhile, but drifts. Up is constant in the world; the velocity changes slowly in the
+body. The centripetal acceleration of a steady circle, turn rate x velocity, is therefore modelled
+for any time; other accelerations are short.
 
-Accelerations and lengths of the specific force are counted in standard gravity, g.
+Accelerations and lengths of the specific force are in standard gravity, g.
 """
 
 from __future__ import annotations
@@ -27,92 +27,91 @@ class FilterTuning:
     """The Kalman filter on up, gyro bias, velocity and linear acceleration."""
 
     bias_sigma: float = 0.006
-    """rad/s per axis. A gyro's bias before it was seen at rest; cheap gyros reach 0.09 (5°/s),
-    which is learnt as soon as the robot rests."""
-    seen_at_rest: float = 0.002  # rad/s of sigma about up, which only a rest can show
+    """Prior of the gyro's bias, rad/s per axis. Cheap gyros reach 0.09 (5°/s), which is learnt at
+    the first rest."""
+    seen_at_rest: float = 0.002  # sigma of the bias about up that needs a rest, rad/s
     bias_walk: float = 1e-4  # rad/s per root second
     largest_bias: float = 0.16  # rad/s, length of any estimate: 5°/s on each axis, and a little
-    angle_walk: float = 3e-4  # radians per root second: what a gyro loses while it does not turn
-    turn_error: float = 0.003  # share of a turn that a gyro gets wrong, per root radian
-    usual_acceleration: float = 0.1  # g, sigma per axis of a robot under way
-    usual_speed: float = 4.0
-    """m/s, sigma per axis. A turn at this speed accelerates sideways by speed times turn rate."""
-    given_acceleration: float = 0.03  # g that is left where the acceleration is measured
-    given_speed: float = 0.5  # the same, m/s
-    acceleration_lasts: float = 2.0  # seconds: vehicles speed up and brake for 2 to 5 s
-    speed_lasts: float = 20.0  # seconds, from street corner to street corner
+    angle_walk: float = 3e-4  # radians per root second, random walk of the angle without a turn
+    turn_error: float = 0.003  # relative error of a turn by the gyro, per root radian
+    usual_acceleration: float = 0.1  # g, sigma per axis of a moving robot
+    usual_speed: float = 4.0  # m/s, sigma per axis, for the centripetal acceleration
+    given_acceleration: float = 0.03  # g, the same if the acceleration is measured
+    given_speed: float = 0.5  # m/s, the same
+    acceleration_lasts: float = 2.0  # correlation time, seconds: vehicles accelerate for 2 to 5 s
+    speed_lasts: float = 20.0  # correlation time, seconds: from street corner to street corner
     floor: float = 2e-3
-    """g. Error of an averaged accelerometer reading that no averaging removes, and the least
-    acceleration of a robot that stands or rolls steadily."""
-    regain: float = 3.0  # seconds in which an up that was wrong is given up
-    rest_length_sigma: float = 0.02  # g about one, before it was seen at rest
+    """g. Error of the accelerometer that no averaging removes, and least acceleration of a robot at
+    rest or in steady motion."""
+    regain: float = 3.0  # seconds in which a wrong estimate of up is forgotten
+    rest_length_sigma: float = 0.02  # g, prior sigma of the accelerometer's length at rest
 
 
 @dataclass(frozen=True)
 class RestTuning:
-    """When the robot is taken to rest, so that the accelerometer shows up."""
+    """When the robot counts as resting, so that the accelerometer measures up."""
 
     largest_rate: float = 0.035
-    """rad/s. A steady gyro that reads more than this beyond its known bias may be turning; less is
-    taken for bias while no field is there to decide."""
-    doubtful_rate: float = 0.01  # rad/s, the same where there is a field
-    lasting: float = 4.0  # seconds of steadiness after which no length speaks against it
+    """rad/s. A constant rate above this, beyond the known bias, may be a turn. A smaller one is
+    taken for bias if there is no field."""
+    doubtful_rate: float = 0.01  # rad/s, the same if there is a field
+    lasting: float = 4.0  # steady seconds after which the length of the force is not checked
     undecided: float = 1.0
-    """The same where the length shows nothing, and seconds of a settled spell from which bias and
-    length at rest are learnt."""
-    agreeing: float = 0.5  # the same where the force points to where up was propagated
-    agrees: float = 0.01  # radians between the two, and g of a shaken rest's mean force
-    shortest: float = 0.1  # the same as `lasting` where the length excludes an acceleration
-    loose: float = 0.0025  # g of a change that is called steady, beside the noise
-    loose_rate: float = 0.005  # the same, rad/s
-    alike: float = 2.0  # sigmas of the noise that are called steady besides
-    length_floor: float = 3e-4  # g, how well the accelerometer's length is known at best
-    sways: float = 2.0  # seconds after which a robot that rolls sways to the other side
+    """The same if the length is inconclusive, and seconds of a rest from which bias and length at
+    rest are learnt."""
+    agreeing: float = 0.5  # the same if the force agrees with the propagated up
+    agrees: float = 0.01  # largest angle between them, and sigma of up in a shaken rest, radians
+    shortest: float = 0.1  # the same as `lasting` if the length excludes an acceleration
+    loose: float = 0.0025  # g, largest change of a steady force in addition to noise
+    loose_rate: float = 0.005  # rad/s, the same
+    alike: float = 2.0  # sigmas of the noise that are allowed in addition
+    length_floor: float = 3e-4  # g, least sigma of the accelerometer's length
+    sways: float = 2.0  # correlation time of the sway of a rolling robot, seconds
     level_share: float = 0.05
-    """Share of the raw field that turns with the robot, at the least: a turn by an angle changes
-    the field by more than this share of the angle."""
+    """Least fraction of the raw field that rotates with the robot: a turn by an angle changes the
+    field by more than this fraction of the angle."""
     field_mean: float = 0.25  # seconds over which the field is averaged before it is compared
-    field_lasts: float = 1.0  # seconds after which the last field says nothing
+    field_lasts: float = 1.0  # seconds for which the last field sample is used
     shaken_force: float = 0.007
     shaken_field: float = 0.012
-    """g and share of the raw field by which each second of a rest may be off the mean of some of
-    them, where an engine shakes the robot."""
-    shaken_sigma: float = math.radians(0.1)  # rad/s per axis across up, of the bias at least
+    """Largest deviations of means over a second, from the mean of a rest, while an engine shakes
+    the robot: g, and fraction of the raw field."""
+    shaken_sigma: float = math.radians(0.1)  # rad/s per axis across up, least sigma of its bias
 
 
 @dataclass(frozen=True)
 class PropagationTuning:
     """How messages are gathered for the filter, and up without a gyro."""
 
-    block: float = 0.04  # seconds of messages that the filter takes together
+    block: float = 0.04  # seconds of messages in one update of the filter
     memory: float = 1.0  # seconds over which noise, scatter and length are measured
     starting_noise: float = 0.01  # g per axis, before it is measured
     starting_rate_noise: float = 0.005  # the same, rad/s
     smallest: float = 1e-3
-    """Sigma of up, radians, that no filter removes; g by which an accelerometer's length without a
-    gyro differs from that at rest."""
+    """Least sigma of up, radians; g of the accelerometer's length that are ignored without a
+    gyro."""
     smoothing: float = 0.15  # seconds over which up is smoothed without a gyro
     rest_memory: float = 30.0  # seconds over which the length at rest is learnt without a gyro
 
 
 @dataclass(frozen=True)
 class GyroCheckTuning:
-    """When a gyro is called mirrored or dead."""
+    """When a gyro counts as mirrored or dead."""
 
     span: float = 0.4
-    """Seconds over which force and turn are averaged at most before they are compared: two periods
-    of an engine's shaking at 5 Hz, and less than half a nod."""
+    """Longest time over which force and turn are averaged before they are compared, seconds: two
+    periods of an engine's shaking at 5 Hz, and less than half a nod."""
     clear_turn: float = 5.0  # sigmas of the gyro's noise from which a turn is compared at once
-    memory: float = 20.0  # seconds of which the evidence is kept
-    enough: float = 0.01  # g, root of the summed squared changes: as of a nod by 6°
+    memory: float = 20.0  # seconds of evidence that are kept
+    enough: float = 0.01  # g, root of the summed squared changes: a nod by 6°
     clear_noise: float = 10.0
-    """How many times the gyro's noise those changes must be besides; an engine's shaking is more
-    than what is measured as noise."""
+    """Variances of the gyro's noise that the squared changes must exceed as well; an engine shakes
+    by more than the measured noise."""
     mirrored: float = -0.3
-    """How much of the turns a gyro gets right: all is one, the acceleration in a circle adds
-    nothing, and a mirrored one gets them right with the wrong sign."""
-    dead: int = 100  # messages with noise on another axis after which an axis is dead
-    bend: float = 1e-4  # share of a rate by which noise bends it from message to message
+    """Slope of the measured change of the force over the one predicted by the gyro, below which the
+    gyro is mirrored. The slope of a correct gyro is one, of a mirrored one minus one."""
+    dead: int = 100  # messages with noise on another axis after which a constant axis is dead
+    bend: float = 1e-4  # least second difference of a noisy rate, over the rate
 
 
 FILTER, REST, PROPAGATION, CHECK = (
@@ -125,7 +124,7 @@ IDENTITY: FloatArray = np.eye(3)
 
 
 class MotionPrior(NamedTuple):
-    """How fast a robot may be (g s), and how it may speed up and brake (g): sigmas per axis."""
+    """Prior sigmas per axis of a robot's speed (g s) and linear acceleration (g)."""
 
     speed: float
     acceleration: float
@@ -134,10 +133,9 @@ class MotionPrior(NamedTuple):
 class UpFilter:
     """A Kalman filter on up (g), gyro bias (rad/s), velocity (g s) and acceleration (g), body axes.
 
-    The accelerometer reads up + acceleration + turn rate x velocity. Up is a vector of any
-    length, so that the model is linear and a scale error of the accelerometer is taken up by the
-    length of up. Velocity and acceleration are Ornstein-Uhlenbeck processes of the sizes of a
-    `MotionPrior`.
+    The accelerometer measures up + acceleration + turn rate x velocity. Up is a vector of any
+    length: the model is linear, and the length absorbs a scale error of the accelerometer. Velocity
+    and acceleration are Ornstein-Uhlenbeck processes with the sigmas of a `MotionPrior`.
     """
 
     def __init__(self) -> None:
@@ -149,7 +147,7 @@ class UpFilter:
 
     @property
     def up(self) -> FloatArray:
-        """Up over gravity, shape (3,)."""
+        """Up, g, shape (3,)."""
         return self.state[:3]
 
     @property
@@ -175,9 +173,9 @@ class UpFilter:
         return (along, a + d + f - along, square)
 
     def begin(self, force: FloatArray, variance: float, rate: float, motion: MotionPrior) -> None:
-        """Start from one accelerometer reading (over gravity); what is known of the bias stays."""
+        """Start from one accelerometer reading (g), and keep the estimate of the bias."""
         own = self.covariance[3:6, 3:6].copy()
-        turning = _sideways(force.tolist(), rate)
+        turning = _centripetal(force.tolist(), rate)
         self.covariance[:] = 0.0
         self.covariance[3:6, 3:6] = own
         self.covariance[6:9, 6:9] = IDENTITY * motion.speed**2
@@ -188,7 +186,7 @@ class UpFilter:
         self.state[:3], self.state[6:] = force, 0.0
 
     def forget_motion(self, motion: MotionPrior, is_faster: bool = False) -> None:
-        """Allow for another linear acceleration from now on; for another speed if `is_faster`."""
+        """Reset the linear acceleration to its prior; with `is_faster` the velocity, too."""
         first = 6 if is_faster else 9
         self.covariance[first:] = self.covariance[:, first:] = 0.0
         self.state[first:] = 0.0
@@ -196,10 +194,10 @@ class UpFilter:
         self.covariance[range(first, 12), range(first, 12)] = np.square(sigmas[first - 6 :])
 
     def predict(self, up: Triple, turned: Triple, seconds: float, motion: MotionPrior) -> None:
-        """Go on by a block of messages.
+        """Propagate the state over a block of messages.
 
-        `up` is up after the block, propagated by the gyro less its bias, `turned` the radians that
-        the body turned by in body axes, and `motion` how the robot may move.
+        `up` is up after the block, propagated by the gyro without its bias, and `turned` the
+        rotation vector of the body, radians, body axes.
         """
         step = self._transition
         fast = math.exp(-seconds / FILTER.speed_lasts)
@@ -223,19 +221,19 @@ class UpFilter:
         self.covariance = p
 
     def observe_force(self, innovation: FloatArray, variance: float, rate: float) -> None:
-        """Take the mean of accelerometer less propagated up over a block, and its variance.
+        """Update with the mean innovation of a block: the accelerometer minus propagated up.
 
-        `innovation` (3,) and the `variance` of its noise are in g and g². `rate` is that of the
-        turn about up meanwhile, rad/s. Rolling and pitching are shaking rather than turning, and an
-        engine shakes sensor and seat in one time.
+        `innovation` (3,) and the `variance` of its noise are in g and g². `rate` is the turn rate
+        about up, rad/s. Roll and pitch rates are left out: they are shaking, in phase with that of
+        the accelerometer.
         """
         reads = self._reads
-        reads[:, 6:9] = _sideways(self.state[:3].tolist(), rate)
+        reads[:, 6:9] = _centripetal(self.state[:3].tolist(), rate)
         left = innovation - reads[:, 6:] @ self.state[6:]
         self._correct(reads, variance + FILTER.floor**2, left)
 
     def observe_length(self, size: float, variance: float) -> None:
-        """Take what the accelerometer reads at rest, over gravity."""
+        """Update with the accelerometer's length at rest, g."""
         up = self.state[:3]
         own = length(up.tolist())
         if own > 0.0:
@@ -245,10 +243,10 @@ class UpFilter:
             self.covariance -= gain_rows[:, None] * (gain_rows / spread)
 
     def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
-        """Take the mean rate of a block of a robot that does not turn.
+        """Update with the mean rate of a block without a turn.
 
-        `rate` (3,) is in rad/s, `variance` of its noise in (rad/s)². `axis` is the unit vector
-        about which the robot may turn all the same, where there is one.
+        `rate` (3,) is in rad/s, `variance` of its noise in (rad/s)². `axis` is a unit vector about
+        which the robot may turn, if any.
         """
         shown = IDENTITY if axis is None else IDENTITY - np.outer(axis, axis)
         reads = np.zeros((3, 12))
@@ -256,13 +254,13 @@ class UpFilter:
         self._correct(reads, variance, shown @ (rate - self.state[3:6]))
 
     def admit_bias(self, rate: FloatArray) -> None:
-        """Allow for a bias that lies further off than what was known of it."""
+        """Widen the covariance of the bias if a measured one is far outside it."""
         gap, own = rate - self.state[3:6], self.covariance[3:6, 3:6]
         if float(gap @ gap) > CLEAR**2 * float(np.trace(own)):
             own += IDENTITY * float(gap @ gap)
 
     def _correct(self, reads: FloatArray, variance: float, innovation: FloatArray) -> None:
-        """Take three readings that differ from what was expected, and how they read the state."""
+        """Update with three measurements; `reads` (3, 12) is their measurement matrix."""
         rows = reads @ self.covariance
         (a, b, c), (_, d, e), (_, _, f) = (reads @ rows.T).tolist()
         a, d, f = a + variance, d + variance, f + variance
@@ -275,8 +273,8 @@ class UpFilter:
         self.covariance = 0.5 * (p + p.T)
 
 
-def _sideways(up: Triple, rate: float) -> FloatArray:
-    """Return what makes of a velocity its acceleration in a turn about up at a rate in rad/s."""
+def _centripetal(up: Triple, rate: float) -> FloatArray:
+    """Return the matrix from velocity to centripetal acceleration, for a rate about up, rad/s."""
     size = length(up)
     x, y, z = (rate / size * each for each in up) if size > 0.0 else (0.0, 0.0, 0.0)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

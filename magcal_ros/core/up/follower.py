@@ -1,4 +1,4 @@
-"""Up at any stamp, from one IMU message after another."""
+"""Up at any stamp, from successive IMU messages."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from magcal_ros.core.up.stillness import ZERO, DeadAxes
 def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
     """Return the variances of the angles between samples, radians², shape (n - 1, 3).
 
-    A body may sway between samples that come slowly as much as from one to the next. If all they
-    show is sway too fast for them, as random as white noise, the variance is right.
+    Between slow samples, a body may sway as much as from sample to sample. The variance is exact if
+    the samples show only sway that is too fast for them, and so looks like white noise.
 
     `time` (n,) is in seconds, `rate` (n, 3) in rad/s.
     """
@@ -47,15 +47,15 @@ def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
 def propagated_up(window: Window) -> FloatArray:
     """Return up at each sample, unit vectors in body axes, shape (n, 3).
 
-    What the past and the future of a sample say of its up is averaged by their variances. A bias
-    that is far beyond what is expected of a gyro holds for both as the whole past has shown it.
+    The estimates from the past and from the future of a sample are averaged by their variances. If
+    the bias is far larger than expected, its estimate from all samples is subtracted before.
     """
     rate = window.angular_rate
     if rate is None or len(window) < 3:
         return unit(window.specific_force)
     past, known, bias = _followed(window, rate)
     if length(bias) > CLEAR * FILTER.bias_sigma:
-        # Before it was known, up was wrong by more than its variance.
+        # Before the bias was known, the error of up exceeded its sigma.
         rate = rate - bias
         past, known, _ = _followed(window, rate)
     future, known_later, _ = _followed(window, rate, backwards=True)
@@ -65,7 +65,7 @@ def propagated_up(window: Window) -> FloatArray:
 def _followed(
     window: Window, rate: FloatArray, backwards: bool = False
 ) -> tuple[FloatArray, FloatArray, Triple]:
-    """Return up (n, 3) and its variance (n, 1) as the past of each sample gives it; the bias."""
+    """Return up (n, 3) and its variance (n, 1) from the past of each sample, and the last bias."""
     way = -1 if backwards else 1
     follower = UpFollower()
     found: list[Up] = []
@@ -84,9 +84,9 @@ def _followed(
 
 
 class Levelling:
-    """Smooths the direction of the specific force.
+    """Smooths the direction of the specific force (g).
 
-    It begins with a force over gravity that is not zero; `up` is a unit vector, body axes.
+    The first force is not zero; `up` is a unit vector, body axes.
     """
 
     def __init__(self, force: Triple) -> None:
@@ -97,7 +97,7 @@ class Levelling:
         self._seconds = 0.0
 
     def add(self, force: Triple, seconds: float) -> None:
-        """Take the next reading, so many seconds after the one before."""
+        """Add a reading, `seconds` after the previous one."""
         seen = unit_triple(force)
         up = between(self.up, seen, 1.0 - math.exp(-seconds / PROPAGATION.smoothing))
         self.up = unit_triple(up) if length(up) > 0.0 else seen
@@ -116,8 +116,7 @@ class Levelling:
     def variance(self) -> float:
         """Variance of up in either direction, rad².
 
-        Up that scatters is not known better than that, and an acceleration of p g across up
-        stretches the accelerometer by p²/2.
+        It includes the scatter of up. An acceleration of p g across up lengthens the force by p²/2.
         """
         stretch = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.smallest)
         return FILTER.floor**2 + self._scatter + stretch
@@ -136,11 +135,11 @@ class Up(NamedTuple):
 
 
 class UpFollower:
-    """Follows up through whatever the robot does.
+    """Estimates up during any motion.
 
-    With a gyro up is propagated by it and corrected by the accelerometer as far as the motion
-    allows; without one, or with one that has dead axes or turns otherwise than the accelerometer,
-    the latter is smoothed.
+    The gyro propagates up, and the accelerometer corrects it as far as the motion allows. Without a
+    gyro, or if its axes are dead or disagree with the accelerometer, the specific force is smoothed
+    instead.
     """
 
     def __init__(self) -> None:
@@ -152,37 +151,37 @@ class UpFollower:
 
     @property
     def is_propagated(self) -> bool:
-        """Whether the gyro propagates up; false without one, and while it is not believed."""
+        """Whether the gyro propagates up; false without a usable gyro."""
         return self._levelling is None and self._last is not None
 
     @property
     def gyro_is_believed(self) -> bool:
-        """Whether the gyro, where there is one, turns as the accelerometer does."""
+        """Whether the gyro, if any, agrees with the accelerometer."""
         return self._propagation.check.is_believed
 
     @property
     def gyro_is_whole(self) -> bool:
-        """Whether all axes of the gyro, where there is one, are alive."""
+        """Whether no axis of the gyro, if any, is dead."""
         return not self._dead_axes.is_any
 
     @property
     def rate(self) -> Triple:
-        """The newest turn rate less the gyro's bias, rad/s; zero where up is not propagated."""
+        """The newest turn rate minus the gyro's bias, rad/s; zero if up is not propagated."""
         return self._propagation.rate if self.is_propagated else ZERO
 
     @property
     def mean_rate(self) -> Triple:
-        """The same as the mean since the message before."""
+        """The same, as the mean since the previous message."""
         return self._propagation.mean_rate if self.is_propagated else ZERO
 
     @property
     def gyro_bias(self) -> GyroBias:
-        """What is known of the gyro's bias."""
+        """The estimate of the gyro's bias."""
         return self._propagation.gyro_bias
 
     @property
     def gyro_at_rest(self) -> GyroAtRest | None:
-        """The same where a rest has shown it; None before any."""
+        """The same, from a rest; None before the first rest."""
         bias = self.gyro_bias
         sigma = math.sqrt(bias.variance)
         if sigma > FILTER.seen_at_rest or not self.is_propagated:
@@ -191,7 +190,7 @@ class UpFollower:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether the robot stands, or rolls on so evenly that no sensor shows the difference."""
+        """Whether the robot rests, or moves so steadily that no sensor shows the difference."""
         return self.is_propagated and self._propagation.is_settled
 
     @property
@@ -201,11 +200,11 @@ class UpFollower:
 
     @property
     def newest_stamp(self) -> float:
-        """Of the newest sample, seconds; minus infinity before the first."""
+        """Stamp of the newest sample, seconds; minus infinity before the first."""
         return self._ups[-1][0] if self._ups else -math.inf
 
     def add_field(self, stamp: float, field: Triple) -> None:
-        """Take a raw field sample: whether it turns separates a slow turn from a gyro's bias.
+        """Add a raw field sample, whose rotation separates a slow turn from a gyro bias.
 
         The stamp is on the clock of the IMU, seconds; the field may be in any unit, calibrated or
         not.
@@ -213,10 +212,10 @@ class UpFollower:
         self._propagation.field.add(stamp, field)
 
     def add(self, sample: ImuSample, linear_acceleration: Triple | None = None) -> None:
-        """Take the next IMU sample; one that does not follow the last starts anew.
+        """Add an IMU sample; after a gap the estimate starts again.
 
-        `linear_acceleration` (m/s², body axes) is that of the robot itself, where it is measured,
-        as from a speed v it is (dv/dt, v w_z, 0). It is subtracted from the specific force.
+        `linear_acceleration` (m/s², body axes) of the robot, if it is known, is subtracted from the
+        specific force: with a speed v it is (dv/dt, v w_z, 0).
         """
         if not SMALLEST_FORCE < length(sample.force) < LARGEST_FORCE:
             return
@@ -249,9 +248,8 @@ class UpFollower:
     def at(self, stamp: float, max_gap: float) -> Up | None:
         """Return up at a stamp; None if no IMU sample is near enough.
 
-        Before the newest sample up is interpolated, after it the body is taken to turn on as it
-        does. `max_gap` are the seconds between samples that are interpolated between, and after the
-        newest.
+        Up is interpolated before the newest sample, and propagated at the same rate after it.
+        `max_gap`, seconds, is the longest time between samples, and after the newest one.
         """
         found = enclosing(self._ups, stamp)
         if found is None:
@@ -270,5 +268,5 @@ class UpFollower:
 
 
 def has_gyro(sample: ImuSample) -> bool:
-    """Whether a sample carries a turn rate: a possible one, and not a field that was left empty."""
+    """Whether a sample has a possible turn rate, and not an empty field of the message."""
     return 0.0 < length(sample.rate) < LARGEST_RATE

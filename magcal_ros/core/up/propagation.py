@@ -1,4 +1,4 @@
-"""Up propagated by the gyro from message to message; the filter runs once a block."""
+"""Propagation of up by the gyro from message to message; the filter runs once per block."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class GyroBias(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Sums over the messages since the filter was last asked."""
+    """Sums over the messages since the filter ran."""
 
     messages: int = 0
     seconds: float = 0.0
     force: Triple = ZERO  # g
-    up: Triple = ZERO  # as it was propagated, g
+    up: Triple = ZERO  # propagated, g
     rate: Triple = ZERO  # rad/s
     turn: Triple = ZERO  # radians
 
@@ -58,9 +58,9 @@ class Block(NamedTuple):
 class GyroPropagation:
     """Propagates up by the gyro, and corrects it by the accelerometer where the motion allows.
 
-    `up` is in g, as long as the accelerometer reads at rest; `mean_rate` is that since the message
-    before, less the bias, rad/s. `is_settled` is whether the accelerometer shows up: at rest, or
-    rolling steadily.
+    `up` is in g, with the length that the accelerometer measures at rest. `mean_rate` is the rate
+    since the previous message, without the bias, rad/s. `is_settled` is whether the accelerometer
+    measures up: at rest or in steady motion.
     """
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class GyroPropagation:
         self.begin(0.0, (0.0, 0.0, 1.0), ZERO)
 
     def begin(self, stamp: float, force: Triple, rate: Triple, is_given: bool = False) -> None:
-        """Start anew from a force in g; the gyro's bias is still known."""
+        """Start again from a force in g, and keep the gyro's bias."""
         self.up = force
         self._stamp, self._force, self._rate, self._is_given = stamp, force, rate, is_given
         self.mean_rate = ZERO
@@ -93,20 +93,20 @@ class GyroPropagation:
 
     @property
     def rate(self) -> Triple:
-        """The newest turn rate less the bias, rad/s."""
+        """The newest turn rate minus the bias, rad/s."""
         return minus(self._rate, self.bias)
 
     def add(
         self, stamp: float, force: Triple, rate: Triple, seconds: float, is_given: bool = False
     ) -> None:
-        """Take force (g) and rate so many seconds after the ones before.
+        """Add force (g) and rate, `seconds` after the previous ones.
 
-        With `is_given` the force is already less a linear acceleration that was measured.
+        With `is_given` a measured linear acceleration is already subtracted from the force.
         """
         before, old = self._rate, self._force
         self._stamp, self._rate, self._force = stamp, rate, force
         if is_given is not self._is_given:
-            # Velocity and acceleration are now what is left of them, or the whole again.
+            # Velocity and acceleration of the filter are now residual ones, or no longer so.
             self._is_given = is_given
             self._filter.forget_motion(self._motion(self.is_settled), is_faster=True)
         self.mean_rate = minus(between(before, rate, 0.5), self.bias)
@@ -122,9 +122,9 @@ class GyroPropagation:
             self._end(block)
 
     def _measure_noise(self, force: float, rate: float, seconds: float) -> None:
-        """Take by how much force and rate differ from one message to the next."""
+        """Update the noise with the differences of two messages."""
         share = min(1.0, seconds / PROPAGATION.memory)
-        # Half the square of a difference is the noise; a jump is none.
+        # Half the square of a difference is the variance; jumps are limited.
         smallest = PROPAGATION.smallest**2
         square = min(force * force / 6.0, 10.0 * self._noise + smallest)
         self._noise += share * (square - self._noise)
@@ -132,7 +132,7 @@ class GyroPropagation:
         self._rate_noise += share * (square - self._rate_noise)
 
     def _end(self, block: Block) -> None:
-        """Let the filter correct up by what the block brought."""
+        """Run the filter over a block."""
         following, noise, share = self._filter, math.sqrt(self._noise), 1.0 / block.messages
         force, rate = scaled(block.force, share), scaled(block.rate, share)
         means = BlockMeans(force, rate, block.messages, block.seconds)
@@ -149,7 +149,7 @@ class GyroPropagation:
         if self.is_settled and (doubt is None or not goes_on):
             self.is_settled = False
             following.forget_motion(self._motion())
-        # A mean: its noise times the velocity would look like a turn.
+        # An average: noise of the rate times the velocity would look like an acceleration.
         share = min(1.0, block.seconds / FILTER.acceleration_lasts)
         newest = self._turn_rate(block.turn) / block.seconds
         self._steady_turn += share * (newest - self._steady_turn)
@@ -157,7 +157,7 @@ class GyroPropagation:
         innovation = np.array(minus(means.force, scaled(block.up, 1.0 / block.messages)))
         following.observe_force(innovation, self._noise / block.messages, turning)
         if self._rest_sigma < FILTER.rest_length_sigma:
-            # Where up is uncertain, its length along the estimate is, to second order, as well.
+            # To second order, the length along the estimate is as uncertain as the direction.
             tilt = following.tilt_variance
             following.observe_length(self._rest, self._rest_sigma**2 + tilt**2)
         if not self.is_settled:
@@ -168,7 +168,7 @@ class GyroPropagation:
         self._take_over()
 
     def _turn_doubt(self) -> float | None:
-        """Return the rate (rad/s) that may be turn or bias: zero at rest, None if it turns."""
+        """Return the rate (rad/s) that may be turn or bias: zero at rest, None in a turn."""
         spell = self._spell
         if length(spell.rate) > FILTER.largest_bias:
             return None
@@ -182,7 +182,7 @@ class GyroPropagation:
         has_turned = self.field.has_turned(about)
         if has_turned is None:
             return about
-        # An even rate that was bias once stays so for as long as the spell lasts.
+        # A constant rate that has been identified as bias remains so during the spell.
         self._is_still = not has_turned
         return 0.0 if self._is_still else None
 
@@ -191,7 +191,7 @@ class GyroPropagation:
         spell = self._spell
         axis = None if doubt == 0.0 else np.array(unit_triple(spell.force))
         white = self._rate_noise / means.messages
-        # A robot that rolls evenly sways, slowly beside a block: blocks do not average that away.
+        # A rolling robot sways more slowly than a block: the mean of a block still contains sway.
         sway = max(0.0, spell.sway - white) * REST.sways / means.seconds
         self._filter.observe_bias(np.array(means.rate), white + sway, axis)
         self._at_rest = (means.rate, white + sway) if axis is None else None
@@ -199,7 +199,7 @@ class GyroPropagation:
         self._rest_sigma = math.hypot(REST.length_floor, noise / math.sqrt(spell.count))
 
     def _look_for_shaken_rest(self, means: BlockMeans) -> None:
-        """Learn bias and up from a robot that stands and is shaken."""
+        """Learn bias and up from a robot that an engine shakes at rest."""
         if not self.field.is_heard(self._stamp):
             self._shaken.forget()
             return
@@ -209,7 +209,7 @@ class GyroPropagation:
         force, rate, variance = shown
         if float(np.linalg.norm(rate)) > FILTER.largest_bias:
             return
-        # A slow turn about up would hardly move the field by more than what passes by does.
+        # A slow turn about up could change the field by no more than passing vehicles do.
         following.admit_bias(rate)
         following.observe_bias(rate, variance, unit(force))
         if float(np.linalg.norm(unit(force) - unit(following.up))) > CLEAR * REST.agrees:
@@ -222,19 +222,19 @@ class GyroPropagation:
         if doubt is None:
             return
         is_short = spell.seconds <= REST.undecided
-        # What a steady robot may hide, g: a turn may still be better than what is known of up.
+        # Variance of the accelerations that a steady robot may hide, compared with that of up.
         hidden = motion.acceleration**2 + (motion.speed * doubt) ** 2
         if doubt and (is_short or following.tilt_variance <= hidden):
             return
         if self._is_given and is_short:
-            # A wrong acceleration turns the force without stretching it.
+            # An error of the given acceleration tilts the force without changing its length.
             return
         up: Triple = tuple(following.up.tolist())
         if not spell.shows_up(up, self._rest, self._rest_sigma, noise):
             return
         self.is_settled = True
         jump = distance(unit_triple(spell.force), unit_triple(up))
-        # A jump that the gyro did not see may still be a long, even acceleration.
+        # A jump of up that the gyro does not show may be a long, constant acceleration.
         is_doubtful = spell.seconds >= REST.agreeing
         if not is_doubtful or jump < CLEAR * math.sqrt(following.tilt_variance):
             jump = 0.0
@@ -248,7 +248,7 @@ class GyroPropagation:
         return dot(rate, self.up) / size if size > 0.0 else 0.0
 
     def _motion(self, is_steady: bool = False) -> MotionPrior:
-        """Return how the robot may move now."""
+        """Return the prior of the present motion."""
         speed, acceleration = FILTER.usual_speed, FILTER.usual_acceleration
         if self._is_given:
             speed, acceleration = FILTER.given_speed, FILTER.given_acceleration

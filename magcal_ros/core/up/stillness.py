@@ -1,7 +1,7 @@
 """Whether a robot rests or turns, and whether its gyro can be used.
 
-A robot on a slow, even circle looks to gyro and accelerometer like one that stands and whose gyro
-has a bias about up. The raw field separates them, calibrated or not: it turns with the robot.
+Gyro and accelerometer cannot separate a slow, steady circle from a rest with a gyro bias about up.
+The raw field, calibrated or not, separates them: it rotates with the robot.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from magcal_ros.core.up.filter import CHECK, REST
 
 
 class FieldStillness:
-    """Compares the field of the moment with that at the beginning of a spell.
+    """Compares the present field with that at the beginning of a spell.
 
-    `mean` is the field of the moment, averaged over some tenths of a second.
+    `mean` is the present field, averaged over some tenths of a second.
     """
 
     def __init__(self) -> None:
@@ -42,11 +42,11 @@ class FieldStillness:
         self.begin()
 
     def begin(self) -> None:
-        """Begin a new spell with the next field sample."""
+        """Start a new spell with the next field sample."""
         self._first, self._first_count, self._since = ZERO, 0, math.inf
 
     def add(self, stamp: float, field: Triple) -> None:
-        """Take a raw field sample (tesla, or any unit) at a stamp in seconds."""
+        """Add a raw field sample (any unit) at a stamp in seconds."""
         seconds = stamp - self._stamp
         self._stamp = stamp
         if not 0.0 < seconds < REST.field_lasts:
@@ -66,13 +66,13 @@ class FieldStillness:
             self._first = between(self._first, field, 1.0 / self._first_count)
 
     def is_heard(self, stamp: float) -> bool:
-        """Whether the field still came shortly before a stamp."""
+        """Whether a field sample came shortly before a stamp."""
         return abs(stamp - self._stamp) < REST.field_lasts
 
     def has_turned(self, rate: float) -> bool | None:
-        """Whether the robot really turns at a rate; None while the field cannot tell.
+        """Whether the robot really turns at a rate; None while the field is inconclusive.
 
-        `rate` is what the gyro reads about up beyond its known bias, rad/s.
+        `rate` is the gyro's rate about up beyond its known bias, rad/s.
         """
         seconds = self._stamp - self._since
         if not seconds > 2.0 * REST.field_mean:
@@ -98,9 +98,9 @@ class BlockMeans(NamedTuple):
 
 
 class SteadySpell:
-    """Watches blocks of messages for a spell in which nothing changes.
+    """Detects a spell of blocks in which force and rate are constant.
 
-    `sway` and `shake` are the variances per axis of its rates, (rad/s)², and forces, g².
+    `sway` and `shake` are the variances per axis of the rates, (rad/s)², and forces, g².
     """
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ class SteadySpell:
         self.force = self.rate = ZERO
 
     def add(self, block: BlockMeans, noise: float, rate_noise: float) -> bool:
-        """Take the next block; returns whether it goes on as the spell did.
+        """Add a block; return whether it continues the spell.
 
         `noise` and `rate_noise` are the sigmas of one message per axis, g and rad/s.
         """
@@ -136,9 +136,8 @@ class SteadySpell:
     def shows_up(self, up: Triple, rest: float, rest_sigma: float, noise: float) -> bool:
         """Whether the mean force of the spell points up.
 
-        `up` (g) is as propagated, `rest` and `rest_sigma` are what the accelerometer reads at rest
-        and how well that is known, over gravity, and `noise` is the sigma of one message's force
-        per axis.
+        `up` (g) is the propagated one. `rest` and `rest_sigma` are the accelerometer's length at
+        rest and its sigma, g, and `noise` is the sigma of one message's force per axis.
         """
         size, up_size = length(self.force), length(up)
         if self.seconds >= REST.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
@@ -155,7 +154,7 @@ class SteadySpell:
 
 
 class ShakenRest:
-    """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds."""
+    """Averages blocks, and gives the gyro's bias if the means are constant for some seconds."""
 
     def __init__(self) -> None:
         self._means: deque[FloatArray] = deque(maxlen=RESTED.at_least)
@@ -165,14 +164,15 @@ class ShakenRest:
         self._seconds, self._count, self._sums = 0.0, 0, (ZERO, ZERO, ZERO)
 
     def forget(self) -> None:
-        """Begin anew: the field came no more, or time has jumped."""
+        """Start again: the field is missing, or time has jumped."""
         self._means.clear()
         self._begin()
 
     def add(self, block: BlockMeans, field: Triple) -> tuple[FloatArray, FloatArray, float] | None:
-        """Take a block and the raw field at its end, in any unit; None while nothing is shown.
+        """Add a block and the raw field at its end, in any unit.
 
-        Returns mean force (3,), g, and rate (3,), rad/s, with its variance per axis.
+        Returns mean force (3,), g, and rate (3,), rad/s, with its variance per axis; None if no
+        rest is detected.
         """
         self._count += 1
         self._seconds += block.seconds
@@ -189,7 +189,7 @@ class ShakenRest:
         most = (REST.shaken_force, RESTED.loose_rate, field_bound)
         if len(each) < RESTED.at_least or (gaps > most).any():
             return None
-        # The next one is of other seconds.
+        # The next estimate uses other seconds.
         self._means.clear()
         scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (RESTED.at_least - 1))
         variance = REST.shaken_sigma**2 + scatter / RESTED.at_least
@@ -197,10 +197,10 @@ class ShakenRest:
 
 
 class GyroCheck:
-    """Compares how the specific force changes with what the gyro predicts.
+    """Compares changes of the specific force with those predicted by the gyro.
 
-    Where the gyro's turn is not clear of its noise both are averaged over spans that are long
-    beside the shaking of an engine, whose rates and accelerations have nothing to do with a turn.
+    While the turn is within the gyro's noise, both are averaged over spans that are longer than the
+    shaking of an engine: its rates and accelerations are unrelated to a turn.
     """
 
     def __init__(self) -> None:
@@ -209,7 +209,7 @@ class GyroCheck:
         self.restart()
 
     def restart(self) -> None:
-        """Do not compare what comes next with what came before."""
+        """Start again, without a comparison with earlier blocks."""
         self._before: tuple[Triple, Triple] | None = None
         self._begin()
 
@@ -218,10 +218,10 @@ class GyroCheck:
         self._seconds = self._variance = 0.0
 
     def add(self, force: Triple, turn: Triple, seconds: float, variance: float = 0.0) -> None:
-        """Take a block of messages.
+        """Add a block of messages.
 
-        `force` is the mean over the block, g, `turn` the rotation vector over it, radians, and
-        `variance` that of each part of `turn` by the gyro's noise, rad².
+        `force` is the mean of the block, g, `turn` its rotation vector, radians, and `variance` the
+        variance of each component of `turn` by the gyro's noise, rad².
         """
         self._force = plus(self._force, scaled(force, seconds))
         self._turn = plus(self._turn, turn)
@@ -237,8 +237,8 @@ class GyroCheck:
         self._begin()
 
     def _compare(self, old: Triple, old_turn: Triple, new: Triple, seconds: float) -> None:
-        """Compare how the mean force changed from span to span with what the gyro makes of it."""
-        # A direction fixed in the world turns in the body by u x w dt.
+        """Compare the change of the mean force between spans with the gyro's prediction."""
+        # A direction fixed in the world changes in the body by u x w dt.
         expected = cross(old, between(old_turn, self._turn, 0.5))
         seen = minus(new, old)
         keeps = math.exp(-seconds / CHECK.memory)
@@ -246,7 +246,7 @@ class GyroCheck:
         self._expected = keeps * self._expected + dot(expected, expected)
         self._seen = keeps * self._seen + dot(seen, seen)
         self._count = keeps * self._count + 3.0
-        # Across the force, from the mean of two turns.
+        # The noise across the force, in the mean of two turns.
         self._noise = keeps * self._noise + self._variance
         if self._expected > CHECK.enough**2 + CHECK.clear_noise * self._noise:
             self._judge()
@@ -262,9 +262,9 @@ class GyroCheck:
 
 
 class DeadAxes:
-    """Detects axes of a gyro that never change, which hide that the robot leans.
+    """Detects axes of a gyro that never change, and so hide tilting.
 
-    A simulated gyro without noise may rest on two axes and be right.
+    Two axes of a simulated gyro without noise may rightly be constant.
     """
 
     def __init__(self) -> None:
@@ -274,7 +274,7 @@ class DeadAxes:
 
     @property
     def is_any(self) -> bool:
-        """Whether an axis has never changed; false until noise of another has shown itself."""
+        """Whether an axis has never changed; false until another axis has shown noise."""
         return self._noisy >= CHECK.dead and not all(self._has_changed)
 
     def add(self, rate: Triple) -> None:

@@ -36,7 +36,7 @@ def test_a_bad_fix_is_ignored_and_said(words):
     assert not fixes.add(BAD[words])
     assert (fixes.place, fixes.stamp) == (None, 0.0)
     (complaint,) = fixes.complaints(None)
-    assert complaint.startswith("gps/fix: no place yet, its messages ")
+    assert complaint.startswith("gps/fix: no position yet, its messages ")
     assert words in complaint
 
 

@@ -84,7 +84,9 @@ def forward(count: int) -> np.ndarray:
 
 def followed(_: Course, state: State) -> Linear:
     keeps = np.linspace(0.1, 0.9, 2 * (len(state.local) - 1)).reshape(2, -1)
-    return factors.followed(state, ACCELERATION.start, keeps, (VELOCITY.start, ACCELERATION.start))
+    return factors.second_order(
+        state, ACCELERATION.start, keeps, (VELOCITY.start, ACCELERATION.start)
+    )
 
 
 def known_heading(_: Course, state: State) -> Linear:
