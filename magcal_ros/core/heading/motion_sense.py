@@ -62,10 +62,18 @@ class MotionSense:
         whether the IMU shows that the robot stands, or rolls on evenly. `speed` and `current` are
         in m/s and amperes, NaN where they are unknown. Of the current only what is beyond a
         `reference` counts, by default beyond that at rest: that of the calibration
-        (`MotorField.reference`).
+        (`MotorField.reference`). Several calibrations may ask at one stamp.
         """
-        if stamp == self._stamp:
+        if stamp != self._stamp:
+            self.newest = self._seen(stamp, rate, is_at_rest, speed, current)
+        if math.isnan(reference):
             return self.newest
+        return self.newest._replace(current=current - reference)
+
+    def _seen(
+        self, stamp: float, rate: Triple | None, is_at_rest: bool, speed: float, current: float
+    ) -> Running:
+        """Return what the motors do at another stamp, and the current beyond that at rest."""
         seconds, self._stamp = stamp - self._stamp, stamp
         turns = 0.0 if rate is None else length(rate)
         drives = 0.0 if math.isnan(speed) else abs(speed)
@@ -92,11 +100,7 @@ class MotionSense:
         if is_edge and moves is False:
             # Motors of a turn that has just ended may still run to its side.
             side = self.newest.side
-        beyond = current - reference
-        if math.isnan(reference):
-            beyond = self._beyond_rest(moves, seconds, current)
-        self.newest = Running(share, turn_rate, driven, beyond, side)
-        return self.newest
+        return Running(share, turn_rate, driven, self._beyond_rest(moves, seconds, current), side)
 
     def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
         """Return by how much a current, if known, is beyond that at rest, and follow the latter."""
