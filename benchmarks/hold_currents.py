@@ -4,8 +4,9 @@ The motors add a field of so many microtesla at their largest current while the 
 one of these shapes: "hold" follows the current, also that by which the robot holds itself while it
 stands (0 to 3 A, another one at each stand); "turn rate" follows the current of a robot that draws
 none for its motors while it stands; "step, hold" is there while the robot moves, whatever its
-current; "none" is none. The current comes at 8 Hz (`--gap`), a tenth of a second late. The robot
-turns evenly ("even"), stands on the way for 1.7 s each time ("stops") or for 3 s ("rests").
+current; "none" is none. The current comes at 8 Hz (`--gap`), a tenth of a second late, as that of a
+moment or as the mean since the message before (`--means`). The robot turns evenly ("even"), stands
+on the way for 1.7 s each time ("stops") or for 3 s ("rests").
 
 Each turn is calibrated without its battery ("no battery") and with it. The heading is that of the
 robot with its motors off. "turn" takes the calibration as it is; "turn and node" subtracts the
@@ -66,6 +67,7 @@ def main() -> None:
     parser.add_argument("--size", type=float, action="append", help="only these sizes, µT")
     parser.add_argument("--course", choices=tuple(COURSES), action="append")
     parser.add_argument("--gap", type=float, default=0.125, help="seconds between messages")
+    parser.add_argument("--means", action="store_true", help="messages that are means")
     parser.add_argument("--battery", action="store_true", help="only turns with their battery")
     options = parser.parse_args()
     print(f"{'':46}RMS° sigma°  NEES worst    s")
@@ -82,7 +84,9 @@ def row(options: argparse.Namespace, shape: str, course: str, size: float) -> No
     found: dict[str, list[tuple[float, float]]] = {way: [] for way in ways}
     spent = dict.fromkeys(ways, 0.0)
     for seed in range(options.first, options.first + options.runs):
-        scene, known, battery = turn_with_current(shape, size * 1e-6, seed, course, options.gap)
+        scene, known, battery = turn_with_current(
+            shape, size * 1e-6, seed, course, options.gap, are_means=options.means
+        )
         for case in cases[options.battery :]:
             messages = battery if case is cases[1] else ()
             window, begun = collected(scene.window, messages), time.process_time()

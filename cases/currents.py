@@ -48,13 +48,20 @@ COURSES: dict[str, Course] = {**RESTED, "rests": with_long_rests}
 
 
 def turn_with_current(
-    shape: str, size: float, number: int, course: str = "stops", gap: float = 0.125
+    shape: str,
+    size: float,
+    number: int,
+    course: str = "stops",
+    gap: float = 0.125,
+    *,
+    are_means: bool = False,
 ) -> tuple[Scene, Knowledge, Messages]:
     """Return a turn of a robot whose motors add a field of so many tesla, with its battery.
 
     The current of the turn is in proportion to the turn rate, with a ripple of a fifth. With a
     shape of `HOLDS` the robot also holds itself by its motors while it stands, by up to 3 A, which
-    differ from stand to stand. `gap` is in seconds between the battery's messages.
+    differ from stand to stand. `gap` is in seconds between the battery's messages, each of which is
+    the current of one moment, or its mean since the message before.
     """
     rng = np.random.default_rng([12, number])
     scene, known = drawn(rng, COURSES[course])
@@ -69,7 +76,9 @@ def turn_with_current(
     added = size * np.outer(share, direction(rng))
     scene = with_field(scene, added @ scene.robot.distortion.T)
     stamps = np.arange(time[0], time[-1] + gap, gap)
-    current = np.interp(stamps - LATE, time, turning + holding + ELECTRONICS)
+    around = np.linspace(-gap, 0.0, 50) if are_means else np.zeros(1)
+    moments = stamps[:, None] - LATE + around
+    current = np.interp(moments, time, turning + holding + ELECTRONICS).mean(axis=1)
     told = -current + rng.normal(0.0, 0.03, len(stamps))
     battery = tuple(zip(stamps.tolist(), told.tolist(), strict=True))
     return replace(scene, has_course=True), known, battery

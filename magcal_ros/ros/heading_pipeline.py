@@ -274,7 +274,9 @@ class HeadingPipeline:
     def moment_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> Moment:
         """Return the corrected field, up and heading of a field sample of these streams."""
         up = self.up.at(sample.stamp, streams.max_gap)
-        running = None if compass.motors is None else self.motors.running(sample.stamp)
+        running = None
+        if compass.motors is not None:
+            running = self.motors.running(sample.stamp, compass.motors)
         turning = self.up.rate if self.up.is_propagated else None
         return Moment.of(compass, sample, up, streams.newest_rate, running, turning)
 

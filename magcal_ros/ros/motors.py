@@ -96,13 +96,15 @@ class Motors:
         self._odom = node.resolve_topic_name("odom")
         node.create_subscription(BatteryState, "battery", self._on_battery, SENSOR_DATA)
 
-    def running(self, stamp: float) -> Running:
-        """Return what the motors do at the stamp of a field message, seconds."""
+    def running(self, stamp: float, motors: MotorField | None) -> Running:
+        """Return what the motors do at the stamp of a field message, seconds.
+
+        Of the current what is beyond that of the calibration of `motors` counts.
+        """
         rate = self._up.rate if self._up.is_propagated else None
         current = self._current if abs(stamp - self._received) < SILENT else math.nan
         speed = self._travelling.wheel_speed(stamp)
         speed = self.commands.speed_near(stamp) if math.isnan(speed) else speed
-        motors = None if self._compass is None else self._compass.motors
         reference = math.nan if motors is None else motors.reference
         return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current, reference)
 
@@ -120,7 +122,7 @@ class Motors:
         learns = self._learns and self._up.is_propagated
         if not learns and compass.motors is None:
             return sample
-        running = self.running(sample.stamp)
+        running = self.running(sample.stamp, compass.motors)
         if learns:
             if self._learning is None:
                 known = replace(compass.calibration, motors=compass.motors)

@@ -97,6 +97,14 @@ def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tm
     assert told["turn_rate"]["from"] == "gyro"
     assert told["moving"]["field_ut"] == [4.0, -3.0, 2.0]
     assert told["moving"]["sigma_ut"] == pytest.approx(math.sqrt(3.0) * 0.5, abs=0.01)
+    # Further magnetometers may have been calibrated at other currents.
+    known, now_running = (
+        read_calibration(with_motors)[0].motors,
+        graph.calibrators[0]._pipeline.motors,
+    )
+    stamp = actor.ride.stamp
+    found = [now_running.running(stamp, replace(known, reference=a)).current for a in (0.5, 2.0)]
+    assert found == [2.5, 1.0]
 
 
 def test_a_robot_without_known_motors_says_none(loaded):

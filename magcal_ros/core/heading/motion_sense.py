@@ -61,10 +61,18 @@ class MotionSense:
         `rate` is without the gyro's bias, rad/s, body axes; None without a gyro. `is_at_rest` is
         whether the IMU shows a rest or steady motion. `speed` and `current` are in m/s and amperes,
         NaN if unknown. The current is counted from `reference` (`MotorField.reference`), by default
-        from that at rest.
+        from that at rest. Several calibrations may ask at one stamp.
         """
-        if stamp == self._stamp:
+        if stamp != self._stamp:
+            self.newest = self._seen(stamp, rate, is_at_rest, speed, current)
+        if math.isnan(reference):
             return self.newest
+        return self.newest._replace(current=current - reference)
+
+    def _seen(
+        self, stamp: float, rate: Triple | None, is_at_rest: bool, speed: float, current: float
+    ) -> Running:
+        """Return what the motors do at another stamp, and the current beyond that at rest."""
         seconds, self._stamp = stamp - self._stamp, stamp
         turns = 0.0 if rate is None else length(rate)
         drives = 0.0 if math.isnan(speed) else abs(speed)
@@ -91,11 +99,7 @@ class MotionSense:
         if is_edge and moves is False:
             # Just after a turn, its motors may still run.
             side = self.newest.side
-        beyond = current - reference
-        if math.isnan(reference):
-            beyond = self._beyond_rest(moves, seconds, current)
-        self.newest = Running(share, turn_rate, driven, beyond, side)
-        return self.newest
+        return Running(share, turn_rate, driven, self._beyond_rest(moves, seconds, current), side)
 
     def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
         """Return a current minus that at rest, which is updated at rest."""

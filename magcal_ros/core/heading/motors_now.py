@@ -177,13 +177,14 @@ class MotorsNow:
         self._predict(stamp, rate, running, values, level)
         known = values @ self._gains
         measured = MICROTESLA * np.array(field) - known
-        otherwise = known[:, None] * known if running.moving > 0.0 else self._whole
+        # Motors may stand that are seen running, or run as usual before an input tells it.
+        otherwise = known[:, None] * known + self._whole
         one, other = self._answers(measured, unknown, unknown + otherwise)
         late = self._late(stamp, other.likelihood - one.likelihood)
         if late is None:
             # A lasting change is no start or stop: it is another motor, or at rest the place.
             is_place = running.moving == 0.0 and not self._may_hold(running)
-            self._forget(PLACE if is_place else RESIDUAL, self._whole + otherwise)
+            self._forget(PLACE if is_place else RESIDUAL, otherwise)
             one, other = self._answers(measured, unknown, unknown)
             late = np.zeros(len(UNSEEN))
         elif running.moving > 0.0:

@@ -194,11 +194,16 @@ class SeveralCompasses:
     def _is_new(self, stamp: float) -> bool:
         return self._now - stamp <= STREAMS.longest_gyro_step
 
+    def _is_frozen(self, member: _Member) -> bool:
+        """Whether a magnetometer repeats one value although another one has changed since."""
+        newest = max(each.changed for each in self._members.values())
+        return newest - member.changed > STREAMS.longest_gyro_step
+
     def _joined(self, moment: Moment, up: Up, fused: FusedYaw | None) -> Moment:
         seconds, self._stamp = moment.stamp - self._stamp, moment.stamp
         yaws = self._compass_yaws(moment, up.direction, fused, seconds)
         if not yaws:
-            return moment
+            return moment._replace(heading=None)
         kept = without_outliers(yaws)
         self._note_disagreement(kept, seconds)
         weights = [1.0 / (each.variance + self._apart.variance) for each in kept]
@@ -213,10 +218,8 @@ class SeveralCompasses:
     ) -> list[CompassYaw]:
         """Return the yaws of magnetometers that send, and do not repeat one value."""
         turned: dict[int, Triple] = {}
-        # If no sensor changes, a robot with coarse sensors is at rest.
-        changes = any(self._is_new(member.changed) for member in self._members.values())
         for number, member in sorted(self._members.items()):
-            is_heard = self._is_new(member.changed if changes else member.arrived)
+            is_heard = self._is_new(member.arrived) and not self._is_frozen(member)
             seen = self._seen(member, moment, up) if is_heard else None
             if seen is None:
                 member.share = Share(0.0, self._silence(member))
@@ -287,7 +290,7 @@ class SeveralCompasses:
     def _silence(self, member: _Member) -> str:
         if not self._is_new(member.arrived):
             return "it is silent"
-        if not self._is_new(member.changed):
+        if self._is_frozen(member):
             return "it repeats the same values"
         return "its stamps are far from the others', or its field shows no direction"
 

@@ -53,8 +53,9 @@ READINGS: dict[str, tuple[float, float]] = {
     "and two antennas mounted across the vehicle have another yaw than the vehicle": (1.0, QUARTER),
     "they are a quarter turn too far to the left: two antennas mounted across the vehicle have "
     "another yaw than the vehicle": (1.0, -QUARTER),
+    "they are in radians where degrees are expected": (DEGREES, 0.0),
 }
-"""Common mistakes of headings, and the sign and shift (radians) that correct them."""
+"""Common mistakes of headings, and the factor and shift (radians) that correct them."""
 
 
 def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING) -> Estimate:
@@ -129,13 +130,17 @@ def _rivals(
 ) -> dict[str, HeadingAgreement]:
     """Return the agreement of other interpretations of the headings, by their words."""
     found = {}
-    for words, (sign, shift) in READINGS.items():
-        read = []
-        for each in standings:
-            north = _shift(each, knowledge)
-            heading = wrapped(sign * (each.heading - north) + shift + north)
-            read.append(replace(each, heading=heading))
-        found[words] = agreement_of(read, knowledge, place)
+    norths = [_shift(each, knowledge) for each in standings]
+    told = [wrapped(each.heading - north) for each, north in zip(standings, norths, strict=True)]
+    for words, (factor, shift) in READINGS.items():
+        yaws = [factor * yaw for yaw in told]
+        # No yaw in radians is beyond half a turn.
+        if max(map(abs, yaws)) <= math.pi:
+            read = [
+                replace(each, heading=wrapped(yaw + shift + north))
+                for each, yaw, north in zip(standings, yaws, norths, strict=True)
+            ]
+            found[words] = agreement_of(read, knowledge, place)
     return found
 
 

@@ -66,6 +66,21 @@ def test_a_current_that_ripples_and_comes_late_is_made_up_for():
     assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_start_that_is_seen_before_its_current_is_told_is_not_taken_for_the_place(seed):
+    stamps = np.arange(150) * PERIOD
+    flows = np.where(stamps > 4.0, 2.0, 0.0)
+    told = [
+        Running(float(np.interp(t, [4.04, 4.06, 4.14, 4.16], [0.0, 0.5, 0.5, 1.0])), 0.02, 0.0, c)
+        for t, c in zip(stamps, np.where(stamps > 4.2, 2.0, 0.0), strict=True)
+    ]
+    known = replace(motors(), gain=np.array([np.zeros(3), BY_CURRENT]))
+    off, sigma = errors(known, told, np.outer(flows, BY_CURRENT), np.zeros(150), seed)
+    begins = (stamps > 4.04) & (stamps < 4.2)
+    assert np.abs(off[begins]).max() < 0.25 * 2.0 * np.linalg.norm(BY_CURRENT)
+    assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
+
+
 @pytest.mark.parametrize("holding", [0.0, 2.0, 4.0])
 def test_a_battery_that_is_silent_at_rest_leaves_the_hold_current_in_doubt(holding):
     known = replace(motors(), reference=-0.5)

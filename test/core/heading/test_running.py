@@ -52,6 +52,13 @@ def test_only_the_current_beyond_that_at_rest_counts():
     assert sense.at(4.0, TURNS, False, 0.0, -3.5).current == pytest.approx(-3.0, abs=0.05)
 
 
+def test_calibrations_at_one_stamp_have_each_its_own_reference():
+    sense = MotionSense()
+    asked = -0.5, math.nan, -2.0
+    found = [sense.at(1.0, STILL, True, 0.0, -3.0, each).current for each in asked]
+    assert found == [-2.5, 0.0, -1.0]
+
+
 def test_beyond_a_reference_a_current_at_rest_counts_too():
     sense = MotionSense()
     for k, (rate, amps) in enumerate([(STILL, -0.5), (STILL, -2.5), (TURNS, -3.5)]):

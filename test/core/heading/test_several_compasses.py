@@ -123,6 +123,22 @@ def test_the_more_certain_weighs_more_and_both_know_more_than_one():
     assert np.mean((rows[50:, 1] / rows[50:, 2]) ** 2) < 1.5
 
 
+def test_a_frozen_one_gives_no_heading_while_the_other_is_silent():
+    scene = two()
+    freeze(scene, 1)
+    scene.run(2.0, 0.5)
+    assert scene.why(1) == "it repeats the same values"
+    scene.silent.add(2)
+    scene.run(0.6, 0.5)
+    assert len(scene.run(5.0, 0.5)) == 0
+    assert scene.why(1) == "it repeats the same values"
+    assert scene.why(2) == "it is silent"
+    scene.silent.clear()
+    rows = scene.run(2.0, 0.5)
+    assert len(rows) > 20
+    assert np.abs(rows[:, 1] / rows[:, 2]).max() < 3.5
+
+
 def test_one_alone_is_what_it_was_before():
     scene = Scene({1: calibration(ROBOTS[1])})
     compass = Compass(calibration(ROBOTS[1]))

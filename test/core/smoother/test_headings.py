@@ -168,6 +168,7 @@ def test_a_device_that_integrates_a_gyro_may_drift_evenly_from_the_start():
     [
         (lambda yaw: 0.5 * math.pi - yaw, "compass bearing"),
         (lambda yaw: yaw - 0.5 * math.pi, "quarter turn too far to the right"),
+        (lambda yaw: yaw * DEGREE, "radians where degrees"),
         pytest.param(lambda yaw: -yaw, "mirrored", marks=pytest.mark.nightly),
         pytest.param(lambda yaw: yaw + math.pi, "half a turn", marks=pytest.mark.nightly),
     ],
