@@ -46,9 +46,6 @@ class Rotation:
     frame: str
 
 
-ROTATION = ("enabled", "speed_rad_s", "stamped", "frame_id")  # the parameters of it, below `rotate`
-
-
 @dataclass(frozen=True)
 class Settings:
     """The parameters' values in SI units and in the core's own types, under their names."""
@@ -89,7 +86,8 @@ class Settings:
         if north and not math.isnan(yaw):
             radians = math.radians(yaw), math.radians(values["known_heading.sigma_deg"])
             known_heading = ExternalHeading(*radians, north == TRUE_NORTH)
-        rotation = (values[f"rotate.{name}"] for name in ROTATION)
+        turns_itself = ("enabled", "speed_rad_s", "stamped", "frame_id")
+        rotation = (values[f"rotate.{name}"] for name in turns_itself)
         limits = values["window.timeout_s"], values["window.silence_s"]
         return cls(
             **{each.name: values[each.name] for each in fields(cls) if each.name in values},
