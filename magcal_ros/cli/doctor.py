@@ -184,19 +184,15 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
     status = Exit.REFUSED if page.misleads else Exit.GOOD
     written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
     words = page_in_words(page)
-    if options.write is not None:
-        nothing = "Nothing is written: no parameter alone corrects what was found."
-        words = f"{words}\n\n{nothing if written is None else _next_after(written)}"
+    if written is not None:
+        words += (
+            f"\n\nWritten: {written}. Start the calibrator with `--params-file "
+            f"{shlex.quote(written)}` (after `--ros-args`), and calibrate again."
+        )
+    elif options.write is not None:
+        words += "\n\nNothing is written: no parameter alone corrects what was found."
     tell_result(page_as_facts(page, written, status), words, as_json=options.json)
     return status
-
-
-def _next_after(written: str) -> str:
-    """Say what to do with the file."""
-    return (
-        f"Written: {written}. Start the calibrator with `--params-file {shlex.quote(written)}` "
-        "(after `--ros-args`), and calibrate again."
-    )
 
 
 MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}

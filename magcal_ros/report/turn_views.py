@@ -67,11 +67,9 @@ def draw_svg(draw: Draw, turn: Turn, name: str, words: str) -> str:
         figure = Figure(figsize=SIZE)
         draw(figure, turn)
         target = io.StringIO()
-        figure.savefig(target, format="svg", metadata=dict.fromkeys(_METADATA), transparent=True)
+        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(target, format="svg", metadata=nothing, transparent=True)
     return _inline(target.getvalue(), name, words)
-
-
-_METADATA = ("Creator", "Date", "Format", "Type")
 
 
 def _inline(svg: str, name: str, words: str) -> str:

@@ -47,17 +47,16 @@ def by_strength(lines: list[Finding], way: Way, knowledge: Knowledge) -> list[Fi
     strength = strength_of(way)
     if is_vague(strength):
         strength = strength_of_level(way, knowledge)
-    if is_vague(strength) or not has_wrong_unit(lines):
+    hint = "" if is_vague(strength) else unit_by_strength(strength.value, strength.sigma)
+    if not (hint and has_wrong_unit(lines)):
         return lines
-    return [_judged(line, strength) if line.key == WRONG_UNIT else line for line in lines]
+    size = f"{strength.value:.3g} ± {strength.sigma:.2g} T as published, without hard iron"
+    return [
+        replace(line, evidence=size, remedy=hint) if line.key == WRONG_UNIT else line
+        for line in lines
+    ]
 
 
 def has_wrong_unit(lines: list[Finding]) -> bool:
     """Return whether a line says that the field is not in tesla."""
     return any(line.key == WRONG_UNIT and line.is_wrong for line in lines)
-
-
-def _judged(line: Finding, strength: Belief) -> Finding:
-    hint = unit_by_strength(strength.value, strength.sigma)
-    size = f"{strength.value:.3g} ± {strength.sigma:.2g} T as published, without hard iron"
-    return replace(line, evidence=size, remedy=hint) if hint else line

@@ -105,7 +105,6 @@ class Saving:
     state: ClassVar = TurnState.SAVING
 
 
-TurnStage: TypeAlias = Collecting | Fitting | Saving
 Command: TypeAlias = Conclusion | Preview | FitTurn | PutInForce | MoveBase
 """Something that the owner of the state machine has to do."""
 
@@ -133,7 +132,7 @@ class TurnMachine:
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
         self.last_conclusion: Conclusion | None = None
-        self._stage: TurnStage | None = None
+        self._stage: Collecting | Fitting | Saving | None = None
         self._kept = Kept()
         self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NO_SENSORS
         self._commands: list[Command] = []
