@@ -127,8 +127,6 @@ class Motors:
                 self._learning = MotorLearning(known)
             is_done = self._learning.add(sample.stamp, sample.field, self._up.rate, running)
             self._has_learnt = is_done or self._has_learnt
-        if compass.motors is None:
-            return sample
         return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
 
     def follow(self, mode: Mode, is_turning: bool, kept: MotorField | None) -> MotorField | None:
