@@ -102,11 +102,10 @@ class Guide:
 
     def pass_time(self, now: float) -> bool:
         """Let time pass; returns whether a stage was seen or given up."""
-        if now - self._block_began < TUNING.block or self.current is None:
+        stage = self.current
+        if stage is None or now - self._block_began < TUNING.block:
             return False
         self._close_block(now)
-        stage = self.current
-        assert stage is not None
         is_seen = self._seen(stage)
         if is_seen or now - self._since > TUNING.patience:
             self._end(stage, is_seen, now)
