@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     for path in options.recordings:
         with recorded.opened(options, path) as source:
             everything.append(recorded.gather(options, mounting, source))
-    count = sum(sum(each.messages) for each in everything)
+    count = sum(sum(each.repaired.read) for each in everything)
     shares = [0.0]
     with recorded.at_work(
         lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f}%", sys.stderr
@@ -232,7 +232,7 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
 def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
     """Return key, name, number and unit of everything worth a line."""
     gathering, source = fitted.gathered.gathering, fitted.gathered.source
-    imus, fields = fitted.gathered.messages
+    imus, fields = fitted.gathered.repaired.read
     window, estimate = fitted.outcome.window, fitted.outcome.estimate
     used = 0 if window is None else len(window)
     arc = math.degrees(gathering.progress().coverage.arc if estimate is None else estimate.arc)
