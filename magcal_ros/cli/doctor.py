@@ -32,6 +32,7 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, Reading
+from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
 from magcal_ros.files.disk import FileTrouble, plain, write_atomically
 from magcal_ros.files.exporters import parameter_file
 from magcal_ros.files.recording import REMEDY
@@ -262,7 +263,7 @@ def listen(options: argparse.Namespace) -> Heard:
     with joined("magcal_doctor", []) as node:
         from rclpy.executors import SingleThreadedExecutor
 
-        from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE, Listener, sensor_topic
+        from magcal_ros.ros.preflight import Listener, sensor_topic
 
         wanted = (IMU_TYPE, options.imu, "--imu"), (FIELD_TYPE, options.mag, "--mag")
         imu, field = (sensor_topic(node, *each) for each in wanted)

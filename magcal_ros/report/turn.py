@@ -58,6 +58,8 @@ class Subject:
         return self.method if estimate is None else estimate.method
 
 
+MICRO = 1e6
+
 MOST_POINTS = 400
 """Points of one series in a picture: more cannot be distinguished and make the file larger."""
 

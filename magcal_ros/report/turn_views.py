@@ -13,7 +13,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.coverage import BINS
-from magcal_ros.report.turn import Corrected, Turn
+from magcal_ros.report.turn import MICRO, Corrected, Turn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,8 +31,6 @@ SPHERE = "#B8B8B8"
 
 LEFT_OUT = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
 """The style of outliers."""
-
-MICRO = 1e6
 
 SIZE = (4.9, 5.5)  # width and height of every picture, inches
 

@@ -21,9 +21,8 @@ from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros.threads import SENSOR_DATA
-from magcal_ros.ros.travel import Travel
+from magcal_ros.ros.travel import BETTER, Travel
 
-BETTER = 0.7  # share of a sigma that is kept, below which what was learnt is kept instead
 PAUSE = 60  # seconds of learning between two writings of the file
 
 

@@ -22,13 +22,12 @@ from magcal_ros.core.geometry.frame_tree import FrameTrouble
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
+from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.disk import plain
 from magcal_ros.ros.sensor_frames import Description
 from magcal_ros.ros.wire import read_field, read_imu
 
-IMU_TYPE = "sensor_msgs/msg/Imu"
-FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 MOST_FRAMES = 5
 """Names of frames that are shown."""
 

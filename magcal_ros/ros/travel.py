@@ -34,7 +34,7 @@ RECEIVED: tuple[tuple[SpeedSource, type, str, Callable[[bytes], Sample | str]], 
     (SpeedSource.FIXES, NavSatFix, "gps/fix", wire.read_fix),
 )
 
-BETTER = 0.7  # share of the sigma that is kept, below which a newly found yaw is kept instead
+BETTER = 0.7  # share of the sigma that is kept, below which what is newly found is kept instead
 
 
 class Travel:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magcal_ros.core.assessment.grading import DEGREES
 from magcal_ros.core.calibrate import Outcome, judged
 from magcal_ros.core.calibration.calibration import Calibration, yaw_jacobian
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
@@ -23,7 +24,6 @@ from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import (
-    DEGREES,
     LOG,
     TUNING,
     UNKNOWN_TURN,
