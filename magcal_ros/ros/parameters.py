@@ -222,13 +222,11 @@ def _with_range(descriptor: ParameterDescriptor, spec: Spec) -> ParameterDescrip
     """Add the range that tools make a slider of; where NaN is allowed rclpy would refuse it."""
     if isinstance(spec.default, (bool, str, tuple)) or spec.may_be_unset:
         return descriptor
+    low, high, _ = spec.span
     if isinstance(spec.default, int):
-        whole = IntegerRange(from_value=int(spec.span.low), to_value=int(spec.span.high), step=1)
+        whole = IntegerRange(from_value=int(low), to_value=int(high), step=1)
         descriptor.integer_range = [whole]
     else:
-        descriptor.floating_point_range = [
-            FloatingPointRange(
-                from_value=float(spec.span.low), to_value=float(spec.span.high), step=0.0
-            )
-        ]
+        real = FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
+        descriptor.floating_point_range = [real]
     return descriptor

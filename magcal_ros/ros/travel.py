@@ -171,9 +171,8 @@ class Travel:
         self, source: SpeedSource, read: Callable[[bytes], Sample | str], data: bytes
     ) -> None:
         """Take a message; where it holds no sample, keep why as a complaint."""
-        if source is SpeedSource.ODOMETRY and not self.travelling.wants_speed(
-            wire.read_stamp(data)
-        ):
+        is_by_wheels = source is SpeedSource.ODOMETRY
+        if is_by_wheels and not self.travelling.wants_speed(wire.read_stamp(data)):
             return
         try:
             found = read(data)

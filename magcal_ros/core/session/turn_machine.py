@@ -229,11 +229,8 @@ class TurnMachine:
     def _look_ahead(self, stage: Collecting, progress: Progress, now: float) -> None:
         """Ask at intervals how certain a fit would be already, and once the circle is complete."""
         waits = progress.coverage.is_complete and not stage.session.was_seen_whole
-        if (
-            stage.asked is None
-            and progress.coverage.arc > TUNING.preview_arc
-            and (now > stage.next_preview or waits)
-        ):
+        is_due = now > stage.next_preview or waits
+        if stage.asked is None and is_due and progress.coverage.arc > TUNING.preview_arc:
             window = self.last_window = stage.session.look()
             asked = Preview(window, stage.brief)
             self._stage = replace(stage, asked=asked, asked_at=now)
