@@ -148,9 +148,6 @@ class GyroTurn(NamedTuple):
         return math.sqrt(self.variance + self.by_bias**2 + walked)
 
 
-UNKNOWN_TURN = GyroTurn()
-
-
 class HeadingAgainstGyro:
     """Whether the headings of a device turn as the gyro does.
 
