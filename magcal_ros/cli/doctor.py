@@ -285,11 +285,8 @@ def listen(options: argparse.Namespace) -> Heard:
                 executor.spin_once(timeout_sec=0.02)
                 now = time.monotonic()
                 asking.count_down(guide, now)
-                if asking.is_skipped():
-                    before = guide.current
-                    guide.skip(now)
-                    if guide.current is not before:
-                        asking.tick(guide)
+                if asking.is_skipped() and guide.skip(now):
+                    asking.tick(guide)
                 if guide.pass_time(now):
                     asking.tick(guide)
                 silent = [each.topic for each in listener.sensors if not each.messages]

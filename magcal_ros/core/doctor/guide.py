@@ -94,11 +94,13 @@ class Guide:
         """Return the seconds after which what is asked for is given up."""
         return max(TUNING.patience - (now - self._since), 0.0)
 
-    def skip(self, now: float) -> None:
-        """Give up what is asked for now; standing still is needed."""
+    def skip(self, now: float) -> bool:
+        """Give up what is asked for now; returns whether it was: standing still is needed."""
         stage = self.current
-        if stage is not None and stage is not GuideStep.STAND:
-            self._end(stage, False, now)
+        if stage is None or stage is GuideStep.STAND:
+            return False
+        self._end(stage, False, now)
+        return True
 
     def pass_time(self, now: float) -> bool:
         """Let time pass; returns whether a stage was seen or given up."""
