@@ -20,8 +20,6 @@ NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 SIGNS = ("calibrate", "finish", "accept")
 """Services, all Trigger, that together make a calibrator."""
 
-TRIGGER = "std_srvs/srv/Trigger"
-
 
 def node_name(text: str) -> str:
     """Return the full name of a node as typed on the command line, with its first slash."""
@@ -73,7 +71,7 @@ def calibrators(node: Any) -> list[str]:
     found: dict[str, set[str]] = {}
     for service, types in node.get_service_names_and_types():
         owner, _, name = service.rpartition("/")
-        if name in SIGNS and TRIGGER in types:
+        if name in SIGNS and "std_srvs/srv/Trigger" in types:
             found.setdefault(owner, set()).add(name)
     return sorted(owner for owner, names in found.items() if len(names) == len(SIGNS))
 

@@ -32,6 +32,7 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, Reading
+from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
 from magcal_ros.files.disk import FileTrouble, plain, write_atomically
 from magcal_ros.files.exporters import parameter_file
 from magcal_ros.files.recording import REMEDY
@@ -184,19 +185,15 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
     status = Exit.REFUSED if page.misleads else Exit.GOOD
     written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
     words = page_in_words(page)
-    if options.write is not None:
-        nothing = "Nothing is written: no parameter alone corrects what was found."
-        words = f"{words}\n\n{nothing if written is None else _next_after(written)}"
+    if written is not None:
+        words += (
+            f"\n\nWritten: {written}. Start the calibrator with `--params-file "
+            f"{shlex.quote(written)}` (after `--ros-args`), and calibrate again."
+        )
+    elif options.write is not None:
+        words += "\n\nNothing is written: no parameter alone corrects what was found."
     tell_result(page_as_facts(page, written, status), words, as_json=options.json)
     return status
-
-
-def _next_after(written: str) -> str:
-    """Say what to do with the file."""
-    return (
-        f"Written: {written}. Start the calibrator with `--params-file {shlex.quote(written)}` "
-        "(after `--ros-args`), and calibrate again."
-    )
 
 
 MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}
@@ -266,7 +263,7 @@ def listen(options: argparse.Namespace) -> Heard:
     with joined("magcal_doctor", []) as node:
         from rclpy.executors import SingleThreadedExecutor
 
-        from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE, Listener, sensor_topic
+        from magcal_ros.ros.preflight import Listener, sensor_topic
 
         wanted = (IMU_TYPE, options.imu, "--imu"), (FIELD_TYPE, options.mag, "--mag")
         imu, field = (sensor_topic(node, *each) for each in wanted)
@@ -288,11 +285,8 @@ def listen(options: argparse.Namespace) -> Heard:
                 executor.spin_once(timeout_sec=0.02)
                 now = time.monotonic()
                 asking.count_down(guide, now)
-                if asking.is_skipped():
-                    before = guide.current
-                    guide.skip(now)
-                    if guide.current is not before:
-                        asking.tick(guide)
+                if asking.is_skipped() and guide.skip(now):
+                    asking.tick(guide)
                 if guide.pass_time(now):
                     asking.tick(guide)
                 silent = [each.topic for each in listener.sensors if not each.messages]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma, every_figure
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.attitude import usual_size
-from magcal_ros.core.knowledge import Knowledge, Mounting
+from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
@@ -36,7 +36,7 @@ class Fitted:
     gathered: Gathered  # of several, the last that joined
     knowledge: Knowledge
     outcome: Outcome
-    everything: tuple[Gathered, ...]
+    everything: Sequence[Gathered]
 
     @property
     def complaints(self) -> list[str]:
@@ -49,11 +49,8 @@ class Fitted:
         """What the shell sees."""
         if self.outcome.verdict.accepted:
             return common.Exit.GOOD
-        return (
-            common.Exit.TOO_LITTLE_DATA
-            if self.outcome.reason in LITTLE_DATA
-            else common.Exit.REFUSED
-        )
+        is_little = self.outcome.reason in LITTLE_DATA
+        return common.Exit.TOO_LITTLE_DATA if is_little else common.Exit.REFUSED
 
 
 def add_fit(commands: Any) -> None:
@@ -83,9 +80,11 @@ def run(options: argparse.Namespace) -> int:
     if (folder / common.CALIBRATION).exists():
         raise FileTrouble(f"{folder / common.CALIBRATION} exists already: name another --output")
     _check_use(options)
-    mounting = recorded.mounting_from(options)
-    everything = tuple(_gathered(options, mounting, path) for path in options.recordings)
-    count = sum(sum(each.messages) for each in everything)
+    mounting, everything = recorded.mounting_from(options), list[Gathered]()
+    for path in options.recordings:
+        with recorded.opened(options, path) as source:
+            everything.append(recorded.gather(options, mounting, source))
+    count = sum(sum(each.repaired.read) for each in everything)
     shares = [0.0]
     with recorded.at_work(
         lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f}%", sys.stderr
@@ -99,11 +98,6 @@ def run(options: argparse.Namespace) -> int:
     return fitted.status
 
 
-def _gathered(options: argparse.Namespace, mounting: Mounting, path: Path) -> Gathered:
-    with recorded.opened(options, path) as source:
-        return recorded.gather(options, mounting, source)
-
-
 def _check_use(options: argparse.Namespace) -> None:
     recorded.check_heading_options(options)
     if len(options.recordings) == 1:
@@ -115,7 +109,7 @@ def _check_use(options: argparse.Namespace) -> None:
 
 
 def _fit(
-    everything: tuple[Gathered, ...],
+    everything: Sequence[Gathered],
     options: argparse.Namespace,
     report_share: Callable[[float], object],
 ) -> Fitted:
@@ -238,7 +232,7 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
 def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
     """Return key, name, number and unit of everything worth a line."""
     gathering, source = fitted.gathered.gathering, fitted.gathered.source
-    imus, fields = fitted.gathered.messages
+    imus, fields = fitted.gathered.repaired.read
     window, estimate = fitted.outcome.window, fitted.outcome.estimate
     used = 0 if window is None else len(window)
     arc = math.degrees(gathering.progress().coverage.arc if estimate is None else estimate.arc)

@@ -38,9 +38,8 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
     try:
         rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node(name)
-    except (
-        Exception
-    ) as error:  # rclpy has several base classes of errors: arguments, names, the environment
+    # rclpy has several base classes of errors: arguments, names, the environment.
+    except Exception as error:
         rclpy.try_shutdown()
         words = plain(" ".join(str(error).split()), LONGEST_ERROR)
         raise Misuse(

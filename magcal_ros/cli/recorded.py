@@ -42,14 +42,12 @@ class Gathered:
     gathering: Gathering
     source: Source  # closed; its names and frames are of use
     reference: Reference
-    repaired: list[str]
-    messages: tuple[int, int]
-    """How many of IMU and field were read; those that are interpolated do not count."""
+    repaired: RepairedReadings  # read to the end
 
     def complaints(self) -> list[str]:
         """Return everything that is wrong with it, or with what was said about it."""
-        found = [*self.source.notes, *self.repaired, *self.gathering.complaints()]
-        repeats, (_, fields) = self.gathering.repeats, self.messages
+        found = [*self.source.notes, *self.repaired.notes, *self.gathering.complaints()]
+        repeats, (_, fields) = self.gathering.repeats, self.repaired.read
         if repeats > TUNING.worth_a_word * fields:
             words = f"{repeats} of {fields} samples repeat the one before, and are left out"
             found.append(f"{self.source.field_topic}: {words}")
@@ -148,8 +146,7 @@ def gather(
         gathering.take(repaired, source.travel, source.currents if known is None else ())
     newest = gathering.streams.field_stamps.newest
     reference = reference_in_use(options, source.place, newest)
-    imus, fields = repaired.read
-    return Gathered(gathering, source, reference, repaired.notes, (imus, fields))
+    return Gathered(gathering, source, reference, repaired)
 
 
 @contextmanager

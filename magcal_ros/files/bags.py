@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from datetime import timedelta
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.disk import FileTrouble, damage_in_words, plain
 from magcal_ros.files.recording import travel_of
-from magcal_ros.files.wire import CDR, ROS1, Format, RosReader, frame_of, is_plain_cdr
+from magcal_ros.files.wire import CDR, ROS1, Format, frame_of, is_plain_cdr
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -50,6 +51,11 @@ REMEDIES = {
     ".db3": "`sqlite3 IN .recover | sqlite3 OUT` with `ros2 bag reindex` saves the intact part",
     ".bag": "`rosbag reindex` saves the intact part",
 }
+
+STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
+
+LATE = 5_000_000_000
+"""Nanoseconds after the end of a span within which a message of the span may still come."""
 
 
 class Bag:
@@ -191,6 +197,85 @@ def open_bag(path: Path, imu: str, field: str, start: float, stop: float) -> Ite
         with _damage_in_words(path):
             reader = _ros_reader(path) or stack.enter_context(_library_reader(path))
         yield Bag(path, reader, imu, field, start, stop)
+
+
+class Channel(NamedTuple):
+    """A topic of the bag."""
+
+    id: str
+    topic: str
+    msgtype: str
+    msgcount: int
+
+
+class RosReader:
+    """An open rosbag2: a folder with metadata.yaml, or a single .mcap or .db3.
+
+    `library` is the module `rosbag2_py`, which a robot has without any other library; it raises
+    RuntimeError for what it cannot read. The names are those that the library rosbags gives.
+    Checked against its published source from Humble to Rolling: before Jazzy the metadata's
+    duration is a `timedelta`, since then an `rclpy` Duration; Humble wants the storage named.
+    """
+
+    is2 = True
+
+    def __init__(self, path: Path, library: Any) -> None:
+        self._path, self._library = path, library
+        self._metadata = library.Info().read_metadata(str(path), _storage_of(path))
+        self.message_count = int(self._metadata.message_count)
+        self.connections = [
+            Channel(about.name, about.name, about.type, int(topic.message_count))
+            for topic in self._metadata.topics_with_message_count
+            for about in (topic.topic_metadata,)
+        ]
+        # The metadata's own start is rounded to microseconds before Jazzy.
+        first = next(self._everything(self.connections), None)
+        self.start_time = 0 if first is None else first[2]
+        duration = self._metadata.duration
+        if isinstance(duration, timedelta):
+            length = round(duration.total_seconds() * 1e9)
+        else:
+            length = int(duration.nanoseconds)
+        self.end_time = self.start_time + length + 1
+
+    def messages(
+        self, connections: Iterable[Channel], start: int, stop: int
+    ) -> Iterator[tuple[Channel, int, bytes]]:
+        """Yield channel, time of recording in ns and bytes from `start` to before `stop`."""
+        channels = {channel.topic: channel for channel in connections}
+        for topic, data, stamp in self._everything(channels.values()):
+            if stamp >= stop:
+                # Messages are written as they come: a later one may be a little older.
+                if stamp >= stop + LATE:
+                    return
+            elif stamp >= start and topic in channels:
+                yield channels[topic], stamp, data
+
+    def deserialize(self, _: bytes, msgtype: str) -> NoReturn:
+        """Refuse what is in the other byte order, with a FileTrouble."""
+        raise FileTrouble(
+            f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
+            "Python library rosbags is installed and ROS is not"
+        )
+
+    def _everything(self, channels: Iterable[Channel]) -> Iterator[tuple[str, bytes, int]]:
+        library = self._library
+        storage = self._metadata.storage_identifier or _storage_of(self._path)
+        is_packed = bool(self._metadata.compression_mode or self._metadata.compression_format)
+        kind = library.SequentialCompressionReader if is_packed else library.SequentialReader
+        reader = kind()
+        reader.open(
+            library.StorageOptions(uri=str(self._path), storage_id=storage),
+            library.ConverterOptions("cdr", "cdr"),
+        )
+        reader.set_filter(library.StorageFilter(topics=[channel.topic for channel in channels]))
+        while reader.has_next():
+            yield reader.read_next()
+
+
+def _storage_of(path: Path) -> str:
+    """Return the storage by the file's name; a folder's metadata names it."""
+    return STORAGES.get(path.suffix, "") if path.is_file() else ""
 
 
 def _ros_reader(path: Path) -> Any:

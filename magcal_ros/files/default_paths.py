@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 from magcal_ros.files.disk import FileTrouble
@@ -18,14 +17,9 @@ RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\Z", re.IGNORECASE)
 """Names that are devices on some file systems."""
 
 
-def ros_home() -> Path:
-    """Return the user's ROS home: `$ROS_HOME`, or `~/.ros`."""
-    return chosen_path(os.environ.get("ROS_HOME") or "~/.ros")
-
-
 def own_folder() -> Path:
-    """Return the folder below which everything is kept unless the user says otherwise."""
-    return ros_home() / "magcal"
+    """Return the folder in the user's ROS home (`$ROS_HOME`, or `~/.ros`) that has everything."""
+    return chosen_path(os.environ.get("ROS_HOME") or "~/.ros") / "magcal"
 
 
 def chosen_path(text: str) -> Path:
@@ -87,21 +81,12 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
 
 
-FRAMELESS = "magnetometer"  # stands in a path for the frame of a sensor that names none
+def sensor_file(frame: str, namespace: str, node: str) -> Path:
+    """Return where a node keeps a sensor's calibration: `<node>.<frame>.yaml`.
 
-
-@dataclass(frozen=True)
-class SensorFile:
-    """Where a node keeps a sensor's calibration: by node and frame, since either may be shared."""
-
-    frame: str  # `frame_id` of the field messages; empty if they have none
-    namespace: str = "/"
-    node: str = "calibrator"
-    """The node's: two robots may carry the same sensor."""
-
-    @property
-    def path(self) -> Path:
-        """Where it is stored: `<node>.<frame>.yaml`; no part of it has a dot of its own."""
-        folder, inner = own_folder(), self.namespace.strip("/")
-        folder = folder / safe_name(inner) if inner else folder
-        return folder / f"{safe_name(self.node)}.{safe_name(self.frame or FRAMELESS)}.yaml"
+    Two robots may carry the same sensor, and one node may have several. No part of the name has a
+    dot of its own; a sensor that names no frame is called `magnetometer` there.
+    """
+    folder, inner = own_folder(), namespace.strip("/")
+    folder = folder / safe_name(inner) if inner else folder
+    return folder / f"{safe_name(node)}.{safe_name(frame or 'magnetometer')}.yaml"

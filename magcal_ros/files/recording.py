@@ -83,7 +83,10 @@ class Recording:
             for t, ax, ay, az, gx, gy, gz in self.imu.tolist()
         )
         field = (FieldSample(t, (x, y, z)) for t, x, y, z in self.field.tolist())
-        both = _as_they_came(self.imu, imu), _as_they_came(self.field, field)
+        both: list[Iterable[tuple[float, ImuSample | FieldSample]]] = [
+            zip(_never_set_back(self.imu[:, 0]).tolist(), imu, strict=True),
+            zip(_never_set_back(self.field[:, 0]).tolist(), field, strict=True),
+        ]
         return (sample for _, sample in heapq.merge(*both, key=itemgetter(0)))
 
     readings = samples
@@ -116,13 +119,6 @@ class Recording:
         for vectors in (imu[:, 1:4], imu[:, 4:7], raw[:, 1:4]):
             vectors[:] = vectors @ pose.T
         return replace(self, imu=imu, field=raw)
-
-
-def _as_they_came(
-    table: FloatArray, samples: Iterable[ImuSample | FieldSample]
-) -> Iterator[tuple[float, ImuSample | FieldSample]]:
-    """Yield samples with the moments at which they came."""
-    yield from zip(_never_set_back(table[:, 0]).tolist(), samples, strict=True)
 
 
 def _never_set_back(stamps: FloatArray) -> FloatArray:

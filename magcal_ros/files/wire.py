@@ -2,20 +2,11 @@
 
 Their types have never changed, so their places in CDR (ROS 2) and in ROS 1's format are fixed: a
 header with stamp and frame, and numbers after it.
-
-`rosbag2_py` reads bags on a robot that has no other library, with the names that the library
-rosbags gives. Checked against its published source from Humble to Rolling: before Jazzy the
-metadata's duration is a `timedelta`, since then an `rclpy` Duration; Humble wants the storage
-named.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from datetime import timedelta
-from pathlib import Path
 from struct import Struct, error
-from typing import Any, NamedTuple, NoReturn
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.messages import fix_from, heading_from, imu_of, speed_from, velocity_from
@@ -26,7 +17,6 @@ from magcal_ros.core.samples.streams import (
     SpeedSample,
     VelocitySample,
 )
-from magcal_ros.files.disk import FileTrouble
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4
@@ -141,87 +131,3 @@ def is_plain_cdr(data: bytes) -> bool:
 def frame_of(text: bytes) -> str:
     """Return a frame as ROS reads it: to its first zero, and what is no text replaced."""
     return bytes(text).partition(b"\0")[0].decode("utf-8", "replace")
-
-
-STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
-
-
-class Channel(NamedTuple):
-    """A topic of the bag."""
-
-    id: str
-    topic: str
-    msgtype: str
-    msgcount: int
-
-
-class RosReader:
-    """An open rosbag2: a folder with metadata.yaml, or a single .mcap or .db3.
-
-    `library` is the module `rosbag2_py`; it raises RuntimeError for what it cannot read.
-    """
-
-    is2 = True
-
-    def __init__(self, path: Path, library: Any) -> None:
-        self._path, self._library = path, library
-        self._metadata = library.Info().read_metadata(str(path), _storage_of(path))
-        self.message_count = int(self._metadata.message_count)
-        self.connections = [
-            Channel(about.name, about.name, about.type, int(topic.message_count))
-            for topic in self._metadata.topics_with_message_count
-            for about in (topic.topic_metadata,)
-        ]
-        # The metadata's own start is rounded to microseconds before Jazzy.
-        first = next(self._everything(self.connections), None)
-        self.start_time = 0 if first is None else first[2]
-        self.end_time = self.start_time + _nanoseconds(self._metadata.duration) + 1
-
-    def messages(
-        self, connections: Iterable[Channel], start: int, stop: int
-    ) -> Iterator[tuple[Channel, int, bytes]]:
-        """Yield channel, time of recording in ns and bytes from `start` to before `stop`."""
-        channels = {channel.topic: channel for channel in connections}
-        for topic, data, stamp in self._everything(channels.values()):
-            if stamp >= stop:
-                # Messages are written as they come: a later one may be a little older.
-                if stamp >= stop + LATE:
-                    return
-            elif stamp >= start and topic in channels:
-                yield channels[topic], stamp, data
-
-    def deserialize(self, _: bytes, msgtype: str) -> NoReturn:
-        """Refuse what is in the other byte order, with a FileTrouble."""
-        raise FileTrouble(
-            f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
-            "Python library rosbags is installed and ROS is not"
-        )
-
-    def _everything(self, channels: Iterable[Channel]) -> Iterator[tuple[str, bytes, int]]:
-        library = self._library
-        storage = self._metadata.storage_identifier or _storage_of(self._path)
-        is_packed = bool(self._metadata.compression_mode or self._metadata.compression_format)
-        kind = library.SequentialCompressionReader if is_packed else library.SequentialReader
-        reader = kind()
-        reader.open(
-            library.StorageOptions(uri=str(self._path), storage_id=storage),
-            library.ConverterOptions("cdr", "cdr"),
-        )
-        reader.set_filter(library.StorageFilter(topics=[channel.topic for channel in channels]))
-        while reader.has_next():
-            yield reader.read_next()
-
-
-LATE = 5_000_000_000
-"""Nanoseconds after the end of a span within which a message of the span may still come."""
-
-
-def _storage_of(path: Path) -> str:
-    """Return the storage by the file's name; a folder's metadata names it."""
-    return STORAGES.get(path.suffix, "") if path.is_file() else ""
-
-
-def _nanoseconds(duration: Any) -> int:
-    if isinstance(duration, timedelta):
-        return round(duration.total_seconds() * 1e9)
-    return int(duration.nanoseconds)

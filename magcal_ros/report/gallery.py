@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,26 +18,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw(figure: Figure, turn: Turn) -> None:
+def draw(figure: Figure, turn: Turn, corrected: Corrected) -> None:
     """Draw the headings over the turn, and how far the corrected one deviates from it."""
-    corrected, angle = turn.corrected, turn.angle
-    if corrected is None or angle is None:
-        return
+    assert turn.angle is not None
+    angle = np.degrees(turn.angle)
     upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1.25, 1.0)})
     figure.subplots_adjust(left=0.155, right=0.98, top=0.97, bottom=0.205, hspace=0.1)
-    _draw_headings(upper, turn, corrected, np.degrees(angle))
-    _draw_deviation(lower, turn, corrected, np.degrees(angle))
+    _draw_headings(upper, turn, corrected, angle)
+    _draw_deviation(lower, turn, corrected, angle)
     turn_views.legend_below(figure, upper)
 
 
-def caption(turn: Turn) -> str:
+def caption(turn: Turn, corrected: Corrected) -> str:
     """Explain the picture to someone who is no expert."""
-    if turn.corrected is None:
-        return ""
     by = "the gyro"
     if not turn.has_gyro:
         by = "the corrected heading itself, smoothed (there is no gyro)"
-    corrected, kept = turn.corrected, turn.inliers & np.isfinite(turn.corrected.sigma)
+    kept = turn.inliers & np.isfinite(corrected.sigma)
     inside = np.abs(corrected.deviation[kept]) <= 2.0 * corrected.sigma[kept]
     scatter = 100.0 * float(inside.mean()) if len(inside) else 0.0
     return (
@@ -89,11 +86,8 @@ BINS = 24
 POINTS_OF_COMPASS = {-180: "W", -90: "S", 0: "E", 90: "N", 180: "W"}
 
 
-def draw_gyro(figure: Figure, turn: Turn) -> None:
+def draw_gyro(figure: Figure, turn: Turn, corrected: Corrected) -> None:
     """Draw the mean deviation from the gyro before and after, over the heading."""
-    corrected = turn.corrected
-    if corrected is None:
-        return
     upper, lower = figure.subplots(2, 1, sharex=True)
     figure.subplots_adjust(left=0.155, right=0.98, top=0.94, bottom=0.11, hspace=0.2)
     before, after = deviations(turn, corrected)
@@ -113,12 +107,10 @@ def draw_gyro(figure: Figure, turn: Turn) -> None:
     lower.set(xlim=(-184, 184), xlabel="heading of the robot, ENU yaw")
 
 
-def caption_of_gyro(turn: Turn) -> str:
+def caption_of_gyro(turn: Turn, corrected: Corrected) -> str:
     """Explain the picture to someone who is no expert."""
-    if turn.corrected is None:
-        return ""
-    worst = math.degrees(float(np.nanmax(np.abs(deviations(turn, turn.corrected)[1]))))
-    swing = turn.corrected.estimate.swing
+    worst = math.degrees(float(np.nanmax(np.abs(deviations(turn, corrected)[1]))))
+    swing = corrected.estimate.swing
     judged = ""
     if swing is not None:
         judged = f" ({math.degrees(swing.rms):.1f}° rms beyond noise, which is judged)"
@@ -182,18 +174,9 @@ class Picture:
     missing: str = ""
 
 
-VIEWS = ("views", "The field in space", turn_views.draw, turn_views.caption)
-AROUND = (
-    "around",
-    "Headings and residuals",
-    turn_views.draw_residuals,
-    turn_views.caption_of_residuals,
-)
-HEADING = ("heading", "Heading before and after", draw, caption)
-GYRO = ("gyro", "Gyro against compass", draw_gyro, caption_of_gyro)
-
 NO_GYRO = Picture(
-    *GYRO[:2],
+    "gyro",
+    "Gyro against compass",
     "Only a gyro shows whether steel nearby distorts the field: the compass error then swings "
     "over the turn, although the circle looks right.",
     missing="Not checked: there was no gyro in these samples.",
@@ -204,16 +187,24 @@ def pictures(turn: Turn) -> list[Picture]:
     """Draw everything that the turn can show."""
     if not len(turn.time):
         return []
-    found = [_picture(turn, *VIEWS), _picture(turn, *AROUND)]
-    if turn.corrected is None:
+    around = turn_views.draw_residuals, turn_views.caption_of_residuals(turn)
+    found = [
+        _picture(turn, "views", "The field in space", turn_views.draw, turn_views.caption(turn)),
+        _picture(turn, "around", "Headings and residuals", *around),
+    ]
+    corrected = turn.corrected
+    if corrected is None:
         return found
-    return [*found, _picture(turn, *HEADING), _picture(turn, *GYRO) if turn.has_gyro else NO_GYRO]
+    heading = partial(draw, corrected=corrected), caption(turn, corrected)
+    found.append(_picture(turn, "heading", "Heading before and after", *heading))
+    if not turn.has_gyro:
+        return [*found, NO_GYRO]
+    gyro = partial(draw_gyro, corrected=corrected), caption_of_gyro(turn, corrected)
+    return [*found, _picture(turn, NO_GYRO.name, NO_GYRO.title, *gyro)]
 
 
-def _picture(
-    turn: Turn, name: str, title: str, draw: turn_views.Draw, words_on: Callable[[Turn], str]
-) -> Picture:
-    svg, missing, words = "", "", words_on(turn)
+def _picture(turn: Turn, name: str, title: str, draw: turn_views.Draw, words: str) -> Picture:
+    svg = missing = ""
     try:
         svg = turn_views.draw_svg(draw, turn, name, title)
     except ImportError:

@@ -29,7 +29,7 @@ from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.report.gallery import Picture
-from magcal_ros.report.turn import Subject, Turn
+from magcal_ros.report.turn import MICRO, Subject, Turn
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; form-action 'none'"
 """Even text that slipped through could load nothing and run nothing."""
@@ -247,9 +247,6 @@ def _as_code(belief: Belief) -> str:
     if math.isinf(belief.sigma):
         return "Belief.unknown()"
     return f"Belief({float(belief.value)!r}, {float(belief.sigma)!r})"
-
-
-MICRO = 1e6
 
 
 class Row(NamedTuple):

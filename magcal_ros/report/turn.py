@@ -58,6 +58,8 @@ class Subject:
         return self.method if estimate is None else estimate.method
 
 
+MICRO = 1e6
+
 MOST_POINTS = 400
 """Points of one series in a picture: more cannot be distinguished and make the file larger."""
 
@@ -120,12 +122,12 @@ class Turn:
         up = unit(window.specific_force)
         # The heading is published with the up that the gyro propagates, so it is judged by that.
         level = up if estimate is None else propagated_up(window)
-        progress = None
+        progress = gyro = corrected = None
+        rate = window.angular_rate
         if window.field.any() and window.specific_force.any():
-            rate = window.angular_rate
             progress = yaw_progress(window.time, field, window.specific_force, rate)
-        gyro = _gyro_angle(window, level)
-        corrected = None
+        if rate is not None and len(window) > 1:
+            gyro = integral(window.time, yaw_rate(rate, level))
         inliers = np.ones(len(window), dtype=np.bool_)
         if estimate is not None:
             inliers = np.asarray(estimate.inliers)
@@ -163,13 +165,6 @@ class Turn:
         if len(rows) > most:
             rows = rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
         return np.asarray(rows, dtype=np.int64)
-
-
-def _gyro_angle(window: Window, up: FloatArray) -> FloatArray | None:
-    """Return the yaw that the gyro saw since the first sample, radians, left positive."""
-    if window.angular_rate is None or len(window) < 2:
-        return None
-    return integral(window.time, yaw_rate(window.angular_rate, up))
 
 
 def _correct(

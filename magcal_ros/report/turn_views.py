@@ -13,7 +13,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.coverage import BINS
-from magcal_ros.report.turn import Corrected, Turn
+from magcal_ros.report.turn import MICRO, Corrected, Turn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,8 +31,6 @@ SPHERE = "#B8B8B8"
 
 LEFT_OUT = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
 """The style of outliers."""
-
-MICRO = 1e6
 
 SIZE = (4.9, 5.5)  # width and height of every picture, inches
 
@@ -67,11 +65,9 @@ def draw_svg(draw: Draw, turn: Turn, name: str, words: str) -> str:
         figure = Figure(figsize=SIZE)
         draw(figure, turn)
         target = io.StringIO()
-        figure.savefig(target, format="svg", metadata=dict.fromkeys(_METADATA), transparent=True)
+        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(target, format="svg", metadata=nothing, transparent=True)
     return _inline(target.getvalue(), name, words)
-
-
-_METADATA = ("Creator", "Date", "Format", "Type")
 
 
 def _inline(svg: str, name: str, words: str) -> str:

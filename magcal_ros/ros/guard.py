@@ -29,6 +29,8 @@ ZEROS_FOR, ZEROS_EVERY = 1.0, 0.05
 
 ENDING = 2.0  # seconds that a guard is given to go by itself
 
+TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
+
 ASKED, ALIVE, DISMISSED = b"?", b".", b"q"
 """What a line of the node begins with; a question follows the first two, and the second says that
 the robot may move."""
@@ -46,7 +48,10 @@ class Guard:
         self._process = start(
             __name__,
             *(topic, frame, "stamped" if stamped else "", str(SILENCE)),
-            extra=_without_shared_memory(),
+            # A process that is stopped while it writes to the shared memory of Fast DDS keeps the
+            # lock of the base's port there, and all who write to it wait for seconds. Who chose
+            # transports keeps them.
+            extra={TRANSPORTS: os.environ.get(TRANSPORTS, "UDPv4")},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             # Ctrl-C in the node's terminal is not meant for the guard.
@@ -130,16 +135,6 @@ class Guard:
 def duty(kind: str, topic: str, silence: float) -> bytes:
     """Return what a guard does, in the words of its answer."""
     return f"zeros as {kind} on {topic} after {silence:g} s".encode()
-
-
-def _without_shared_memory() -> dict[str, str]:
-    """Return the environment in which the guard's messages share no memory with the node's.
-
-    A process that is stopped while it writes to the memory of Fast DDS keeps the lock of the
-    base's port there, and all who write to it wait for seconds. Who chose transports keeps them.
-    """
-    name = "FASTDDS_BUILTIN_TRANSPORTS"
-    return {name: os.environ.get(name, "UDPv4")}
 
 
 def main() -> int:

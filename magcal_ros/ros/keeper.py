@@ -19,7 +19,13 @@ from magcal_ros.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
+from magcal_ros.files.default_paths import (
+    chosen_path,
+    is_missing,
+    known_as,
+    numbered,
+    sensor_file,
+)
 from magcal_ros.files.disk import FileTrouble, plain, promptly
 from magcal_ros.ros.announcer import Log
 from magcal_ros.ros.threads import BackgroundThread
@@ -212,7 +218,7 @@ class Keeper:
     def _path(self, frame: str, chosen: str | None = None) -> Path:
         """Return the file to save to: as chosen, or by the node and the sensor's frame."""
         chosen = self._chosen() if chosen is None else chosen
-        own = chosen_path(chosen) if chosen else SensorFile(frame, *self._name).path
+        own = chosen_path(chosen) if chosen else sensor_file(frame, *self._name)
         return numbered(own, self._number)
 
     def _remember(self, frame: str) -> None:

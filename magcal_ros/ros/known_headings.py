@@ -298,7 +298,7 @@ class KnownHeadings:
         given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)
         view = self._pipeline.frames.view
         if given is None or view is None:
-            self._conclude(Conclusion(False, f"{self.antenna.topic} stopped sending meanwhile"))
+            self._conclude(False, f"{self.antenna.topic} stopped sending meanwhile")
             return
         bias = follower.gyro_bias.rate if follower.is_propagated else (0.0, 0.0, 0.0)
         turn = self._turn or GyroTurn()
@@ -321,31 +321,27 @@ class KnownHeadings:
 
     def _lost(self, error: Exception) -> None:
         why = "the node is shutting down" if isinstance(error, Stopped) else in_words(error)
-        self._conclude(Conclusion(False, f"nothing was found: {why}"))
+        self._conclude(False, f"nothing was found: {why}")
 
     def _note(self, result: HeadingResult, epoch: int) -> None:
         if epoch != self._epoch:
-            self._conclude(
-                Conclusion(
-                    False,
-                    "~/reset was called, or the sensor changed, meanwhile: call this service again",
-                )
-            )
+            words = "~/reset was called, or the sensor changed, meanwhile: call this service again"
+            self._conclude(False, words)
             return
         calibration = result.outcome.calibration
         if calibration is not None:
             self._standings, self._turn = result.standings, GyroTurn()
         if not result.applies or calibration is None:
             # A heading that agrees with a better calibration is no failure.
-            self._conclude(Conclusion(result.outcome.verdict.accepted, result.words))
+            self._conclude(result.outcome.verdict.accepted, result.words)
             return
         self._magnetometer.use(
             calibration,
-            lambda done: self._conclude(Conclusion(done.success, f"{result.words} {done.message}")),
+            lambda done: self._conclude(done.success, f"{result.words} {done.message}"),
         )
 
-    def _conclude(self, conclusion: Conclusion) -> None:
+    def _conclude(self, success: bool, message: str) -> None:
         tell, self._tell = self._tell, None
-        self._given, self._answer = None, conclusion.message
+        self._given, self._answer = None, message
         if tell is not None:
-            tell(conclusion)
+            tell(Conclusion(success, message))

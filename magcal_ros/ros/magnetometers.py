@@ -103,11 +103,9 @@ class Magnetometers:
         if not all(share.why for share in shares.values()):
             for number, share in shares.items():
                 percent = round(100.0 * share.weight)
-                part = (
-                    f"has a weight of {percent}% in the heading"
-                    if percent
-                    else "is not used for the heading"
-                )
+                part = "is not used for the heading"
+                if percent:
+                    part = f"has a weight of {percent}% in the heading"
                 found += [f"{topics[number]} {part}: {share.why}"] if share.why else []
         apart = math.degrees(self._several.disagreement)
         if apart:

@@ -70,9 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv if arguments is None else arguments)
     try:
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
-    except (
-        Exception
-    ) as error:  # rclpy has several base classes of errors: a bad argument or parameter file
+    # rclpy has several base classes of errors: a bad argument or parameter file.
+    except Exception as error:
         print(f"calibrator: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201
         return 2
     sys.setswitchinterval(SWITCH_INTERVAL)

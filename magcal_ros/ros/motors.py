@@ -21,9 +21,8 @@ from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros.threads import SENSOR_DATA
-from magcal_ros.ros.travel import Travel
+from magcal_ros.ros.travel import BETTER, Travel
 
-BETTER = 0.7  # share of a sigma that is kept, below which what was learnt is kept instead
 PAUSE = 60  # seconds of learning between two writings of the file
 
 
@@ -129,8 +128,6 @@ class Motors:
                 self._learning = MotorLearning(known)
             is_done = self._learning.add(sample.stamp, sample.field, self._up.rate, running)
             self._has_learnt = is_done or self._has_learnt
-        if compass.motors is None:
-            return sample
         return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
 
     def follow(self, mode: Mode, is_turning: bool, kept: MotorField | None) -> MotorField | None:

@@ -46,9 +46,6 @@ class Rotation:
     frame: str
 
 
-ROTATION = ("enabled", "speed_rad_s", "stamped", "frame_id")  # the parameters of it, below `rotate`
-
-
 @dataclass(frozen=True)
 class Settings:
     """The parameters' values in SI units and in the core's own types, under their names."""
@@ -89,7 +86,8 @@ class Settings:
         if north and not math.isnan(yaw):
             radians = math.radians(yaw), math.radians(values["known_heading.sigma_deg"])
             known_heading = ExternalHeading(*radians, north == TRUE_NORTH)
-        rotation = (values[f"rotate.{name}"] for name in ROTATION)
+        turns_itself = ("enabled", "speed_rad_s", "stamped", "frame_id")
+        rotation = (values[f"rotate.{name}"] for name in turns_itself)
         limits = values["window.timeout_s"], values["window.silence_s"]
         return cls(
             **{each.name: values[each.name] for each in fields(cls) if each.name in values},
@@ -224,13 +222,11 @@ def _with_range(descriptor: ParameterDescriptor, spec: Spec) -> ParameterDescrip
     """Add the range that tools make a slider of; where NaN is allowed rclpy would refuse it."""
     if isinstance(spec.default, (bool, str, tuple)) or spec.may_be_unset:
         return descriptor
+    low, high, _ = spec.span
     if isinstance(spec.default, int):
-        whole = IntegerRange(from_value=int(spec.span.low), to_value=int(spec.span.high), step=1)
+        whole = IntegerRange(from_value=int(low), to_value=int(high), step=1)
         descriptor.integer_range = [whole]
     else:
-        descriptor.floating_point_range = [
-            FloatingPointRange(
-                from_value=float(spec.span.low), to_value=float(spec.span.high), step=0.0
-            )
-        ]
+        real = FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
+        descriptor.floating_point_range = [real]
     return descriptor

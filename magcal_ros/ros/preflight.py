@@ -22,13 +22,12 @@ from magcal_ros.core.geometry.frame_tree import FrameTrouble
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
+from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.disk import plain
 from magcal_ros.ros.sensor_frames import Description
 from magcal_ros.ros.wire import read_field, read_imu
 
-IMU_TYPE = "sensor_msgs/msg/Imu"
-FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 MOST_FRAMES = 5
 """Names of frames that are shown."""
 
@@ -84,7 +83,7 @@ def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
     if inputs is None:
         remedy = "start it with `ros2 run magcal_ros calibrator`, or name it with --node"
         return Preflight((f"the node {calibrator} is not there: {remedy}",), False)
-    sensors = [Heard(name, kind) for name, kind in inputs.sensors]
+    sensors, taken = inputs
     _listen(node, sensors, duration)
     ready = {heard.kind for heard in sensors if heard.messages} == {IMU_TYPE, FIELD_TYPE}
     lines = []
@@ -93,21 +92,15 @@ def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
         if heard.messages:
             lines += [_describe(heard, duration), *_judge(heard, duration, publishers)]
             continue
-        found = set(_of_sensors(node, heard.kind)) - inputs.taken
+        found = set(_of_sensors(node, heard.kind)) - taken
         lines += _explain_silence(heard, publishers, [plain(topic) for topic in found])
         if ready:
             lines.append(f"  {plain(heard.topic)} is silent and is not calibrated")
     return Preflight(tuple(lines), ready)
 
 
-class _Inputs(NamedTuple):
-    """The sensors of a calibrator, and the topics of all its inputs."""
-
-    sensors: list[tuple[str, str]]
-    taken: set[str]
-
-
-def _inputs_of(node: Node, calibrator: str) -> _Inputs | None:
+def _inputs_of(node: Node, calibrator: str) -> tuple[list[Heard], set[str]] | None:
+    """Return the sensors of a calibrator, and the topics of all its inputs."""
     namespace, _, name = calibrator.rpartition("/")
     deadline = time.monotonic() + 5.0
     while time.monotonic() < deadline:
@@ -122,8 +115,8 @@ def _inputs_of(node: Node, calibrator: str) -> _Inputs | None:
         if imus and fields:
             # A further magnetometer without a publisher does not exist.
             spoken = [topic for topic in fields if node.count_publishers(topic)] or fields[:1]
-            sensors = [(imus[0], IMU_TYPE), *((topic, FIELD_TYPE) for topic in spoken)]
-            return _Inputs(sensors, {topic for topic, _ in found})
+            sensors = [Heard(imus[0], IMU_TYPE), *(Heard(topic, FIELD_TYPE) for topic in spoken)]
+            return sensors, {topic for topic, _ in found}
         time.sleep(0.1)
     return None
 

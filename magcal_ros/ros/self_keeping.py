@@ -148,8 +148,7 @@ def run_with_low_priority(job: DriveJob) -> Findings:
     """Do a job in the worker process at low priority; only there is loaded what it takes."""
     from magcal_ros.core.keeping.worker import answer
 
-    if hasattr(os, "setpriority"):
-        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+    os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     return answer(job)
 
 

@@ -13,6 +13,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from queue import SimpleQueue
 from threading import Lock
 from typing import Any, TypeVar
@@ -280,9 +281,8 @@ class BackgroundThread:
             try:
                 result = work()
             except Exception as error:  # the caller handles it
-                fault = error
-                return lambda: otherwise(fault)
-            return lambda: then(result)
+                return partial(otherwise, error)
+            return partial(then, result)
 
         # Where memory is short the thread itself may end in an error.
         if self._thread is None or not self._thread.is_alive():
@@ -290,8 +290,7 @@ class BackgroundThread:
             try:
                 thread.start()
             except RuntimeError as error:
-                fault = error
-                self._hand_over(lambda: otherwise(fault))
+                self._hand_over(partial(otherwise, error))
                 return
             self._thread = thread
         self._waiting.put(job)

@@ -34,7 +34,7 @@ RECEIVED: tuple[tuple[SpeedSource, type, str, Callable[[bytes], Sample | str]], 
     (SpeedSource.FIXES, NavSatFix, "gps/fix", wire.read_fix),
 )
 
-BETTER = 0.7  # share of the sigma that is kept, below which a newly found yaw is kept instead
+BETTER = 0.7  # share of the sigma that is kept, below which what is newly found is kept instead
 
 
 class Travel:
@@ -171,9 +171,8 @@ class Travel:
         self, source: SpeedSource, read: Callable[[bytes], Sample | str], data: bytes
     ) -> None:
         """Take a message; where it holds no sample, keep why as a complaint."""
-        if source is SpeedSource.ODOMETRY and not self.travelling.wants_speed(
-            wire.read_stamp(data)
-        ):
+        is_by_wheels = source is SpeedSource.ODOMETRY
+        if is_by_wheels and not self.travelling.wants_speed(wire.read_stamp(data)):
             return
         try:
             found = read(data)

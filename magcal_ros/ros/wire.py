@@ -109,9 +109,8 @@ def by_rclpy(data: bytes, kind: type) -> Any:
     """Return a message of any kind; Unreadable if the bytes are none."""
     try:
         return deserialize_message(data, kind)
-    except (
-        Exception
-    ) as error:  # rclpy has several base classes of errors, and the bytes may be anything
+    # rclpy has several base classes of errors, and the bytes may be anything.
+    except Exception as error:
         raise Unreadable(f"bytes that are no {kind.__name__}: {error}") from error
 
 

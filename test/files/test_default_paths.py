@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from magcal_ros.files.default_paths import (
     LONGEST_FRAME,
     RESERVED,
-    SensorFile,
     chosen_path,
     is_missing,
     known_as,
-    ros_home,
+    own_folder,
     safe_name,
+    sensor_file,
 )
 from magcal_ros.files.disk import FileTrouble
 
@@ -35,7 +35,7 @@ def home(tmp_path_factory, monkeypatch):
 @pytest.mark.parametrize("namespace", ["/", "/robot", "/../..", "/a/b"])
 def test_a_file_lies_inside_the_folder_and_can_be_made(home, namespace):
     for frame in HOSTILE:
-        path = SensorFile(frame, namespace).path
+        path = sensor_file(frame, namespace, "calibrator")
         assert (home / "magcal") in path.resolve().parents, frame
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("x")
@@ -68,23 +68,23 @@ def test_a_safe_name_is_plain_and_short(text):
 
 
 def test_an_ordinary_name_stays_readable(home):
-    assert SensorFile("imu_link").path == home / "magcal" / "calibrator.imu_link.yaml"
-    assert SensorFile("mag", "/robot1", "left").path == home / "magcal/robot1/left.mag.yaml"
-    assert SensorFile("").path == home / "magcal" / "calibrator.magnetometer.yaml"
+    assert sensor_file("imu_link", "/", "calibrator") == home / "magcal/calibrator.imu_link.yaml"
+    assert sensor_file("mag", "/robot1", "left") == home / "magcal/robot1/left.mag.yaml"
+    assert sensor_file("", "/", "calibrator") == home / "magcal/calibrator.magnetometer.yaml"
 
 
 def test_nodes_sensors_and_namespaces_have_files_of_their_own():
     spaces = ["/", "/a/b", "/a_b", "/a", "/b/a", "/ab", "/left", "/calibrator"]
     nodes = ["left", "right", "calibrator", "a"]
     frames = ["imu_link", "left", "right", "a", ""]
-    files = [SensorFile(f, s, n) for f in frames for s in spaces for n in nodes]
-    assert len({file.path for file in files}) == len(files)
+    files = [sensor_file(f, s, n) for f in frames for s in spaces for n in nodes]
+    assert len(set(files)) == len(files)
 
 
 def test_without_ros_home_it_is_the_users(monkeypatch):
     monkeypatch.setenv("ROS_HOME", "")
     monkeypatch.setenv("HOME", "/somewhere")
-    assert ros_home() == Path("/somewhere/.ros")
+    assert own_folder() == Path("/somewhere/.ros/magcal")
 
 
 @pytest.mark.parametrize("frame", ["con", "NUL", "Com1", "lpt9"])
@@ -97,7 +97,7 @@ def test_a_home_that_does_not_exist_is_trouble_in_words(monkeypatch):
         chosen_path("~nobody_of_this_name/x")
     monkeypatch.setenv("ROS_HOME", "~nobody_of_this_name")
     with pytest.raises(FileTrouble, match="set ROS_HOME"):
-        _ = SensorFile("mag").path
+        sensor_file("mag", "/", "calibrator")
 
 
 def test_only_what_is_surely_not_there_is_missing(tmp_path):

@@ -52,7 +52,8 @@ def test_a_car_that_leans_outwards_draws_no_larger_swing_than_is_judged(recordin
     outcome, picture = shown(window, Knowledge())
     judged = math.degrees(outcome.estimate.figures[Figure.GYRO_COMPASS_SWING])
     assert drawn_rms(picture) == pytest.approx(judged, rel=0.3)
-    assert f"{judged:.1f}° rms beyond noise, which is judged" in caption_of_gyro(picture)
+    words = caption_of_gyro(picture, picture.corrected)
+    assert f"{judged:.1f}° rms beyond noise, which is judged" in words
 
 
 @pytest.mark.parametrize("swing_deg", first_of([12.0, 20.0]))

@@ -165,7 +165,7 @@ class Explanations:
     def turned(self, k: int) -> float:
         """Return the angle turned about the accelerometer's up, by one way, radians."""
         stretch = self.part
-        up = stretch.up[:-1] / np.linalg.norm(stretch.up[:-1], axis=1, keepdims=True)
+        up = unit(stretch.up[:-1])
         rate = (1.0 + self.parameters[k, SCALE]) * stretch.turn @ self.gyro[k]
         rate = rate - self.parameters[k, BIAS] * stretch.seconds[:, None]
         return float(np.sum(rate * up))

@@ -94,19 +94,20 @@ class Guide:
         """Return the seconds after which what is asked for is given up."""
         return max(TUNING.patience - (now - self._since), 0.0)
 
-    def skip(self, now: float) -> None:
-        """Give up what is asked for now; standing still is needed."""
+    def skip(self, now: float) -> bool:
+        """Give up what is asked for now; returns whether it was: standing still is needed."""
         stage = self.current
-        if stage is not None and stage is not GuideStep.STAND:
-            self._end(stage, False, now)
+        if stage is None or stage is GuideStep.STAND:
+            return False
+        self._end(stage, False, now)
+        return True
 
     def pass_time(self, now: float) -> bool:
         """Let time pass; returns whether a stage was seen or given up."""
-        if now - self._block_began < TUNING.block or self.current is None:
+        stage = self.current
+        if stage is None or now - self._block_began < TUNING.block:
             return False
         self._close_block(now)
-        stage = self.current
-        assert stage is not None
         is_seen = self._seen(stage)
         if is_seen or now - self._since > TUNING.patience:
             self._end(stage, is_seen, now)

@@ -250,14 +250,12 @@ def _latencies(log: SensorLog, way: Way) -> list[Finding]:
             "when it measures, and give it the accelerometer's low-pass filter"
         )
     else:
-        change = (
-            ("subtract {} from", "add it to")
-            if field_lag > 0.0
-            else ("add {} to", "subtract it from")
-        )
+        seconds = f"{abs(field_lag):.3f} s"
+        change = f"add {seconds} to the field's, or subtract it from the IMU's"
+        if field_lag > 0.0:
+            change = f"subtract {seconds} from the field's, or add it to the IMU's"
         of_field = (
-            "stamp both sensors when they measure, or correct the stamps in the driver: "
-            f"{change[0].format(f'{abs(field_lag):.3f} s')} the field's, or {change[1]} the IMU's"
+            f"stamp both sensors when they measure, or correct the stamps in the driver: {change}"
         )
         of_force = (
             f"acceleration and rate of one message are {abs(force_lag) * 1e3:.0f} ms apart: give "

@@ -5,49 +5,31 @@ And the refusal of a turn where the sensors are behind it, in the words of the p
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
-from magcal_ros.core.doctor.blame import LIFT, NOSE, AxesFound, parameter_line
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.doctor.blame import AxesFound, parameter_line
 from magcal_ros.core.doctor.course import AxesInUse, axes_in_use, course_findings
-from magcal_ros.core.doctor.explanations import Way, rate_factors
-from magcal_ros.core.doctor.field_unit import (
-    WRONG_UNIT,
-    by_strength,
-    has_wrong_unit,
-    is_vague,
-    strength_of,
-)
+from magcal_ros.core.doctor.explanations import rate_factors
+from magcal_ros.core.doctor.field_by_movement import WRONG_UNIT, with_field
 from magcal_ros.core.doctor.health import (
     Finding,
     alive_finding,
     dead_axes,
     field_findings,
-    looked_at,
     noise_findings,
-    not_shown,
     stuck_axes,
     up_axis,
 )
-from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
-from magcal_ros.core.doctor.motion import (
-    FULL_TURN,
-    MOVE_THE_SENSOR,
-    TURN_BETWEEN_RESTS,
-    MotionFound,
-    compare,
-)
-from magcal_ros.core.doctor.prepared import CleanLog, prepare
-from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
+from magcal_ros.core.doctor.motion import compare
+from magcal_ros.core.doctor.prepared import prepare
+from magcal_ros.core.doctor.quirks import known_habits, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
-from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, UP
+from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
@@ -100,13 +82,7 @@ def examine(
         return Page((*prepared.findings, *known_habits(log)))
     found = compare(prepared, knowledge, turned_left)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
-    if found.way is not None:
-        lines = by_strength(lines, found.way, knowledge)
-    lines += _of_the_field(prepared, found, knowledge, in_tesla=not has_wrong_unit(lines))
-    if any(line.key == "motors" and line.is_wrong for line in lines):
-        # A field of the motors hides what another turn would show.
-        said = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
-        lines = [replace(f, evidence=each) for f, each in zip(lines, said, strict=True)]
+    lines = with_field(lines, prepared, found, knowledge)
     mount, wrong, axes = None, None, found.axes
     is_field = any(finding.key == "field_axes" for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
@@ -126,146 +102,6 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
     page = examine(SensorLog.of_window(window), knowledge)
     kept = [f for f in page.findings if f.key not in PAIRED]
     return replace(page, findings=tuple(kept))
-
-
-def _of_the_field(
-    prepared: CleanLog, found: MotionFound, knowledge: Knowledge, *, in_tesla: bool
-) -> list[Finding]:
-    if found.way is None or found.body is None:
-        return []
-    if not in_tesla:
-        return [
-            not_shown("reference", AGAINST_REFERENCE, UNIT_FIRST),
-            not_shown("motors", MOTORS, UNIT_FIRST),
-        ]
-    lines = [reference_finding(found.way, knowledge, found.up_is_down)]
-    if not prepared.restamped and np.isfinite(found.body.rate).all():
-        shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
-        lines.append(motors_finding(found.body, found.way, shown))
-    return lines
-
-
-@dataclass(frozen=True)
-class PlaceTuning:
-    """When the field is called another than the reference's, and the motors' one is."""
-
-    strength: float = 0.2  # relative difference
-    inclination: float = math.radians(8.0)  # radians
-    motors: float = 1.5e-6  # tesla that the motors add
-    clear: float = 5.0  # sigmas of that
-    turned_too_far: float = math.radians(25.0)
-    """Radians of heading of that field from which moving the sensor is the better cure: half the
-    level field, where a tenth of it in the motors' current is three degrees."""
-
-
-TUNING = PlaceTuning()
-UNIT_FIRST = "correct the field's unit first, then check again"
-MOTORS, AGAINST_REFERENCE = "field: motors", "field: strength, inclination"
-BETWEEN_RESTS = "stand still, turn, and stand still again"
-ON_THE_SPOT = (
-    "the robot drove while it turned, and the field differs from place to place; stand still, "
-    "turn on the spot, and stand still again"
-)
-MOTORS_OFF = "by hand with the motors off (their field hides it)"
-HIDDEN, BY_HAND = f"turn once {MOTORS_OFF}", f"{NOSE} {MOTORS_OFF}"
-"""What shows the rest where the motors change the field, in place of `FULL_TURN` and `LIFT`."""
-OR_LATE = (
-    ". Late stamps of the field look the same: to tell them apart, start and stop several times "
-    "while you turn"
-)
-
-
-def reference_finding(way: Way, knowledge: Knowledge, up_is_down: bool | None) -> Finding:
-    """Compare strength and inclination with the reference, by one way."""
-    size, vector = way.part.size, way.state[FIELD]
-    up = way.state[UP] * (-1.0 if up_is_down else 1.0)
-    whole = strength_of(way)
-    strength, off = whole.value, whole.sigma
-    if is_vague(whole):
-        upwards = None if up_is_down is not False else _points_up(way, knowledge)
-        return upwards or not_shown("reference", AGAINST_REFERENCE, LIFT)
-    along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
-    dip = -math.asin(max(-1.0, min(1.0, along)))
-    iron = float(np.linalg.norm(way.state[IRON])) * size
-    evidence = (
-        f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT without the hard iron of {iron * 1e6:.0f} µT, "
-        f"inclination {math.degrees(dip):.0f}°"
-    )
-    believed = knowledge.reference
-    wrong = []
-    if not believed.strength.is_unknown:
-        spread = math.hypot(off, believed.strength.sigma)
-        apart = abs(strength - believed.strength.value)
-        if apart > max(TUNING.strength * believed.strength.value, CLEAR * spread):
-            wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
-    if not believed.inclination.is_unknown and up_is_down is not None:
-        spread = math.hypot(off / strength, believed.inclination.sigma)
-        limit = max(TUNING.inclination, CLEAR * spread)
-        if abs(dip - believed.inclination.value) > limit:
-            if abs(dip + believed.inclination.value) <= limit:
-                return looked_at("inclination_sign", AGAINST_REFERENCE, evidence, FIELD_POINTS_UP)
-            wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
-    remedy = (
-        f"the reference field has {' and '.join(wrong)}: turn farther away from iron and walls. If "
-        "the difference is the same everywhere, the magnetometer's scale or unit is wrong"
-    )
-    return looked_at("reference", AGAINST_REFERENCE, evidence, remedy * bool(wrong))
-
-
-def _points_up(way: Way, knowledge: Knowledge) -> Finding | None:
-    """Return that the field points up after a level turn, where that takes much less hard iron."""
-    believed = knowledge.reference
-    if not (way.is_plain and believed.is_complete):
-        return None
-    up = unit(way.state[UP])
-    field, iron = (way.part.size * way.state[part] for part in (FIELD, IRON))
-    field_off, iron_off = (way.part.size * way.sigma[part] for part in (FIELD, IRON))
-    along = -believed.strength.value * math.sin(believed.inclination.value)
-    # The movement may contradict the other sign.
-    if abs(float(up @ field) + along) > CLEAR * float(np.linalg.norm(field_off * up)):
-        return None
-    axial = float(up @ iron)
-    both = float(up @ field) + axial
-    own, other = abs(both - along), abs(both + along)
-    across = float(iron @ iron) - axial**2 + float(iron_off**2 @ (1.0 - up**2))
-    across = max(across, axial_field_variance(knowledge))
-    if not is_likelier(other, own, across):
-        return None
-    evidence = (
-        f"vertical hard iron of {own * 1e6:.0f} µT, or of {other * 1e6:.0f} µT if the field points "
-        "the other way"
-    )
-    remedy = f"either the robot has that much iron, or {FIELD_POINTS_UP}"
-    return looked_at("inclination_sign", AGAINST_REFERENCE, evidence, remedy)
-
-
-def motors_finding(log: SensorLog, way: Way, lag_is_shown: bool) -> Finding:
-    """Look for a field that is there while the robot turns alone; a late one looks like it."""
-    state = way.state
-    found = motors_field(log, way, float(state[LAG]) if lag_is_shown else 0.0)
-    if found is None:
-        return not_shown("motors", MOTORS, BETWEEN_RESTS)
-    if drove_while_turning(log, way.gyro, state[BIAS]):
-        return not_shown("motors", MOTORS, ON_THE_SPOT)
-    field, covariance = found
-    off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
-    strength = float(np.linalg.norm(field))
-    is_seen = float(field @ np.linalg.solve(covariance, field)) > TUNING.clear**2
-    is_seen &= strength > TUNING.motors
-    if off > TUNING.motors and not is_seen:
-        return not_shown("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
-    level = way.part.size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
-    turned = math.atan2(strength, level)
-    words = ", ".join(f"{value * 1e6:+.1f}" for value in field)
-    evidence = (
-        f"({words}) ± {off * 1e6:.1f} µT while the robot turns: up to {math.degrees(turned):.0f}° "
-        "of heading"
-    )
-    if strength <= TUNING.motors:
-        evidence = f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT while the robot turns"
-    remedy = MOVE_THE_SENSOR if turned > TUNING.turned_too_far else TURN_BETWEEN_RESTS
-    remedy += "" if lag_is_shown else OR_LATE
-    return looked_at("motors", MOTORS, evidence, remedy * is_seen)
 
 
 AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")

@@ -41,20 +41,18 @@ def prepare(log: SensorLog) -> CleanLog:
     log = replace(log, imu_time=log.imu_time - first, field_time=log.field_time - first)
     findings: list[Finding] = []
     burst = False
-    numbers = _numbers(log)
-    for name, are_numbers in zip(("imu", "field"), numbers, strict=True):
+    imu, field = _numbers(log)
+    for name, sensor, are_numbers in (("imu", "IMU", imu), ("field", "field", field)):
         time = getattr(log, f"{name}_time")
         increasing = np.unique(time)
         if are_numbers.sum() <= TUNING.fewest or len(increasing) <= TUNING.fewest:
             continue
-        sensor = "IMU" if name == "imu" else "field"
         findings.append(health.stamps_finding(sensor, increasing))
         findings += health.numbers_findings(sensor, are_numbers)
         if bursts_in_words(increasing):
             burst = True
             even = spread_bursts(time)
             log = replace(log, **{f"{name}_time": spread_each(time) if even is None else even})
-    imu, field = numbers
     imu &= np.linalg.norm(log.force, axis=1) > 0.0
     field &= np.linalg.norm(np.where(field[:, None], log.field, 0.0), axis=1) > 0.0
     log = _taken(log, imu, field)

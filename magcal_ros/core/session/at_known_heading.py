@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from magcal_ros.core.assessment.grading import DEGREES
 from magcal_ros.core.calibrate import Outcome, judged
 from magcal_ros.core.calibration.calibration import Calibration, yaw_jacobian
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
@@ -22,14 +23,7 @@ from magcal_ros.core.methods.known_headings import declination_hint, fit, next_h
 from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session import external_heading
-from magcal_ros.core.session.external_heading import (
-    DEGREES,
-    LOG,
-    TUNING,
-    UNKNOWN_TURN,
-    ExternalHeading,
-    GyroTurn,
-)
+from magcal_ros.core.session.external_heading import LOG, TUNING, ExternalHeading, GyroTurn
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import MICROTESLA, SIZES, STANDING
 from magcal_ros.core.up.follower import UpFollower
@@ -77,7 +71,7 @@ class CollectedSamples:
     knowledge: Knowledge
     """With the declination, if the heading is to true north."""
     forward: FloatArray  # direction in the IMU's axes whose heading it is. Shape (3,).
-    since: GyroTurn = UNKNOWN_TURN  # by the gyro since the standing before
+    since: GyroTurn = field(default_factory=GyroTurn)  # by the gyro since the standing before
     bias: Triple = (0.0, 0.0, 0.0)  # the gyro's, as far as it is known, rad/s
 
     def standing(self) -> Standing:
@@ -345,7 +339,7 @@ class HeadingCollector:
         self.check = external_heading.HeadingAgainstGyro()
         self.log: HeadingLog | None = None
         self.newest = HeadingSample(-math.inf, 0.0, 1.0)
-        self._turn = UNKNOWN_TURN
+        self._turn = GyroTurn()
 
     def on_imu(self, stamp: float) -> None:
         """Take the turn up to an IMU message, seconds, that `up` has received already."""

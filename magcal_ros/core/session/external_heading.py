@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magcal_ros.core.assessment.grading import DEGREES
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.attitude import mean_angle, wrapped
@@ -16,8 +17,6 @@ from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.heading.yaw_filter import BIAS_WALK, FUSION, UNKNOWN_YAW
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, HeadingSample
-
-DEGREES = 180.0 / math.pi
 
 
 @dataclass(frozen=True)
@@ -147,9 +146,6 @@ class GyroTurn(NamedTuple):
             return math.inf
         walked = BIAS_WALK**2 * self.seconds**3 / 3.0
         return math.sqrt(self.variance + self.by_bias**2 + walked)
-
-
-UNKNOWN_TURN = GyroTurn()
 
 
 class HeadingAgainstGyro:

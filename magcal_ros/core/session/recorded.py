@@ -282,7 +282,6 @@ def without_motors(
         return
     compass, up, sense = Compass(calibration), UpFollower(), MotionSense()
     speeds = [(each.stamp, each.speed) for each in travel if isinstance(each, SpeedSample)]
-    back = calibration.correction
     for reading in readings:
         if isinstance(reading, ImuSample):
             up.add(reading)
@@ -294,7 +293,7 @@ def without_motors(
             reference = calibration.motors.reference
             running = sense.at(stamp, rate, up.is_at_rest, *inputs, reference)
             field, _ = compass.at_rest(stamp, reading.field, rate, running)
-            x, y, z = back.undo(np.array(field)).tolist()
+            x, y, z = calibration.correction.undo(np.array(field)).tolist()
             yield FieldSample(stamp, (x, y, z))
             continue
         yield reading

@@ -311,11 +311,8 @@ class RotationProof:
             return ""
         self._asked = now
         found = objection_to_gyro(*self._angles_and_field())
-        return (
-            f"{found}: the gyro is frozen, or the robot turns faster than the gyro's range"
-            if found
-            else ""
-        )
+        why = "the gyro is frozen, or the robot turns faster than the gyro's range"
+        return f"{found}: {why}" if found else ""
 
     def explain(self, fault: Fault, seen: Seen, command: float) -> str:
         """Return what is wrong and what to check, for a fault at a command in rad/s."""

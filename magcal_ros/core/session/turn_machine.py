@@ -105,7 +105,6 @@ class Saving:
     state: ClassVar = TurnState.SAVING
 
 
-TurnStage: TypeAlias = Collecting | Fitting | Saving
 Command: TypeAlias = Conclusion | Preview | FitTurn | PutInForce | MoveBase
 """Something that the owner of the state machine has to do."""
 
@@ -133,7 +132,7 @@ class TurnMachine:
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
         self.last_conclusion: Conclusion | None = None
-        self._stage: TurnStage | None = None
+        self._stage: Collecting | Fitting | Saving | None = None
         self._kept = Kept()
         self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NO_SENSORS
         self._commands: list[Command] = []
@@ -230,11 +229,8 @@ class TurnMachine:
     def _look_ahead(self, stage: Collecting, progress: Progress, now: float) -> None:
         """Ask at intervals how certain a fit would be already, and once the circle is complete."""
         waits = progress.coverage.is_complete and not stage.session.was_seen_whole
-        if (
-            stage.asked is None
-            and progress.coverage.arc > TUNING.preview_arc
-            and (now > stage.next_preview or waits)
-        ):
+        is_due = now > stage.next_preview or waits
+        if stage.asked is None and is_due and progress.coverage.arc > TUNING.preview_arc:
             window = self.last_window = stage.session.look()
             asked = Preview(window, stage.brief)
             self._stage = replace(stage, asked=asked, asked_at=now)
