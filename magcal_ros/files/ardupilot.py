@@ -35,10 +35,11 @@ SUFFIXES = (".bin", ".log", ".tlog")
 TESLA = 1e-7  # in a milligauss
 
 NAMES = logs.Names(
-    logs.Name("IMU", "let LOG_BITMASK log IMU, and record again"),
+    logs.Name("IMU", "let LOG_BITMASK log IMU, and record again", "GH or AH is 0"),
     logs.Name(
         "MAG",
         "check COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
+        "Health is 0",
     ),
 )
 TELEMETRY_NAMES = logs.Names(
@@ -129,8 +130,11 @@ def _logged(found: DataFlash) -> _Logged:
     for number, part in _instances(found, "IMU"):
         healthy = (part[:, 8] != 0.0) & (part[:, 9] != 0.0)
         out.imus[number] = part[healthy][:, [0, *range(2, 8)]]
+        out.tables.unhealthy_imus[number] = int((~healthy).sum())
     for number, part in _instances(found, "MAG"):
-        out.mags[number] = part[part[:, 11] != 0.0][:, [0, *range(2, 11)]]
+        healthy = part[:, 11] != 0.0
+        out.mags[number] = part[healthy][:, [0, *range(2, 11)]]
+        out.tables.unhealthy_fields[number] = int((~healthy).sum())
     if "ATT" in found.tables:
         stamps, bearing = found.tables["ATT"].T
         out.tables.yaw = np.column_stack([stamps, np.radians(90.0 - bearing)])

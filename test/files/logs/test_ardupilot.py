@@ -115,7 +115,7 @@ def test_the_first_living_compass_is_taken_and_another_can_be_chosen(tmp_path):
     path = write_bin(tmp_path / "a.bin", SAMPLES, compasses=two_compasses)
     source, readings = read(path)
     assert source.field_topic == "MAG[1]"
-    assert "MAG[0] never changes" in source.notes[0]
+    assert "MAG[0] holds one value" in source.notes[0]
     assert numbers(readings)[1] == pytest.approx(FIELD, abs=1.2e-7)
     with pytest.raises(FileTrouble, match=r"MAG\[0\] holds one value"):
         read(path, field="MAG[0]")
@@ -204,6 +204,31 @@ def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
     without = write_bin(tmp_path / "b.bin", SAMPLES, compasses=lambda _: {})
     with pytest.raises(FileTrouble, match="no MAG data: check COMPASS_ENABLE"):
         read(without)
+
+
+def test_a_magnetometer_that_the_autopilot_calls_unhealthy_is_named_so(tmp_path):
+    path = write_bin(tmp_path / "a.bin", SAMPLES, unhealthy=lambda *_: True)
+    words = rf"calls MAG\[0\] unhealthy in all its {len(FIELD)} samples \(Health is 0\).*wiring"
+    with pytest.raises(FileTrouble, match=words):
+        read(path)
+    first = write_bin(
+        tmp_path / "b.bin", SAMPLES, compasses=both, unhealthy=lambda number, _: number == 0
+    )
+    source, readings = read(first)
+    assert source.field_topic == "MAG[1]"
+    assert "calls MAG[0] unhealthy in all" in source.notes[0]
+    assert numbers(readings)[1] == pytest.approx(FIELD, abs=1.2e-7)
+    with pytest.raises(FileTrouble, match=r"calls MAG\[0\] unhealthy"):
+        read(first, field="MAG[0]")
+
+
+def test_samples_that_are_left_out_as_unhealthy_are_counted(tmp_path):
+    begun = SAMPLES[0].stamp
+    path = write_bin(tmp_path / "a.bin", SAMPLES, unhealthy=lambda _, stamp: stamp < begun + 1.0)
+    source, readings = read(path)
+    left_out = len(FIELD) - len(numbers(readings)[1])
+    assert 10 < left_out < len(FIELD)
+    assert f"{left_out} of {len(FIELD)} samples of MAG[0] are left out" in source.notes[0]
 
 
 def test_without_the_library_the_words_name_it(tmp_path, monkeypatch):
