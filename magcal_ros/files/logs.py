@@ -260,6 +260,8 @@ def begun_with(path: Path, count: int) -> bytes:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileTrouble(f"cannot read {plain(str(path))}: {reason}") from error
+    if not size:
+        raise FileTrouble(f"{plain(str(path))} is empty: copy or download it again")
     if size > LARGEST_LOG:
         raise FileTrouble(
             f"{plain(str(path))} has {size / GIGABYTE:.1f} GiB, and logs up to "

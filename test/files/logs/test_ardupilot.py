@@ -241,7 +241,10 @@ def test_without_the_library_the_words_name_it(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["a.bin", "a.log", "a.tlog", "a.ulg"])
 def test_anything_else_by_that_name_is_trouble_in_words(tmp_path, name):
     path = tmp_path / name
-    for content in (b"", b"\xa3\x95" + bytes(range(256)) * 30, b"FMT, 1\nFMT,", b"\0" * 9000):
+    path.touch()
+    with pytest.raises(FileTrouble, match="is empty"):
+        read(path)
+    for content in (b"\xa3\x95" + bytes(range(256)) * 30, b"FMT, 1\nFMT,", b"\0" * 9000):
         path.write_bytes(content)
         with pytest.raises(FileTrouble, match=r"a\."):
             read(path)
