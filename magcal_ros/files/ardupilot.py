@@ -162,15 +162,19 @@ def _instances(found: DataFlash, kind: str) -> Iterable[tuple[int, FloatArray]]:
 
 def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
     reader = logs.library(path, "pymavlink.mavutil", "ardupilot").mavlogfile(str(path))
-    read, count = _Telemetry(), 0
+    read, count, known = _Telemetry(), 0, 0
     try:
         while (message := reader.recv_msg()) is not None:
             if count % logs.EVERY == 0:
                 deadline.report(0.01 * reader.percent)
             count += 1
-            read.take(message.get_type(), message)
+            kind = message.get_type()
+            known += not kind.startswith(("BAD_DATA", "UNKNOWN"))
+            read.take(kind, message)
     finally:
         reader.close()
+    if not known:
+        raise FileTrouble(f"{plain(str(path))} is not a telemetry log: no MAVLink message is in it")
     return read.logged()
 
 

@@ -251,6 +251,15 @@ def test_anything_else_by_that_name_is_trouble_in_words(tmp_path, name):
 
 
 @pytest.mark.faults
+@pytest.mark.parametrize("content", [b"a letter, and no log\n" * 50, bytes(range(256)) * 50])
+def test_anything_else_is_no_telemetry_without_imu(tmp_path, content):
+    path = tmp_path / "a.tlog"
+    path.write_bytes(content)
+    with pytest.raises(FileTrouble, match="is not a telemetry log"):
+        read(path)
+
+
+@pytest.mark.faults
 def test_a_log_that_was_cut_short_or_damaged_is_read_as_far_as_it_goes(tmp_path, capsys):
     path = write_bin(tmp_path / "a.bin", SAMPLES)
     whole = path.read_bytes()
