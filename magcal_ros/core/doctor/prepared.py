@@ -191,8 +191,11 @@ def _apart(log: SensorLog) -> float:
     if not log.has_gyro or last - first > TUNING.longest:
         return 0.0
     edges = np.arange(first, last + TUNING.pace_step, TUNING.pace_step)
-    gyro = np.linalg.norm(block_means(log.imu_time, log.rate, edges), axis=1)
-    field = block_means(log.field_time, log.field, edges)
+    # A sensor that is frozen does not show when the robot turned.
+    fresh = ~health.in_long_runs(health.repeats(log.rate))
+    gyro = np.linalg.norm(block_means(log.imu_time[fresh], log.rate[fresh], edges), axis=1)
+    fresh = ~health.in_long_runs(health.repeats(log.field))
+    field = block_means(log.field_time[fresh], log.field[fresh], edges)
     moved = np.zeros(len(gyro))
     moved[1:-1] = np.linalg.norm(field[2:] - field[:-2], axis=1)
     # One jolt of each sensor is alike at some shift by chance.
