@@ -2,7 +2,7 @@
 
 Each recording is told again as `magcal drive` does, all of it and its halves: from nothing, and
 with the calibration in force that the smoother finds on all of it, which nothing should replace.
-Where more than six minutes were driven, 10 µT are added after two of them, in four directions.
+Where more than six minutes were driven, 10 µT are added after two of them, in eight directions.
 Degrees of heading, RMS against the truth on the whole recording, a constant taken off. With
 `--changed` other sensors have recorded the same drives (`changed_recordings.py`).
 """
@@ -50,8 +50,8 @@ def main() -> None:
                 windows += 1
                 worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, begun, story)
             if drive.everything.time[-1] - drive.everything.time[0] > LONG:
-                for quarter in range(4):
-                    _tell_change(drive, begun, quarter * 0.5 * math.pi)
+                for eighth in range(8):
+                    _tell_change(drive, begun, eighth * 0.25 * math.pi)
     print(f"with a calibration in force: {windows} windows, {worse} made worse by > {WORSE}°")
 
 
