@@ -65,7 +65,7 @@ def main() -> None:
 
 def roughly(known: Calibration, seed: int) -> Calibration:
     """Return a calibration as it may be where the level hard iron is known roughly."""
-    sigma = ROUGH * known.circle_radius * np.array([1.0, 1.0, 0.0])
+    sigma = ROUGH * known.strength * math.cos(known.inclination) * np.array([1.0, 1.0, 0.0])
     off = np.random.default_rng([34, seed]).normal(0.0, 1.0, 3) * sigma
     covariance = known.covariance.copy()
     covariance[9:, 9:] += np.diag(sigma**2)
