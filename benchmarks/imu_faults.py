@@ -85,12 +85,12 @@ def main() -> None:
 
 def two_at_once(motion: str, runs: int, seed: int) -> None:
     row, worst = Row(), Counter[str]()
-    for one, two in itertools.combinations(FAULTS, 2):
+    for pair, (one, two) in enumerate(itertools.combinations(FAULTS, 2)):
         keys = {*FAULTS[one][1], *FAULTS[two][1]}
         if len(keys) < 2 or {one, two} & set(CANNOT_SHOW.get(motion, ())):
             continue
         for number in range(runs):
-            rng = np.random.default_rng([seed, 3, number])
+            rng = np.random.default_rng([seed, 3, pair, number])  # another robot for each
             before = row.found
             case = spoilt(good_case(rng, motion), rng, FAULTS[one][0])
             row.add(keys, spoilt(case, rng, FAULTS[two][0]))

@@ -2,7 +2,9 @@
 
 Each recording is told again as `magcal drive` does, all of it and its halves: from nothing, and
 with the calibration in force that the smoother finds on all of it, which nothing should replace.
-Where more than six minutes were driven, 10 µT are added after two of them, in four directions.
+Where more than six minutes were driven, 10 µT are added after two of them, in eight directions; and
+a rough calibration is in force, off by draws of its own uncertainty, which a better one should
+replace.
 Degrees of heading, RMS against the truth on the whole recording, a constant taken off. With
 `--changed` other sensors have recorded the same drives (`changed_recordings.py`).
 """
@@ -30,6 +32,9 @@ from magcal_ros.core.samples.streams import FieldSample
 
 WORSE = 0.3
 LONG, CHANGE_AT, ADDED = 360.0, 120.0, 10e-6
+ROUGH = math.radians(10.7)
+"""Standard deviation of the level hard iron of a rough calibration, over the level field."""
+DRAWS = (1, 2)
 
 
 def main() -> None:
@@ -50,12 +55,27 @@ def main() -> None:
                 windows += 1
                 worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, begun, story)
             if drive.everything.time[-1] - drive.everything.time[0] > LONG:
-                for quarter in range(4):
-                    _tell_change(drive, begun, quarter * 0.5 * math.pi)
+                for seed in DRAWS:
+                    rough = roughly(begun, seed)
+                    _tell(f"a rough one in force, draw {seed}", drive, rough, told(drive, rough))
+                for eighth in range(8):
+                    _tell_change(drive, begun, eighth * 0.25 * math.pi)
     print(f"with a calibration in force: {windows} windows, {worse} made worse by > {WORSE}°")
 
 
-def told(drive: Drive, begun: Calibration | None, first: float, last: float) -> DriveStory:
+def roughly(known: Calibration, seed: int) -> Calibration:
+    """Return a calibration as it may be where the level hard iron is known roughly."""
+    sigma = ROUGH * known.strength * math.cos(known.inclination) * np.array([1.0, 1.0, 0.0])
+    off = np.random.default_rng([34, seed]).normal(0.0, 1.0, 3) * sigma
+    covariance = known.covariance.copy()
+    covariance[9:, 9:] += np.diag(sigma**2)
+    correction = replace(known.correction, hard_iron=known.correction.hard_iron + off)
+    return replace(known, correction=correction, covariance=covariance)
+
+
+def told(
+    drive: Drive, begun: Calibration | None, first: float = 0.0, last: float = 1.0
+) -> DriveStory:
     time = drive.everything.time
     start, stop = (time[0] + share * (time[-1] - time[0]) for share in (first, last))
     samples = (each for each in drive.recording.samples() if start <= each.stamp <= stop)

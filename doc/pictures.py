@@ -1,18 +1,25 @@
-"""Draws the pictures of pages that magcal writes, from simulated sensors alone.
+"""Draws the pictures of what magcal writes, from simulated sensors alone.
 
-`python doc/pictures.py` (by `make pictures`) writes `doc/pictures/*.png`. Takes the browser
-Chromium, and Pillow, which matplotlib brings along.
+`python doc/pictures.py [NAME ...]` (by `make pictures`) writes `doc/pictures/*.png`: pages, and
+terminals of 80 and 120 columns. Takes the browser Chromium, Pillow, which matplotlib brings along,
+and for the demo ROS.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import html
 import math
 import os
+import pty
+import re
 import shutil
+import struct
 import subprocess
 import sys
 import tempfile
+import termios
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -34,6 +41,8 @@ from magcal_ros.core.geometry.rotations import rotation_about  # noqa: E402
 from magcal_ros.core.simulation import UP_ENU  # noqa: E402
 
 FOLDER = CHECKOUT / "doc" / "pictures"
+PICTURES = ("report", "drive", "doctor_80", "demo_80", "demo_120")
+"""Names of the files; a number is the width of a terminal in columns."""
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 REFERENCE = ("--reference-strength-ut", "48", "--reference-inclination-deg", "65")
 WIDTH, TALLEST = 1000, 4000
@@ -44,6 +53,12 @@ BELOW = 12
 """Pixels that stay under the last line."""
 COLOURS = 256
 """Of each picture: it is small, and nobody sees the others."""
+TERMINAL = (
+    "<meta charset='utf-8'><style>body {margin: 0} pre {font: 13px/1.3 'DejaVu Sans Mono', "
+    "monospace; color: #eee; background: #222; padding: 10px; margin: 0}</style>"
+)
+TEXT_OR_CONTROL = r"(\n|[^\n\r\x1b]+)|\x1b\[(?:(\d+)A|(2K)|[?;\d]*[A-Za-z])"
+"""Text, or how the panel goes up a line and erases it, or a colour and the like."""
 RATE, MINUTES = 25.0, 8.0
 """Hz of the sensors, and length of the drive."""
 
@@ -90,6 +105,47 @@ def written(command: str, folder: Path) -> Path:
     return output.resolve() / "report.html"
 
 
+def typed(columns: int, *words: str) -> str:
+    """Return what a terminal of so many columns shows when a command has ended."""
+    process, terminal = pty.fork()
+    if process == 0:
+        os.environ.pop("COLUMNS", None)
+        os.environ |= {"TERM": "xterm", "PYTHONPATH": str(CHECKOUT)}
+        os.execv(sys.executable, [sys.executable, "-m", "magcal_ros.cli.main", *words])
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 60, columns, 0, 0))
+    written = b""
+    with contextlib.suppress(OSError):  # that is how a terminal ends
+        while part := os.read(terminal, 65536):
+            written += part
+    if os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]) != 0:
+        raise SystemExit(f"magcal {words[0]} failed: {written.decode(errors='replace')}")
+    return shown(written.decode())
+
+
+def shown(written: str) -> str:
+    """Return the lines that stay where some were erased and drawn again, without colours."""
+    lines, row = [""], 0
+    for text, up, erases in re.findall(TEXT_OR_CONTROL, written):
+        if up:
+            row -= int(up)
+        elif erases:
+            lines[row] = ""
+        elif text == "\n":
+            row += 1
+            lines += [""] * (row == len(lines))
+        else:
+            lines[row] += text  # empty for a colour
+    return "\n".join(line.rstrip() for line in lines).strip("\n")
+
+
+def photograph_terminal(name: str, columns: int, *words: str) -> None:
+    """Draw a terminal after a command."""
+    page = Path(f"{name}.html")
+    text = html.escape(f"$ magcal {' '.join(words)}\n{typed(columns, *words)}")
+    page.write_text(f"{TERMINAL}<pre style='width: {columns}ch'>{text}</pre>", encoding="utf-8")
+    photograph(page.resolve(), FOLDER / f"{name}.png")
+
+
 def photograph(page: Path, picture: Path, height: int = TALLEST) -> None:
     """Draw the first lines of a page as the browser shows them."""
     browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
@@ -105,8 +161,8 @@ def photograph(page: Path, picture: Path, height: int = TALLEST) -> None:
     )
     seen = Image.open(target).convert("RGB")
     paper = Image.new("RGB", seen.size, "white")
-    _, _, _, end = ImageChops.difference(seen, paper).getbbox() or (0, 0, 0, height)
-    cut = seen.crop((0, 0, WIDTH, min(end + BELOW, height)))
+    _, _, right, end = ImageChops.difference(seen, paper).getbbox() or (0, 0, WIDTH, height)
+    cut = seen.crop((0, 0, min(right + BELOW, WIDTH), min(end + BELOW, height)))
     picture.parent.mkdir(exist_ok=True)
     # An octree keeps the colours of a few marks, too.
     few = cut.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
@@ -117,15 +173,21 @@ def photograph(page: Path, picture: Path, height: int = TALLEST) -> None:
 def draw(names: Iterable[str]) -> None:
     """Draw some of the pictures."""
     for name in names:
-        if name == "report":
+        kind, _, columns = name.partition("_")
+        if kind == "report":
             a_turn(Path("turn"))
             photograph(written("fit", Path("turn")), FOLDER / "report.png", REPORT)
-        else:
+        elif kind == "drive":
             a_drive(Path("drive"))
             photograph(written("drive", Path("drive")), FOLDER / "drive.png")
+        elif kind == "doctor":
+            a_turn(Path("turn"))
+            photograph_terminal(name, int(columns), "doctor", "turn", *REFERENCE)
+        else:
+            photograph_terminal(name, int(columns), "demo", "--speed", "4")
 
 
 if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory(prefix="magcal_") as place:
         os.chdir(place)
-        draw(sys.argv[1:] or ("report", "drive"))
+        draw(sys.argv[1:] or PICTURES)

@@ -57,6 +57,7 @@ def ardupilot_rows(
     parameters=(),
     lane=None,
     imus=(0,),
+    unhealthy=lambda number, stamp: False,
 ):
     """Name and values of every message.
 
@@ -64,6 +65,7 @@ def ardupilot_rows(
     `first` is the stamp at which the log began; None at the first sample. The calibration has the
     parameters of `slot`, `motors` gives its part of the motors (mG) by stamp. `parameters` are
     others. `lane` is the EKF's lane and its compass; of the IMUs the last one tells the truth.
+    `unhealthy` says of a compass's number and a stamp whether its Health is 0.
     """
     matrix = np.eye(3) if matrix is None else matrix
     begun = min(sample.stamp for sample in samples)
@@ -101,7 +103,8 @@ def ardupilot_rows(
         for number, field in fields.items():
             milli = np.trunc(logged(field, offsets, matrix, scale, part)).astype(int)
             others = np.trunc([*offsets, *part]).astype(int)  # cut, not rounded, by a cast in C++
-            yield "MAG", (at(sample.stamp), number, *milli, *others, 1)
+            health = int(not unhealthy(number, sample.stamp))
+            yield "MAG", (at(sample.stamp), number, *milli, *others, health)
 
 
 def _packed(name, values):

@@ -35,10 +35,11 @@ SUFFIXES = (".bin", ".log", ".tlog")
 TESLA = 1e-7  # in a milligauss
 
 NAMES = logs.Names(
-    logs.Name("IMU", "let LOG_BITMASK log IMU, and record again"),
+    logs.Name("IMU", "let LOG_BITMASK log IMU, and record again", "GH or AH is 0"),
     logs.Name(
         "MAG",
         "check COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
+        "Health is 0",
     ),
 )
 TELEMETRY_NAMES = logs.Names(
@@ -129,8 +130,11 @@ def _logged(found: DataFlash) -> _Logged:
     for number, part in _instances(found, "IMU"):
         healthy = (part[:, 8] != 0.0) & (part[:, 9] != 0.0)
         out.imus[number] = part[healthy][:, [0, *range(2, 8)]]
+        out.tables.unhealthy_imus[number] = int((~healthy).sum())
     for number, part in _instances(found, "MAG"):
-        out.mags[number] = part[part[:, 11] != 0.0][:, [0, *range(2, 11)]]
+        healthy = part[:, 11] != 0.0
+        out.mags[number] = part[healthy][:, [0, *range(2, 11)]]
+        out.tables.unhealthy_fields[number] = int((~healthy).sum())
     if "ATT" in found.tables:
         stamps, bearing = found.tables["ATT"].T
         out.tables.yaw = np.column_stack([stamps, np.radians(90.0 - bearing)])
@@ -158,15 +162,19 @@ def _instances(found: DataFlash, kind: str) -> Iterable[tuple[int, FloatArray]]:
 
 def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
     reader = logs.library(path, "pymavlink.mavutil", "ardupilot").mavlogfile(str(path))
-    read, count = _Telemetry(), 0
+    read, count, known = _Telemetry(), 0, 0
     try:
         while (message := reader.recv_msg()) is not None:
             if count % logs.EVERY == 0:
                 deadline.report(0.01 * reader.percent)
             count += 1
-            read.take(message.get_type(), message)
+            kind = message.get_type()
+            known += not kind.startswith(("BAD_DATA", "UNKNOWN"))
+            read.take(kind, message)
     finally:
         reader.close()
+    if not known:
+        raise FileTrouble(f"{plain(str(path))} is not a telemetry log: no MAVLink message is in it")
     return read.logged()
 
 

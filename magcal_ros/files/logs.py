@@ -83,6 +83,9 @@ class LogTables:
     """What is said if the magnetometer is taken."""
     imu_order: Order = Order()
     field_order: Order = Order()
+    unhealthy_imus: dict[int, int] = field(default_factory=dict)
+    unhealthy_fields: dict[int, int] = field(default_factory=dict)
+    """How many samples of a sensor are left out, as the autopilot calls it unhealthy in them."""
     fixes: list[Fix] = field(default_factory=list)
     velocities: list[VelocitySample] = field(default_factory=list)
     yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
@@ -95,6 +98,7 @@ class Name(NamedTuple):
 
     name: str
     remedy: str
+    health: str = ""  # how the log says that the autopilot calls it unhealthy
 
 
 class Names(NamedTuple):
@@ -109,8 +113,10 @@ def recording_of(
 ) -> Recording:
     """Choose the sensors and return what they recorded; a FileTrouble if none gives data."""
     notes = list(tables.notes)
-    one = _chosen(path, tables.imus, tables.imu_order, names.imu, imu, notes)
-    other = _chosen(path, tables.fields, tables.field_order, names.field, mag, notes, "--mag")
+    imus = _Kind(names.imu, tables.imus, tables.unhealthy_imus, tables.imu_order, "--imu")
+    one = _chosen(path, imus, imu, notes)
+    fields = _Kind(names.field, tables.fields, tables.unhealthy_fields, tables.field_order, "--mag")
+    other = _chosen(path, fields, mag, notes)
     notes += tables.field_notes.get(other, ())
     travel, place = travel_of([*tables.velocities, *tables.fixes])
     return Recording(
@@ -126,22 +132,50 @@ def recording_of(
     )
 
 
-def _chosen(
-    path: Path,
-    sensors: Mapping[int, FloatArray],
-    order: Order,
-    called: Name,
-    wanted: str,
-    notes: list[str],
-    option: str = "--imu",
-) -> int:
+@dataclass(frozen=True)
+class _Kind:
+    """The sensors of a kind that a log has, by number."""
+
+    called: Name
+    sensors: Mapping[int, FloatArray]
+    unhealthy: Mapping[int, int]
+    order: Order
+    option: str
+
+    def name(self, number: int) -> str:
+        return f"{self.called.name}[{number}]"
+
+    def count(self, number: int) -> int:
+        return len(self.sensors.get(number, ()))
+
+    def works(self, number: int) -> bool:
+        return self.count(number) > 0 and varies(self.sensors[number][:, 1:4])
+
+    def fault(self, number: int) -> str:
+        """Say why a sensor does not work."""
+        left_out = self.unhealthy.get(number, 0)
+        if left_out and not self.count(number):
+            return (
+                f"the autopilot calls {self.name(number)} unhealthy in all its {left_out} samples "
+                f"({self.called.health}): it receives no readings from it"
+            )
+        return (
+            f"{self.name(number)} holds one value, or none, in all its {self.count(number)} samples"
+        )
+
+
+def _chosen(path: Path, kind: _Kind, wanted: str, notes: list[str]) -> int:
     """Return the number of the sensor to take."""
-    name, remedy = called
+    name, remedy, _ = kind.called
+    order, option = kind.order, kind.option
     rank = {number: place for place, number in enumerate(order.numbers)}
-    numbers = sorted(sensors, key=lambda number: (rank.get(number, len(rank)), number))
-    every = ", ".join(f"{name}[{k}]" for k in sorted(numbers))
+    numbers = sorted(
+        {*kind.sensors, *kind.unhealthy},
+        key=lambda number: (rank.get(number, len(rank)), number),
+    )
+    every = ", ".join(kind.name(k) for k in sorted(numbers))
     if wanted:
-        found = [k for k in numbers if wanted in (f"{name}[{k}]", str(k))]
+        found = [k for k in numbers if wanted in (kind.name(k), str(k))]
         if not found:
             raise FileTrouble(
                 f"{plain(str(path))} has no {plain(wanted)}; it has: {every or 'none'}. "
@@ -150,23 +184,28 @@ def _chosen(
         numbers = found
     if not numbers:
         raise FileTrouble(f"{plain(str(path))} has no {name} data: {remedy}")
-    working = [k for k in numbers if varies(sensors[k][:, 1:4])]
+    working = [k for k in numbers if kind.works(k)]
     if not working:
         what = "magnetometer" if option == "--mag" else "accelerometer"
-        count = len(sensors[numbers[0]])
+        faults = "; ".join(kind.fault(k) for k in numbers)
         raise FileTrouble(
-            f"{plain(str(path))} has no working {what}: {name}[{numbers[0]}] holds one value, or "
-            f"none, in all its {count} samples. {remedy[:1].upper()}{remedy[1:]}"
+            f"{plain(str(path))} has no working {what}: {faults}. {remedy[:1].upper()}{remedy[1:]}"
         )
+    chosen = working[0]
     if len(numbers) > 1:
-        dead = [f"{name}[{k}]" for k in numbers if k not in working]
-        told = f" ({', '.join(dead)} never changes)" if dead else ""
-        reason = f", {order.reason}" if order.reason and working[0] == order.numbers[0] else ""
+        dead = [kind.fault(k) for k in numbers if k not in working]
+        told = f" ({'; '.join(dead)})" if dead else ""
+        reason = f", {order.reason}" if order.reason and chosen == order.numbers[0] else ""
         notes.append(
-            f"the log has {every}{told}: {name}[{working[0]}] is used{reason}; choose another with "
+            f"the log has {every}{told}: {kind.name(chosen)} is used{reason}; choose another with "
             f"{option}"
         )
-    return working[0]
+    if left_out := kind.unhealthy.get(chosen, 0):
+        notes.append(
+            f"{left_out} of {left_out + kind.count(chosen)} samples of {kind.name(chosen)} are "
+            f"left out: the autopilot calls it unhealthy in them ({kind.called.health})"
+        )
+    return chosen
 
 
 def varies(vectors: FloatArray) -> bool:
@@ -221,6 +260,8 @@ def begun_with(path: Path, count: int) -> bytes:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileTrouble(f"cannot read {plain(str(path))}: {reason}") from error
+    if not size:
+        raise FileTrouble(f"{plain(str(path))} is empty: copy or download it again")
     if size > LARGEST_LOG:
         raise FileTrouble(
             f"{plain(str(path))} has {size / GIGABYTE:.1f} GiB, and logs up to "

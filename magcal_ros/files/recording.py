@@ -188,11 +188,15 @@ def read_numbers(
     """Return some columns below a header line; the first are stamps, returned in seconds.
 
     They are separated by commas, tabs or semicolons; with the last two, numbers may have a decimal
-    comma. `second` is the length of a second in the first column.
+    comma. `second` is the length of a second in the first column. A last line that was cut short
+    is left out.
     """
     with _opened(path) as handle:
         lines = _lines(handle)
-        separator = _separator(next(lines, ""))
+        header = next(lines, "")
+        separator = _separator(header)
+        most = header.count(separator)
+        lines = (each for each in lines if each[-1] == "\n" or each.count(separator) >= most)
         if separator != ",":
             lines = (line.replace(",", ".") for line in lines)
         rows = (line for line in lines if line.partition("#")[0].strip())

@@ -77,6 +77,12 @@ def test_a_missing_file_is_trouble(folder, name):
         read_csv_folder(folder)
 
 
+@pytest.mark.parametrize("end", ["3,4", "3,", "3"])
+def test_a_table_whose_last_line_was_cut_short_is_read_up_to_it(folder, end):
+    (folder / "mag.csv").write_text(f"t,mx,my,mz\n1,2,3,4\n2,2,3,4\n{end}")
+    assert len(read_csv_folder(folder).field) == 2
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

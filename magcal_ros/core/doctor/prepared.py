@@ -12,6 +12,7 @@ from magcal_ros.core.doctor import health
 from magcal_ros.core.doctor.health import TUNING, Finding
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts, spread_each
+from magcal_ros.core.samples.lever import force_on_the_axis
 from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
 
@@ -60,7 +61,7 @@ def prepare(log: SensorLog) -> CleanLog:
         findings += [*health.field_findings(log.field), health.repeats_finding("field", log.field)]
     if len(log.force) > TUNING.fewest:
         both = np.column_stack([log.force, np.nan_to_num(log.rate)])
-        findings += [health.gravity_size_finding(log.force), health.repeats_finding("IMU", both)]
+        findings += [_gravity_size(log), health.repeats_finding("IMU", both)]
         findings.append(health.alive_finding("accelerometer", log.force))
         if log.has_gyro and not is_noiseless(log.rate):
             findings.append(health.alive_finding("gyro", log.rate, log.force))
@@ -81,6 +82,14 @@ def _numbers(log: SensorLog) -> tuple[BoolArray, BoolArray]:
     with np.errstate(over="ignore", invalid="ignore"):
         field = np.linalg.norm(log.field, axis=1)
     return np.asarray(np.isfinite(measured).all(axis=1)), np.isfinite(field)
+
+
+def _gravity_size(log: SensorLog) -> Finding:
+    """Look at the length of specific force without what a lever arm adds, if a gyro shows that."""
+    log = _taken(log, _increasing(log.imu_time), np.ones(len(log.field), dtype=np.bool_))
+    if not log.has_gyro:
+        return health.gravity_size_finding(log.force)
+    return health.gravity_size_finding(force_on_the_axis(log.imu_time, log.force, log.rate))
 
 
 def _taken(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
@@ -180,8 +189,11 @@ def _apart(log: SensorLog) -> float:
     if not log.has_gyro or last - first > TUNING.longest:
         return 0.0
     edges = np.arange(first, last + TUNING.pace_step, TUNING.pace_step)
-    gyro = np.linalg.norm(block_means(log.imu_time, log.rate, edges), axis=1)
-    field = block_means(log.field_time, log.field, edges)
+    # A sensor that is frozen does not show when the robot turned.
+    fresh = ~health.in_long_runs(health.repeats(log.rate))
+    gyro = np.linalg.norm(block_means(log.imu_time[fresh], log.rate[fresh], edges), axis=1)
+    fresh = ~health.in_long_runs(health.repeats(log.field))
+    field = block_means(log.field_time[fresh], log.field[fresh], edges)
     moved = np.zeros(len(gyro))
     moved[1:-1] = np.linalg.norm(field[2:] - field[:-2], axis=1)
     # One jolt of each sensor is alike at some shift by chance.

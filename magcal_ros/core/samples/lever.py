@@ -35,11 +35,16 @@ def without_lever_arm(window: Window) -> FloatArray:
     the measured force is returned.
     """
     force, rate = window.specific_force, window.angular_rate
-    if rate is None or len(window) < TUNING.fewest:
+    return force if rate is None else force_on_the_axis(window.time, force, rate)
+
+
+def force_on_the_axis(time: FloatArray, force: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return the same of samples at increasing times (n,), of forces and rates (n, 3)."""
+    if len(time) < TUNING.fewest:
         return force
     spin = skews(rate)
-    per_metre = skews(np.gradient(rate, window.time, axis=0)) + spin @ spin
-    some = slice(None, None, 1 + len(window) // TUNING.most)
+    per_metre = skews(np.gradient(rate, time, axis=0)) + spin @ spin
+    some = slice(None, None, 1 + len(time) // TUNING.most)
     return np.asarray(force - per_metre @ _lever_arm(force[some], per_metre[some]))
 
 

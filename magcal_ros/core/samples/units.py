@@ -15,7 +15,9 @@ from magcal_ros.core.samples.lever import without_lever_arm
 from magcal_ros.core.samples.streams import STREAMS, SWAY, Drop, Streams
 from magcal_ros.core.samples.window import Window
 
-LOCAL_STRENGTH = "the field's strength there (tesla)"
+LOCAL_STRENGTH = (
+    "the field's strength there (tesla), divided by the published one without hard iron,"
+)
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ FIELD_UNITS: tuple[FieldUnit, ...] = (
         "a thousand times milligauss", "1e-10", (2e5, 7e5), (80_000.0, 5e6), "MAVROS with ArduPilot"
     ),
 )
-SPREAD = 2.0  # sigmas of a measured strength within which the Earth's field may lie
+UNLIKELY = 0.05  # probability below which a unit is not named
 
 
 def likely_field_unit(size: float) -> str:
@@ -62,24 +64,46 @@ def unit_by_strength(strength: float, sigma: float = 0.0) -> str:
     Returns
     -------
     str
-        Empty if it may be tesla. If no unit gives the Earth's field within `sigma`, the unit of raw
-        samples of this size.
+        Empty if it may be tesla; the likeliest one first. If no unit gives the Earth's field, the
+        unit of raw samples of this size.
     """
-    low, high = strength - SPREAD * sigma, strength + SPREAD * sigma
-    fitting = [u for u in FIELD_UNITS if low < u.strengths[1] and high >= u.strengths[0]]
-    if not fitting or not likely_field_unit(strength):
+    shares = {unit: _share_within(unit.strengths, strength, sigma) for unit in FIELD_UNITS}
+    if sum(shares.values()) < UNLIKELY or not likely_field_unit(strength):
         return likely_field_unit(strength)
+    # In each unit every strength is as likely.
+    density = {u: share / (u.strengths[1] - u.strengths[0]) for u, share in shares.items()}
+    least = UNLIKELY * sum(density.values())
+    fitting = [u for u in sorted(density, key=density.__getitem__)[::-1] if density[u] > least]
     return _named(fitting, f"a field of {strength:.3g} T without hard iron")
 
 
+def _share_within(limits: tuple[float, float], value: float, sigma: float) -> float:
+    """Return the probability that a value lies within limits."""
+    spread = math.sqrt(2.0) * max(sigma, 1e-9 * abs(value), 1e-300)
+    below, above = (math.erf((limit - value) / spread) for limit in limits)
+    return 0.5 * (above - below)
+
+
 def _named(fitting: list[FieldUnit], what: str) -> str:
-    words = [
-        f"looks like {unit.name} published as tesla"
-        f"{f' (as by {unit.drivers})' if unit.drivers else ''}; multiply by {unit.factor} in the "
-        "driver"
-        for unit in fitting
-    ]
-    return f"{what} {'; or it '.join(words)}" if words else ""
+    """Return a sentence about one unit, or a question about several; empty of none."""
+    if not fitting:
+        return ""
+    published = " published as tesla"
+    by = [f" (as by {unit.drivers})" * bool(unit.drivers) for unit in fitting]
+    if len(fitting) == 1:
+        looks = f"{fitting[0].name}{published}{by[0]}"
+    else:
+        named = [unit.name + who for unit, who in zip(fitting, by, strict=True)]
+        looks = f"{' or '.join(named)}{published}"
+    factors = [*dict.fromkeys(unit.factor for unit in fitting)]
+    if len(factors) == 1:
+        remedy = f"multiply by {factors[0]} in the driver"
+    else:
+        remedy = (
+            f"look up which one the driver publishes, and multiply by {' or '.join(factors)}, "
+            "respectively"
+        )
+    return f"{what} looks like {looks}; {remedy}"
 
 
 def slow_words(gap: float) -> str:

@@ -189,6 +189,15 @@ def test_stamps_of_two_clocks_are_named_and_the_rest_is_looked_at(off):
     assert page.parameters == "mount_rpy_deg: [180.0, 0.0, 0.0]"
 
 
+@pytest.mark.parametrize(("motion", "seed"), [("turn", 2), ("lift", 4), ("half minute", 9)])
+def test_a_frozen_sensor_does_not_stamp_by_another_clock(motion, seed):
+    """While it is frozen it does not show when the robot turned."""
+    freeze, keys = FAULTS["frozen"]
+    rng = np.random.default_rng([3401, seed])
+    case = good_case(rng, motion)
+    assert wrong(page_of(case, freeze(rng, case.log))) == {*keys}
+
+
 def test_a_person_who_turned_the_other_way_makes_no_sensor_wrong():
     case = good_case(np.random.default_rng([4, 0]), MOST_SEEN, habit=Habit(left=-1.0))
     (line,) = [f for f in examine(case.log, case.knowledge, True).findings if f.is_wrong]

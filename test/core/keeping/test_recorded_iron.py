@@ -19,7 +19,7 @@ LOOK = 1.0
 @pytest.mark.parametrize(
     ("size", "way", "lasts"),
     [
-        *((10e-6, 0.5 * math.pi * quarter, math.inf) for quarter in range(4)),
+        *((10e-6, 0.25 * math.pi * eighth, math.inf) for eighth in range(8)),
         (27e-6, 0.0, 50.0),
         (0.0, 0.0, 0.0),
     ],

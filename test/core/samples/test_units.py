@@ -48,6 +48,17 @@ def test_a_strength_without_hard_iron_tells_units_apart(strength, sigma, drivers
     assert unit_by_strength(strength * 1e-4) == ""
 
 
+def test_two_units_that_fit_alike_are_one_question_the_likelier_one_first():
+    words = unit_by_strength(1.25, 0.1)
+    assert words.index("Inertial Sense") < words.index("Xsens")
+    assert words.count("looks like") == words.count("multiply by") == 1
+    # A strength that is the Earth's in both, and much likelier in one, names that one.
+    assert "Xsens" not in unit_by_strength(1.32, 0.065)
+    words = likely_field_unit(1.25)
+    assert words.count("looks like") == words.count("multiply by") == 1
+    assert "look up which one the driver publishes" in words
+
+
 @pytest.mark.parametrize("size", [0.0, 48e-6, 1e-3, 0.049, 6e6, math.inf, math.nan])
 def test_where_no_unit_fits_nothing_is_said(size):
     assert likely_field_unit(size) == ""

@@ -115,7 +115,7 @@ def test_the_first_living_compass_is_taken_and_another_can_be_chosen(tmp_path):
     path = write_bin(tmp_path / "a.bin", SAMPLES, compasses=two_compasses)
     source, readings = read(path)
     assert source.field_topic == "MAG[1]"
-    assert "MAG[0] never changes" in source.notes[0]
+    assert "MAG[0] holds one value" in source.notes[0]
     assert numbers(readings)[1] == pytest.approx(FIELD, abs=1.2e-7)
     with pytest.raises(FileTrouble, match=r"MAG\[0\] holds one value"):
         read(path, field="MAG[0]")
@@ -206,6 +206,31 @@ def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
         read(without)
 
 
+def test_a_magnetometer_that_the_autopilot_calls_unhealthy_is_named_so(tmp_path):
+    path = write_bin(tmp_path / "a.bin", SAMPLES, unhealthy=lambda *_: True)
+    words = rf"calls MAG\[0\] unhealthy in all its {len(FIELD)} samples \(Health is 0\).*wiring"
+    with pytest.raises(FileTrouble, match=words):
+        read(path)
+    first = write_bin(
+        tmp_path / "b.bin", SAMPLES, compasses=both, unhealthy=lambda number, _: number == 0
+    )
+    source, readings = read(first)
+    assert source.field_topic == "MAG[1]"
+    assert "calls MAG[0] unhealthy in all" in source.notes[0]
+    assert numbers(readings)[1] == pytest.approx(FIELD, abs=1.2e-7)
+    with pytest.raises(FileTrouble, match=r"calls MAG\[0\] unhealthy"):
+        read(first, field="MAG[0]")
+
+
+def test_samples_that_are_left_out_as_unhealthy_are_counted(tmp_path):
+    begun = SAMPLES[0].stamp
+    path = write_bin(tmp_path / "a.bin", SAMPLES, unhealthy=lambda _, stamp: stamp < begun + 1.0)
+    source, readings = read(path)
+    left_out = len(FIELD) - len(numbers(readings)[1])
+    assert 10 < left_out < len(FIELD)
+    assert f"{left_out} of {len(FIELD)} samples of MAG[0] are left out" in source.notes[0]
+
+
 def test_without_the_library_the_words_name_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     with pytest.raises(FileTrouble, match="pip install"):
@@ -216,10 +241,22 @@ def test_without_the_library_the_words_name_it(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["a.bin", "a.log", "a.tlog", "a.ulg"])
 def test_anything_else_by_that_name_is_trouble_in_words(tmp_path, name):
     path = tmp_path / name
-    for content in (b"", b"\xa3\x95" + bytes(range(256)) * 30, b"FMT, 1\nFMT,", b"\0" * 9000):
+    path.touch()
+    with pytest.raises(FileTrouble, match="is empty"):
+        read(path)
+    for content in (b"\xa3\x95" + bytes(range(256)) * 30, b"FMT, 1\nFMT,", b"\0" * 9000):
         path.write_bytes(content)
         with pytest.raises(FileTrouble, match=r"a\."):
             read(path)
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("content", [b"a letter, and no log\n" * 50, bytes(range(256)) * 50])
+def test_anything_else_is_no_telemetry_without_imu(tmp_path, content):
+    path = tmp_path / "a.tlog"
+    path.write_bytes(content)
+    with pytest.raises(FileTrouble, match="is not a telemetry log"):
+        read(path)
 
 
 @pytest.mark.faults
