@@ -1,7 +1,7 @@
 """The numbers of messages by their attributes, to compare with what is read from the bytes."""
 
 from magcal_ros.core.messages import fix_from, imu_of, seconds, speed_from, velocity_from
-from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.samples import FieldSample
 
 
 def imu_sample(message):

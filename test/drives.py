@@ -13,7 +13,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 from simulated import Vehicle
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, PositionSample, SpeedSample
+from magcal_ros.core.samples import FieldSample, ImuSample, PositionSample, SpeedSample
 from magcal_ros.core.simulation import Ride, Robot
 
 ROBOT = Robot()

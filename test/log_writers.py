@@ -4,8 +4,8 @@ import struct
 
 import numpy as np
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.files.px4 import rotation_of
+from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.files import rotation_of
 
 FRD = np.diag([1.0, -1.0, -1.0])
 MILLIGAUSS, GAUSS = 1e7, 1e4

@@ -1,15 +1,19 @@
 import ast
 import functools
+import importlib
 import re
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 import magcal_ros
 
 ROOT = Path(magcal_ros.__file__).resolve().parent
 FILES = sorted(ROOT.rglob("*.py"))
 CORE_FILES = sorted((ROOT / "core").rglob("*.py"))
+TEST_FILES = sorted(Path(__file__).resolve().parent.rglob("*.py"))
 LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 
 MAY_IMPORT = {
@@ -188,6 +192,7 @@ def test_files_and_functions_are_short():
 
 
 ORDER_OF_ROOMS = (
+    "lazy_names",
     "errors",
     "geometry",
     "samples",
@@ -273,6 +278,35 @@ else:
 
 def test_the_public_face_of_core_gives_what_it_names():
     subprocess.run([sys.executable, "-c", FACE], check=True)
+
+
+FACES = [
+    f"magcal_ros.{room}"
+    for room in ("files", *sorted(f"core.{p.parent.name}" for p in ROOT.glob("core/*/__init__.py")))
+]
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_each_room_gives_the_names_that_it_offers(face):
+    room = importlib.import_module(face)
+    for name in room.__all__:
+        assert getattr(room, name) is not None
+        assert name in dir(room)
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = room.no_such_name
+
+
+def test_tests_import_what_a_room_offers_from_the_room():
+    offered = {face: set(importlib.import_module(face).__all__) for face in FACES}
+    deep = [
+        f"{path.name}: {name.name} of {node.module}"
+        for path in TEST_FILES
+        for node in nodes_of(path)
+        if isinstance(node, ast.ImportFrom) and node.module not in offered
+        for name in node.names
+        if name.name in offered.get((node.module or "").rpartition(".")[0], ())
+    ]
+    assert deep == []
 
 
 def test_the_public_face_loads_nothing_before_it_is_asked():

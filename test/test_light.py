@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core import calibrate
 from magcal_ros.core.simulation import Robot
-from magcal_ros.files.calibration_file import Origin, write_calibration
+from magcal_ros.files import Origin, write_calibration
 
 CORE = """
 import importlib, pkgutil, sys

@@ -5,10 +5,11 @@ Names are loaded when they are asked for, so that a node starts without a method
 
 from __future__ import annotations
 
-import importlib
 import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+from magcal_ros.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from magcal_ros.core.assessment.grading import Grade as Grade
@@ -35,31 +36,22 @@ if TYPE_CHECKING:
     from magcal_ros.core.monitoring.recheck import check as check
     from magcal_ros.core.samples.window import Window as Window
 
-_ROOMS = {
-    "assessment.grading": ("Grade",),
-    "assessment.verdict": ("Verdict",),
-    "calibrate": ("METHODS", "Outcome", "calibrate", "calibrate_turns"),
-    "calibration.calibration": ("Calibration", "Estimate", "Installation"),
-    "calibration.correction": ("Correction",),
-    "calibration.figure": ("Figure",),
-    "errors": ("MagcalError", "Reason", "Refusal"),
-    "heading.compass": ("Compass",),
-    "knowledge": ("Belief", "Knowledge", "Mounting", "ReferenceField", "SoftIron"),
-    "monitoring.recheck": ("Recheck", "check"),
-    "samples.window": ("Window",),
-}
-_HOMES = {name: room for room, names in _ROOMS.items() for name in names}
-__all__ = sorted(_HOMES)
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    """
+    assessment.grading: Grade
+    assessment.verdict: Verdict
+    calibrate: METHODS Outcome calibrate calibrate_turns
+    calibration.calibration: Calibration Estimate Installation
+    calibration.correction: Correction
+    calibration.figure: Figure
+    errors: MagcalError Reason Refusal
+    heading.compass: Compass
+    knowledge: Belief Knowledge Mounting ReferenceField SoftIron
+    monitoring.recheck: Recheck check
+    samples.window: Window
+    """,
+)
 
 
 class _Face(ModuleType):

@@ -5,7 +5,7 @@ import sys
 import pytest
 from remembered import remembered
 
-from magcal_ros.core.doctor.page import Page
+from magcal_ros.core.doctor import Page
 from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.session import recorded
 from magcal_ros.report import turn

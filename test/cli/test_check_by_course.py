@@ -11,8 +11,9 @@ from simulated.legs import city
 from simulated.travel import travel
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.files.calibration_file import Origin, write_calibration
+from magcal_ros.core import Calibration
+from magcal_ros.core.calibration import Evidence
+from magcal_ros.files import Origin, write_calibration
 
 
 @pytest.mark.parametrize("seconds", first_of([100.0, 180.0]))

@@ -7,8 +7,8 @@ import pytest
 from drives import ROBOT, drive, write_bag, write_csv
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.session.recorded import Gathering, fit_gathered
-from magcal_ros.files.calibration_file import Origin, write_calibration
+from magcal_ros.core.session import Gathering, fit_gathered
+from magcal_ros.files import Origin, write_calibration
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from magcal_ros.cli.doctor import write_parameters
 from magcal_ros.cli.main import main
-from magcal_ros.core.doctor.page import Page
-from magcal_ros.core.geometry.rotations import signed_permutations
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.doctor import Page
+from magcal_ros.core.geometry import signed_permutations
+from magcal_ros.core.samples import FieldSample, ImuSample
 
 NED = np.diag([1.0, -1.0, -1.0])
 

@@ -11,8 +11,8 @@ from simulated.legs import city
 from simulated.travel import travel
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.samples import FieldSample, ImuSample
 
 LEFT = rotation_from_rpy(0.0, 0.0, math.pi / 2.0)
 

@@ -11,12 +11,11 @@ from simulated.legs import Leg, city
 from simulated.travel import travel
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.calibration.heading_sigma import known_sigma, predicted_heading_sigma
-from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.session.recorded import Gathering
+from magcal_ros.core import Mounting
+from magcal_ros.core.calibration import known_sigma, predicted_heading_sigma
+from magcal_ros.core.session import Gathering
 from magcal_ros.core.simulation import Robot
-from magcal_ros.files.calibration_file import read_calibration
-from magcal_ros.files.sources import open_recording
+from magcal_ros.files import open_recording, read_calibration
 
 ROBOT = Robot(strength=48e-6, inclination=math.radians(65.0), noise_force=0.05, noise_rate=2e-3)
 REFERENCE = ["--reference-strength-ut", "48", "--reference-inclination-deg", "65"]

@@ -7,9 +7,8 @@ import pytest
 from sample_results import SKEWED, calibration
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.files.calibration_file import Origin, write_calibration
-from magcal_ros.files.exporters import EXPORTERS
+from magcal_ros.core import Correction
+from magcal_ros.files import EXPORTERS, Origin, write_calibration
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ from drives import ROBOT, STORE2, drive, message, write_bag, write_csv
 from simulated.turns import slope_rpy
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride
-from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files import read_calibration
 
 REFERENCE = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]
 

@@ -7,9 +7,9 @@ import pytest
 from drives import STORE2, header, write_bag, write_csv
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.samples import FieldSample
 from magcal_ros.core.simulation import Ride, Robot
-from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files import read_calibration
 
 ROBOT = Robot(strength=50e-6, inclination=math.radians(60.0), hard_iron=(30e-6, -20e-6, 10e-6))
 REFERENCE = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]

@@ -13,10 +13,10 @@ from long_form import first_of
 
 from magcal_ros.cli import recorded
 from magcal_ros.cli.main import main
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.samples import FieldSample
 from magcal_ros.core.simulation import Robot
-from magcal_ros.files.px4 import rotation_of
+from magcal_ros.files import rotation_of
 
 REFERENCE = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]
 ROBOT = Robot(roll=0.02, pitch=-0.01)

@@ -10,7 +10,8 @@ from drives import ROBOT, STORE2, drive, write_bag, write_csv
 from long_form import first_of
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.earth_field.wmm import Place, model_field
+from magcal_ros.core.earth_field import model_field
+from magcal_ros.core.earth_field.wmm import Place
 
 PLACE = ["--latitude", "48.14", "--longitude", "11.58", "--altitude", "520"]
 HOME = Place(48.14, 11.58, 520.0)

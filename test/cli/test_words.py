@@ -9,11 +9,9 @@ from magcal_ros.cli.check import _words
 from magcal_ros.cli.common import tell, with_options, wrapped
 from magcal_ros.cli.live_view import with_all_reasons
 from magcal_ros.cli.main import main
-from magcal_ros.core.assessment.grading import Aspect, Grade
-from magcal_ros.core.assessment.verdict import Verdict
-from magcal_ros.core.calibrate import METHODS
-from magcal_ros.core.monitoring.change import check_beside_chance
-from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, Recheck
+from magcal_ros.core import METHODS, Grade, Recheck, Verdict
+from magcal_ros.core.assessment import Aspect
+from magcal_ros.core.monitoring import RECHECK_BOUNDS, check_beside_chance
 
 PROSE = "turn once more, more slowly or on other ground, away from iron"
 

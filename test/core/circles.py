@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 from simulated.turns import Motion, measure
 
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.geometry.rotations import rotation_about
+from magcal_ros.core import Window
+from magcal_ros.core.calibration import predicted_heading_sigma
+from magcal_ros.core.geometry import rotation_about
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 UP = np.array([0.0, 0.0, 1.0])

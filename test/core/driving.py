@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, yaw_from_up_and_field
-from magcal_ros.core.geometry.rotations import exp_rotations
-from magcal_ros.core.heading.compass import Heading, Moment
+from magcal_ros.core import Calibration
+from magcal_ros.core.calibration import Evidence
+from magcal_ros.core.geometry import STANDARD_GRAVITY, exp_rotations, yaw_from_up_and_field
+from magcal_ros.core.heading import Heading, Moment
 from magcal_ros.core.simulation import Robot
-from magcal_ros.core.up.follower import Up
+from magcal_ros.core.up import Up
 
 PERIOD = 0.1
 SPEED = 0.8

@@ -3,11 +3,11 @@
 import numpy as np
 from simulated import Vehicle, simulated_drive, travel
 
-from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.driving import Travelling
+from magcal_ros.core.geometry import yaw_from_up_and_field
+from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Robot
-from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.core.up import UpFollower
 
 ROBOT = Robot(noise_force=0.05, noise_rate=2e-3, noise_field=0.3e-6)
 

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.geometry.rotations import crossed
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.geometry import crossed
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 
 DEGREE = math.pi / 180.0

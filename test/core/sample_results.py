@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration, Estimate, Evidence, Installation
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core import Calibration, Correction, Estimate, Installation
+from magcal_ros.core.calibration import Evidence
+from magcal_ros.core.geometry import rotation_from_rpy
 
 EVIDENCE = Evidence("design_tip", "good", "excellent", "Calibrated.")
 SKEWED = Correction(

@@ -6,13 +6,18 @@ import pytest
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import METHODS, calibrate, find_method
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.units import explained
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import (
+    METHODS,
+    Calibration,
+    Grade,
+    Knowledge,
+    Reason,
+    Refusal,
+    Window,
+    calibrate,
+)
+from magcal_ros.core.calibrate import find_method
+from magcal_ros.core.samples import explained
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot()

@@ -19,8 +19,9 @@ from slope_turns import (
     windows_on,
 )
 
-from magcal_ros.core.calibrate import calibrate, calibrate_turns, pooled
-from magcal_ros.core.errors import Misuse, Reason
+from magcal_ros.core import Reason, calibrate, calibrate_turns
+from magcal_ros.core.calibrate import pooled
+from magcal_ros.core.errors import Misuse
 from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.simulation import heading_errors
 

@@ -9,14 +9,12 @@ from currents import ELECTRONICS, LARGEST, turn_with_current
 from long_form import first_of
 from realistic_robots import collected, heading_error
 
-from magcal_ros.core.calibrate import calibrate, calibrate_turns
-from magcal_ros.core.calibration.correction import Correction, MotorInput
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma
-from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motion_sense import MotionSense
-from magcal_ros.core.keeping.motor_learning import MotorLearning
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.session.recorded import Gathering
+from magcal_ros.core import Compass, Correction, calibrate, calibrate_turns
+from magcal_ros.core.calibration import MotorInput, calibration_sigma
+from magcal_ros.core.heading import MotionSense
+from magcal_ros.core.keeping import MotorLearning
+from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.session import Gathering
 
 SIZE = 10e-6
 

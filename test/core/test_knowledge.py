@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Belief, Mounting, ReferenceField, SoftIron
+from magcal_ros.core import Belief, Mounting, ReferenceField, SoftIron
+from magcal_ros.core.geometry import rotation_from_rpy
 
 
 def test_a_belief_is_known_uncertain_or_unknown():

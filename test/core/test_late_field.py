@@ -12,11 +12,9 @@ from simulated.legs import Leg
 from simulated.travel import travel
 from simulated.turns import measure
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.geometry.arrays import interpolated
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Figure, Window, calibrate
+from magcal_ros.core.calibration import predicted_heading_sigma
+from magcal_ros.core.geometry import interpolated
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)

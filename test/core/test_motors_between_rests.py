@@ -9,10 +9,8 @@ from long_form import first_of
 from realistic_robots import heading_error, with_motors
 from uneven_turns import ROBOT, collected, driven, evenly
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.correction import Running
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core import Figure, calibrate
+from magcal_ros.core.calibration import Running, predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from uneven_turns import ROBOT, collected, driven, evenly
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma
+from magcal_ros.core import calibrate
+from magcal_ros.core.calibration import calibration_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 STEP = np.array([4.0, -3.0, 5.0]) * 1e-6

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from long_form import IS_LONG, rounds
 
-from magcal_ros.core.calibrate import METHODS, calibrate, predicted_sigma
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import METHODS, Belief, Knowledge, ReferenceField, Window, calibrate
+from magcal_ros.core.calibrate import predicted_sigma
 
 pytestmark = pytest.mark.faults
 

@@ -8,11 +8,11 @@ from long_form import first_of
 from realistic_robots import heading_error
 from slow_fields import BEGUN, IMU_HZ, collected_at, drawn
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.samples.window import SensorLog, Steps, Window
+from magcal_ros.core import Window, calibrate
+from magcal_ros.core.calibration import predicted_heading_sigma
+from magcal_ros.core.samples import SensorLog, Steps
 from magcal_ros.core.simulation import DEGREE
-from magcal_ros.core.smoother.nodes import nodes_of
+from magcal_ros.core.smoother import nodes_of
 
 
 @pytest.mark.parametrize("field_hz", first_of([10.0, 20.0, 5.0, 2.0, 1.0]))

@@ -9,10 +9,8 @@ import pytest
 from uneven_turns import ROBOT as FLAT
 from uneven_turns import collected, driven, evenly
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Figure, Window, calibrate
+from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 ROBOT = replace(FLAT, inclination=68.0 * DEGREE)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.earth_field.reference import Fix, LocalPlane
+from magcal_ros.core.earth_field import Fix, LocalPlane
 from magcal_ros.core.messages import speed_from, velocity_from
 
 

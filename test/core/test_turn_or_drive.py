@@ -13,12 +13,10 @@ from simulated.drive import random_vehicle
 from simulated.legs import circles, joined, standing
 from smoother.streets import BOSTON, driven, heading_error
 
-from magcal_ros.core.calibrate import calibrate, calibrate_drive
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma
-from magcal_ros.core.errors import Reason
-from magcal_ros.core.samples.drive_log import log_of
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Figure, Reason, Window, calibrate
+from magcal_ros.core.calibrate import calibrate_drive
+from magcal_ros.core.calibration import calibration_sigma
+from magcal_ros.core.samples import log_of
 
 
 @pytest.fixture(scope="module")

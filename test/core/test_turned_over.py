@@ -10,13 +10,10 @@ from long_form import first_of
 from scipy.spatial.transform import Rotation
 from simulated.turns import Motion, measure, turn
 
-from magcal_ros.core.assessment.verdict import LEVEL_ONLY, WHICH_WAY_UP
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.lever import without_lever_arm
-from magcal_ros.core.samples.units import explained, was_turned_over
+from magcal_ros.core import Knowledge, Reason, Refusal, calibrate
+from magcal_ros.core.assessment import LEVEL_ONLY, WHICH_WAY_UP
+from magcal_ros.core.geometry import unit
+from magcal_ros.core.samples import explained, was_turned_over, without_lever_arm
 from magcal_ros.core.simulation import Robot, heading_errors
 
 ROBOT = Robot()

@@ -5,10 +5,10 @@ import math
 import numpy as np
 from simulated.turns import Motion, measure, smooth_wobble
 
-from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about
-from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
-from magcal_ros.core.session.session import Limits, Session
+from magcal_ros.core import Mounting
+from magcal_ros.core.geometry import exp_rotations, rotation_about
+from magcal_ros.core.samples import FieldSample, ImuSample, Pair
+from magcal_ros.core.session import Limits, Session
 from magcal_ros.core.simulation import DEGREE, Robot
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from long_form import rounds
 
-from magcal_ros.files.disk import LEFT_BEHIND, UNFINISHED, FileTrouble, write_atomically
+from magcal_ros.files import LEFT_BEHIND, UNFINISHED, FileTrouble, write_atomically
 
 pytestmark = pytest.mark.faults
 

@@ -8,16 +8,16 @@ import pytest
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core import calibrate
 from magcal_ros.core.simulation import Robot
-from magcal_ros.files.calibration_file import (
+from magcal_ros.files import (
+    FileTrouble,
     Origin,
     backup_files,
     keep_backup,
     read_calibration,
     write_calibration,
 )
-from magcal_ros.files.disk import FileTrouble
 
 pytestmark = pytest.mark.faults
 

@@ -6,9 +6,8 @@ import pytest
 from drives import STORE2, drive, message, text, write_bag, write_csv
 
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.files.disk import FileTrouble, plain
-from magcal_ros.files.sources import open_recording
+from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.files import FileTrouble, open_recording, plain
 
 pytestmark = pytest.mark.faults
 

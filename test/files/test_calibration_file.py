@@ -12,17 +12,17 @@ from examples import examples
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction, MotorField, MotorInput
-from magcal_ros.core.heading.base_view import VehicleYaw
-from magcal_ros.files.calibration_file import (
+from magcal_ros.core import Calibration, Correction
+from magcal_ros.core.calibration import Evidence, MotorField, MotorInput
+from magcal_ros.core.heading import VehicleYaw
+from magcal_ros.files import (
+    BOUNDS,
     LARGEST_FILE,
+    FileTrouble,
     Origin,
     read_calibration,
     write_calibration,
 )
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.plausibility import BOUNDS
 
 pytestmark = pytest.mark.faults
 

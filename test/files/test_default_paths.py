@@ -4,9 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.files.default_paths import (
+from magcal_ros.files import (
     LONGEST_FRAME,
     RESERVED,
+    FileTrouble,
     chosen_path,
     is_missing,
     known_as,
@@ -14,7 +15,6 @@ from magcal_ros.files.default_paths import (
     safe_name,
     sensor_file,
 )
-from magcal_ros.files.disk import FileTrouble
 
 pytestmark = pytest.mark.faults
 

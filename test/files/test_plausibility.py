@@ -9,13 +9,15 @@ import yaml
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core import Correction, Knowledge, calibrate
 from magcal_ros.core.simulation import Robot
-from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.plausibility import require_possible
+from magcal_ros.files import (
+    FileTrouble,
+    Origin,
+    read_calibration,
+    require_possible,
+    write_calibration,
+)
 
 pytestmark = pytest.mark.faults
 

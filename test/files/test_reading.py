@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_ros.files.disk import FileTrouble, NotOrdinary, promptly, read_small
+from magcal_ros.files import FileTrouble, NotOrdinary, promptly, read_small
 
 pytestmark = pytest.mark.faults
 

@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.recording import Recording, read_csv_folder
-from magcal_ros.files.sources import open_recording
+from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.files import FileTrouble, Recording, open_recording, read_csv_folder
 
 IMU = "t,ax,ay,az,gx,gy,gz\n1.0,0.1,0.2,9.8,0.01,0.02,0.03\n1.1,0.4,0.5,9.7,nan,nan,nan\n"
 MAG = "t,mx,my,mz\n1.05,1e-5,2e-5,-3e-5\n"

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from drives import drive, write_bag, write_csv
 
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.files.sources import RepairedReadings, open_recording
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.files import RepairedReadings, open_recording
 
 PERIOD = 0.8
 

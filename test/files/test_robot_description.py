@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.geometry.frame_tree import FrameTree
-from magcal_ros.core.geometry.rotations import rpy_from_rotation
-from magcal_ros.files.robot_description import LARGEST, DescriptionTrouble, joints_of
+from magcal_ros.core.geometry import FrameTree, rpy_from_rotation
+from magcal_ros.files import LARGEST, DescriptionTrouble, joints_of
 
 ROBOT = """<?xml version="1.0"?>
 <robot name="mule">

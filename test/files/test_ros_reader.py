@@ -11,9 +11,7 @@ from ros_bags import rosbag2_py
 
 from magcal_ros.core.earth_field.reference import Place
 from magcal_ros.core.errors import Misuse
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.sources import open_recording
-from magcal_ros.files.wire import CDR
+from magcal_ros.files import CDR, FileTrouble, open_recording
 
 FIX = "sensor_msgs/msg/NavSatFix"
 IMU = "sensor_msgs/msg/Imu"

@@ -7,9 +7,8 @@ import pytest
 from by_message import speed_of, velocity_of
 from drives import STORE2, drive, write_bag
 
-from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
-from magcal_ros.files.sources import open_recording
-from magcal_ros.files.wire import CDR
+from magcal_ros.core.samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.files import CDR, open_recording
 
 TYPES = STORE2.types
 

@@ -5,9 +5,8 @@ import math
 import pytest
 from drives import drive, write_csv
 
-from magcal_ros.core.samples.streams import PositionSample, SpeedSample
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.sources import open_recording
+from magcal_ros.core.samples import PositionSample, SpeedSample
+from magcal_ros.files import FileTrouble, open_recording
 
 
 @pytest.fixture

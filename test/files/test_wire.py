@@ -6,9 +6,8 @@ import pytest
 from by_message import field_sample, imu_sample
 from drives import FIELD, IMU, STORE1, STORE2, drive, message, write_bag
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.files import wire
-from magcal_ros.files.sources import open_recording
+from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.files import open_recording, wire
 
 IMU_SAMPLE, FIELD_SAMPLE = drive(10.0)[:2]
 

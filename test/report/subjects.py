@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from simulated.turns import Trouble, measure, turn
 
-from magcal_ros.core.calibrate import METHODS, calibrate
+from magcal_ros.core import METHODS, calibrate
 from magcal_ros.core.simulation import Robot
 from magcal_ros.report import Subject
 

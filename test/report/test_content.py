@@ -12,12 +12,9 @@ from long_form import first_of
 from simulated.turns import measure, slope_rpy, turn
 from subjects import ROBOT, good, refused, subject_of, troubled
 
-from magcal_ros.core.assessment.bounds import DRIVE_BOUNDS, HEADING_BOUNDS, TURN_BOUNDS
-from magcal_ros.core.assessment.verdict import NO_YAW, judge
-from magcal_ros.core.calibrate import Outcome, calibrate_turns
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core import Figure, Outcome, Window, calibrate_turns
+from magcal_ros.core.assessment import DRIVE_BOUNDS, HEADING_BOUNDS, NO_YAW, TURN_BOUNDS, judge
 from magcal_ros.core.multi_turn import joined
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 from magcal_ros.report import write_report
 from magcal_ros.report.page import figure_row

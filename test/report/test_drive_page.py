@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.keeping.story import DrivePath, DriveStory, path_along
+from magcal_ros.core import Calibration, Correction
+from magcal_ros.core.calibration import Evidence
+from magcal_ros.core.keeping import DrivePath, DriveStory, path_along
 from magcal_ros.report.drive_page import render_drive
 
 ERRORS = np.radians([0.5, 3.0, 7.0, 15.0, 40.0])

@@ -8,12 +8,9 @@ from drives import ROBOT
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core.assessment.bounds import TURN_BOUNDS
-from magcal_ros.core.calibrate import METHODS, calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.doctor.page import Page
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import METHODS, Figure, Knowledge, Window, calibrate
+from magcal_ros.core.assessment import TURN_BOUNDS
+from magcal_ros.core.doctor import Page
 from magcal_ros.report import turn as turn_module
 from magcal_ros.report.gallery import caption_of_gyro, deviations
 from magcal_ros.report.turn import Subject, Turn

@@ -9,9 +9,8 @@ from browser import Browser, find_browser
 from long_form import first_of
 from subjects import good, refused, troubled
 
-from magcal_ros.core.assessment.bounds import TURN_BOUNDS
-from magcal_ros.core.assessment.verdict import judge
-from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core import Outcome
+from magcal_ros.core.assessment import TURN_BOUNDS, judge
 from magcal_ros.report import write_report
 
 PROGRAM = find_browser()

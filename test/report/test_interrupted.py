@@ -9,8 +9,7 @@ import pytest
 from long_form import rounds
 from subjects import good
 
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.recording import read_samples
+from magcal_ros.files import FileTrouble, read_samples
 from magcal_ros.report.write import write_to_the_end
 from magcal_ros.ros.worker_process import Lost, WorkerProcess
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from subjects import good
 
-from magcal_ros.core.calibration.correction import MotorField, MotorInput
-from magcal_ros.core.doctor.page import Page
+from magcal_ros.core.calibration import MotorField, MotorInput
+from magcal_ros.core.doctor import Page
 from magcal_ros.report import turn
 
 

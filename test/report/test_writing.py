@@ -8,10 +8,8 @@ import pytest
 from long_form import first_of
 from subjects import CREATED, good, refused
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.samples.window import Window
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.recording import read_samples, write_samples
+from magcal_ros.core import Window, calibrate
+from magcal_ros.files import FileTrouble, read_samples, write_samples
 from magcal_ros.report import new_folder, write_report
 from magcal_ros.report.page import recipe
 

@@ -6,7 +6,7 @@ pytest.importorskip("rclpy")
 
 from rclpy.logging import get_logger
 
-from magcal_ros.core.session.turn_machine import Conclusion
+from magcal_ros.core.session import Conclusion
 from magcal_ros.ros.announcer import LASTING, PAUSE, Announcer
 
 

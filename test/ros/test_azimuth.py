@@ -8,8 +8,8 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from std_msgs.msg import Header
 
-from magcal_ros.core.heading.compass import Heading, Moment
-from magcal_ros.core.knowledge import Belief, ReferenceField
+from magcal_ros.core import Belief, ReferenceField
+from magcal_ros.core.heading import Heading, Moment
 from magcal_ros.ros.outputs import HeadingOutput
 from magcal_ros.ros.wire import azimuth_message
 

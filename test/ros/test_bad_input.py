@@ -8,7 +8,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 from support import PATIENCE, REFERENCE, calibrate_quickly, store_calibration
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples import FieldSample, ImuSample
 
 pytestmark = pytest.mark.faults
 

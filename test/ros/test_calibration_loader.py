@@ -6,7 +6,7 @@ import threading
 import pytest
 from support import PATIENCE, REFERENCE, store_calibration
 
-from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files import read_calibration
 from magcal_ros.ros import keeper as keeper_module
 from magcal_ros.ros.heading_pipeline import Sensor
 from magcal_ros.ros.keeper import Keeper

@@ -11,10 +11,8 @@ import pytest
 from long_form import first_of
 from support import REFERENCE, ROBOT
 
-from magcal_ros.core.samples.streams import ImuSample, Streams
-from magcal_ros.core.session.self_turn import SelfTurn
-from magcal_ros.core.session.session import Session
-from magcal_ros.core.session.turn_machine import Conclusion, TurnState
+from magcal_ros.core.samples import ImuSample, Streams
+from magcal_ros.core.session import Conclusion, SelfTurn, Session, TurnState
 from magcal_ros.core.simulation import Ride
 from magcal_ros.ros import worker_process
 from magcal_ros.ros.magnetometer import Control

@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64
 
 from magcal_ros.cli.main import main
-from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files import read_calibration
 from magcal_ros.ros import rehearsal
 from magcal_ros.ros.rehearsal import set_time
 

@@ -12,10 +12,8 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from support import PATIENCE, wait_until
 
-from magcal_ros.core.geometry.frame_tree import FrameTree, FrameTrouble
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.robot_description import LARGEST, DescriptionTrouble, joints_of
+from magcal_ros.core.geometry import FrameTree, FrameTrouble, rotation_from_rpy
+from magcal_ros.files import LARGEST, DescriptionTrouble, joints_of, known_as
 from magcal_ros.ros.sensor_frames import LATCHED, Description, joints_from
 
 ROBOT = """<robot name="mule"><joint name="imu" type="fixed"><parent link="base_link"/>

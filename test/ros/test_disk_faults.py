@@ -7,7 +7,7 @@ import pytest
 import yaml
 from support import PATIENCE, REFERENCE, store_calibration
 
-from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files import FileTrouble
 from magcal_ros.ros.keeper import Keeper
 
 pytestmark = pytest.mark.faults

@@ -20,10 +20,9 @@ from support import PATIENCE, ROBOT, wait_until
 
 from magcal_ros.cli import doctor
 from magcal_ros.cli.doctor import Asking, gathered
-from magcal_ros.core.doctor.guide import Guide
-from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core import Mounting
+from magcal_ros.core.doctor import Guide
+from magcal_ros.core.samples import ImuSample, SensorLog
 from magcal_ros.core.simulation import Ride
 from magcal_ros.ros.preflight import Listener
 from magcal_ros.ros.rehearsal import SensorSource

@@ -8,8 +8,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Imu
 from support import PATIENCE, REFERENCE
 
-from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.geometry import wrap_angle
+from magcal_ros.core.samples import FieldSample
 
 IRON = (0.0, 14e-6, -14e-6)
 """Tesla in the sensor's axes: stronger and steeper at any heading, and off by tens of degrees."""

@@ -9,7 +9,7 @@ from std_msgs.msg import String
 from support import PATIENCE, assert_silent
 from visualization_msgs.msg import MarkerArray
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.ros.sensor_frames import LATCHED
 
 pytestmark = pytest.mark.faults

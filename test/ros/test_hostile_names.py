@@ -8,9 +8,7 @@ from std_msgs.msg import String
 from support import PATIENCE, REFERENCE, calibrate_quickly
 
 from magcal_ros.cli.live_view import progress_of, turns_itself
-from magcal_ros.files.calibration_file import read_calibration
-from magcal_ros.files.default_paths import LONGEST_FRAME
-from magcal_ros.files.recording import read_samples
+from magcal_ros.files import LONGEST_FRAME, read_calibration, read_samples
 from magcal_ros.report.write import OURS
 from magcal_ros.ros.preflight import Heard, _describe
 from magcal_ros.ros.sensor_frames import LATCHED

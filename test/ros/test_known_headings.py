@@ -11,7 +11,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu
 from support import PATIENCE, REFERENCE, rms_deg
 
-from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files import read_calibration
 
 DECLINATION = 10.0
 SPEED = 8.0

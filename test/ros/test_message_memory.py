@@ -9,11 +9,10 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.samples.streams import STREAMS, Pairer, Streams
+from magcal_ros.core import Compass, calibrate
+from magcal_ros.core.samples import STREAMS, Pairer, Streams
 from magcal_ros.core.simulation import Robot
-from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.wire import (
     attitude_template,
     field_template,

@@ -12,10 +12,10 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, Imu
 from support import PATIENCE, REFERENCE
 
-from magcal_ros.core.calibration.correction import MotorField, MotorInput
-from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.files.calibration_file import read_calibration, write_calibration
+from magcal_ros.core.calibration import MotorField, MotorInput
+from magcal_ros.core.geometry import wrap_angle
+from magcal_ros.core.samples import FieldSample
+from magcal_ros.files import read_calibration, write_calibration
 
 GAIN = np.array([[4e-6, -3e-6, 2e-6], [0.0, 5e-6, 0.0], [1e-6, 1e-6, 0.0]])
 """Tesla while it moves, per rad/s, and per ampere."""

@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu, MagneticField
 from support import PATIENCE, REFERENCE, store_calibration
 from theatre import open_theatre
 
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry import wrap_angle
 from magcal_ros.ros.sensor_frames import LATCHED
 
 DECLINATION = math.radians(7.0)

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.ros.parameter_table import PARAMETERS, Spec
 from magcal_ros.ros.parameters import Settings
 

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, NavSatFix
 from support import PATIENCE, REFERENCE
 
-from magcal_ros.core.earth_field.wmm import Place, decimal_year, model_field
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.earth_field import decimal_year, model_field
+from magcal_ros.core.earth_field.wmm import Place
+from magcal_ros.core.geometry import wrap_angle
 
 HOME = Place(48.14, 11.58, 520.0)
 AT_HOME = {"reference.latitude_deg": 48.14, "reference.longitude_deg": 11.58}

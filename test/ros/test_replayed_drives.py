@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 from support import PATIENCE, rms_deg
 
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry import wrap_angle
 
 BOSTON = {"reference.strength_ut": 51.3, "reference.inclination_deg": 66.3}
 

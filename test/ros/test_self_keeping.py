@@ -14,10 +14,10 @@ from simulated.turns import measure, turn
 from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 from test_travel import Car
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.keeping.jobs import Decision, Findings, Verb
+from magcal_ros.core import calibrate
+from magcal_ros.core.keeping import Decision, Findings, Verb
 from magcal_ros.core.simulation import Robot
-from magcal_ros.files.calibration_file import backup_files, read_calibration
+from magcal_ros.files import backup_files, read_calibration
 from magcal_ros.ros.status import watch_diagnostic
 from magcal_ros.ros.worker_process import Stopped
 

@@ -11,9 +11,8 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 from support import PATIENCE, REFERENCE, ROBOT, rms_deg
 
-from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core import Mounting
+from magcal_ros.core.geometry import rotation_from_rpy, wrap_angle
 from magcal_ros.ros.sensor_frames import LATCHED
 
 DESCRIBED = {**REFERENCE, "base_frame": "base_link"}

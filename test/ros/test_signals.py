@@ -12,8 +12,7 @@ import rclpy
 from long_form import rounds
 from support import AT_ONCE, PATIENCE, ROBOT, store_calibration, turn_by
 
-from magcal_ros.files.calibration_file import read_calibration
-from magcal_ros.files.recording import read_samples
+from magcal_ros.files import read_calibration, read_samples
 from magcal_ros.ros.rehearsal import Rehearsal
 
 pytestmark = pytest.mark.faults

@@ -5,7 +5,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
 from support import PATIENCE, REFERENCE, assert_silent
 
-from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.samples import FieldSample
 
 pytestmark = pytest.mark.faults
 

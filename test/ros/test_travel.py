@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 from support import PATIENCE, REFERENCE, store_calibration
 from theatre import FARTHEST_AHEAD, LOST_AFTER
 
-from magcal_ros.core.samples.streams import (
+from magcal_ros.core.samples import (
     FieldSample,
     ImuSample,
     PositionSample,
@@ -27,7 +27,7 @@ from magcal_ros.core.samples.streams import (
     VelocitySample,
 )
 from magcal_ros.core.simulation import Robot
-from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files import read_calibration
 from magcal_ros.ros.sensor_frames import LATCHED
 
 DEGREE = math.pi / 180.0

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from support import DEGREE, REFERENCE, ROBOT, rms_deg
 
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core import Mounting
+from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.simulation import UP_ENU
 
 LEVEL = [(0.0, 0.0)]

@@ -12,9 +12,9 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import MagneticField
 from support import DEGREE, PATIENCE, REFERENCE, ROBOT
 
-from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.session.turn_machine import Conclusion
-from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.core.samples import FieldSample
+from magcal_ros.core.session import Conclusion
+from magcal_ros.files import read_calibration
 from magcal_ros.ros.magnetometers import joined, of_turns
 from magcal_ros.ros.preflight import inspect
 from magcal_ros.ros.rehearsal import set_time

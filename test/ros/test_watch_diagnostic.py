@@ -6,7 +6,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 
-from magcal_ros.core.monitoring.watch import Watched
+from magcal_ros.core.monitoring import Watched
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from support import PATIENCE, wait_until
 
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import centred
+from magcal_ros.core import Reason, Refusal
+from magcal_ros.core.geometry import centred
 from magcal_ros.ros.worker_process import Lost, Stopped, WorkerProcess
 
 

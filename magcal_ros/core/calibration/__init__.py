@@ -1,1 +1,14 @@
 """A calibration: the correction, its covariance, the evidence for it."""
+
+from magcal_ros.core.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    """
+    calibration: Evidence yaw_jacobian
+    correction: AT_REST INPUTS MotorField MotorInput PARAMETERS Running
+    figure: along
+    heading_sigma: arc_sigma calibration_sigma every_figure heading_jacobian headings_apart
+        known_sigma predicted_heading_sigma sideways_acceleration
+    """,
+)

@@ -1,1 +1,13 @@
 """Whether the calibration in force still holds."""
+
+from magcal_ros.core.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    """
+    change: Record check_beside_chance compass_less_gyro fit_waves harmonics
+    recheck: NO_GYRO RECHECK_BOUNDS STATES expected_field
+    recorded_course: check_by_course course_fault
+    watch: Watch WatchTuning Watched
+    """,
+)

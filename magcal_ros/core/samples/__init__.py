@@ -1,1 +1,20 @@
 """Samples of the sensors: streams, paired windows, and their faults."""
+
+from magcal_ros.core.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    """
+    battery: battery_of with_one_reference
+    bursts: BurstWatch bursts_in_words spread_bursts spread_each
+    coverage: BINS Coverage thin_to_equal_angles yaw_progress
+    drive_log: DriveRecorder log_of
+    lever: without_lever_arm
+    rest: COLUMNS GyroAtRest rests_around
+    streams: Drop FieldSample ImuSample Pair Pairer PositionSample STREAMS SpeedSample
+        StampGuard Streams VelocitySample
+    units: Heard complaints explained likely_acceleration_unit likely_field_unit
+        unit_by_strength was_turned_over
+    window: SensorLog Steps living_axes stretch_of_log
+    """,
+)

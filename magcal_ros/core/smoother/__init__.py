@@ -3,3 +3,29 @@
 doc/smoother.md states the model. `smooth` (kinds_of_motion.py) fits a window; `posterior.py` turns
 the result into the twelve numbers with their covariance.
 """
+
+from magcal_ros.core.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    """
+    currents: Clock Currents
+    drives: corrected drive_nodes fit_drive fit_iron likelihood_ratio_of
+    earth: EarthPrior Fields
+    factors: Linear
+    fit: Damping Fit
+    gyro_swing: gyro_compass_swing
+    headings: fit_headings
+    iron_added: find_change
+    kinds_of_motion: liveliest_part smooth
+    nodes: nodes_of
+    places: Places
+    priors: priors_of
+    several: Together fit_together imagined_information
+    standings: Standing
+    state: Course State
+    turn_by_field: smooth_by_field
+    unknowns: ACCELERATION ALIKE AT CURRENT_LATE DRIVES LOCAL Lengths MICROTESLA MODULE RATE
+        SHARED SIZES SMALL_CIRCLE STREET TURNED UNKNOWNS VELOCITY
+    """,
+)

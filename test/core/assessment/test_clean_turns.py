@@ -7,8 +7,7 @@ from long_form import first_of
 from realistic_robots import by_rested_turn, by_turn
 from turn_kinds import KINDS
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core import Grade, calibrate
 
 SENSORS = ("good", "typical", "cheap")
 

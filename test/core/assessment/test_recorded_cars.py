@@ -5,12 +5,10 @@ import math
 import pytest
 from recorded_truth import asked_on_the_way, peers, read_drive, windows
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.doctor.page import wrong_axes
-from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Grade, Window, calibrate
+from magcal_ros.core.calibration import predicted_heading_sigma
+from magcal_ros.core.doctor import wrong_axes
+from magcal_ros.core.geometry import yaw_from_up_and_field
 
 
 def judged(folder, name):

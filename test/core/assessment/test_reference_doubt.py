@@ -7,10 +7,7 @@ import pytest
 from long_form import first_of
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core import Belief, Figure, Grade, Knowledge, ReferenceField, calibrate
 from magcal_ros.core.simulation import DEGREE, Robot
 
 STRENGTH = 48e-6

@@ -9,22 +9,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sample_results import estimate
 
-from magcal_ros.core.assessment.bounds import TURN_BOUNDS
-from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade, shown
-from magcal_ros.core.assessment.verdict import (
+from magcal_ros.core import (
+    Belief,
+    Figure,
+    Grade,
+    Knowledge,
+    Reason,
+    ReferenceField,
+    Refusal,
+    Verdict,
+    Window,
+)
+from magcal_ros.core.assessment import (
     GYRO_UNUSED,
     LEVEL_ONLY,
     NO_GYRO,
     NO_REFERENCE,
     NO_YAW,
-    Verdict,
+    TURN_BOUNDS,
+    Aspect,
+    Bound,
+    Check,
     judge,
     refuse,
+    shown,
 )
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import Robot
 
 KNOWN = Robot().knowledge()

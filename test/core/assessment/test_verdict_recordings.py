@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Belief, Grade, Knowledge, ReferenceField, Window, calibrate
 
 UNKNOWN = Knowledge()
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core import Correction
+from magcal_ros.core.geometry import rotation_from_rpy
 
 seeds = st.integers(0, 10_000)
 

@@ -7,10 +7,9 @@ from honesty_cases import sigma_at
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.calibration.calibration import Estimate, Installation, yaw_jacobian
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core import Correction, Estimate, Installation
+from magcal_ros.core.calibration import yaw_jacobian
+from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
 from magcal_ros.core.simulation import DEGREE, UP_ENU, Robot, trial_attitudes
 
 

@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration.calibration import Evidence
-from magcal_ros.core.calibration.figure import Figure, along
+from magcal_ros.core import Figure
+from magcal_ros.core.calibration import Evidence, along
 
 
 def test_a_figure_is_its_name_wherever_it_is_written():

@@ -7,17 +7,14 @@ from long_form import first_of
 from sample_results import SKEWED, estimate, small_covariance
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibration.calibration import Installation
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import (
+from magcal_ros.core import Correction, Figure, Installation, Window
+from magcal_ros.core.calibration import (
     arc_sigma,
     calibration_sigma,
     every_figure,
     predicted_heading_sigma,
     sideways_acceleration,
 )
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import LEVEL_TILT, Robot, heading_errors
 
 TRUTH = Robot()

@@ -7,13 +7,9 @@ from imu_faults_cases import good_case as case_of
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibrate import calibrate, calibrate_turns
-from magcal_ros.core.doctor.blame import mount_of, parameter_line
-from magcal_ros.core.doctor.page import examine, examine_window
-from magcal_ros.core.errors import Reason
-from magcal_ros.core.geometry.rotations import rotation_from_rpy, signed_permutations
-from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Knowledge, Mounting, Reason, Window, calibrate, calibrate_turns
+from magcal_ros.core.doctor import examine, examine_window, mount_of, parameter_line
+from magcal_ros.core.geometry import rotation_from_rpy, signed_permutations
 from magcal_ros.core.simulation import DEGREE, Robot
 
 EVERY = signed_permutations()

@@ -9,9 +9,9 @@ from imu_faults_cases import good_case
 from long_form import first_of
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.doctor.page import examine, examine_window
-from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
-from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core import Knowledge
+from magcal_ros.core.doctor import FIELD_POINTS_UP, examine, examine_window
+from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.simulation import Robot
 
 PLACE = knowledge_of(48.0, inclination_deg=64.0)

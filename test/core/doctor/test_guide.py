@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.doctor.guide import Guide, GuideStep
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.doctor import Guide, GuideStep
+from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 
 PERIOD = 0.01

@@ -8,9 +8,10 @@ from simulated.legs import Leg
 from simulated.travel import travel
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.doctor.page import examine, wrong_axes
-from magcal_ros.core.knowledge import Knowledge, knowledge_of
-from magcal_ros.core.samples.window import SensorLog, Window
+from magcal_ros.core import Knowledge, Window
+from magcal_ros.core.doctor import examine, wrong_axes
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples import SensorLog
 from magcal_ros.core.simulation import Robot
 
 

@@ -5,15 +5,15 @@ import pytest
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core.doctor.health import (
+from magcal_ros.core.doctor import (
     alive_finding,
+    examine_window,
     field_findings,
     gravity_size_finding,
     repeats_finding,
     stamps_finding,
     stuck_axes,
 )
-from magcal_ros.core.doctor.page import examine_window
 from magcal_ros.core.simulation import Robot
 
 COUNT = 600

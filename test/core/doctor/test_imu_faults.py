@@ -11,14 +11,17 @@ from long_form import first_of
 from simulated.turns import measure, turn
 from uneven_turns import ROBOT, driven, evenly
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.doctor.explanations import explain, gravity_misfit
-from magcal_ros.core.doctor.latency import force_latency
-from magcal_ros.core.doctor.page import examine, examine_window
-from magcal_ros.core.doctor.prepared import prepare
-from magcal_ros.core.geometry.rotations import chained, exp_rotations, signed_permutations
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import SensorLog, stretch_of_log
+from magcal_ros.core import Grade, Knowledge
+from magcal_ros.core.doctor import (
+    examine,
+    examine_window,
+    explain,
+    force_latency,
+    gravity_misfit,
+    prepare,
+)
+from magcal_ros.core.geometry import chained, exp_rotations, signed_permutations
+from magcal_ros.core.samples import SensorLog, stretch_of_log
 from magcal_ros.core.simulation import DEGREE, Robot
 
 MOST_SEEN = "half minute"

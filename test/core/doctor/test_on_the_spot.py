@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.geometry.rotations import chained, exp_rotations
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.doctor import examine
+from magcal_ros.core.geometry import chained, exp_rotations
+from magcal_ros.core.samples import SensorLog
 
 RATE, STEP = 0.36, 1.0 / 30.0
 

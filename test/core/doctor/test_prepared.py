@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 from imu_faults_cases import FAULTS, good_case
 
-from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.doctor import examine
+from magcal_ros.core.samples import SensorLog
 
 
 def seen_wrong(case, log):

@@ -11,17 +11,9 @@ from imu_faults_cases import good_case
 from long_form import first_of
 from scipy.spatial.transform import Rotation
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.doctor.quirks import (
-    AK09916_IN_ICM20948,
-    AK8963_IN_MPU9250,
-    QUIRKS,
-    WRAP,
-)
-from magcal_ros.core.geometry.arrays import interpolated
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Window, calibrate
+from magcal_ros.core.doctor import AK09916_IN_ICM20948, AK8963_IN_MPU9250, QUIRKS, WRAP, examine
+from magcal_ros.core.geometry import interpolated, rotation_from_rpy
 
 MOTION = "half minute"
 

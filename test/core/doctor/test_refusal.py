@@ -12,15 +12,8 @@ from simulated.legs import Leg
 from simulated.travel import travel
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.doctor import motion
-from magcal_ros.core.doctor.explanations import explain
-from magcal_ros.core.doctor.health import alive_finding
-from magcal_ros.core.doctor.page import blamed_on_sensors, wrong_axes
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Grade, Knowledge, Reason, Refusal, Window, calibrate
+from magcal_ros.core.doctor import alive_finding, blamed_on_sensors, explain, motion, wrong_axes
 from magcal_ros.core.simulation import Robot
 
 

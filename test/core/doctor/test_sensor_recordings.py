@@ -3,11 +3,12 @@
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.doctor.page import examine, wrong_axes
-from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
-from magcal_ros.core.samples.window import SensorLog
-from magcal_ros.core.session.recorded import Gathering, fit_gathered
-from magcal_ros.files.sources import open_recording
+from magcal_ros.core import Knowledge, Mounting
+from magcal_ros.core.doctor import examine, wrong_axes
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples import SensorLog
+from magcal_ros.core.session import Gathering, fit_gathered
+from magcal_ros.files import open_recording
 
 GOOD = (
     "broad05",

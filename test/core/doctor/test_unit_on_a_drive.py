@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.geometry.rotations import exp_rotations
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.doctor import examine
+from magcal_ros.core.geometry import exp_rotations
+from magcal_ros.core.samples import SensorLog
 
 SECONDS, STEP, SPEED, PASSES = 150.0, 0.04, 8.0, 4.0
 """Duration and time between samples, the car's speed in m/s, and how long it passes a place."""

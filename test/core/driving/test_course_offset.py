@@ -21,9 +21,8 @@ from simulated import (
     standing,
 )
 
-from magcal_ros.core.driving.chords import Chord, CourseCells, fit_course_offset
-from magcal_ros.core.driving.driving_tuning import COURSE
-from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
+from magcal_ros.core.driving import COURSE, Chord, CourseCells, fit_course_offset
+from magcal_ros.core.monitoring import check_by_course, course_fault
 
 LEVEL = 21e-6
 """Tesla of the level field that the streets of these tests bend: by 8 degrees, more than most."""

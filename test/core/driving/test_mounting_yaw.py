@@ -20,8 +20,7 @@ from simulated import (
     standing,
 )
 
-from magcal_ros.core.driving.driving_tuning import SpeedSource
-from magcal_ros.core.driving.mounting_yaw import SpeedFault, fault_words
+from magcal_ros.core.driving import SpeedFault, SpeedSource, fault_words
 
 DEGREE = math.pi / 180.0
 ODOMETRY, VELOCITY, FIXES = SpeedSource

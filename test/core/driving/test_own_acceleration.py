@@ -9,8 +9,8 @@ from follow_drive import ROBOT, driven, tilts
 from long_form import first_of
 from simulated import Receiver, Vehicle, Wheels, circles, city
 
-from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.samples.streams import ImuSample, PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.driving import Travelling
+from magcal_ros.core.samples import ImuSample, PositionSample, SpeedSample, VelocitySample
 
 VEHICLE = Vehicle(ROBOT, imu_yaw=0.1, imu_roll=0.05)
 KINDS = {

@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from magcal_ros.core.driving.driving_tuning import SPEED, SpeedSource
-from magcal_ros.core.driving.speed import Speedometer, SpeedTrack
-from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.driving import SPEED, Speedometer, SpeedSource, SpeedTrack
+from magcal_ros.core.samples import PositionSample, SpeedSample, VelocitySample
 
 
 def track_of(rate, seconds=60.0, speed=lambda stamp: 3.0 + math.sin(0.5 * stamp)):

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.earth_field.reference import TUNING, Fix, Fixes, place_of
-from magcal_ros.core.earth_field.wmm import EARTH_RADIUS, Place
+from magcal_ros.core.earth_field import EARTH_RADIUS, Fix, Fixes, place_of
+from magcal_ros.core.earth_field.reference import TUNING
+from magcal_ros.core.earth_field.wmm import Place
 
 HOME = (48.1, 11.6)
 DEGREE = math.radians(1.0) * EARTH_RADIUS

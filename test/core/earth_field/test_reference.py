@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.earth_field.reference import Local, made_elsewhere, resolve
-from magcal_ros.core.earth_field.wmm import Place, model_field
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField, knowledge_of
+from magcal_ros.core import Belief, Knowledge, ReferenceField, calibrate
+from magcal_ros.core.earth_field import Local, made_elsewhere, model_field, resolve
+from magcal_ros.core.earth_field.wmm import Place
+from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.simulation import Robot
 
 MUNICH, SYDNEY = Place(48.14, 11.58, 520.0), Place(-33.87, 151.21)

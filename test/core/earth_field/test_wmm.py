@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.earth_field import wmm
+from magcal_ros.core.earth_field import NoModel, decimal_year, model_field, wmm, year_of
 from magcal_ros.core.earth_field.reference import TUNING
-from magcal_ros.core.earth_field.wmm import NoModel, Place, decimal_year, model_field, year_of
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.earth_field.wmm import Place
+from magcal_ros.core.geometry import wrap_angle
 
 # Year, altitude in km, latitude, longitude, declination, inclination, F in nT: from the table of
 # test values that NOAA publishes with WMM2025.

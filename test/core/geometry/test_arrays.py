@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry.arrays import frozen_array, running_mean
+from magcal_ros.core.geometry import frozen_array, running_mean
 
 
 def test_it_copies_and_locks():

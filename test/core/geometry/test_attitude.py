@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.geometry.attitude import (
+from magcal_ros.core.geometry import (
     FRD_FROM_FLU,
     body_from_enu,
     field_in_enu,
     level_part,
+    rotation_from_rpy,
     true_yaw,
     unit,
     wrap_angle,
     yaw_from_up_and_field,
 )
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
 angles = st.floats(-3.1, 3.1)
 tilts = st.floats(-1.2, 1.2)

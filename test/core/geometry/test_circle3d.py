@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.rotations import exp_rotation
-from magcal_ros.core.geometry.shapes import fit_circle_in_space
+from magcal_ros.core import Refusal
+from magcal_ros.core.geometry import exp_rotation, fit_circle_in_space
 
 numbers = st.floats(-3.0, 3.0)
 vectors = st.tuples(numbers, numbers, numbers).map(np.array)

@@ -9,8 +9,8 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.shapes import ellipse_ratio, fit_circle
+from magcal_ros.core import Reason, Refusal
+from magcal_ros.core.geometry import ellipse_ratio, fit_circle
 
 every_fit = pytest.mark.parametrize("fit", [fit_circle, ellipse_ratio])
 

@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.geometry.frame_tree import FIXED, FrameJoint, FrameTree, FrameTrouble
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry import FIXED, FrameJoint, FrameTree, FrameTrouble, rotation_from_rpy
 
 angles = st.floats(-3.0, 3.0)
 poses = st.builds(rotation_from_rpy, angles, angles, angles)

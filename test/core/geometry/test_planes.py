@@ -6,8 +6,8 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.shapes import fit_plane
+from magcal_ros.core import Reason, Refusal
+from magcal_ros.core.geometry import fit_plane
 
 
 def disc(normal, centre=(0.0, 0.0, 0.0), noise=0.0, seed=0, samples=50, size=(1.0, 1.0)):

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.shapes import QuadricFit, fit_quadric
+from magcal_ros.core import Reason, Refusal
+from magcal_ros.core.geometry import QuadricFit, fit_quadric
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from magcal_ros.core.geometry.rotations import (
+from magcal_ros.core.geometry import (
     exp_rotation,
     exp_rotations,
     minimal_rotation,

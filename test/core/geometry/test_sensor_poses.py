@@ -3,15 +3,15 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry.frame_tree import (
+from magcal_ros.core.geometry import (
     FIXED,
     FrameJoint,
     Frames,
     FrameTree,
     pose_in_words,
+    rotation_from_rpy,
     sensor_poses,
 )
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
 FRAMES = Frames("base_link", "imu_link", "mag_link")
 SIDEWAYS = rotation_from_rpy(0.0, 0.0, math.pi / 2)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry.rotations import is_mirrored, likely_slip, signed_permutations, spoken
+from magcal_ros.core.geometry import is_mirrored, likely_slip, signed_permutations, spoken
 
 EVERY = signed_permutations()
 

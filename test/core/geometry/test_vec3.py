@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.geometry import vec3
-from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.geometry import exp_rotation, vec3
 
 vectors = st.tuples(*[st.floats(-5.0, 5.0)] * 3)
 

@@ -7,10 +7,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from sample_results import calibration as sample_calibration
 
-from magcal_ros.core.calibration.correction import PARAMETERS, Correction
-from magcal_ros.core.geometry.rotations import exp_rotation, rotation_from_rpy
-from magcal_ros.core.heading.base_view import BaseView
-from magcal_ros.core.heading.compass import Compass, Heading
+from magcal_ros.core import Compass, Correction
+from magcal_ros.core.calibration import PARAMETERS
+from magcal_ros.core.geometry import exp_rotation, rotation_from_rpy
+from magcal_ros.core.heading import BaseView, Heading
 
 angles = st.floats(-3.1, 3.1)
 tilts = st.floats(-1.2, 1.2)

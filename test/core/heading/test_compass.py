@@ -8,24 +8,18 @@ from hypothesis import strategies as st
 from sample_results import SKEWED, calibration, small_covariance
 from scipy.spatial.transform import Rotation
 
-from magcal_ros.core.calibration.correction import (
-    AT_REST,
-    Correction,
-    MotorField,
-    MotorInput,
-    Running,
-)
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.geometry.attitude import (
+from magcal_ros.core import Compass, Correction, Figure
+from magcal_ros.core.calibration import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.geometry import (
     body_from_enu,
     field_in_enu,
+    rotation_from_rpy,
+    rpy_from_rotation,
     unit,
     wrap_angle,
     yaw_from_up_and_field,
 )
-from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.heading.compass import Compass, quaternion_from_rpy
-from magcal_ros.core.heading.motors_now import ODDS, UNSEEN
+from magcal_ros.core.heading import ODDS, UNSEEN, quaternion_from_rpy
 
 angle = st.floats(-math.pi, math.pi)
 tilt = st.floats(-1.4, 1.4)

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.heading.disturbance import DisturbanceDetector, Trust
+from magcal_ros.core import Calibration, Correction
+from magcal_ros.core.calibration import Evidence
+from magcal_ros.core.heading import DisturbanceDetector, Trust
 
 DIP = math.radians(65.0)
 UP = (0.0, 0.0, 1.0)

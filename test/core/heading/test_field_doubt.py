@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from sample_results import calibration
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.attitude import field_in_enu
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.disturbance import UNKNOWN_YAW, FieldDoubt
+from magcal_ros.core import Compass, Correction
+from magcal_ros.core.geometry import field_in_enu, rotation_from_rpy
+from magcal_ros.core.heading import FieldDoubt
+from magcal_ros.core.heading.disturbance import UNKNOWN_YAW
 
 STRENGTH, DIP = 50e-6, 1.1
 RIGHT = replace(calibration(Correction(np.eye(3), np.zeros(3))), strength=STRENGTH, inclination=DIP)

@@ -5,14 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.driving.chords import CourseOffset
-from magcal_ros.core.driving.mounting_yaw import MountingYaw
-from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.heading.base_view import (
-    VehicleYaw,
-    corrected_pose,
-    vehicle_front,
-)
+from magcal_ros.core.driving import CourseOffset, MountingYaw
+from magcal_ros.core.geometry import rotation_from_rpy, rpy_from_rotation
+from magcal_ros.core.heading import VehicleYaw, corrected_pose, vehicle_front
 
 DEGREE = math.pi / 180.0
 EAST = 9.0 * DEGREE, 0.5 * DEGREE

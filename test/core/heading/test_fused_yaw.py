@@ -13,18 +13,13 @@ from moving import FORWARD, ROBOT, Course
 from sample_results import EVIDENCE
 from simulated import Vehicle, city, simulated_drive, travel
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.disturbance import PATIENCE, Trust
-from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.heading.yaw_filter import FUSION
-from magcal_ros.core.samples.streams import ImuSample, SpeedSample, Streams
-from magcal_ros.core.up.follower import Up, UpFollower
-from magcal_ros.core.up.propagation import GyroBias
-from magcal_ros.files.recording import read_csv_folder
+from magcal_ros.core import Calibration, Compass, Correction
+from magcal_ros.core.driving import Travelling
+from magcal_ros.core.geometry import wrap_angle
+from magcal_ros.core.heading import FUSION, PATIENCE, FusedYaw, Trust
+from magcal_ros.core.samples import ImuSample, SpeedSample, Streams
+from magcal_ros.core.up import GyroBias, Up, UpFollower
+from magcal_ros.files import read_csv_folder
 
 CALIBRATED = Calibration(
     ROBOT.true_correction,

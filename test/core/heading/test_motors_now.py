@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, Running
-from magcal_ros.core.geometry.rotations import exp_rotation
-from magcal_ros.core.heading.motors_now import UNSEEN, MotorsNow
+from magcal_ros.core.calibration import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.geometry import exp_rotation
+from magcal_ros.core.heading import UNSEEN, MotorsNow
 
 PERIOD, NOISE, RATE = 0.04, 0.2e-6, (0.0, 0.0, 0.4)
 EARTH = np.array([18e-6, 5e-6, -42e-6])

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.heading.motion_sense import MotionSense
+from magcal_ros.core.heading import MotionSense
 
 STILL = (0.001, -0.002, 0.001)
 TURNS = (0.0, 0.0, 0.3)

@@ -8,16 +8,12 @@ import pytest
 from long_form import first_of
 from sample_results import EVIDENCE
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.heading.compass import Compass, Moment
-from magcal_ros.core.heading.disturbance import PATIENCE
-from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core import Calibration, Compass, Correction
+from magcal_ros.core.geometry import wrapped
+from magcal_ros.core.heading import PATIENCE, FusedYaw, Moment, SeveralCompasses
+from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
-from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.core.up import UpFollower
 
 ROBOT = Robot(noise_field=0.1e-6, noise_force=0.05)
 ROBOTS = {

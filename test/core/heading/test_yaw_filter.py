@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.heading.yaw_filter import PERFECT, GyroLoss, YawFilter
+from magcal_ros.core.heading import PERFECT, GyroLoss, YawFilter
 
 
 @pytest.mark.parametrize(

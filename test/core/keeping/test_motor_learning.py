@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import INPUTS, Correction, MotorInput, Running
-from magcal_ros.core.geometry.attitude import field_in_enu
-from magcal_ros.core.geometry.rotations import exp_rotation
-from magcal_ros.core.heading.motion_sense import MotionSense
-from magcal_ros.core.keeping.motor_learning import MotorLearning
+from magcal_ros.core import Calibration, Correction
+from magcal_ros.core.calibration import INPUTS, Evidence, MotorInput, Running
+from magcal_ros.core.geometry import exp_rotation, field_in_enu
+from magcal_ros.core.heading import MotionSense
+from magcal_ros.core.keeping import MotorLearning
 
 STEP = 0.05
 MATRIX = np.array([[1.02, 0.02, 0.0], [-0.02, 0.98, 0.03], [0.0, -0.03, 1.0]])

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from recorded_truth import in_force, read_drive
 
-from magcal_ros.core.keeping.jobs import Verb
-from magcal_ros.core.keeping.story import replayed
-from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.keeping import Verb, replayed
+from magcal_ros.core.samples import FieldSample
 
 CAME, TOLD_WITHIN = 120.0, 60.0
 LOOK = 1.0

@@ -9,23 +9,23 @@ from simulated.drive import Iron, Vehicle, simulated_drive
 from simulated.legs import Leg, city
 from simulated.travel import travel
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.keeping.jobs import (
+from magcal_ros.core import Calibration
+from magcal_ros.core.calibration import Evidence, predicted_heading_sigma
+from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
+from magcal_ros.core.keeping import (
+    TRIAL,
     DriveCandidate,
     Findings,
     Kind,
     Mode,
     Proof,
+    SelfCalibration,
     Verb,
+    answer,
     difference,
 )
-from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
-from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
+from magcal_ros.core.samples import FieldSample, ImuSample, Pair
 from magcal_ros.core.simulation import Robot
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)

@@ -6,11 +6,9 @@ from simulated.drive import Vehicle, simulated_drive
 from simulated.legs import Leg
 from simulated.travel import travel
 
-from magcal_ros.core.keeping.jobs import Mode
-from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.story import replayed
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.drive_log import DriveRecorder
+from magcal_ros.core import Knowledge
+from magcal_ros.core.keeping import Mode, SelfCalibration, replayed
+from magcal_ros.core.samples import DriveRecorder
 from magcal_ros.core.simulation import Robot
 
 STANDS, GOES = 30.0, 50.0

@@ -11,16 +11,14 @@ from simulated.drive import Fence, Vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
 
-from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.earth_field.reference import made_elsewhere
-from magcal_ros.core.keeping.jobs import DriveJob, Kind, Step
-from magcal_ros.core.keeping.worker import answer, prove
-from magcal_ros.core.knowledge import Belief, Knowledge, knowledge_of
-from magcal_ros.core.samples.drive_log import log_of
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Belief, Figure, Knowledge, Window
+from magcal_ros.core.assessment import LEVEL_ONLY, NO_REFERENCE
+from magcal_ros.core.earth_field import made_elsewhere
+from magcal_ros.core.keeping import DriveJob, Kind, Step, answer, prove
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples import log_of
 from magcal_ros.core.simulation import Robot
-from magcal_ros.core.smoother.drives import drive_nodes
+from magcal_ros.core.smoother import drive_nodes
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 ROBOT = Robot(strength=51.3e-6, inclination=math.radians(66.3), noise_field=0.3e-6)

@@ -16,9 +16,8 @@ from tip_bridge import ours, window_of, worst_difference
 from tip_turns import QUIET, distance, level_turn, ramp_turn, refusal, rms_deg
 from tumbles import hand_tumbling, tumble
 
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.rotations import roll_pitch_between, rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge, Mounting
+from magcal_ros.core import Knowledge, Mounting, Reason, Refusal
+from magcal_ros.core.geometry import roll_pitch_between, rotation_from_rpy
 from magcal_ros.core.methods.design_tip import fit
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 

@@ -13,8 +13,8 @@ from simulated.turns import measure, turn
 from tip_bridge import knowledge_of, ours, window_of, worst_difference
 from tip_turns import QUIET, distance, ramp_turn, refusal, rms_deg, rms_of
 
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.shapes import ellipse_ratio, fit_plane
+from magcal_ros.core import Reason, Refusal
+from magcal_ros.core.geometry import ellipse_ratio, fit_plane
 from magcal_ros.core.methods.design_tip import fit
 from magcal_ros.core.simulation import DEGREE, Robot, heading_errors
 

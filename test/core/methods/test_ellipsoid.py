@@ -15,15 +15,12 @@ from simulated.turns import Trouble, measure, smooth_wobble, turn
 from tip_turns import rms_deg
 from tumbles import QUIET, SQUARE, hand_tumbling, tumble, tumbling, with_fields
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge, Mounting
+from magcal_ros.core import Knowledge, Mounting, Reason, Refusal, Window, calibrate
+from magcal_ros.core.calibration import predicted_heading_sigma
+from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.methods.ellipsoid import Options, fit
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, Robot, heading_errors
-from magcal_ros.files.recording import read_csv_folder
+from magcal_ros.files import read_csv_folder
 
 seeds = st.integers(0, 2**32 - 1)
 

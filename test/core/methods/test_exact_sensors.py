@@ -12,13 +12,10 @@ from hypothesis import strategies as st
 from long_form import first_of
 from simulated.turns import Trouble, measure, smooth_wobble, turn
 
-from magcal_ros.core.calibration.calibration import yaw_jacobian
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge, Mounting, SoftIron
+from magcal_ros.core import Figure, Knowledge, Mounting, SoftIron, Window
+from magcal_ros.core.calibration import predicted_heading_sigma, yaw_jacobian
+from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.methods.smoother import METHOD, fit
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import (
     DEGREE,
     LEVEL_TILT,

@@ -15,13 +15,11 @@ from simulated.turns import measure, smooth_wobble, turn
 from tip_turns import rms_deg
 from tumbles import QUIET, SQUARE, hand_tumbling, pole_window, tumble, tumbling, with_fields
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.methods.min_max import Options, fit, samples_on_ellipsoid
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Knowledge, Mounting, Reason, Refusal, Window, calibrate
+from magcal_ros.core.calibration import predicted_heading_sigma
+from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.methods import samples_on_ellipsoid
+from magcal_ros.core.methods.min_max import Options, fit
 from magcal_ros.core.simulation import DEGREE, heading_errors
 
 seeds = st.integers(0, 2**32 - 1)

@@ -6,9 +6,8 @@ import numpy as np
 from simulated.turns import turn
 from tumbles import SQUARE, hand_tumbling, tumbling
 
-from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.rotations import exp_rotation
-from magcal_ros.core.methods.tumbling import estimate_mounting
+from magcal_ros.core.geometry import exp_rotation, unit
+from magcal_ros.core.methods import estimate_mounting
 from magcal_ros.core.simulation import DEGREE, UP_ENU
 
 SIGMA = 3.0 * DEGREE

@@ -10,12 +10,9 @@ import pytest
 from honesty_cases import sigma_at
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core import Belief, Correction, Knowledge, Reason, ReferenceField, Refusal, Window
+from magcal_ros.core.methods import jackknife_covariance
 from magcal_ros.core.methods.design_tip import fit
-from magcal_ros.core.methods.resampling import jackknife_covariance
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import (
     DEGREE,
     LEVEL_TILT,

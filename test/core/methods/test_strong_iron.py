@@ -8,13 +8,10 @@ import pytest
 from long_form import first_of
 from simulated.turns import Motion, measure, turn
 
+from magcal_ros.core import Figure, Reason, Window, calibrate
 from magcal_ros.core.assessment.verdict import Grade
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.errors import Reason
-from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
+from magcal_ros.core.geometry import rotation_about, rotation_from_rpy
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 

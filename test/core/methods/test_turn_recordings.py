@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.attitude import wrap_angle, yaw_from_up_and_field
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core import Belief, Correction, Knowledge, ReferenceField, Window
+from magcal_ros.core.geometry import wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.up.follower import propagated_up
+from magcal_ros.core.up import propagated_up
 
 RECORDINGS = Path(__file__).resolve().parents[4] / "shared" / "recordings"
 

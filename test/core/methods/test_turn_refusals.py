@@ -3,12 +3,9 @@ import pytest
 from long_form import first_of
 from simulated.turns import Motion, measure, turn
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.rotations import rotation_about
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core import Belief, Knowledge, Reason, ReferenceField, Refusal, Window, calibrate
+from magcal_ros.core.geometry import rotation_about
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, UP_ENU, Robot, heading_errors
 
 

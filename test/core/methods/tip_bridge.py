@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from printed_tip import Answer, Turn
 
-from magcal_ros.core.geometry.attitude import FRD_FROM_FLU, STANDARD_GRAVITY
-from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
+from magcal_ros.core import Belief, Knowledge, Mounting, ReferenceField, Window
+from magcal_ros.core.geometry import FRD_FROM_FLU, STANDARD_GRAVITY
 from magcal_ros.core.methods import design_tip
-from magcal_ros.core.samples.window import Window
 
 
 def window_of(turn: Turn) -> Window:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simulated.turns import measure, turn
 
-from magcal_ros.core.errors import Refusal
+from magcal_ros.core import Refusal
 from magcal_ros.core.methods.design_tip import fit
 from magcal_ros.core.simulation import DEGREE, Robot
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from simulated.turns import Motion, measure
 
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Window
 from magcal_ros.core.simulation import Robot
 
 SQUARE = Robot(roll=0.0, pitch=0.0)

@@ -6,17 +6,9 @@ import pytest
 from drives import ROBOT
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.assessment.verdict import LEVEL_ONLY
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.monitoring.recheck import (
-    NO_GYRO,
-    RECHECK_BOUNDS,
-    STATES,
-    check,
-    expected_field,
-)
+from magcal_ros.core import Grade, Knowledge, calibrate, check
+from magcal_ros.core.assessment import LEVEL_ONLY
+from magcal_ros.core.monitoring import NO_GYRO, RECHECK_BOUNDS, STATES, expected_field
 from magcal_ros.core.simulation import Robot
 
 

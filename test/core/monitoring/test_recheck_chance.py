@@ -5,18 +5,16 @@ import pytest
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.monitoring.change import (
+from magcal_ros.core import Figure, Grade, Window, calibrate, check
+from magcal_ros.core.monitoring import (
+    RECHECK_BOUNDS,
     Record,
     check_beside_chance,
     compass_less_gyro,
     fit_waves,
     harmonics,
 )
-from magcal_ros.core.monitoring.recheck import RECHECK_BOUNDS, _figures, check
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.monitoring.recheck import _figures
 from magcal_ros.core.simulation import Robot
 
 BOUND = next(b for b in RECHECK_BOUNDS if b.figure is Figure.HEADING_SWING)

@@ -8,12 +8,8 @@ from simulated import Streets, city, random_vehicle, simulated_drive, travel
 from simulated.legs import circles
 from simulated.turns import measure, turn
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.monitoring.recheck import check
-from magcal_ros.core.samples.drive_log import log_of
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Figure, Grade, Window, calibrate, check
+from magcal_ros.core.samples import log_of
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,11 @@ import pytest
 from driving import PERIOD, ROBOT, Way, changed, drive, promise
 from long_form import first_of
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.heading.compass import Compass, Moment
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.monitoring.watch import Watch, WatchTuning
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.core import Compass, Grade, Knowledge, Window, calibrate
+from magcal_ros.core.heading import Moment
+from magcal_ros.core.monitoring import Watch, WatchTuning
+from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.up import UpFollower
 
 PROMISE = promise()
 

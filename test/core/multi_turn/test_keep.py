@@ -5,10 +5,10 @@ import pytest
 from long_form import first_of
 from slope_turns import EAST, KNOWN, LEVEL, ROBOT, window_on
 
+from magcal_ros.core import Reason
 from magcal_ros.core.calibrate import take_turn
-from magcal_ros.core.errors import Reason
-from magcal_ros.core.multi_turn import joined
-from magcal_ros.core.multi_turn.result import TUNING, Kept, Several, Shown, TurnFate, names_of
+from magcal_ros.core.multi_turn import Kept, Several, Shown, TurnFate, joined, names_of
+from magcal_ros.core.multi_turn.result import TUNING
 
 METHOD = "maximum_likelihood"
 

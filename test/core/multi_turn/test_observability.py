@@ -4,7 +4,7 @@ import pytest
 from long_form import first_of
 from slope_turns import EAST, KNOWN, LEVEL, NORTH, ROBOT, WEST, windows_on
 
-from magcal_ros.core.calibrate import calibrate_turns
+from magcal_ros.core import calibrate_turns
 
 
 @pytest.fixture(scope="module")

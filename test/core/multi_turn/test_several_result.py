@@ -2,7 +2,7 @@ import json
 import math
 from dataclasses import replace
 
-from magcal_ros.core.multi_turn.result import Advice, Several, Shown, TurnFate
+from magcal_ros.core.multi_turn import Advice, Several, Shown, TurnFate
 
 DEGREE = math.pi / 180.0
 BEFORE = Shown(

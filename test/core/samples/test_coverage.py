@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated.turns import measure, smooth_wobble, turn
 
-from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
-from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples.coverage import BINS, Coverage, thin_to_equal_angles, yaw_progress
+from magcal_ros.core import Mounting
+from magcal_ros.core.geometry import rotation_about, rotation_from_rpy
+from magcal_ros.core.samples import BINS, Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.simulation import DEGREE, Robot
 
 ROBOT = Robot()

@@ -2,8 +2,7 @@ from collections import Counter
 
 import pytest
 
-from magcal_ros.core.samples.streams import Drop, FieldSample, ImuSample, Streams
-from magcal_ros.core.samples.units import Heard, complaints
+from magcal_ros.core.samples import Drop, FieldSample, Heard, ImuSample, Streams, complaints
 
 
 def streams(field_ahead=0.0, max_gap=0.2):

@@ -5,9 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry.arrays import integral
-from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Pair, Pairer, Streams
+from magcal_ros.core.geometry import integral
+from magcal_ros.core.samples import (
+    STREAMS,
+    DriveRecorder,
+    FieldSample,
+    ImuSample,
+    Pair,
+    Pairer,
+    Streams,
+)
 
 BIAS = np.radians([3.5, -2.0, 1.9])
 STEP = 0.02

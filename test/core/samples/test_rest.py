@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from simulated.turns import Motion, measure
 
-from magcal_ros.core.geometry.rotations import rotation_about
-from magcal_ros.core.samples.rest import rests_around
+from magcal_ros.core.geometry import rotation_about
+from magcal_ros.core.samples import rests_around
 from magcal_ros.core.simulation import Robot
 
 DEGREE = math.pi / 180.0

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from uneven_turns import DEGREE, REST, ROBOT, SECONDS, collected, driven, evenly, stop_and_go
 
-from magcal_ros.core.samples import rest
-from magcal_ros.core.samples.rest import COLUMNS, GyroAtRest
+from magcal_ros.core.samples import COLUMNS, GyroAtRest, rest
 
 BIAS = np.array([0.3, -0.2, 0.1]) * DEGREE
 

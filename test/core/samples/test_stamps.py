@@ -3,15 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.samples.bursts import (
+from magcal_ros.core import Reason, Refusal, Window
+from magcal_ros.core.samples import (
     BurstWatch,
     bursts_in_words,
+    explained,
     spread_bursts,
     spread_each,
 )
-from magcal_ros.core.samples.units import explained
-from magcal_ros.core.samples.window import Window
 
 
 def bursts(period=1.0, count=40, within=20):

@@ -7,8 +7,8 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.geometry.rotations import exp_rotation, exp_rotations
-from magcal_ros.core.samples.streams import (
+from magcal_ros.core.geometry import exp_rotation, exp_rotations
+from magcal_ros.core.samples import (
     STREAMS,
     Drop,
     FieldSample,

@@ -2,11 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.samples.units import (
-    likely_acceleration_unit,
-    likely_field_unit,
-    unit_by_strength,
-)
+from magcal_ros.core.samples import likely_acceleration_unit, likely_field_unit, unit_by_strength
 
 EARTH = [22e-6, 48e-6, 67e-6]
 UNITS = [

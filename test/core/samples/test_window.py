@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Window
 
 
 def window(**changes):

@@ -7,19 +7,19 @@ from itertools import count
 import numpy as np
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibrate import Outcome, calibrate
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.multi_turn.result import Kept
-from magcal_ros.core.samples.streams import ImuSample, Pairer, Streams
-from magcal_ros.core.session.self_turn import Around, SelfTurn
-from magcal_ros.core.session.session import Brief, Limits
-from magcal_ros.core.session.turn_machine import (
+from magcal_ros.core import Knowledge, Outcome, Reason, Refusal, calibrate
+from magcal_ros.core.multi_turn import Kept
+from magcal_ros.core.samples import ImuSample, Pairer, Streams
+from magcal_ros.core.session import (
+    Around,
+    Brief,
     Conclusion,
     FitTurn,
+    Limits,
     MoveBase,
     Preview,
     PutInForce,
+    SelfTurn,
     TurnMachine,
 )
 from magcal_ros.core.simulation import Ride, Robot

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.session.external_heading import GyroTurn, HeadingAgainstGyro
+from magcal_ros.core.session import GyroTurn, HeadingAgainstGyro
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.session.rotation import fit_circle_by_angle, objection_to_gyro
+from magcal_ros.core.session import fit_circle_by_angle, objection_to_gyro
 
 RATE = 50.0
 

@@ -10,16 +10,14 @@ from simulated.drive import Streets
 from simulated.legs import Leg
 from simulated.turns import measure, turn
 
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
-from magcal_ros.core.session.session import TUNING, Limits
-from magcal_ros.core.session.turn_machine import Conclusion
+from magcal_ros.core import Figure, Knowledge, Mounting, Reason, Refusal
+from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.session import LITTLE_DATA, Conclusion, Gathering, Limits, fit_gathered
+from magcal_ros.core.session.session import TUNING
 from magcal_ros.core.simulation import Ride, Robot, heading_errors
-from magcal_ros.files.sources import open_recording
+from magcal_ros.files import open_recording
 
 KNOWLEDGE = ROBOT.knowledge(1.5e-6, math.radians(1.0))
 
@@ -61,8 +59,8 @@ class House:
 def live(samples, knowledge):
     """What the node's own control makes of the samples."""
     pytest.importorskip("rclpy")
-    from magcal_ros.core.samples.streams import Streams
-    from magcal_ros.core.session.self_turn import SelfTurn
+    from magcal_ros.core.samples import Streams
+    from magcal_ros.core.session import SelfTurn
     from magcal_ros.ros.magnetometer import Control
     from magcal_ros.ros.parameter_table import PARAMETERS
     from magcal_ros.ros.parameters import Settings

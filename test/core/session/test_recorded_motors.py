@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import MotorField, MotorInput
-from magcal_ros.core.samples.streams import FieldSample, SpeedSample
-from magcal_ros.core.session.recorded import without_motors
+from magcal_ros.core import Calibration
+from magcal_ros.core.calibration import Evidence, MotorField, MotorInput
+from magcal_ros.core.samples import FieldSample, SpeedSample
+from magcal_ros.core.session import without_motors
 from magcal_ros.core.simulation import Ride, Robot
 
 ROBOT = Robot()

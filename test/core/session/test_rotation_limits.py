@@ -2,12 +2,8 @@ import math
 
 import pytest
 
-from magcal_ros.core.session.rotation import (
-    TUNING,
-    RotationPlan,
-    Seen,
-    planned_duration,
-)
+from magcal_ros.core.session import RotationPlan, Seen, planned_duration
+from magcal_ros.core.session.rotation import TUNING
 
 SPEED = 0.5
 BEYOND = TUNING.farthest_beyond

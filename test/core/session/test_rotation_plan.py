@@ -7,14 +7,8 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.session.rotation import (
-    TUNING,
-    Fault,
-    Phase,
-    RotationPlan,
-    Seen,
-    planned_duration,
-)
+from magcal_ros.core.session import Fault, Phase, RotationPlan, Seen, planned_duration
+from magcal_ros.core.session.rotation import TUNING
 
 PERIOD = 0.05
 

@@ -3,10 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.coverage import Coverage
-from magcal_ros.core.samples.streams import FieldSample, Pair
-from magcal_ros.core.session.rotation import Fault, RotationProof, Seen
-from magcal_ros.core.session.session import Progress, Stage
+from magcal_ros.core.samples import Coverage, FieldSample, Pair
+from magcal_ros.core.session import Fault, Progress, RotationProof, Seen, Stage
 from magcal_ros.core.simulation import UP_ENU, Ride, Robot
 
 TOLD = 0.4

@@ -7,9 +7,9 @@ import pytest
 from long_form import first_of
 from scene import NO_RATE, Scene
 
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.session import TurnState
 from magcal_ros.core.session.self_turn import TUNING
-from magcal_ros.core.session.turn_machine import TurnState
 
 SPEED = 0.5
 

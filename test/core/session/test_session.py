@@ -6,12 +6,11 @@ import pytest
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.session import TUNING, Limits, Session, Stage
+from magcal_ros.core import Mounting, Reason, Refusal, Window
+from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.samples import FieldSample, ImuSample, Pair
+from magcal_ros.core.session import Limits, Session, Stage
+from magcal_ros.core.session.session import TUNING
 from magcal_ros.core.simulation import DEGREE, Robot
 
 ROBOT = Robot()

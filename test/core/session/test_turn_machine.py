@@ -6,8 +6,8 @@ import pytest
 from long_form import first_of
 from scene import BAD, GOOD, SHORT, Scene
 
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.session.turn_machine import FitTurn, Preview, PutInForce, TurnState
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.session import FitTurn, Preview, PutInForce, TurnState
 
 
 def asked_for(scene, kind):

@@ -24,8 +24,8 @@ from simulated import (
     travel,
 )
 
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample
+from magcal_ros.core.geometry import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
+from magcal_ros.core.samples import FieldSample, ImuSample, SpeedSample
 from magcal_ros.core.simulation import DEGREE, Robot
 
 QUIET = Vehicle(

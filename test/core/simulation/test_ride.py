@@ -6,9 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulated.turns import measure, turn
 
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.geometry import (
+    STANDARD_GRAVITY,
+    rotation_from_rpy,
+    wrap_angle,
+    yaw_from_up_and_field,
+)
+from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 
 SILENT = {"noise_field": 0.0, "noise_force": 0.0, "noise_rate": 0.0}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from simulated.turns import Trouble, measure, smooth_wobble, turn
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, yaw_from_up_and_field
+from magcal_ros.core import Correction
+from magcal_ros.core.geometry import STANDARD_GRAVITY, yaw_from_up_and_field
 from magcal_ros.core.simulation import DEGREE, UP_ENU, Robot, heading_errors, trial_attitudes
 
 QUIET = Robot(noise_field=0.0, noise_force=0.0, noise_rate=0.0)

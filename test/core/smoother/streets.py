@@ -8,11 +8,10 @@ from simulated.drive import random_vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
 
-from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core import Window
+from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.samples.drive_log import log_of
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples import log_of
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 

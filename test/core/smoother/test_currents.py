@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.battery import battery_of, with_one_reference
-from magcal_ros.core.smoother.currents import Clock, Currents
+from magcal_ros.core.samples import battery_of, with_one_reference
+from magcal_ros.core.smoother import Clock, Currents
 
 STAMPS = np.arange(0.0, 10.0, 0.125)
 

@@ -17,23 +17,26 @@ from simulated.legs import city
 from simulated.travel import travel
 from streets import BOSTON, driven, heading_error, log_from
 
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma
-from magcal_ros.core.errors import Refusal
+from magcal_ros.core import Refusal, Window
+from magcal_ros.core.calibration import calibration_sigma
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.drive_log import log_of
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoother.drives import (
+from magcal_ros.core.samples import log_of
+from magcal_ros.core.smoother import (
+    AT,
+    DRIVES,
+    MICROTESLA,
+    SMALL_CIRCLE,
     corrected,
     drive_nodes,
     fit_drive,
     fit_iron,
     likelihood_ratio_of,
+    liveliest_part,
+    priors_of,
+    smooth,
 )
-from magcal_ros.core.smoother.kinds_of_motion import liveliest_part, smooth
-from magcal_ros.core.smoother.priors import priors_of
 from magcal_ros.core.smoother.start import start
-from magcal_ros.core.smoother.unknowns import AT, DRIVES, MICROTESLA, SMALL_CIRCLE
 
 NOBODY = np.eye(3)
 

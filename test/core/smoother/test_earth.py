@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField, knowledge_of
-from magcal_ros.core.smoother.earth import EarthPrior, Fields
+from magcal_ros.core import Belief, Knowledge, ReferenceField
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.smoother import EarthPrior, Fields
 
 ANYWHERE = Fields.of(Knowledge().reference)
 BOSTON = Fields.of(knowledge_of(51.3, inclination_deg=66.3).reference)

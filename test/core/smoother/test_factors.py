@@ -9,16 +9,9 @@ import numpy as np
 import pytest
 from simulated.turns import measure, turn
 
-from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_about
+from magcal_ros.core.geometry import minimal_rotation, rotation_about, unit
 from magcal_ros.core.simulation import Robot
-from magcal_ros.core.smoother import factors, factors_by_field
-from magcal_ros.core.smoother.factors import Linear
-from magcal_ros.core.smoother.nodes import nodes_of
-from magcal_ros.core.smoother.places import Places
-from magcal_ros.core.smoother.priors import priors_of
-from magcal_ros.core.smoother.state import Course, State
-from magcal_ros.core.smoother.unknowns import (
+from magcal_ros.core.smoother import (
     ACCELERATION,
     AT,
     CURRENT_LATE,
@@ -27,7 +20,15 @@ from magcal_ros.core.smoother.unknowns import (
     SHARED,
     STREET,
     VELOCITY,
+    Course,
     Lengths,
+    Linear,
+    Places,
+    State,
+    factors,
+    factors_by_field,
+    nodes_of,
+    priors_of,
 )
 
 STEP = 1e-6

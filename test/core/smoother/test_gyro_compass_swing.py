@@ -8,11 +8,10 @@ import pytest
 from long_form import first_of
 from simulated.turns import measure, turn
 
-from magcal_ros.core.geometry.attitude import body_from_enu
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry import body_from_enu, rotation_from_rpy
 from magcal_ros.core.methods.smoother import fit
 from magcal_ros.core.simulation import DEGREE, Robot
-from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
+from magcal_ros.core.smoother import gyro_compass_swing
 
 
 def known(robot):

@@ -9,17 +9,14 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.calibration.heading_sigma import heading_jacobian, headings_apart
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, field_in_enu, wrapped
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.methods.known_headings import declination_hint, fit
-from magcal_ros.core.session.at_known_heading import add_standing
+from magcal_ros.core import Belief, Knowledge, Reason, ReferenceField, Refusal
+from magcal_ros.core.calibration import heading_jacobian, headings_apart
+from magcal_ros.core.geometry import STANDARD_GRAVITY, field_in_enu, rotation_from_rpy, wrapped
+from magcal_ros.core.methods import declination_hint
+from magcal_ros.core.methods.known_headings import fit
+from magcal_ros.core.session import add_standing
 from magcal_ros.core.simulation import DEGREE, Robot
-from magcal_ros.core.smoother.headings import fit_headings
-from magcal_ros.core.smoother.standings import Standing
-from magcal_ros.core.smoother.unknowns import SIZES
+from magcal_ros.core.smoother import SIZES, Standing, fit_headings
 
 ROBOT = Robot(yaw=2.0 * DEGREE)
 SIGMA = 1.0 * DEGREE

@@ -9,12 +9,11 @@ from simulated.drive import Iron
 from simulated.legs import Leg, city, standing
 from streets import BOSTON, driven, heading_error, log_from
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.keeping.jobs import KEEPING
-from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
-from magcal_ros.core.smoother.drives import drive_nodes
-from magcal_ros.core.smoother.iron_added import find_change
+from magcal_ros.core import Calibration
+from magcal_ros.core.calibration import Evidence
+from magcal_ros.core.keeping import KEEPING
+from magcal_ros.core.samples import DriveRecorder, FieldSample, ImuSample, Pair
+from magcal_ros.core.smoother import drive_nodes, find_change
 
 NOBODY = np.eye(3)
 LEVEL = 51.3e-6 * math.cos(math.radians(66.3))

@@ -11,18 +11,11 @@ from long_form import first_of
 from simulated.turns import measure, turn
 from uneven_turns import ROBOT, collected, driven, evenly
 
-from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.errors import Reason
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core import Figure, Grade, Knowledge, Reason, Window, calibrate
+from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
-from magcal_ros.core.smoother.fit import Damping
-from magcal_ros.core.smoother.kinds_of_motion import smooth
-from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS
+from magcal_ros.core.smoother import AT, UNKNOWNS, Damping, smooth
 
 
 def known(robot: Robot):

@@ -11,11 +11,16 @@ from long_form import first_of
 from simulated.turns import measure
 from slope_turns import EAST, KNOWN, LEVEL, NORTH, ROBOT, motion_on, window_on
 
-from magcal_ros.core.smoother.fit import Fit
-from magcal_ros.core.smoother.kinds_of_motion import smooth
-from magcal_ros.core.smoother.several import Together, fit_together, imagined_information
-from magcal_ros.core.smoother.turn_by_field import smooth_by_field
-from magcal_ros.core.smoother.unknowns import AT, TURNED
+from magcal_ros.core.smoother import (
+    AT,
+    TURNED,
+    Fit,
+    Together,
+    fit_together,
+    imagined_information,
+    smooth,
+    smooth_by_field,
+)
 
 SIGMA = KNOWN.mounting.yaw_sigma
 

@@ -12,12 +12,10 @@ from realistic_robots import by_turn
 from realistic_robots import heading_error as turn_error
 from simulated.turns import Motion, measure, smooth_wobble, turn
 
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core import Figure, Knowledge, Reason, Refusal, Window
+from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples.window import Window, living_axes
+from magcal_ros.core.samples import living_axes
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05)

@@ -8,9 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.smoother.priors import priors_of
-from magcal_ros.core.smoother.unknowns import ALIKE, MODULE
+from magcal_ros.core import Knowledge
+from magcal_ros.core.smoother import ALIKE, MODULE, priors_of
 
 PRIORS = priors_of(Knowledge())
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from long_form import first_of
 from moving import DEGREE, FORWARD, LEFT, ROBOT, Course, TiltErrors
 
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.up.follower import UpFollower
-from magcal_ros.files.recording import read_csv_folder
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.up import UpFollower
+from magcal_ros.files import read_csv_folder
 
 G = 9.80665
 NO_RATE = (math.nan,) * 3

@@ -3,10 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.up.follower import UpFollower
-from magcal_ros.core.up.stillness import GyroCheck
-from magcal_ros.files.recording import read_csv_folder
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.up import GyroCheck, UpFollower
+from magcal_ros.files import read_csv_folder
 
 STEP = 0.04
 

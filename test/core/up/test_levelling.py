@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.up.follower import Levelling
+from magcal_ros.core.up import Levelling
 
 
 def after(forces, step=0.01):

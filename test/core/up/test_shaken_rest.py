@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.up.filter import REST
-from magcal_ros.core.up.follower import UpFollower
-from magcal_ros.core.up.stillness import BlockMeans, ShakenRest
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.up import REST, BlockMeans, ShakenRest, UpFollower
 
 STEP = 0.02
 SHAKES = 4.3

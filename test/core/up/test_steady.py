@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.up.stillness import BlockMeans, SteadySpell
+from magcal_ros.core.up import BlockMeans, SteadySpell
 
 NOISE = 0.002
 RATE_NOISE = 0.002

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 from simulated.turns import Motion, measure, turn
 
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core import Window
 from magcal_ros.core.simulation import DEGREE, UP_ENU, Robot
-from magcal_ros.core.up.follower import propagated_up
+from magcal_ros.core.up import propagated_up
 
 
 def away_deg(found, motion):

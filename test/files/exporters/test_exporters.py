@@ -18,9 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sample_results import calibration
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_TESLA, NotExportable, checksum, number
+from magcal_ros.core import Correction
+from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.files import EXPORTERS, NOTES, OF_TESLA, NotExportable, checksum, number
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = 60e-6 * np.random.default_rng(0).standard_normal((50, 3))

@@ -7,10 +7,8 @@ import pytest
 from drives import drive
 from log_writers import write_bin, write_text_log, write_tlog
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, PositionSample, VelocitySample
-from magcal_ros.files import logs
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.sources import open_recording
+from magcal_ros.core.samples import FieldSample, ImuSample, PositionSample, VelocitySample
+from magcal_ros.files import FileTrouble, logs, open_recording
 
 pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
 

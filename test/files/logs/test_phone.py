@@ -6,10 +6,9 @@ from drives import drive
 from log_writers import write_phyphox, write_sensor_logger
 
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, VelocitySample
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.sources import open_recording
+from magcal_ros.core.geometry import rotation_from_rpy
+from magcal_ros.core.samples import FieldSample, ImuSample, VelocitySample
+from magcal_ros.files import FileTrouble, open_recording
 
 SAMPLES = drive(60.0)
 IMU = np.array([[*s.force, *s.rate] for s in SAMPLES if isinstance(s, ImuSample)])

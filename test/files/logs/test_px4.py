@@ -8,10 +8,8 @@ from drives import drive
 from log_writers import DEVICE, write_ulog
 from scipy.spatial.transform import Rotation
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, VelocitySample
-from magcal_ros.files.disk import FileTrouble
-from magcal_ros.files.px4 import RIGHT_ANGLES, mounting_of, rotation_of
-from magcal_ros.files.sources import open_recording
+from magcal_ros.core.samples import FieldSample, ImuSample, VelocitySample
+from magcal_ros.files import RIGHT_ANGLES, FileTrouble, mounting_of, open_recording, rotation_of
 
 pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 
-from magcal_ros.core.heading.compass import Heading
+from magcal_ros.core.heading import Heading
 from magcal_ros.ros import wire as outgoing
 from magcal_ros.ros.wire import STAMP, attitude_template, field_template
 
