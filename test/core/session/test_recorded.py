@@ -209,6 +209,7 @@ class TestRefusals:
         with pytest.raises(Refusal, match="looks like microtesla published as tesla"):
             gathered(samples).window()
 
+    @pytest.mark.nightly
     def test_what_is_said_of_wrong_axes_asks_for_no_place_that_was_given(self):
         def said(knowledge):
             swapped = (
