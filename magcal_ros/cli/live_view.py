@@ -217,7 +217,7 @@ class Panel(Lines):
         drawing.highlight_regex(r"\.", "red")
         sigma = progress["heading_sigma_deg"]
         numbers = [
-            f"{progress['arc_deg']:.0f}° of the turn seen",
+            f"{progress['arc_deg']:.0f}° of the turn measured",
             f"{progress['samples']} samples in {progress['elapsed_s']:.0f} s",
             f"turning {progress['turn_rate_deg_s']:+.0f}°/s",
             "heading not yet certain" if sigma is None else f"heading ±{sigma:.2f}° (1σ)",

@@ -90,7 +90,7 @@ def test_json_has_both_sides_of_every_figure(check, tmp_path):
 def test_too_little_of_a_turn_is_3(check, tmp_path, arguments):
     status, out, _ = check(write_csv(tmp_path / "csv", drive(20.0)), *arguments)
     assert status == 3
-    assert "too little of a turn" in out
+    assert "the turn is too short" in out
 
 
 def test_another_sensor_is_said(check, tmp_path):
