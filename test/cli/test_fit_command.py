@@ -271,7 +271,7 @@ class TestSeveralTurns:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            (["--from", "2"], "--from and --to cut one recording"),
+            (["--from", "2"], "--from and --to take one recording"),
             (["--compare"], "--compare takes one recording"),
             (["--method", "design_tip"], "takes one turn; maximum_likelihood joins several"),
         ],
@@ -301,7 +301,7 @@ def test_repeats_that_are_left_out_are_said(fit, tmp_path):
     for k, after in repeated:
         samples[after] = samples[after]._replace(field=samples[k].field)
     _, out, _ = fit(write_csv(tmp_path / "csv", samples))
-    said = f"{len(repeated)} of {len(fields)} samples repeat the one before, and are left out"
+    said = f"{len(repeated)} of {len(fields)} samples repeat the previous one and are left out"
     assert f"mag.csv: {said}" in out
 
 
