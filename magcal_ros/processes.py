@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import Any
 
-POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
-START = """
+START_CODE = """
 import sys
 sys.path[:] = [sys.argv[1], *filter(None, sys.path)]
 import magcal_ros
@@ -37,7 +37,7 @@ def use_one_thread() -> None:
     The matrices are small, so more threads would only cost time and occupy cores. The limit holds
     for a numpy that is imported later, and for child processes.
     """
-    for pool in POOLS:
+    for pool in THREAD_LIMITS:
         os.environ.setdefault(pool, "1")
 
 
@@ -76,7 +76,7 @@ def start(
     given = environment.pop("PYTHONPATH", "").split(os.pathsep)
     if absolute := [entry for entry in given if os.path.isabs(entry)]:
         environment["PYTHONPATH"] = os.pathsep.join(absolute)
-    command = [sys.executable, "-c", START, root, module, *arguments]
+    command = [sys.executable, "-c", START_CODE, root, module, *arguments]
     return subprocess.Popen(command, env=environment, **options)
 
 

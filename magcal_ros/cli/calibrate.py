@@ -17,7 +17,7 @@ SETTLE = 1.0  # seconds to wait for further calibrators after the first
 LONGEST_NAME = 255  # characters of a full name that the middleware accepts
 
 NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
-SIGNS = ("calibrate", "finish", "accept")
+CALIBRATOR_SERVICES = ("calibrate", "finish", "accept")
 """Services of type Trigger by which a calibrator is recognised."""
 
 
@@ -71,9 +71,9 @@ def calibrators(node: Any) -> list[str]:
     found: dict[str, set[str]] = {}
     for service, types in node.get_service_names_and_types():
         owner, _, name = service.rpartition("/")
-        if name in SIGNS and "std_srvs/srv/Trigger" in types:
+        if name in CALIBRATOR_SERVICES and "std_srvs/srv/Trigger" in types:
             found.setdefault(owner, set()).add(name)
-    return sorted(owner for owner, names in found.items() if len(names) == len(SIGNS))
+    return sorted(owner for owner, names in found.items() if len(names) == len(CALIBRATOR_SERVICES))
 
 
 LONGEST_ANSWER = 5000  # characters of the node's answer that are printed
@@ -82,8 +82,8 @@ SILENT_AFTER = 6.0
 """Seconds without status and diagnostics after which a node counts as ended; they are published
 every second."""
 
-TO_CANCEL = 1.0  # longest wait for the answer of ~/cancel, seconds
-TO_TELL = 0.5  # longest delay of the status after the answer, seconds
+CANCEL_WITHIN = 1.0  # longest wait for the answer of ~/cancel, seconds
+STATUS_DELAY = 0.5  # longest delay of the status after the answer, seconds
 STATUS_WITHIN = 5.0  # longest wait for the status of a running node with discovery, seconds
 
 
@@ -167,13 +167,13 @@ class _Turn:
             print("\ncancelling", flush=True)
             if self._clients["cancel"].service_is_ready():
                 cancelled = self._clients["cancel"].call_async(self._request)
-                self._executor.spin_until_future_complete(cancelled, timeout_sec=TO_CANCEL)
+                self._executor.spin_until_future_complete(cancelled, timeout_sec=CANCEL_WITHIN)
         raise KeyboardInterrupt
 
     def in_full(self, answer: str) -> str:
         """Return the node's answer with all reasons, which the status has a little later."""
         short = plain(answer, LONGEST_ANSWER)
-        deadline = time.monotonic() + TO_TELL
+        deadline = time.monotonic() + STATUS_DELAY
         while True:
             message = live_view.with_all_reasons(short, self._status)
             if message != short or time.monotonic() > deadline:

@@ -93,17 +93,19 @@ def run_check(options: argparse.Namespace) -> int:
     return common.Exit.GOOD if result.is_judged else common.Exit.TOO_LITTLE_DATA
 
 
-NOTHING_SEEN = "This recording does not show whether the calibration holds."
+NOT_JUDGED = "This recording does not show whether the calibration holds."
 
 
 def _words(result: Recheck, notes: list[str]) -> str:
     against = [f for f in result.findings if STATES[f.grade] != "holds"]
     found = [_row(finding) for finding in result.findings]
     by_chance = [f for f, row in zip(result.findings, found, strict=True) if row[-1] == "chance"]
-    title = f"{result.sentence}." if result.is_judged else NOTHING_SEEN
+    title = f"{result.sentence}." if result.is_judged else NOT_JUDGED
     rows = [("", "raw", "corrected", "want", "stale", ""), *found]
     text = f"{title}\n\n{common.table(rows)}\n"
-    text += common.bullets("What contradicts it:", [f.words for f in against if f.is_judged])
+    text += common.bullets(
+        "What contradicts the calibration:", [f.words for f in against if f.is_judged]
+    )
     text += common.bullets("Outside the wanted range:", [f.words for f in by_chance])
     text += common.bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
     text += common.bullets("Not shown by this recording:", result.verdict.not_shown)

@@ -46,7 +46,7 @@ ROBOT = Robot(
 )
 """A common case: a compass tilted by a few degrees, with hard iron as strong as the level field."""
 
-TAKES = 200.0
+DEMO_SECONDS = 200.0
 """Duration of the demo in real time, seconds, most of it at 24 headings on five slopes."""
 
 NEXT_STEPS = """\
@@ -89,7 +89,7 @@ def run_demo(options: argparse.Namespace) -> int:
     require_ours(options.output)
     keep_traffic_here()
     print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
-    seconds = TAKES / options.speed
+    seconds = DEMO_SECONDS / options.speed
     print(f"The robot turns once, and then its heading is checked: about {seconds:.0f} s.")
     if options.speed != 1.0:
         print(f"Everything runs {options.speed:g} times as fast as in real time.")

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from magcal_ros.ros.preflight import Listener
 
 
-MOST = 500_000  # samples kept of each stream: more than an hour at 100 Hz
+MOST_SAMPLES = 500_000  # samples kept of each stream: more than an hour at 100 Hz
 
 
 def add_doctor(commands: Any) -> None:
@@ -100,7 +100,7 @@ class Heard:
                 f"{described}, but measured differently",
                 f'set rpy="{radians}" in the URDF joint between IMU and magnetometer',
             )
-        if any(f.key in MISLEADING and f.is_wrong for f in page.findings):
+        if any(f.key in AXIS_FAULTS and f.is_wrong for f in page.findings):
             words = f"{described}; correct the axes first"
             return not_shown("description", "description", words)
         return looked_at("description", "description", described)
@@ -140,7 +140,7 @@ def _counted(time: FloatArray) -> str:
 
 def _recorded(options: argparse.Namespace) -> Heard:
     samples: list[ImuSample | FieldSample] = []
-    rest = {ImuSample: MOST, FieldSample: MOST}
+    rest = {ImuSample: MOST_SAMPLES, FieldSample: MOST_SAMPLES}
 
     def kept(readings: Iterator[Reading]) -> Iterator[Reading]:
         for count, reading in enumerate(readings):
@@ -196,12 +196,14 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
     return status
 
 
-MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}
+GRADE_MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}
 
 
 def page_in_words(page: Page) -> str:
     """Return the page for a terminal: a line for each finding, then the remedies."""
-    lines = [f"  {MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 1000)}" for f in page.findings]
+    lines = [
+        f"  {GRADE_MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 1000)}" for f in page.findings
+    ]
     # Several lines may have the same cause.
     remedies: dict[str, list[str]] = {}
     for finding in sorted(page.findings, key=lambda finding: -finding.grade.rank):
@@ -241,7 +243,7 @@ def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) ->
 
 SILENT_AFTER = 8.0  # longest wait for messages of both sensors, seconds
 
-MISLEADING = (
+AXIS_FAULTS = (
     "axes",
     "field_axes",
     "gyro_axes",
@@ -252,7 +254,7 @@ MISLEADING = (
 )
 """Faults with which the description cannot be checked."""
 
-CROWD = (
+SEVERAL_PUBLISHERS = (
     "only one node can be the sensor: stop the others, or give one of them another topic; "
     "alternating messages from two sensors look like a field that jumps"
 )
@@ -359,7 +361,8 @@ def gathered(
         mounting, described = replace(mounting, pose=pose), pose_in_words(pose)
     more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
     more += [
-        wrong("publishers", "publishers", words, CROWD) for words in listener.several_publishers
+        wrong("publishers", "publishers", words, SEVERAL_PUBLISHERS)
+        for words in listener.several_publishers
     ]
     known = Knowledge(reference.field, mounting)
     return Heard(samples, known, guide.turned_left, tuple(more), described)

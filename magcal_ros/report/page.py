@@ -34,7 +34,7 @@ from magcal_ros.report.turn import MICRO, Subject, Turn
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; form-action 'none'"
 """Content security policy: even unescaped text could not load or run anything."""
 
-SIGNS = {Grade.EXCELLENT: "✓✓", Grade.GOOD: "✓", Grade.WARN: "!", Grade.REFUSED: "✗"}
+GRADE_SIGNS = {Grade.EXCELLENT: "✓✓", Grade.GOOD: "✓", Grade.WARN: "!", Grade.REFUSED: "✗"}
 """Signs of the grades, which do not differ in colour alone."""
 
 
@@ -53,7 +53,7 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     parts.append(_not_shown(outcome.verdict, turn.kind, estimate is not None))
     checks = sorted(outcome.verdict.checks, key=lambda each: (-each.grade.rank, each.aspect.value))
     rows = [(_chip(each.grade), each.aspect.value, escape(each.words)) for each in checks]
-    parts.append("<h2>What was checked</h2>" + table("checks", rows, ("grade", "aspect", "what")))
+    parts.append("<h2>Checks</h2>" + table("checks", rows, ("grade", "aspect", "what")))
     parts.append(_sensors(turn.sensors))
     if estimate is not None:
         heads = ("", "A (±1σ), dimensionless", "", "", "h (±1σ), µT")
@@ -93,7 +93,7 @@ def table(kind: str, rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -
 
 
 def _chip(grade: Grade, words: str = "") -> str:
-    return f'<span class="grade {grade.value}">{SIGNS[grade]} {words}{grade.value}</span>'
+    return f'<span class="grade {grade.value}">{GRADE_SIGNS[grade]} {words}{grade.value}</span>'
 
 
 def _verdict(verdict: Verdict, by_hand: bool) -> str:
@@ -167,7 +167,7 @@ def _lines(findings: Sequence[Finding]) -> str:
         ("not shown" if f.grade is Grade.GOOD else _chip(f.grade), escape(f.name), escape(_said(f)))
         for f in ordered
     ]
-    return table("checks", rows, ("grade", "what", "evidence, and what to change"))
+    return table("checks", rows, ("grade", "what", "evidence and remedy"))
 
 
 def _said(finding: Finding) -> str:
@@ -188,7 +188,7 @@ def _input(subject: Subject, turn: Turn) -> list[Row]:
     seconds = float(turn.time[-1]) if len(turn.time) else 0.0
     rows = [
         Row("method", subject.answered_by),
-        Row("why it stopped", estimate.message if estimate is not None else "refused"),
+        Row("end of the optimisation", estimate.message if estimate is not None else "refused"),
         Row("source", subject.source),
         Row("frame of the field", subject.magnetometer_frame or "not given"),
         Row("frame of the IMU", subject.imu_frame or "not given"),

@@ -24,12 +24,12 @@ Clouds = list[tuple[FloatArray, dict[str, Any]]]
 RAW = "#D55E00"
 CORRECTED = "#0072B2"
 UP = "#009E73"
-ODD = "#CC79A7"
+OUTLIER = "#CC79A7"
 IDEAL = "#222222"
 SPHERE = "#B8B8B8"
 """Okabe and Ito's colours, which colour-blind people can distinguish; the markers also differ."""
 
-LEFT_OUT = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
+LEFT_OUT = {"color": OUTLIER, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
 """The style of outliers."""
 
 SIZE = (4.9, 5.5)  # width and height of every picture, inches

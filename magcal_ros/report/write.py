@@ -82,7 +82,7 @@ def mark_in_force(folder: Path) -> None:
 
 
 def remove_old(parent: Path, keep: int) -> None:
-    """Remove the oldest reports except `keep`, reports to keep, and folders of other programs."""
+    """Remove old reports except the newest `keep`; marked reports and other folders stay."""
     with contextlib.suppress(OSError):
         found = [
             (dated[1], int(dated[2] or 1), folder)

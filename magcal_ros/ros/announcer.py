@@ -87,7 +87,7 @@ class Announcer:
         self._complained_at = said
 
     def follow_turn(self, turning: bool, answer: Conclusion | None) -> None:
-        """Log the begin of a turn, and the message of each new answer."""
+        """Log the start of a turn, and the message of each new answer."""
         if answer is not None and answer is not self._answer:
             self._answer, self._turning = answer, False
             self._log.info(f"the turn is over: {answer.message}")

@@ -37,7 +37,7 @@ robot may move."""
 
 STOPPED = b"stopped the base"
 
-HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGALRM")
+IGNORED_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGALRM")
 """Signals that end the node; the guard ignores them, so that it does not end before the node."""
 
 
@@ -139,7 +139,7 @@ def duty(kind: str, topic: str, silence: float) -> bytes:
 
 def main() -> int:
     """Watch standard input; returns 0 if dismissed and 1 if the base was stopped."""
-    for name in HANDLED:
+    for name in IGNORED_SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     topic, frame, stamped, silence = sys.argv[1], sys.argv[2], bool(sys.argv[3]), float(sys.argv[4])
     brake = Brake(topic, stamped, frame)

@@ -36,7 +36,7 @@ from magcal_ros.ros.wire import FieldArrival
 
 SILENT_AFTER = 2.0  # seconds without a message after which a sensor is called silent
 
-REMEMBERED = 60
+DROP_WINDOW = 60
 """Seconds over which dropped samples are counted for the complaints, so that complaints are about
 the present state."""
 
@@ -112,7 +112,7 @@ class Inputs:
     imu: Sensor
     field: Sensor
     streams: Streams
-    _earlier: deque[tuple[Heard, Heard]] = member(default_factory=lambda: deque(maxlen=REMEMBERED))
+    _earlier: deque[tuple[Heard, Heard]] = member(default_factory=lambda: deque(maxlen=DROP_WINDOW))
 
     def look(self, count_publishers: Callable[[str], int]) -> None:
         """Note, once a second, the counts of messages and the numbers of publishers."""
@@ -125,7 +125,7 @@ class Inputs:
         """Return all faults of the inputs, in words."""
         found = [text for text in (self.imu.complaint(), self.field.complaint()) if text]
         imu, mag = self._heard()
-        if len(self._earlier) == REMEMBERED:
+        if len(self._earlier) == DROP_WINDOW:
             imu, mag = map(Heard.since, (imu, mag), self._earlier[0])
         return found + complaints(self.streams, imu, mag)
 
@@ -137,7 +137,7 @@ class Inputs:
         )
 
 
-HALF_A_PLACE = "give reference.latitude_deg and reference.longitude_deg both, or neither"
+INCOMPLETE_PLACE = "give reference.latitude_deg and reference.longitude_deg both, or neither"
 
 FIX_PAUSE = 0.2  # seconds after an evaluation within which a fix causes no new one
 
@@ -194,7 +194,7 @@ class ReferenceSource:
         if settings.given.place is not None or not given.is_known:
             notes += self._fixes.complaints(settings.given.place)
         if settings.given.half_place:
-            notes.append(HALF_A_PLACE)
+            notes.append(INCOMPLETE_PLACE)
         if self._calibration is not None:
             notes.append(made_elsewhere(self._calibration, found.field))
         return replace(found, complaints=tuple(note for note in notes if note))

@@ -32,8 +32,8 @@ from magcal_ros.ros.threads import BackgroundThread
 
 Tell = Callable[[Conclusion], None]
 
-TO_WRITE = 15.0  # longest time to write a calibration to a slow disk, seconds
-MOST_KNOWN = 100  # frames of sensors that are remembered; the oldest is dropped first
+WRITE_WITHIN = 15.0  # longest time to write a calibration to a slow disk, seconds
+MOST_SENSORS = 100  # frames of sensors that are remembered; the oldest is dropped first
 
 NOT_HEARD = (
     "no field has arrived yet, so the frame in the file's name is not known: start the "
@@ -125,7 +125,7 @@ class Keeper:
             try:
                 path = self._path(frame)
                 content = (path, calibration, origin, keep if with_backup else None)
-                promptly(lambda: write_calibration(*content), path, TO_WRITE)
+                promptly(lambda: write_calibration(*content), path, WRITE_WITHIN)
             except FileTrouble as error:
                 self.trouble = str(error)
                 return f"In force, but not saved: {error}"
@@ -224,7 +224,7 @@ class Keeper:
 
     def _remember(self, frame: str) -> None:
         self._found[frame] = None
-        if len(self._found) > MOST_KNOWN:
+        if len(self._found) > MOST_SENSORS:
             self._found.popitem(last=False)
 
     def _read_next(self) -> None:

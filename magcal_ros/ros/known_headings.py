@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from magcal_ros.core.smoother.standings import Standing
 
 TOPIC = "heading"
-FRESH = 1.0
+VALID_FOR = 1.0
 """Seconds for which a heading on the topic is current."""
-MISSED = 10  # successive headings that disagree with the fused yaw, from which it is reported
+REPORTED_MISSES = 10  # successive disagreements with the fused yaw from which there is a warning
 NO_DECLINATION = (
     "the heading refers to true north, and the declination here is not known: give "
     "reference.latitude_deg and longitude_deg, or wait for gps/fix"
@@ -69,7 +69,7 @@ class Antenna:
     @property
     def silence(self) -> str:
         """The topic, and why it has no current heading; empty if it has one."""
-        if time.monotonic() - self._heard_at < FRESH:
+        if time.monotonic() - self._heard_at < VALID_FOR:
             return ""
         if self._fault:
             return f"{self.topic} (there are messages, but {self._fault})"
@@ -81,7 +81,7 @@ class Antenna:
         words = [self._fault]
         if self.is_heard and self._collector is not None:
             words += [self._collector.check.fault, self._doubt]
-        if self.is_heard and self._missed >= MISSED:
+        if self.is_heard and self._missed >= REPORTED_MISSES:
             words.append(
                 f"the heading differs from the fused yaw by {math.degrees(self._gap):.0f}°, far "
                 "more than both variances allow, and is not used; check which north it refers to "
@@ -106,7 +106,7 @@ class Antenna:
     def on_field(self, sample: FieldSample) -> None:
         """Take a field sample while headings arrive."""
         collector, view = self._collector, self._pipeline.frames.view
-        if collector is None or sample.stamp - collector.newest.stamp > FRESH:
+        if collector is None or sample.stamp - collector.newest.stamp > VALID_FOR:
             self.is_heard = False
             return
         if view is None:

@@ -50,11 +50,11 @@ class Magnetometers:
     def save(self, tell: Tell) -> None:
         """Save the calibrations in force."""
         saving = [each for each in self.heard if each.keeper.calibration is not None]
-        told_together({e.topic: e.keeper.save for e in saving or self.heard[:1]}, tell)
+        ask_all({e.topic: e.keeper.save for e in saving or self.heard[:1]}, tell)
 
     def load(self, tell: Tell) -> None:
         """Put the calibrations in the files in force."""
-        told_together({each.topic: each.keeper.load for each in self.heard}, tell)
+        ask_all({each.topic: each.keeper.load for each in self.heard}, tell)
 
     def accept(self, proposed: Ask | None, tell: Tell, say: Callable[[str], object]) -> None:
         """Put the refused or proposed calibrations in force, first a proposal from driving.
@@ -65,11 +65,11 @@ class Magnetometers:
         for each in self.heard:
             ask = proposed if proposed is not None and each is self.heard[0] else each.accept
             if ask is not None:
-                asked[each.topic] = partial(_accepted, each, ask, say)
+                asked[each.topic] = partial(_accept_one, each, ask, say)
         if self.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
         elif asked:
-            told_together(asked, tell)
+            ask_all(asked, tell)
         else:
             tell(Conclusion(False, "there is no fitted calibration to accept"))
 
@@ -170,7 +170,7 @@ class Magnetometers:
         """Call `listener` once with the common conclusion of the present turns."""
         waiting = self._busy or self.heard[:1]
         asked = {each.topic: each.control.when_done for each in waiting}
-        told_together(asked, listener, of_turns)
+        ask_all(asked, listener, of_turns)
 
     def finish(self) -> Conclusion | None:
         """End the collection and fit the samples so far; None if fits are running."""
@@ -194,7 +194,7 @@ class Magnetometers:
             each.control.shut_down()
 
 
-def _accepted(
+def _accept_one(
     magnetometer: Magnetometer, ask: Ask, say: Callable[[str], object], tell: Tell
 ) -> None:
     """Put a calibration in force by `ask`, and log it with `say`."""
@@ -233,7 +233,7 @@ def of_turns(conclusions: Mapping[str, Conclusion]) -> Conclusion:
     return Conclusion(True, f"{words}. {together.message}")
 
 
-def told_together(
+def ask_all(
     asked: Mapping[str, Ask],
     tell: Tell,
     join: Callable[[Mapping[str, Conclusion]], Conclusion] = joined,

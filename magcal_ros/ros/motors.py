@@ -21,7 +21,7 @@ from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros.threads import SENSOR_DATA
-from magcal_ros.ros.travel import BETTER, Travel
+from magcal_ros.ros.travel import BETTER_SIGMA_RATIO, Travel
 
 PAUSE = 60  # seconds of learning between two saves
 
@@ -148,7 +148,7 @@ class Motors:
         self._waited += 1
         if mode is not Mode.APPLY or self._waited < PAUSE:
             return None
-        if not motors.improves_on(kept, BETTER):
+        if not motors.improves_on(kept, BETTER_SIGMA_RATIO):
             return None
         self._waited = 0
         return motors

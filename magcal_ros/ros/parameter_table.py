@@ -248,8 +248,8 @@ PARAMETERS: tuple[Spec, ...] = (
         "Known gains of the sensor's axes"
     ),
     Spec("base_frame", "").means(
-        "Frame that the attitudes are published for, given by the fixed joints of "
-        "robot_description or the static transforms. Empty: the IMU's own"
+        "Frame for which the attitudes are published, given by the fixed joints of "
+        "robot_description or the static transforms. Empty: the IMU's frame"
     ),
     Spec("vehicle_yaw_deg", UNSET, Span(-360.0, 360.0, "°")).means(
         "Yaw of the IMU in the vehicle, to the left of the vehicle's front, for base_frame and for "

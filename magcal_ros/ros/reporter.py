@@ -99,7 +99,7 @@ class Reporter:
 
         if folder != self._newest:
             remove(folder)
-            raise MagcalError("there were newer turns before it was written")
+            raise MagcalError("there were newer turns before the report was written")
         watchdog = threading.Timer(LONGEST, self._worker.stop)
         watchdog.daemon = True
         watchdog.start()
@@ -107,7 +107,7 @@ class Reporter:
             self._worker.run_once(write_to_the_end, folder, subject)
         except Stopped:
             raise MagcalError(
-                f"its process took more than {LONGEST:g} s and was ended; check that the disk of "
+                f"its process took more than {LONGEST:g} s and was ended: check that the disk of "
                 "report_folder works, and end other programs that keep the machine busy"
             ) from None
         finally:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from magcal_ros.core.keeping.story import DriveStory
 
 NICENESS = 10  # of the worker process, so that other processes have priority
-IDLE_LOOKS = 300  # heartbeats without a job after which the worker process is ended
+IDLE_HEARTBEATS = 300  # heartbeats without a job after which the worker process is ended
 
 
 class SelfKeeping:
@@ -63,7 +63,7 @@ class SelfKeeping:
         if self.machine.mode is not Mode(mode):
             self.machine.mode = Mode(mode)
             self.machine.forget()
-        if self._idle == IDLE_LOOKS:
+        if self._idle == IDLE_HEARTBEATS:
             self.worker.stop()
 
     @property

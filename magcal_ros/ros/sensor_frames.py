@@ -130,7 +130,7 @@ def _transform_message() -> type | None:
     return kind
 
 
-FAR_OFF = 0.26
+DOUBTED_ANGLE = 0.26
 """Angle between described and estimated pose from which there is a warning, radians (15°)."""
 
 
@@ -208,7 +208,7 @@ class SensorFrames:
         words = [*poses.complaints, self._contradiction, self._against_drive]
         if self._frames.base:
             words.append(self._description.trouble)
-        if poses.is_described and self._found is not None and self._found.angle > FAR_OFF:
+        if poses.is_described and self._found is not None and self._found.angle > DOUBTED_ANGLE:
             words.append(
                 f"the robot's description has {self._magnetometer_frame!r} in {self._imu_frame!r} "
                 f"at {pose_in_words(poses.magnetometer)}, but the pose by the last turn is "

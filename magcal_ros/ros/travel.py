@@ -34,7 +34,7 @@ RECEIVED: tuple[tuple[SpeedSource, type, str, Callable[[bytes], Sample | str]], 
     (SpeedSource.FIXES, NavSatFix, "gps/fix", wire.read_fix),
 )
 
-BETTER = 0.7  # fraction of the stored sigma below which a new estimate replaces the stored one
+BETTER_SIGMA_RATIO = 0.7  # ratio of new to stored sigma below which a new estimate is stored
 
 
 class Travel:
@@ -95,7 +95,11 @@ class Travel:
         if verdict:
             announcer.tell("course", verdict, wrong=True)
         found = self.front.yaw
-        if found is None or found.sigma > FRONT.useful or not self._is_better(found, BETTER):
+        if (
+            found is None
+            or found.sigma > FRONT.useful
+            or not self._is_better(found, BETTER_SIGMA_RATIO)
+        ):
             return None
         self.kept = found
         announcer.tell("front", found.words)

@@ -56,7 +56,7 @@ def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
     assert out.startswith("The calibration is stale, calibrate again.\n")
     (row,) = (line for line in out.splitlines() if "heading swing  " in line)
     assert row.split()[-5:] == ["≤", "4°", ">", "7°", "stale"]
-    contradicts = out.partition("What contradicts it:")[2].partition("\n\n")[0]
+    contradicts = out.partition("What contradicts the calibration:")[2].partition("\n\n")[0]
     assert "the level field makes the heading swing by " in contradicts
     assert "° (doubtful beyond 4°, stale beyond 7°): the hard iron" in contradicts
     assert "check that the calibration was made for this robot" in contradicts

@@ -324,7 +324,7 @@ def test_turns_that_were_put_together_have_a_section(tmp_path, monkeypatch):
     assert "it holds the same samples as <first>" in words
     assert outcome.several.advice_in_words in words
     assert "installation yaw (±1σ)" in words
-    assert "every sample of the newest turn" in words
+    assert "all samples of the newest turn" in words
 
 
 def test_how_the_imu_sits_in_the_vehicle_is_told_where_driving_showed_it(tmp_path):

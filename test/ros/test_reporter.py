@@ -92,7 +92,7 @@ def test_of_forty_refusals_in_a_row_the_first_and_the_newest_are_drawn(
     ]
     assert all((f / "report.html").exists() for f in tmp_path.iterdir())
     assert len(said) == 38
-    assert "there were newer turns before it was written" in said[0]
+    assert "there were newer turns before the report was written" in said[0]
     draws.may_end.release()
     report(reporter, tmp_path, 50)
     assert thread.finish_within(30.0)

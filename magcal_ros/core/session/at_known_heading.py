@@ -161,7 +161,7 @@ def add_standing(
             words.insert(
                 0,
                 f"The calibration in force agrees with this heading (off by {gap * DEGREES:.1f}°) "
-                f"and predicts ±{theirs * DEGREES:.1f}°, so that it stays. By known headings:",
+                f"and predicts ±{theirs * DEGREES:.1f}°, so it is kept. By known headings:",
             )
     said = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
     return HeadingResult(standings, outcome, applies, said.replace(":.", ":"))

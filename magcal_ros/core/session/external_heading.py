@@ -85,7 +85,7 @@ def mean_heading(heard: Sequence[HeadingSample], is_true: bool) -> ExternalHeadi
 
 
 METHOD = "known_headings"
-ENOUGH = math.radians(5.0)
+LARGEST_FIRST_SIGMA = math.radians(5.0)
 """Heading sigma below which a first calibration is put in force, radians."""
 
 
@@ -97,7 +97,7 @@ def is_by_headings(calibration: Calibration) -> bool:
 def replaces(found: Calibration, before: Calibration | None) -> bool:
     """Whether a calibration from headings replaces the one in force; one from a turn is kept."""
     if before is None:
-        return calibration_sigma(found) < ENOUGH
+        return calibration_sigma(found) < LARGEST_FIRST_SIGMA
     return is_by_headings(before) and calibration_sigma(found) < calibration_sigma(before)
 
 
@@ -177,26 +177,27 @@ class HeadingAgainstGyro:
             self.fault = self._in_words()
 
     def _in_words(self) -> str:
-        for factor, words in TURNS_AS.items():
+        for factor, words in FAULTS_BY_FACTOR.items():
             if all(abs(wrapped(t - factor * g)) < TUNING.apart for t, g in self._wrong):
                 return words
         given, turned = self._wrong[-1]
         return (
-            f"it turned by {given * DEGREES:.0f}°, but the gyro measured "
+            f"the heading turned by {given * DEGREES:.0f}°, but the gyro measured "
             f"{wrapped(turned) * DEGREES:.0f}° (to the left): check that the topic has the robot's "
             "heading, and that the stamps are times of measurement"
         )
 
 
-TURNS_AS = {
+FAULTS_BY_FACTOR = {
     -1.0: (
-        "it turns opposite to the gyro: its sign is wrong (a bearing counts clockwise, yaw counts "
-        "to the left), or the antennas are mirrored"
+        "the heading turns opposite to the gyro: the sign is wrong (a bearing counts clockwise, "
+        "yaw counts to the left), or the antennas are mirrored"
     ),
-    DEGREES: "it turns about 57 times as far as the gyro: degrees were published as radians",
+    DEGREES: "the heading turns about 57 times as far as the gyro: degrees were published as "
+    "radians",
     1.0 / DEGREES: (
-        "it hardly turns when the gyro measures a turn: the device repeats an old heading, or "
-        "radians are converted as if they were degrees"
+        "the heading hardly turns when the gyro measures a turn: the device repeats an old "
+        "heading, or radians are converted as if they were degrees"
     ),
 }
 """The fault of a heading that turns by this factor of the gyro's turn."""

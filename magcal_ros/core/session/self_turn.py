@@ -60,7 +60,7 @@ class Steering:
 
     rate: float | None = None  # to command, rad/s, if any
     broken_off: str = ""  # why the turn is given up, if it is
-    ended: str = ""  # why the turn ends early although its samples are to be fitted
+    ended: str = ""  # why the turn ends before it is complete; its samples are fitted
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ TUNING = SessionTuning()
 NO_SPAN = (math.nan,) * 7
 
 
-UNSEEN = (
+TURN_NOT_MEASURED = (
     "; if the robot did turn, `magcal doctor` finds the sensor that does not measure it: the field "
     "may be too steep for a compass here, the magnetometer may not measure it, or the gyro has "
     "another axis"
@@ -123,7 +123,7 @@ class Progress:
             raise Refusal(
                 Reason.NO_MOTION if stood else Reason.ARC_TOO_SHORT,
                 f"the turn is too short: {self.in_words}. Turn the robot a full circle"
-                f"{UNSEEN if stood else ''}",
+                f"{TURN_NOT_MEASURED if stood else ''}",
             )
 
 
@@ -302,7 +302,7 @@ def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
 
 
 def _rate_if_any(rows: FloatArray) -> FloatArray | None:
-    """Return the angular rates, zero if missing; None without a gyro or if it sends only zeros."""
+    """Return the angular rates, zero if missing; None without a gyro (absent or only zeros)."""
     rate = rows[:, RATE]
     finite = np.asarray(np.isfinite(rate).all(axis=1))
     if not len(rate) or finite.mean() < 0.9 or not rate[finite].any():

@@ -221,7 +221,7 @@ class TurnMachine:
         else:
             why = {
                 Stage.COMPLETE: "",
-                Stage.TIMED_OUT: f"{BY_TIME} {progress.elapsed:.0f} s",
+                Stage.TIMED_OUT: f"{ENDED_BY_TIME} {progress.elapsed:.0f} s",
                 Stage.SILENT: silence,
             }[progress.stage]
             self._begin_fit(stage, why, now)
@@ -377,12 +377,12 @@ class TurnMachine:
         self._commands.append(self.last_conclusion)
 
 
-BY_TIME = "ended by the time limit of"
+ENDED_BY_TIME = "ended by the time limit of"
 
 
 def _with_ending(words: str, why: str, accepted: bool) -> str:
     """Add why a turn ended; a time limit comes after a success, because it is no fault."""
-    if accepted and why.startswith(BY_TIME):
+    if accepted and why.startswith(ENDED_BY_TIME):
         return f"{words} ({why[0].upper()}{why[1:]}.)"
     return f"{why}; {words}" if why else words
 
