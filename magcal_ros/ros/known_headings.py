@@ -325,7 +325,7 @@ class KnownHeadings:
 
     def _note(self, result: HeadingResult, epoch: int) -> None:
         if epoch != self._epoch:
-            words = "~/reset was called or the sensor changed during the fit: call this again"
+            words = "~/reset was called or the sensor changed: call this service again"
             self._conclude(False, words)
             return
         calibration = result.outcome.calibration
