@@ -28,7 +28,7 @@ ARGUMENTS = (
     ("odom", "odom", "Topic of the wheels, nav_msgs/Odometry; optional"),
     ("battery", "battery", "Topic of the current, sensor_msgs/BatteryState; optional"),
     ("cmd_vel", "cmd_vel", "Topic of the base, for rotate.enabled"),
-    ("base_frame", "", "Frame that attitudes are published for; empty: as in params_file"),
+    ("base_frame", "", "Frame for which attitudes are published; empty: as in params_file"),
     ("calibration_file", "", "Where the calibration is stored; empty: as in params_file"),
     ("latitude", "", "Degrees north, for the reference field; empty: as in params_file"),
     ("longitude", "", "Degrees east, for the reference field; empty: as in params_file"),

@@ -1,11 +1,11 @@
-"""How this package's programs run: one thread of linear algebra, no code from the current folder.
+"""Start of this package's programs, with one thread of linear algebra and a safe import path.
 
-Python looks for modules in the current folder where a program is started by `-m` or `-c`, and
-where PYTHONPATH has an empty entry. A robot's node may be started anywhere, also in a folder in
-which somebody keeps a `select.py` of their own, so the processes of this package do without.
+Python imports modules from the current folder if a program is started by `-m` or `-c`, or if
+PYTHONPATH has an empty entry. The node may be started in a folder with an unrelated `select.py`, so
+this package removes the current folder from the import path.
 
-The package's commands begin here, so this module imports only what Python itself has loaded
-before it: anything else could still come from the current folder.
+The package's commands start in this module. It imports only modules that Python has loaded already,
+because others might still be imported from the current folder.
 """
 
 import os
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import Any
 
-POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
-START = """
+START_CODE = """
 import sys
 sys.path[:] = [sys.argv[1], *filter(None, sys.path)]
 import magcal_ros
@@ -28,16 +28,16 @@ from importlib import import_module
 del sys.argv[:2]
 sys.exit(import_module(sys.argv[0]).main())
 """
-"""Runs `main` of a module of this very package, wherever another one is installed as well."""
+"""Runs `main` of a module of this package, even if another version is installed."""
 
 
 def use_one_thread() -> None:
-    """Let numpy compute in one thread, unless the user has said otherwise.
+    """Limit numpy to one thread, unless the user has set a number of threads.
 
-    The matrices here are small: threads would hold each other up, and take the cores from others.
-    It holds for a numpy that is loaded later, and for processes started from this one.
+    The matrices are small, so more threads would only cost time and occupy cores. The limit holds
+    for a numpy that is imported later, and for child processes.
     """
-    for pool in POOLS:
+    for pool in THREAD_LIMITS:
         os.environ.setdefault(pool, "1")
 
 
@@ -64,10 +64,10 @@ def start(
     extra: "Mapping[str, str] | None" = None,
     **options: "Any",
 ) -> "subprocess.Popen[bytes]":
-    """Start `main` of a module in a process of its own.
+    """Start `main` of a module in a new process.
 
-    The arguments come to its `sys.argv`, `extra` to its environment; options are those of
-    `subprocess.Popen`. An OSError if the system has no room for another process.
+    The arguments are added to `sys.argv`, `extra` to the environment; options are those of
+    `subprocess.Popen`. Raises OSError if the system cannot start another process.
     """
     import subprocess
 
@@ -76,12 +76,12 @@ def start(
     given = environment.pop("PYTHONPATH", "").split(os.pathsep)
     if absolute := [entry for entry in given if os.path.isabs(entry)]:
         environment["PYTHONPATH"] = os.pathsep.join(absolute)
-    command = [sys.executable, "-c", START, root, module, *arguments]
+    command = [sys.executable, "-c", START_CODE, root, module, *arguments]
     return subprocess.Popen(command, env=environment, **options)
 
 
 def leave_out_current_folder() -> None:
-    """Let this process import nothing more from the current folder, unless it is named in full."""
+    """Remove the current folder from the import path, unless PYTHONPATH has its full path."""
     try:
         here = os.getcwd()
     except FileNotFoundError:
@@ -95,11 +95,11 @@ def leave_out_current_folder() -> None:
 
 
 def bound_memory(megabytes: float) -> None:
-    """Let this process take so much more memory (RLIMIT_DATA) than it has now.
+    """Limit the memory of this process (RLIMIT_DATA) to `megabytes` more than it uses now.
 
-    The middleware makes room for as many values as a request claims to hold, before rclpy or the
-    node sees it. Where the room is refused, the request ends as an error of one callback. Only
-    Linux counts what a process takes in this way; elsewhere nothing is bound.
+    The middleware allocates memory for as many values as a request claims to contain. With the
+    limit, a malformed request causes an error of one callback only. The limit is set on Linux only,
+    because other systems count the memory differently.
     """
     if sys.platform != "linux":
         return
@@ -115,7 +115,7 @@ def bound_memory(megabytes: float) -> None:
 
 
 def unbound_memory() -> None:
-    """Take the bound away again, in a process that was started by a bounded one."""
+    """Remove the limit that a child process inherits from a process with `bound_memory`."""
     if sys.platform == "linux":
         import resource
 

@@ -2,5 +2,5 @@
 
 from magcal_ros.processes import use_one_thread
 
-# Here, because every command loads numpy.
+# Called here, because every command imports numpy.
 use_one_thread()

@@ -1,4 +1,4 @@
-"""`magcal calibrate`: drive a running node through one turn, from the terminal."""
+"""`magcal calibrate`: a calibration turn of a running node, controlled from the terminal."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from magcal_ros.cli.common import Exit, command, tell
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.disk import plain
 
-PATIENCE = 5.0  # seconds within which a running node is discovered
-SETTLE = 1.0  # seconds after the first one in which another may be discovered
-LONGEST_NAME = 255  # characters of a full name that the middleware takes
+PATIENCE = 5.0  # longest wait for the discovery of a node, seconds
+SETTLE = 1.0  # seconds to wait for further calibrators after the first
+LONGEST_NAME = 255  # characters of a full name that the middleware accepts
 
 NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
-SIGNS = ("calibrate", "finish", "accept")
-"""Services, all Trigger, that together make a calibrator."""
+CALIBRATOR_SERVICES = ("calibrate", "finish", "accept")
+"""Services of type Trigger by which a calibrator is recognised."""
 
 
 def node_name(text: str) -> str:
-    """Return the full name of a node as typed on the command line, with its first slash."""
+    """Return a node's name from the command line with a leading slash."""
     if not NAME.fullmatch(text) or len(text) > LONGEST_NAME:
         raise argparse.ArgumentTypeError(
             f"{plain(text, 60)!r} is not the name of a node: use letters, digits and _, as in "
@@ -32,9 +32,9 @@ def node_name(text: str) -> str:
 
 
 def find_calibrator(node: Any, wanted: str | None) -> str:
-    """Return the full name of the calibrator that is meant.
+    """Return the full name of the wanted calibrator, or of the only one.
 
-    Misuse if there are several and none is named; a MagcalError that lists those that are there.
+    Raises Misuse if there are several and `wanted` is None, MagcalError if none is found.
     """
     begin = first_seen = time.monotonic()
     seen: list[str] = []
@@ -67,23 +67,24 @@ def find_calibrator(node: Any, wanted: str | None) -> str:
 
 
 def calibrators(node: Any) -> list[str]:
-    """Return the full names of the calibrators that are seen now."""
+    """Return the full names of the discovered calibrators."""
     found: dict[str, set[str]] = {}
     for service, types in node.get_service_names_and_types():
         owner, _, name = service.rpartition("/")
-        if name in SIGNS and "std_srvs/srv/Trigger" in types:
+        if name in CALIBRATOR_SERVICES and "std_srvs/srv/Trigger" in types:
             found.setdefault(owner, set()).add(name)
-    return sorted(owner for owner, names in found.items() if len(names) == len(SIGNS))
+    return sorted(owner for owner, names in found.items() if len(names) == len(CALIBRATOR_SERVICES))
 
 
 LONGEST_ANSWER = 5000  # characters of the node's answer that are printed
 
 SILENT_AFTER = 6.0
-"""Seconds without status and diagnostics, which come every second, after which a node is gone."""
+"""Seconds without status and diagnostics after which a node counts as ended; they are published
+every second."""
 
-TO_CANCEL = 1.0  # seconds that the node has to answer ~/cancel
-TO_TELL = 0.5  # seconds that the status may come after the answer
-STATUS_WITHIN = 5.0  # seconds within which the status of a running node arrives, discovery included
+CANCEL_WITHIN = 1.0  # longest wait for the answer of ~/cancel, seconds
+STATUS_DELAY = 0.5  # longest delay of the status after the answer, seconds
+STATUS_WITHIN = 5.0  # longest wait for the status of a running node with discovery, seconds
 
 
 def add_calibrate(commands: Any) -> None:
@@ -102,7 +103,7 @@ def add_calibrate(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Check the sensors, call ~/calibrate of a running calibrator node and show the turn.
 
-    Ctrl-C cancels.
+    Ctrl-C cancels the turn.
     """
     with live_view.joined("magcal_calibrate", []) as node:
         from magcal_ros.ros.preflight import inspect
@@ -122,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 class _Turn:
-    """Calls the service and follows the status until it answers."""
+    """Calls ~/calibrate and follows ~/status until the service answers."""
 
     def __init__(self, node: Any, calibrator: str) -> None:
         import rclpy
@@ -166,13 +167,13 @@ class _Turn:
             print("\ncancelling", flush=True)
             if self._clients["cancel"].service_is_ready():
                 cancelled = self._clients["cancel"].call_async(self._request)
-                self._executor.spin_until_future_complete(cancelled, timeout_sec=TO_CANCEL)
+                self._executor.spin_until_future_complete(cancelled, timeout_sec=CANCEL_WITHIN)
         raise KeyboardInterrupt
 
     def in_full(self, answer: str) -> str:
-        """Return the node's answer with all reasons; the status that has them may come later."""
+        """Return the node's answer with all reasons, which the status has a little later."""
         short = plain(answer, LONGEST_ANSWER)
-        deadline = time.monotonic() + TO_TELL
+        deadline = time.monotonic() + STATUS_DELAY
         while True:
             message = live_view.with_all_reasons(short, self._status)
             if message != short or time.monotonic() > deadline:
@@ -184,17 +185,17 @@ class _Turn:
         while self._status is None and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.1)
         if self._status is None:
-            unknown = "if rotate.enabled is true, which is not known"
+            unknown = "if the parameter rotate.enabled is true, which is not known"
             print(f"The robot will turn itself {unknown}: keep clear.", flush=True)
         elif live_view.turns_itself(self._status):
             print("The robot will turn itself, once each way: keep clear.", flush=True)
 
     def _require_life(self) -> None:
-        """End when the node ends: the middleware reports a killed one much later, or never."""
+        """Raise MagcalError if the node has ended, which the middleware reports late or never."""
         if self._heard is not None and time.monotonic() - self._heard > SILENT_AFTER:
             raise MagcalError(
-                f"{self._calibrator} has been silent for {SILENT_AFTER:.0f} s: it has ended or "
-                "hangs, and the turn is lost. Start it again, and calibrate again"
+                f"{self._calibrator} has been silent for {SILENT_AFTER:.0f} s: the node has ended "
+                "or hangs, and the turn is lost. Start the node again, and calibrate again"
             )
 
     def _on_status(self, message: Any) -> None:

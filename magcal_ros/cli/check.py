@@ -1,4 +1,4 @@
-"""`magcal check`, `drive` and `export`: a stored calibration on other samples, in other formats."""
+"""`magcal check`, `drive` and `export`: a stored calibration with other samples or formats."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def add_check(commands: Any) -> None:
 
 
 def run_check(options: argparse.Namespace) -> int:
-    """Check whether a calibration still holds, with a new recording in which the robot turns.
+    """Check whether a calibration is still valid, with a new recording in which the robot turns.
 
-    Exit status: 0 it holds or is doubtful (see the output), 2 usage, 3 too little data or nothing
-    that can be judged, 4 stale, 5 file trouble.
+    Exit status: 0 the calibration holds or is doubtful (see the output), 2 usage, 3 too little or
+    too uncertain data, 4 the calibration is stale, 5 file trouble.
     """
     calibration, origin = read_calibration(options.calibration)
     with recorded.opened(options, options.recording) as source:
@@ -93,17 +93,19 @@ def run_check(options: argparse.Namespace) -> int:
     return common.Exit.GOOD if result.is_judged else common.Exit.TOO_LITTLE_DATA
 
 
-NOTHING_SEEN = "This recording does not show whether the calibration holds."
+NOT_JUDGED = "This recording does not show whether the calibration holds."
 
 
 def _words(result: Recheck, notes: list[str]) -> str:
     against = [f for f in result.findings if STATES[f.grade] != "holds"]
     found = [_row(finding) for finding in result.findings]
     by_chance = [f for f, row in zip(result.findings, found, strict=True) if row[-1] == "chance"]
-    title = f"{result.sentence}." if result.is_judged else NOTHING_SEEN
+    title = f"{result.sentence}." if result.is_judged else NOT_JUDGED
     rows = [("", "raw", "corrected", "want", "stale", ""), *found]
     text = f"{title}\n\n{common.table(rows)}\n"
-    text += common.bullets("What contradicts it:", [f.words for f in against if f.is_judged])
+    text += common.bullets(
+        "What contradicts the calibration:", [f.words for f in against if f.is_judged]
+    )
     text += common.bullets("Outside the wanted range:", [f.words for f in by_chance])
     text += common.bullets("Too uncertain to judge:", [f.words for f in against if not f.is_judged])
     text += common.bullets("Not shown by this recording:", result.verdict.not_shown)
@@ -112,9 +114,9 @@ def _words(result: Recheck, notes: list[str]) -> str:
 
 
 def _row(finding: Check) -> tuple[str, ...]:
-    """Return name, raw and corrected value, what is wanted and what is stale, and the state."""
+    """Return name, raw and corrected value, the limits for wanted and stale, and the state."""
     bound, value, unit = finding.bound, finding.value, finding.unit
-    # Of a recheck's findings both are there.
+    # The findings of a recheck have both.
     assert bound is not None
     assert value is not None
     state = STATES[finding.grade] if finding.is_judged else "unclear"
@@ -151,24 +153,24 @@ def add_drive(commands: Any) -> None:
     parser = common.command(commands, "drive", run_drive, words)
     recorded.add_recording_options(parser)
     parser.add_argument(
-        "--calibration", type=Path, metavar="FILE", help="in force at the beginning (default: none)"
+        "--calibration", type=Path, metavar="FILE", help="in force at the start (default: none)"
     )
     common.add_output_option(parser, "the report", "magcal_drive")
     recorded.add_knowledge_options(parser)
 
 
 NO_GYRO = (
-    "the recording has no gyro, but `drive` needs one, because the field changes along the way; "
-    "`fit` takes a turn without a gyro"
+    "the recording has no gyro, but `drive` needs one, because the field changes along the drive; "
+    "`fit` accepts a turn without a gyro"
 )
 
 
 def run_drive(options: argparse.Namespace) -> int:
-    """Replay a recorded drive, and show what self-calibration would have decided and why.
+    """Replay a recorded drive, and show the decisions of self-calibration with their reasons.
 
-    It is replayed as with `self_calibration: apply`; the node's default, `propose`, waits for
+    The replay is as with `self_calibration: apply`; the node's default, `propose`, waits for
     ~/accept. A map shows where the field is disturbed. Exit status: 0 a calibration is in force at
-    the end, 2 usage, 3 none is, 5 file trouble.
+    the end, 2 usage, 3 no calibration is in force, 5 file trouble.
     """
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
     folder = common.new_or_named(options.output, "magcal_drive")
@@ -237,10 +239,10 @@ def add_export(commands: Any) -> None:
 
 
 def run_export(options: argparse.Namespace) -> int:
-    """Write a calibration in the form another program reads.
+    """Write a calibration in the format of another program.
 
-    What that program cannot store is named in a comment; what would make its heading wrong is
-    refused.
+    A comment names the parts that this program cannot store. The export is refused if the heading
+    of this program would be wrong.
     """
     calibration, origin = read_calibration(options.calibration)
     about = [origin.magnetometer_frame] if options.to in OF_LOGS else []

@@ -1,4 +1,4 @@
-"""What the commands share: exit statuses, options, where files go, and how numbers are printed."""
+"""Shared by the commands: exit statuses, options, output folders and printing."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CALIBRATION = "calibration.yaml"
 
 
 class Exit(IntEnum):
-    """The exit status. FAULT is an error of this package; the last two are the shell's own."""
+    """The exit status. FAULT is an error of this package; the last two are those of the shell."""
 
     GOOD = 0
     FAILED = 1
@@ -43,7 +43,7 @@ class Exit(IntEnum):
 def command(
     commands: Any, name: str, run: Callable[[argparse.Namespace], int], words: str
 ) -> argparse.ArgumentParser:
-    """Add a command; its description is the docstring of the function that runs it."""
+    """Add a command; its description is the docstring of `run`."""
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=words, description=inspect.getdoc(run)
     )
@@ -52,7 +52,7 @@ def command(
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
-    """Return what turns an argument into a number from `low` to `high`, or says what is wrong."""
+    """Return a parser of arguments that are numbers from `low` to `high`."""
 
     def parse(text: str) -> float:
         try:
@@ -67,7 +67,7 @@ def number(low: float, high: float) -> Callable[[str], float]:
 
 
 def add_output_option(parser: argparse.ArgumentParser, content: str, prefix: str) -> None:
-    """Add the folder that `new_or_named` takes."""
+    """Add the option for the output folder, which `new_or_named` takes."""
     words = f"folder for {content} (default: a new {prefix}_DATE_TIME here)"
     parser.add_argument("--output", type=Path, metavar="DIR", help=words)
 
@@ -84,7 +84,7 @@ def new_or_named(chosen: Path | None, prefix: str) -> Path:
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
-    """Lay out rows of equal length: the first column to the left, the others to the right."""
+    """Return rows as a text table: the first column left-aligned, the others right-aligned."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = []
     for first, *others in rows:
@@ -95,16 +95,16 @@ def table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def bullets(title: str, items: Sequence[str]) -> str:
-    """Return a titled list, or nothing if there are no items."""
+    """Return a list with a title, or an empty text without items."""
     return "".join([f"\n{title}\n", *(f"  - {item}\n" for item in items)]) if items else ""
 
 
 HEAD = re.compile(r"(?:.*\s{2,}|\s*)(?:- )?")
-"""What stands before the prose of a line: columns that two spaces part, and a list's dash."""
+"""The beginning of a line before its prose: columns separated by two spaces, and a list's dash."""
 
 
 def tell(text: str, out: TextIO | None = None) -> None:
-    """Print a text without control characters; a terminal gets it wrapped to its width."""
+    """Print a text without control characters, wrapped to the width of a terminal."""
     out = sys.stdout if out is None else out
     shown = plain_lines(text)
     if out.isatty():
@@ -113,7 +113,7 @@ def tell(text: str, out: TextIO | None = None) -> None:
 
 
 def tell_result(facts: Mapping[str, Any], words: str, *, as_json: bool) -> None:
-    """Print a result for a program, as one JSON document, or for a person."""
+    """Print a result as one JSON document, or in words."""
     if as_json:
         print(document(facts))
     else:
@@ -121,7 +121,7 @@ def tell_result(facts: Mapping[str, Any], words: str, *, as_json: bool) -> None:
 
 
 def wrapped(text: str, width: int) -> str:
-    """Return a text with long lines broken between words, hanging below their last column."""
+    """Return a text with long lines wrapped between words and indented below their last column."""
     lines = []
     for line in text.split("\n"):
         found = HEAD.match(line)
@@ -145,11 +145,11 @@ OPTIONS = {"mount_rpy_deg": "--mount-rpy-deg", "soft_iron_gains": "--soft-iron-g
 
 
 SET_MOUNTING = re.compile(r"set `mount_rpy_deg: \[([^]]*)\]`")
-"""The line for the node's parameter file."""
+"""Advice for the node's parameter file, to be replaced by the option."""
 
 
 def with_options(words: str) -> str:
-    """Return words with the options of a command in place of the node's parameters."""
+    """Return a message with the names of the node's parameters replaced by command-line options."""
 
     def mounting(found: re.Match[str]) -> str:
         angles = " ".join(f"{float(angle):g}" for angle in found[1].split(","))
@@ -178,11 +178,11 @@ def _finite(value: Any) -> Any:
 
 
 def add_reference_options(parser: argparse.ArgumentParser) -> None:
-    """Add what may be known of the Earth's field; ranges and defaults are the node's."""
+    """Add the options for the Earth's field, with the ranges and defaults of the node."""
     group = parser.add_argument_group(
         "reference field",
-        "Numbers given here have priority; the rest comes from the World Magnetic Model for the "
-        "place, else for the first fix in a bag.",
+        "Values given here have priority; the others are from the World Magnetic Model at the "
+        "given place, else at the first fix in a bag.",
     )
     specs = {spec.name: spec for spec in PARAMETERS}
 
@@ -198,23 +198,23 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
     add("--reference-inclination-sigma-deg", "inclination_sigma_deg", "local deviation (1 σ), °")
     add("--reference-declination-deg", "declination_deg", "declination, positive east, °")
     add("--reference-declination-sigma-deg", "declination_sigma_deg", "local deviation (1 σ), °")
-    add("--latitude", "latitude_deg", "where it was recorded, positive north, °")
-    add("--longitude", "longitude_deg", "the same, positive east, °")
-    add("--altitude", "altitude_m", "the same, m")
+    add("--latitude", "latitude_deg", "latitude of the recording, positive north, °")
+    add("--longitude", "longitude_deg", "longitude of the recording, positive east, °")
+    add("--altitude", "altitude_m", "altitude of the recording, m")
     group.add_argument(
         "--date",
         type=_year,
         metavar="DATE",
-        help="when, 2026-11-21 or 2026.9 (default: the recording's stamps, else today)",
+        help="date, 2026-11-21 or 2026.9 (default: by the recording's stamps, else today)",
     )
 
 
 def reference_in_use(
     options: argparse.Namespace, recorded: Place | None, stamp: float
 ) -> Reference:
-    """Return what the options give, and the rest from the model.
+    """Return the reference field by the options, with missing values from the model.
 
-    `recorded` is the place by the recording's own fixes, `stamp` (s) the newest of the recording.
+    `recorded` is the place by fixes in the recording, `stamp` (s) the newest in the recording.
     """
     given = Given.of(vars(options))
     if given.half_place:

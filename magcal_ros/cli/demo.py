@@ -1,4 +1,4 @@
-"""`magcal demo` and `replay`: the sensors of a simulated robot, or of a recorded drive."""
+"""`magcal demo` and `replay`: simulated sensors, or sensors of a recorded drive."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ ROBOT = Robot(
     noise_field=0.3e-6,
     noise_force=0.02,
 )
-"""A compass as it is often found: a few degrees off level, and as magnetised as the field."""
+"""A common case: a compass tilted by a few degrees, with hard iron as strong as the level field."""
 
-TAKES = 200.0
-"""Seconds that the demo takes in real time, most of them at 24 headings on five grounds."""
+DEMO_SECONDS = 200.0
+"""Duration of the demo in real time, seconds, most of it at 24 headings on five slopes."""
 
 NEXT_STEPS = """\
 The simulated robot's calibration is in
@@ -63,7 +63,7 @@ and let the command show the turn, as README.md says:
     -p reference.longitude_deg:=11.6
   ros2 run magcal_ros magcal calibrate"""
 
-LARGEST_ERROR_DEG = 1.0  # the demo fails if the heading is worse than this afterwards
+LARGEST_ERROR_DEG = 1.0  # largest heading error with which the demo succeeds
 
 
 def add_demo(commands: Any) -> None:
@@ -82,14 +82,14 @@ def add_demo(commands: Any) -> None:
 
 
 def run_demo(options: argparse.Namespace) -> int:
-    """Start the calibrator node and a simulated robot with a bad compass.
+    """Start the calibrator node and a simulated robot with a badly mounted compass.
 
-    Turn the robot once, and compare what was found with the truth.
+    The robot turns once, and the calibration is compared with the true values.
     """
     require_ours(options.output)
     keep_traffic_here()
     print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
-    seconds = TAKES / options.speed
+    seconds = DEMO_SECONDS / options.speed
     print(f"The robot turns once, and then its heading is checked: about {seconds:.0f} s.")
     if options.speed != 1.0:
         print(f"Everything runs {options.speed:g} times as fast as in real time.")
@@ -115,7 +115,7 @@ def _start_node(output: Path) -> subprocess.Popen[bytes]:
         "reference.declination_deg": ROBOT.declination / DEGREE,
     }
     given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    # The node warns of a calibration file that does not exist yet: here it never does.
+    # Only errors are logged, because the calibration file does not exist yet and causes a warning.
     return start("magcal_ros.ros.main", "--ros-args", "--log-level", "error", *given)
 
 
@@ -169,7 +169,7 @@ def _comparison(calibration: Calibration, installation_rpy_deg: Sequence[float])
 
 
 LAST_STAMP = 2.0**31 - 2.0
-"""Seconds that a message's stamp can hold, less the shift that a start at zero gets."""
+"""Largest stamp of a message in seconds, minus the shift of a recording that starts at zero."""
 
 
 def add_replay(commands: Any) -> None:
@@ -177,7 +177,7 @@ def add_replay(commands: Any) -> None:
     words = "publish a recorded drive on imu/data_raw and imu/mag"
     parser = command(commands, "replay", run_replay, words)
     parser.add_argument(
-        "folder", type=Path, help="holds imu.csv and mag.csv; `ros2 bag play` replays a bag"
+        "folder", type=Path, help="folder with imu.csv and mag.csv (for a bag use `ros2 bag play`)"
     )
     parser.add_argument(
         "--rate", type=number(1e-6, 1e6), default=1.0, help="times real time (default: 1)"
@@ -199,9 +199,9 @@ def add_replay(commands: Any) -> None:
 
 
 def run_replay(options: argparse.Namespace) -> int:
-    """Publish a recorded drive on imu/data_raw and imu/mag under its own stamps.
+    """Publish a recorded drive on imu/data_raw and imu/mag with its own stamps.
 
-    It is a folder with imu.csv: t,ax,ay,az,gx,gy,gz and mag.csv: t,mx,my,mz; SI units.
+    The recording is a folder with imu.csv: t,ax,ay,az,gx,gy,gz and mag.csv: t,mx,my,mz; SI units.
     """
     recording = read_csv_folder(options.folder)
     _require_stamps(options.folder, recording)
@@ -214,14 +214,14 @@ def run_replay(options: argparse.Namespace) -> int:
             time.sleep(0.05)
         time.sleep(0.2)
         if not source.listeners:
-            print("magcal: there is no subscriber; publishing all the same", file=sys.stderr)
+            print("magcal: there is no subscriber; publishing anyway", file=sys.stderr)
         count = replay(node, source, recording, options.rate, time.sleep, options.clock)
     print(plain_lines(f"replayed {count} samples of {options.folder}"))
     return Exit.GOOD
 
 
 def _require_stamps(folder: Path, recording: Recording) -> None:
-    """Refuse what no message can carry: a stamp that is no number, or beyond the stamps of ROS."""
+    """Raise FileTrouble for a stamp that a ROS message cannot hold."""
     for name, table in (("imu.csv", recording.imu), ("mag.csv", recording.field)):
         stamps = table[:, 0]
         bad = ~(np.isfinite(stamps) & (np.abs(stamps) < LAST_STAMP))

@@ -1,4 +1,4 @@
-"""`magcal doctor`: faults of the sensors, live or recorded, and the remedy of each."""
+"""`magcal doctor`: faults of the sensors, live or recorded, with remedies."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from magcal_ros.ros.preflight import Listener
 
 
-MOST = 500_000  # samples kept of each stream: more than an hour at 100 Hz
+MOST_SAMPLES = 500_000  # samples kept of each stream: more than an hour at 100 Hz
 
 
 def add_doctor(commands: Any) -> None:
@@ -56,32 +56,32 @@ def add_doctor(commands: Any) -> None:
         "--turned",
         choices=("left", "right"),
         help=(
-            "to which side the robot of a recording turned; shows whether all sensors are upside "
-            "down"
+            "direction in which the robot turned in the recording; needed to detect that all "
+            "sensors are upside down"
         ),
     )
     parser.add_argument(
-        "--write", type=Path, metavar="FILE", help="write what was found as a parameter file"
+        "--write", type=Path, metavar="FILE", help="write the corrections as a parameter file"
     )
     recorded.add_knowledge_options(parser)
 
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """The samples of a recording or of the guided half minute, and what is known beside them."""
+    """The samples of a recording or of the guided half minute, with further knowledge."""
 
     samples: list[ImuSample | FieldSample]
-    knowledge: Knowledge  # what the user gave, and the described pose
-    turned_left: bool | None  # whether the robot turned to the left; None where that is not known
-    more: tuple[Finding, ...]  # what the recording or the graph shows beside the samples
-    described: str = ""  # the described pose in words; empty where none was used
+    knowledge: Knowledge  # given by the user, or the pose by the robot's description
+    turned_left: bool | None  # whether the robot turned to the left; None if unknown
+    more: tuple[Finding, ...]  # findings that are not from the samples
+    described: str = ""  # the pose by the robot's description, in words; empty if not used
     travel: Sequence[TravelSample] = ()
 
     def page_of(self, log: SensorLog) -> Page:
-        """Return the findings: of the samples, of what is beside them, and of their comparison."""
+        """Return all findings, also from the comparison with course and description."""
         page = examine(log, self.knowledge, self.turned_left)
         said = [f.remedy for f in page.findings if f.remedy]
-        # What came in is complained of in words that a line of the page may have, too.
+        # A complaint that a line of the page contains already is left out.
         more = [f for f in self.more if not any(words in f.evidence for words in said)]
         page = page.with_more(more)
         if self.travel and page.used is not None:
@@ -100,24 +100,24 @@ class Heard:
                 f"{described}, but measured differently",
                 f'set rpy="{radians}" in the URDF joint between IMU and magnetometer',
             )
-        if any(f.key in MISLEADING and f.is_wrong for f in page.findings):
+        if any(f.key in AXIS_FAULTS and f.is_wrong for f in page.findings):
             words = f"{described}; correct the axes first"
             return not_shown("description", "description", words)
         return looked_at("description", "description", described)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Find what is wrong with the sensors, and what to change.
+    """Find faults of the sensors, and their remedies.
 
-    It checks stamps, latency, units, gravity, repeats, resolution, range, noise and axes.
-    Without a recording it listens to the running sensors for a guided half minute: stand still,
+    The command checks stamps, latency, units, gravity, repeats, resolution, range, noise and axes.
+    Without a recording it guides the user for half a minute with the running sensors: stand still,
     turn left, lift the nose. Exit status: 0 nothing is wrong (but some lines may need a look),
     2 usage, 3 too little data, 4 something is wrong, 5 file trouble.
     """
     if options.write is not None and options.write.exists():
         raise FileTrouble(f"{options.write} exists already: name another --write")
     if options.recording is not None and options.live:
-        raise Misuse("a recording is not live: leave out --live, or the recording")
+        raise Misuse("--live is without a recording: leave out --live, or the recording")
     heard = listen(options) if options.recording is None else _recorded(options)
     log = SensorLog.of(heard.samples)
     if min(len(log.imu_time), len(log.field_time)) >= TUNING.fewest:
@@ -133,14 +133,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _counted(time: FloatArray) -> str:
-    """Return how many samples there are, and how fast they come."""
+    """Return the number of samples and their rate, in words."""
     gap = float(np.median(np.diff(time))) if len(time) > 2 else 0.0
     return f"{len(time)} samples" + (f" at {1.0 / gap:.2g} Hz" if gap > 0.0 else "")
 
 
 def _recorded(options: argparse.Namespace) -> Heard:
     samples: list[ImuSample | FieldSample] = []
-    rest = {ImuSample: MOST, FieldSample: MOST}
+    rest = {ImuSample: MOST_SAMPLES, FieldSample: MOST_SAMPLES}
 
     def kept(readings: Iterator[Reading]) -> Iterator[Reading]:
         for count, reading in enumerate(readings):
@@ -162,7 +162,7 @@ def _recorded(options: argparse.Namespace) -> Heard:
     complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
     fields = [each.field for each in samples if isinstance(each, FieldSample)]
     if fields and likely_field_unit(usual_size(np.array(fields))):
-        # The page has a line on it, by the usual size of the field in place of the largest.
+        # The page has a line on the unit, by the usual size of the field instead of the largest.
         largest = likely_field_unit(gathering.streams.largest_field)
         complaints = [words for words in complaints if words != largest]
     more = tuple(looked_at("recording", "recording", words, words) for words in complaints)
@@ -181,7 +181,7 @@ def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> tuple[
 
 
 def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
-    """Print the page and write what parameters can correct."""
+    """Print the page and write the parameters that correct faults."""
     status = Exit.REFUSED if page.misleads else Exit.GOOD
     written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
     words = page_in_words(page)
@@ -191,18 +191,20 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
             f"{shlex.quote(written)}` (after `--ros-args`), and calibrate again."
         )
     elif options.write is not None:
-        words += "\n\nNothing is written: no parameter alone corrects what was found."
+        words += "\n\nNo file is written: the faults cannot be corrected by parameters alone."
     tell_result(page_as_facts(page, written, status), words, as_json=options.json)
     return status
 
 
-MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}
+GRADE_MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}
 
 
 def page_in_words(page: Page) -> str:
-    """Return the page for a terminal: a line for each finding, then what to do."""
-    lines = [f"  {MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 1000)}" for f in page.findings]
-    # One cause may show in several lines.
+    """Return the page for a terminal: a line for each finding, then the remedies."""
+    lines = [
+        f"  {GRADE_MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 1000)}" for f in page.findings
+    ]
+    # Several lines may have the same cause.
     remedies: dict[str, list[str]] = {}
     for finding in sorted(page.findings, key=lambda finding: -finding.grade.rank):
         if finding.remedy:
@@ -225,10 +227,10 @@ def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, An
 
 
 def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) -> str | None:
-    """Write what parameters can correct, and the gains that were given; returns the path.
+    """Write the parameters that correct faults, and the given gains; returns the path.
 
-    Nothing is written where no mounting alone corrects the axes: what a driver does wrong is
-    corrected there, and never here.
+    No file is written if a mounting alone does not correct the axes: faults of a driver must be
+    corrected in the driver.
     """
     if path is None or not page.parameters:
         return None
@@ -239,9 +241,9 @@ def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) ->
     return str(path)
 
 
-SILENT_AFTER = 8.0  # seconds within which both sensors must have said something
+SILENT_AFTER = 8.0  # longest wait for messages of both sensors, seconds
 
-MISLEADING = (
+AXIS_FAULTS = (
     "axes",
     "field_axes",
     "gyro_axes",
@@ -250,16 +252,16 @@ MISLEADING = (
     "imu_axes",
     "gravity_sign",
 )
-"""Lines with which nothing can be said of the description."""
+"""Faults with which the description cannot be checked."""
 
-CROWD = (
+SEVERAL_PUBLISHERS = (
     "only one node can be the sensor: stop the others, or give one of them another topic; "
-    "messages from two sensors in turn look like a field that jumps"
+    "alternating messages from two sensors look like a field that jumps"
 )
 
 
 def listen(options: argparse.Namespace) -> Heard:
-    """Guide a person through the half minute and collect what the sensors send."""
+    """Guide the user through the half minute and collect the samples."""
     with joined("magcal_doctor", []) as node:
         from rclpy.executors import SingleThreadedExecutor
 
@@ -301,12 +303,12 @@ def listen(options: argparse.Namespace) -> Heard:
 
 
 def say(line: str) -> None:
-    """Print a line for the person; the page alone goes to standard output."""
+    """Print a line for the user on stderr; only the page goes to standard output."""
     print(line, file=sys.stderr, flush=True)
 
 
 class Asking:
-    """Prints the steps of the guide and the seconds left, and reads the Enter key of a terminal."""
+    """Prints the steps of the guide and the remaining seconds, and reads the Enter key."""
 
     def __init__(self) -> None:
         self._rewrites = sys.stderr.isatty()
@@ -314,7 +316,7 @@ class Asking:
         self._shown = ""
 
     def count_down(self, guide: Guide, now: float) -> None:
-        """Show what is asked for, and the seconds that are left."""
+        """Show the present step, and the remaining seconds."""
         if guide.current is None:
             return
         line = f"  [ ] {ASKED[guide.current]}"
@@ -332,15 +334,15 @@ class Asking:
         """Return whether the Enter key was pressed."""
         if not self._keys or not select.select([sys.stdin], [], [], 0.0)[0]:
             return False
-        # The end of the input is no key, and would be read for ever.
+        # The end of the input is not a key; without this, it would be read in each call.
         self._keys = bool(sys.stdin.readline())
         return self._keys
 
     def tick(self, guide: Guide) -> None:
-        """Print whether the step that ended was seen."""
+        """Print whether the last step was detected."""
         last, seen = list(guide.ended.items())[-1]
         over = "\r\033[K" if self._rewrites else ""
-        say(f"{over}  [{'x' if seen else '-'}] {ASKED[last]}{'' if seen else ': not seen'}")
+        say(f"{over}  [{'x' if seen else '-'}] {ASKED[last]}{'' if seen else ': not detected'}")
         self._shown = ""
 
 
@@ -350,7 +352,7 @@ def gathered(
     samples: list[ImuSample | FieldSample],
     guide: Guide,
 ) -> Heard:
-    """Return the samples, with what the graph and the user give beside them."""
+    """Return the samples with the knowledge from the user, the graph and the description."""
     newest = max((s.stamp for s in samples if isinstance(s, FieldSample)), default=0.0)
     reference = reference_in_use(options, None, newest)
     mounting, described, pose = recorded.mounting_from(options), "", listener.described_pose
@@ -359,7 +361,8 @@ def gathered(
         mounting, described = replace(mounting, pose=pose), pose_in_words(pose)
     more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
     more += [
-        wrong("publishers", "publishers", words, CROWD) for words in listener.several_publishers
+        wrong("publishers", "publishers", words, SEVERAL_PUBLISHERS)
+        for words in listener.several_publishers
     ]
     known = Knowledge(reference.field, mounting)
     return Heard(samples, known, guide.turned_left, tuple(more), described)

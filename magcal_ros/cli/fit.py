@@ -33,20 +33,20 @@ from magcal_ros.report import Subject, write_report
 class Fitted:
     """A recording, or several that were joined, and the result."""
 
-    gathered: Gathered  # of several, the last that joined
+    gathered: Gathered  # of several recordings, the last that was joined
     knowledge: Knowledge
     outcome: Outcome
     everything: Sequence[Gathered]
 
     @property
     def complaints(self) -> list[str]:
-        """What is wrong with the recordings, in words."""
+        """The faults of the recordings, in words."""
         found = [words for each in self.everything for words in each.complaints()]
         return list(dict.fromkeys(found))
 
     @property
     def status(self) -> common.Exit:
-        """What the shell sees."""
+        """The exit status."""
         if self.outcome.verdict.accepted:
             return common.Exit.GOOD
         is_little = self.outcome.reason in LITTLE_DATA
@@ -57,26 +57,26 @@ def add_fit(commands: Any) -> None:
     """Add the command's arguments."""
     parser = common.command(commands, "fit", run, "calibrate from a recording")
     recorded.add_recording_options(parser, several=True)
-    common.add_output_option(parser, "what is found", "magcal_fit")
+    common.add_output_option(parser, "calibration and report", "magcal_fit")
     words = f"{METHOD_WORDS}: {', '.join(METHODS)}"
     named: dict[str, Any] = {"choices": METHODS, "metavar": "METHOD"}
     parser.add_argument("--method", default=METHODS[0], help=words, **named)
     parser.add_argument(
-        "--compare", action="store_true", help="print every method side by side; write no files"
+        "--compare", action="store_true", help="print the results of all methods; write no files"
     )
     recorded.add_heading_options(parser)
     recorded.add_knowledge_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Calibrate from a recording of a turn, as the node does live.
+    """Calibrate from a recording of a turn or a drive, as the node does live.
 
-    The whole span is used. Several recordings of turns on different tilts are joined into one
-    estimate, the yaw of the installation included. Exit status: 0 good, 2 usage, 3 too little data,
-    4 refused, 5 file trouble.
+    Several recordings of turns at different tilts are joined into one estimate, which includes the
+    yaw of the installation. Exit status: 0 good, 2 usage, 3 too little data, 4 refused, 5 file
+    trouble.
     """
     folder = common.new_or_named(options.output, "magcal_fit")
-    # What lies there already is never overwritten.
+    # An existing calibration is never overwritten.
     if (folder / common.CALIBRATION).exists():
         raise FileTrouble(f"{folder / common.CALIBRATION} exists already: name another --output")
     _check_use(options)
@@ -103,9 +103,9 @@ def _check_use(options: argparse.Namespace) -> None:
     if len(options.recordings) == 1:
         return
     if options.compare:
-        raise Misuse("--compare takes one recording: methods differ in what they make of several")
+        raise Misuse("--compare takes one recording, because not all methods join several")
     if options.start > 0.0 or options.stop < math.inf:
-        raise Misuse("--from and --to cut one recording: with several, give each whole")
+        raise Misuse("--from and --to take one recording: several recordings are used as a whole")
 
 
 def _fit(
@@ -116,10 +116,11 @@ def _fit(
     frames = sorted({each.source.field_frame for each in everything if each.source.field_frame})
     if len(frames) > 1:
         raise Misuse(
-            f"the recordings are of different magnetometers ({', '.join(frames)}); join those of "
-            "one sensor"
+            f"the recordings are of different magnetometers ({', '.join(frames)}); join only "
+            "recordings of one sensor"
         )
-    # All turns are made in one place: the first recording with a known field gives the reference.
+    # All turns are made at one place, so the first recording with a known field gives the
+    # reference.
     known = next((g for g in everything if g.reference.field.is_complete), everything[0])
     knowledge = Knowledge(known.reference.field, known.gathering.mounting)
     at_headings = recorded.fit_known(options, knowledge)
@@ -166,8 +167,8 @@ GIVE_PLACE = (
     "give --latitude and --longitude, or --reference-strength-ut and --reference-inclination-deg"
 )
 APART = (
-    "here soft iron is unknown, and absolute headings include the yaw of the installation; the "
-    "numbers above include neither"
+    "the heading errors above do not include the unknown soft iron and the unknown yaw of the "
+    "installation"
 )
 
 
@@ -175,7 +176,7 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     verdict, estimate = fitted.outcome.verdict, fitted.outcome.estimate
     headline, reasons = verdict.in_full
     is_drive = estimate is not None and Figure.HEADINGS_DRIVEN in estimate.figures
-    # Along a drive the disturbances of the way say more, and the headings driven.
+    # For a drive, local disturbances and the number of headings are more informative.
     left_out = ("residual_percent", "arc_deg") if is_drive else ()
     rows = [row[1:] for row in _numbers(fitted) if row[0] not in left_out]
     text = common.with_options(headline) + "\n"
@@ -230,7 +231,7 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
 
 
 def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
-    """Return key, name, number and unit of everything worth a line."""
+    """Return key, name, number and unit of the printed quantities."""
     gathering, source = fitted.gathered.gathering, fitted.gathered.source
     imus, fields = fitted.gathered.repaired.read
     window, estimate = fitted.outcome.window, fitted.outcome.estimate
@@ -240,7 +241,7 @@ def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
         ("imu_messages", f"messages on {source.imu_topic}", f"{imus}", ""),
         ("mag_messages", f"messages on {source.field_topic}", f"{fields}", ""),
         ("samples", "samples in the fit", f"{used}", ""),
-        ("arc_deg", "turn seen", f"{arc:.0f}", "°"),
+        ("arc_deg", "measured arc", f"{arc:.0f}", "°"),
     ]
     return rows if estimate is None else rows + _found(estimate, window)
 
@@ -248,7 +249,7 @@ def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
 def _before_correction(
     estimate: Estimate, window: Window | None
 ) -> list[tuple[str, str, str, str]]:
-    """Return the strengths at the sensor, if a part of the field alone reaches it."""
+    """Return the strengths at the sensor, if only a part of the field reaches the sensor."""
     if window is None or Figure.LEVEL_SHARE not in estimate.figures:
         return []
     iron = estimate.correction.hard_iron
@@ -257,7 +258,7 @@ def _before_correction(
     return [
         ("raw_strength_ut", "strength at the sensor, usually", f"{raw:.1f}", "µT"),
         ("sensor_strength_ut", "  without its hard iron", f"{without:.1f}", "µT"),
-        ("level_share_percent", "Earth's level field that reaches it", f"{share:.1f}", "%"),
+        ("level_share_percent", "Earth's level field at the sensor", f"{share:.1f}", "%"),
     ]
 
 
@@ -288,7 +289,7 @@ def _found(estimate: Estimate, window: Window | None) -> list[tuple[str, str, st
     ]
     along = ""
     if Figure.LOCAL_SIGMA in figures:
-        own, along = math.degrees(calibration_sigma(estimate)), " along the way"
+        own, along = math.degrees(calibration_sigma(estimate)), " along the drive"
         name = "heading error by the calibration (1σ), level"
         rows.append(("calibration_sigma_deg", name, f"{own:.2f}", "°"))
     for figure, name in (
@@ -308,9 +309,9 @@ HEADER = ("method", "verdict", "hard iron x, y, z (µT)", "heading ±", "residua
 
 
 def compare_methods(window: Window | None, knowledge: Knowledge) -> str:
-    """Return a table of the results of each method on a window, and why some have none."""
+    """Return a table of the results of each method for a window, and the reasons without one."""
     if window is None:
-        return "no method has anything to work on: the recording holds no usable turn"
+        return "there are no results: the recording has no usable turn"
     outcomes = {
         method: calibrate(window, knowledge, method)
         for method in METHODS

@@ -25,16 +25,16 @@ LONGEST_ERROR = 500
 
 @contextlib.contextmanager
 def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
-    """Yield a node; a MagcalError without rclpy, Misuse if ROS refuses name or arguments."""
+    """Yield a node; MagcalError without rclpy, Misuse if ROS does not accept name or arguments."""
     try:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
         raise MagcalError(
-            "this command needs ROS: source its setup file, or work in the environment that "
-            f"`make demo` sets up in a checkout ({error})"
+            "this command needs ROS: source the setup file of ROS, or use the environment that "
+            f"`make demo` creates in a checkout ({error})"
         ) from error
-    # With rclpy's own handler the context is gone before Ctrl-C can cancel anything.
+    # With rclpy's signal handler, Ctrl-C shuts down the context before the turn can be cancelled.
     try:
         rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node(name)
@@ -43,8 +43,8 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
         rclpy.try_shutdown()
         words = plain(" ".join(str(error).split()), LONGEST_ERROR)
         raise Misuse(
-            f"ROS does not start: {words}. Look at --ros-args and at ROS_DOMAIN_ID and the other "
-            "ROS_ and RMW_ variables"
+            f"ROS does not start: {words}. Check --ros-args, ROS_DOMAIN_ID and the other ROS_ and "
+            "RMW_ variables"
         ) from error
     try:
         yield node
@@ -54,17 +54,17 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
 
 
 def keep_traffic_here() -> None:
-    """Keep DDS on this machine, in a domain of its own, unless the user chose otherwise."""
+    """Limit DDS to this machine and a separate domain, unless the user has set other values."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if os.environ.get("ROS_DISTRO") == "humble":
-        # It does not know the range; newer ones know both, and warn.
+        # Humble does not know the discovery range; newer versions warn if both are set.
         os.environ.setdefault("ROS_LOCALHOST_ONLY", "1")
     os.environ.setdefault("ROS_DOMAIN_ID", str(100 + os.getpid() % 100))
 
 
 @contextlib.contextmanager
 def interrupts_noted() -> Iterator[threading.Event]:
-    """Note Ctrl-C instead of raising it at once, which might be inside of rclpy."""
+    """Set an event on Ctrl-C instead of raising KeyboardInterrupt, perhaps inside rclpy."""
     noted = threading.Event()
     before = signal.signal(signal.SIGINT, lambda *_: noted.set())
     try:
@@ -77,7 +77,7 @@ BUSY = ("collecting", "fitting")
 
 TOO_FAST = 45.0
 TOO_SLOW = 5.0
-"""Degrees per second of turning that is advised against."""
+"""Limits of the advised turn rate, degrees per second."""
 
 NUMBERS = ("arc_deg", "elapsed_s", "turn_rate_deg_s")
 TEXTS = ("stage", "filled", "advice")
@@ -85,14 +85,14 @@ TEXTS = ("stage", "filled", "advice")
 RING_HEIGHT = 11
 RING_WIDTH = 25
 WIDEST = 80
-"""Columns of the panel on a wide terminal; a narrower one cuts it to its own width."""
+"""Columns of the panel; on a narrower terminal it has the width of the terminal."""
 
 
 def progress_of(status: str) -> dict[str, Any] | None:
-    """Return how far a turn is from the text of `~/status`; None if none is under way.
+    """Return the progress of a turn in the text of `~/status`; None if no turn is under way.
 
-    Anybody in the graph may publish there: what is no status is ignored, and control characters are
-    replaced.
+    Any node may publish there, so texts that are not a status are ignored, and control characters
+    are replaced.
     """
     try:
         content = json.loads(status)
@@ -110,7 +110,7 @@ def progress_of(status: str) -> dict[str, Any] | None:
 
 
 def turns_itself(status: str) -> bool:
-    """Whether the text of `~/status` says that the robot will turn by itself."""
+    """Whether the robot turns itself, by the text of `~/status`."""
     try:
         return json.loads(status)["turns_itself"] is True
     except (ValueError, TypeError, LookupError, RecursionError):
@@ -118,9 +118,9 @@ def turns_itself(status: str) -> bool:
 
 
 def with_all_reasons(message: str, status: str | None) -> str:
-    """Return the answer of ~/calibrate with every reason against the result on a line of its own.
+    """Return the answer of ~/calibrate with all reasons against the result, each on one line.
 
-    The answer names the first ones; the text of `~/status` has all of them.
+    The answer contains the first reasons; the text of `~/status` contains all.
     """
     try:
         verdict = json.loads(status or "")["verdict"]
@@ -137,7 +137,7 @@ def with_all_reasons(message: str, status: str | None) -> str:
 
 
 def best_view() -> Lines:
-    """Return a panel on a terminal where rich is installed, else plain lines."""
+    """Return a panel on a terminal if rich is installed, else plain lines."""
     if sys.stdout.isatty():
         try:
             return Panel()
@@ -155,21 +155,21 @@ def advice(progress: dict[str, Any]) -> str:
         return "slower, please"
     if 0.0 < rate < TOO_SLOW and progress["arc_deg"] > 10.0:
         return "a little faster"
-    return progress["advice"] or "go on turning until the heading is certain"
+    return progress["advice"] or "continue turning until the heading is certain"
 
 
 def line(progress: dict[str, Any]) -> str:
-    """Put a turn into one line."""
+    """Return the progress of a turn in one line."""
     sigma = progress["heading_sigma_deg"]
     certain = f", heading ±{sigma:.2f}°" if sigma is not None else ""
     return (
-        f"[{progress['filled']}] {progress['arc_deg']:4.0f}° seen, "
+        f"[{progress['filled']}] {progress['arc_deg']:4.0f}° measured, "
         f"{progress['samples']} samples{certain} | {advice(progress)}"
     )
 
 
 def ring(filled: str) -> list[str]:
-    """Draw covered (#) and missing (.) headings as a ring, the start on top, left to the left."""
+    """Return covered (#) and missing (.) headings as a ring, from the top counter-clockwise."""
     canvas = [[" "] * RING_WIDTH for _ in range(RING_HEIGHT)]
     for k, mark in enumerate(filled):
         angle = (k + 0.5) * math.tau / len(filled)
@@ -180,16 +180,16 @@ def ring(filled: str) -> list[str]:
 
 
 class Lines(contextlib.AbstractContextManager["Lines"]):
-    """Shows the progress of a turn, at most a line a second: for pipes and logs."""
+    """Shows the progress of a turn in lines, for pipes and logs."""
 
     def __init__(self) -> None:
         self._second, self._said = -1, ""
 
     def show(self, progress: dict[str, Any]) -> None:
-        """Print at most one line a second, and none twice."""
+        """Print at most one line a second, and no line twice in a row."""
         second, words = int(progress["elapsed_s"]), line(progress)
         if second != self._second and words != self._said:
-            # A terminal that is narrower would break the line, and scroll by two.
+            # The line is cut to the width of the terminal.
             width = shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else None
             print(words[:width], flush=True)
             self._second, self._said = second, words
@@ -199,7 +199,7 @@ class Lines(contextlib.AbstractContextManager["Lines"]):
 
 
 class Panel(Lines):
-    """A panel that rich draws again and again; ImportError where rich is not installed."""
+    """Shows the progress of a turn in a panel; raises ImportError if rich is not installed."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -217,7 +217,7 @@ class Panel(Lines):
         drawing.highlight_regex(r"\.", "red")
         sigma = progress["heading_sigma_deg"]
         numbers = [
-            f"{progress['arc_deg']:.0f}° of the turn seen",
+            f"{progress['arc_deg']:.0f}° of the turn measured",
             f"{progress['samples']} samples in {progress['elapsed_s']:.0f} s",
             f"turning {progress['turn_rate_deg_s']:+.0f}°/s",
             "heading not yet certain" if sigma is None else f"heading ±{sigma:.2f}° (1σ)",

@@ -28,15 +28,15 @@ COMMANDS = (
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports wrong arguments without characters that could control a terminal."""
+    """A parser whose error messages contain no control characters."""
 
     def error(self, message: str) -> NoReturn:
-        """End the program; argparse quotes some arguments as they are."""
+        """End the program with a message; argparse quotes some arguments unchanged."""
         super().error(plain_lines(message))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns its exit status, and puts known errors into one line."""
+    """Run a command and return its exit status; known errors are printed in one line."""
     if arguments is None:
         leave_out_current_folder()
     parser = Parser(
@@ -48,19 +48,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         add(commands)
     options = parser.parse_args(arguments)
     for stream in (sys.stdout, sys.stderr):
-        # A path may hold any bytes, and a terminal may know no "µ": neither ends a command.
+        # A path may contain any bytes, and a terminal may lack "µ"; neither must end a command.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
         return int(_run(options))
     except BrokenPipeError:
-        # `| head` has seen enough; what is still in the buffer goes nowhere, without a word.
+        # The reader, for example `head`, has closed the pipe; the rest of the buffer is discarded.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return int(Exit.PIPE_CLOSED)
 
 
 def _run(options: argparse.Namespace) -> Exit:
-    """Run a command and flush, so that a closed pipe is met here; errors become a status."""
+    """Run a command and flush the output, so that a closed pipe is detected; catch errors."""
     try:
         status = Exit(options.run(options))
         sys.stdout.flush()
@@ -79,10 +79,10 @@ def _run(options: argparse.Namespace) -> Exit:
     except OSError as error:
         if error.filename is None:
             return _fault()
-        # Whatever name the user gave, the system would not have it: too long, forbidden, gone.
+        # The system cannot use the user's path: too long, not permitted, missing.
         name = plain(os.fsdecode(error.filename))
         return _said(f"cannot use {name}: {error.strerror or error}", Exit.FILE_TROUBLE)
-    except Exception:  # ours: said as such, with the traceback, never as the user's
+    except Exception:  # an error of this package, reported with the traceback
         return _fault()
     return status
 
@@ -95,8 +95,8 @@ def _said(what: object, status: Exit) -> Exit:
 def _fault() -> Exit:
     traceback.print_exc()
     print(
-        f"magcal: this is a fault of magcal_ros {__version__} and not yours. Please report it with "
-        f"the lines above{_maintainer()}",
+        f"magcal: this is an error in magcal_ros {__version__}, not in your input. Please report "
+        f"it with the lines above{_maintainer()}",
         file=sys.stderr,
     )
     return Exit.FAULT
@@ -107,7 +107,7 @@ def _maintainer() -> str:
         address = metadata("magcal_ros")["Maintainer-email"]
     except PackageNotFoundError:
         address = None
-    return f" to {address}" if address else " to the maintainer that its package.xml names"
+    return f" to {address}" if address else " to the maintainer in the package.xml"
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the commands on recordings share: options, known headings, reading, progress line."""
+"""Shared by the commands on recordings: options, known headings, reading, progress line."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from magcal_ros.files.sources import RepairedReadings, Source, open_recording
 
 REDRAW = 0.2
 LINE_EVERY = 5.0
-"""Seconds between two progress lines: on a terminal, where they overwrite, and elsewhere."""
+"""Seconds between two progress lines: on a terminal, where one line is redrawn, and elsewhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +40,16 @@ class Gathered:
     """A recording that was read."""
 
     gathering: Gathering
-    source: Source  # closed; its names and frames are of use
+    source: Source  # closed; only its attributes can be used
     reference: Reference
     repaired: RepairedReadings  # read to the end
 
     def complaints(self) -> list[str]:
-        """Return everything that is wrong with it, or with what was said about it."""
+        """Return the faults of the recording and of the reference field, in words."""
         found = [*self.source.notes, *self.repaired.notes, *self.gathering.complaints()]
         repeats, (_, fields) = self.gathering.repeats, self.repaired.read
         if repeats > TUNING.worth_a_word * fields:
-            words = f"{repeats} of {fields} samples repeat the one before, and are left out"
+            words = f"{repeats} of {fields} samples repeat the previous one and are left out"
             found.append(f"{self.source.field_topic}: {words}")
         return [*found, *self.reference.complaints]
 
@@ -65,7 +65,7 @@ ANGLES = ("ROLL", "PITCH", "YAW")
 def add_recording_options(
     parser: argparse.ArgumentParser, *, several: bool = False, optional: bool = False
 ) -> None:
-    """Add the recording, or several as `recordings`, and which part of it to read."""
+    """Add the recording, or several as `recordings`, and the options for topics and span."""
     if several:
         words = f"{RECORDINGS}; turns of several recordings are joined"
         many: dict[str, Any] = {"dest": "recordings", "nargs": "+", "metavar": "recording"}
@@ -81,8 +81,8 @@ def add_recording_options(
     words = "pose of a log's or phone's sensors in the vehicle, ° (not of a bag)"
     add_three(parser, "--imu-rpy-deg", number(-360.0, 360.0), words, metavar=ANGLES)
     span: dict[str, Any] = {"type": number(0.0, math.inf), "metavar": "SECONDS"}
-    before = "leave out what comes before, counted from the recording's beginning"
-    after = "leave out what comes after"
+    before = "leave out the part before this time, counted from the start of the recording"
+    after = "leave out the part after this time"
     parser.add_argument("--from", dest="start", default=0.0, help=before, **span)
     parser.add_argument("--to", dest="stop", default=math.inf, help=after, **span)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
@@ -94,29 +94,29 @@ def add_three(parser: Any, option: str, kind: Any, words: str, **about: Any) -> 
 
 
 def add_knowledge_options(parser: argparse.ArgumentParser) -> None:
-    """Add what may be known beforehand; ranges and defaults are the node's."""
+    """Add the options for prior knowledge, with the ranges and defaults of the node."""
     add_reference_options(parser)
-    group = parser.add_argument_group("the sensor (each may be left out)")
+    group = parser.add_argument_group("the sensor (all optional)")
     gains: dict[str, Any] = {"default": [1.0] * 3, "metavar": ("X", "Y", "Z")}
     words = "known gains of the magnetometer's axes"
     add_three(group, "--soft-iron-gains", number(0.1, 10.0), words, **gains)
     pose: dict[str, Any] = {"default": [0.0] * 3, "metavar": ANGLES}
-    words = "its nominal pose in the IMU's frame, °"
+    words = "nominal pose of the magnetometer in the IMU's frame, °"
     add_three(group, "--mount-rpy-deg", number(-360.0, 360.0), words, **pose)
-    words = "yaw of the IMU in the vehicle, to the left of its front, °"
+    words = "yaw of the IMU in the vehicle, to the left of the vehicle's front, °"
     turned: dict[str, Any] = {"default": 0.0, "metavar": "YAW", "help": words}
     group.add_argument("--vehicle-yaw-deg", type=number(-360.0, 360.0), **turned)
 
 
 def mounting_from(options: argparse.Namespace) -> Mounting:
-    """Return how the sensor is built in, by the options."""
+    """Return the mounting of the sensor by the options."""
     pose = rotation_from_rpy(*map(math.radians, options.mount_rpy_deg))
     in_vehicle = rotation_from_rpy(0.0, 0.0, math.radians(options.vehicle_yaw_deg))
     return Mounting(options.soft_iron_gains, pose, forward=in_vehicle[0])
 
 
 def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManager[Source]:
-    """Open the topics and the part of a recording that the options name."""
+    """Open a recording with the topics and the span of the options."""
     if not options.start < options.stop:
         raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
     chosen = {"imu": options.imu, "field": options.mag}
@@ -134,15 +134,15 @@ def gather(
     source: Source,
     known: Calibration | None = None,
 ) -> Gathered:
-    """Read a recording, with progress on stderr, and find its reference field.
+    """Read a recording, with progress on stderr, and determine its reference field.
 
-    The field of the motors, if a calibration knows it, is subtracted. A Refusal if the IMU is too
-    slow.
+    The field of the motors in the calibration `known` is subtracted. Raises Refusal if the IMU is
+    too slow.
     """
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
     with at_work(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
-        # Samples without the field of the motors do not follow their current.
+        # After the field of the motors is subtracted, the current has no further effect.
         gathering.take(repaired, source.travel, source.currents if known is None else ())
     newest = gathering.streams.field_stamps.newest
     reference = reference_in_use(options, source.place, newest)
@@ -151,10 +151,10 @@ def gather(
 
 @contextmanager
 def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
-    """Say every now and then that a long operation goes on, and for how long.
+    """Show the progress and the duration of a long operation.
 
-    On a terminal one line is drawn again and removed at the end. Elsewhere a line comes now and
-    then, if it is a new one, so that a short operation prints nothing.
+    On a terminal, one line is redrawn and removed at the end. Elsewhere, new lines are printed
+    every few seconds, so that a short operation prints nothing.
     """
     is_terminal, begun, done = out.isatty(), time.monotonic(), threading.Event()
     begin, end, pause = ("\r", "\x1b[K", REDRAW) if is_terminal else ("", "\n", LINE_EVERY)
@@ -179,15 +179,15 @@ def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
 
 
 def add_heading_options(parser: Any) -> None:
-    """Add what is known of headings."""
+    """Add the options for known headings."""
     known = parser.add_argument_group("known headings, in place of a turn")
     known.add_argument(
         "--heading-deg",
         type=number(-360.0, 360.0),
         nargs="+",
         metavar="YAW",
-        help="heading of the IMU's x at which the robot stands in each recording: ENU, 0 to the "
-        "east, 90 to the north, counted to the left",
+        help="heading of the IMU's x axis at rest in each recording: ENU yaw, 0 to the east, 90 to "
+        "the north, positive to the left",
     )
     known.add_argument(
         "--sigma-deg",
@@ -200,41 +200,41 @@ def add_heading_options(parser: Any) -> None:
         "--heading-topic",
         default="",
         metavar="TOPIC",
-        help="topic of a bag with headings that another device measured, such as two antennas",
+        help="topic in a bag with headings of another device, such as two antennas",
     )
     known.add_argument(
         "--north",
         choices=("true", "magnetic"),
-        help="which north these headings are to; must be given with them",
+        help="which north these headings refer to; required with headings",
     )
 
 
 def check_heading_options(options: argparse.Namespace) -> None:
-    """Raise a Misuse for options that do not fit together."""
+    """Raise Misuse for options that exclude each other."""
     angles, topic = options.heading_deg or (), options.heading_topic
     if not (angles or topic):
         if options.north:
             raise Misuse(
-                "--north is the reference of headings: give --heading-deg or --heading-topic"
+                "--north is only for headings: give --heading-deg or --heading-topic with it"
             )
         return
     if options.north is None:
-        raise Misuse("say which north the headings are to: --north true or --north magnetic")
+        raise Misuse("give the north of the headings: --north true or --north magnetic")
     if angles and topic:
         raise Misuse("give --heading-deg or --heading-topic, not both")
     if angles and len(angles) != len(options.recordings):
         raise Misuse(
             f"{len(angles)} headings for {len(options.recordings)} recordings: give one "
-            "--heading-deg for each, in their order, after the recordings"
+            "--heading-deg for each recording, in the same order, after the recordings"
         )
     if topic and len(options.recordings) > 1:
         raise Misuse("--heading-topic takes one recording")
     if options.compare:
-        raise Misuse("--compare is for turns only: known headings have one method")
+        raise Misuse("--compare is for turns only: there is one method for known headings")
 
 
 def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | None:
-    """Calibrate at known headings; None where none are given."""
+    """Calibrate at known headings; None if no headings are given."""
     is_true, topic = options.north == "true", options.heading_topic
     if topic:
         with opened(options, options.recordings[0]) as source:

@@ -1,4 +1,4 @@
-"""The page on a drive: where it went, which samples were used, where the field was disturbed."""
+"""The page on a drive: route, decisions of self-calibration, and disturbances of the field."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from magcal_ros.report.page import page_head, table
 from magcal_ros.report.write import PAGE
 
 STEPS_DEG = (2.0, 5.0, 10.0, 20.0)
-"""Degrees up to which each colour goes; the last colour is for all beyond."""
+"""Upper limits of the colours, degrees; the last colour is for larger values."""
 COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#7a0019")
-"""From where the compass can be trusted to where it cannot; colour-blind people tell them apart."""
+"""From a trusted to an untrusted compass; colour-blind people can distinguish them."""
 WIDTH, MARGIN, BELOW = 1000.0, 30.0, 30.0
 LABEL = (60.0, 24.0)
 """Width and height of a name on the map."""
 HALO = 'paint-order="stroke" stroke="#fff" stroke-width="5"'
-"""Of a name: it is read on top of the way."""
-TALLEST = "75vh"  # of the map: with its legend it fits on a screen, whichever way was driven
+"""Outline of a name, so that it can be read on top of the route."""
+TALLEST = "75vh"  # height of the map, so that map and legend fit on a screen
 RULES = (
-    "A calibration that is found while driving is first put on probation: only the road driven "
-    "after that can prove it better than the one in force. If no calibration is in force, a "
-    "second one that agrees is enough. If the one in force is known to no better than 3°, one "
-    "that agrees and is known much better is enough. A calibration that was put in force is still "
-    "compared with the one before. Headings are counted in twelve sectors of 30°. ± is one "
-    "standard deviation of the heading by the calibration alone; along the way, local magnetic "
-    "disturbances such as streets and cars add to it."
+    "A calibration that is estimated while driving is first put on probation: only samples from "
+    "later driving can prove that it is better than the one in force. If no calibration is in "
+    "force, a second calibration that agrees is enough. If the one in force has a heading error "
+    "above 3°, a much more accurate calibration that agrees with it is enough. A calibration that "
+    "was put in force is still compared with the previous one. Headings are counted in twelve "
+    "sectors of 30°. ± is one standard deviation of the heading by the calibration alone; along "
+    "the drive, local magnetic disturbances such as streets and cars add to it."
 )
 VERBS = {
     Verb.NOTICED: "noticed",
@@ -52,17 +52,17 @@ VERBS = {
 
 
 def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
-    """Write `report.html` on a drive into a folder; returns it. A report that is there stays."""
+    """Write `report.html` on a drive into a folder; returns it. A report is never overwritten."""
     page = folder / PAGE
     if page.exists():
-        raise FileTrouble(f"{page} is there already and stays; choose another folder")
+        raise FileTrouble(f"{page} exists already and is not overwritten; choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(page, render_drive(story, source), REMEDY)
     return page
 
 
 def render_drive(story: DriveStory, source: str) -> str:
-    """Return the whole page; it loads nothing."""
+    """Return the whole page, which needs no other files."""
     summary = f'<p id="summary">{escape(summary_of(story))}</p>'
     title = "The compass on a drive"
     return "\n".join(
@@ -93,7 +93,7 @@ def summary_of(story: DriveStory) -> str:
             f"{story.fault}"
         )
     elif story.begun is None:
-        said = "no calibration was in force, and the drive did not show enough for one"
+        said = "no calibration was in force, and the drive was not sufficient for one"
         waits = any(made.verb is Verb.PROBATION for _, made in story.decisions)
         said += (
             " (a second calibration that agrees with the first was still missing)"
@@ -101,14 +101,14 @@ def summary_of(story: DriveStory) -> str:
             else " (that takes some minutes of driving, over half of all headings)"
         )
     else:
-        said = "the calibration in force stayed: no other was proved better"
+        said = "the calibration in force was kept: no other was proved better"
     words = f"{drove}: {said}." + ("" if story.fault else f" At the end: {story.doing}.")
     if story.ended is not None:
-        # A decision gives the first of these, and the grade is of it; `magcal fit` gives both.
+        # Decisions and grades are on the sigma by the calibration; `magcal fit` prints both.
         heading = math.degrees(predicted_heading_sigma(story.ended))
         own = math.degrees(known_sigma(story.ended))
         words += (
-            f" In force then: heading ±{own:.1f}° by the calibration (1σ); along the way, with "
+            f" In force then: heading ±{own:.1f}° by the calibration (1σ); along the drive, with "
             f"local magnetic disturbances, ±{heading:.1f}°."
         )
     return words
@@ -119,11 +119,11 @@ def _duration(seconds: float) -> str:
 
 
 def _before_and_after(story: DriveStory) -> str:
-    title = "<h2>What was in force before and after</h2>"
+    title = "<h2>Calibration before and after</h2>"
     if story.begun is None and story.ended is None:
-        return f"{title}<p>Nothing.</p>{_course(story)}"
+        return f"{title}<p>None.</p>{_course(story)}"
     rows = (("before", *_cells(story.begun)), ("after", *_cells(story.ended)))
-    heads = ("", "made by", "heading (1σ)", "along the way", "hard iron, µT", "why")
+    heads = ("", "made by", "heading (1σ)", "along the drive", "hard iron, µT", "why")
     begun, ended = story.begun, story.ended
     apart = ""
     if begun is not None and ended is not None and begun.correction is not ended.correction:
@@ -139,7 +139,7 @@ def _course(story: DriveStory) -> str:
 
 def _cells(calibration: Calibration | None) -> tuple[str, ...]:
     if calibration is None:
-        return "nothing", "", "", "", ""
+        return "none", "", "", "", ""
     x, y, z = (1e6 * float(value) for value in calibration.correction.hard_iron)
     evidence = calibration.evidence
     why = evidence.reasons[0] if evidence.method == "smoother" and evidence.reasons else ""
@@ -156,13 +156,13 @@ def _cells(calibration: Calibration | None) -> tuple[str, ...]:
 
 def _decisions(story: DriveStory) -> str:
     if not story.decisions:
-        return "<h2>What was decided</h2><p>Nothing.</p>"
+        return "<h2>Decisions</h2><p>None.</p>"
     rows = [
         (_duration(seconds), VERBS[made.verb], escape(made.words))
         for seconds, made in story.decisions
     ]
     shown = table("checks", rows, ("after", "decision", "why"))
-    return f"<h2>What was decided</h2><p>{RULES}</p>{shown}"
+    return f"<h2>Decisions</h2><p>{RULES}</p>{shown}"
 
 
 def _map(path: DrivePath | None) -> str:
@@ -174,7 +174,7 @@ def _map(path: DrivePath | None) -> str:
     low, high = path.place.min(axis=0), path.place.max(axis=0)
     span = float(max(np.max(high - low), 1.0))
     scale = (WIDTH - 2.0 * MARGIN) / span
-    # The scale's bar stands below the map: no name is written over it.
+    # The scale bar is below the map, so that no name overlaps it.
     height = max(float(high[1] - low[1]) * scale + 2.0 * MARGIN, 60.0) + BELOW
     x = 0.5 * WIDTH + (path.place[:, 0] - 0.5 * (low[0] + high[0])) * scale
     y = MARGIN + (high[1] - path.place[:, 1]) * scale
@@ -194,9 +194,9 @@ def _map(path: DrivePath | None) -> str:
     trusted = 100.0 * float(np.mean(kinds <= 1))
     return (
         "<h2>Where the compass can be trusted</h2>"
-        f"<p>{_how(path)} Colour: how many degrees the heading may be off there, because streets, "
-        "cars and steel bend the field. It follows from how far the field was off the calibrated "
-        f"one. On {trusted:.0f}% of the points it was less than {STEPS_DEG[1]:g}°.</p>"
+        f"<p>{_how(path)} The colour is the possible heading error by streets, cars and steel "
+        "nearby. It is computed from the difference between the field and the calibrated field. "
+        f"At {trusted:.0f}% of the points it was less than {STEPS_DEG[1]:g}°.</p>"
         f"<p>{legend}</p>"
         f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" '
         f'style="max-height:{TALLEST}">'
@@ -207,7 +207,7 @@ def _map(path: DrivePath | None) -> str:
 
 
 def _ends(x: FloatArray, y: FloatArray) -> str:
-    """Name start and end; one name where the two would be written over each other."""
+    """Return the names of start and end; one common name if the two would overlap."""
     if abs(x[0] - x[-1]) < LABEL[0] and abs(y[0] - y[-1]) < LABEL[1]:
         return _named("", x[0], y[0]) + _named("start and end", x[-1], y[-1])
     return _named("start", x[0], y[0]) + _named("end", x[-1], y[-1])
@@ -224,11 +224,11 @@ def _named(name: str, x: float, y: float) -> str:
 
 def _how(path: DrivePath) -> str:
     if path.is_measured:
-        return "North is up; places by the receiver."
-    guess = "" if path.has_speed else " and a guessed speed of 5 m/s"
+        return "North is up; the positions are from the receiver."
+    guess = "" if path.has_speed else " and an assumed speed of 5 m/s"
     return (
-        f"North is up; no fixes: positions computed from the compass{guess}, so only the shape is "
-        "right."
+        f"North is up. Without fixes, the positions are computed from the compass{guess}, so only "
+        "the shape is right."
     )
 
 

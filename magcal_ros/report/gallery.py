@@ -1,4 +1,4 @@
-"""Which pictures a report holds, in their order, and those of the heading."""
+"""The pictures of a report in their order, and the pictures of the heading."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def draw(figure: Figure, turn: Turn, corrected: Corrected) -> None:
-    """Draw the headings over the turn, and how far the corrected one deviates from it."""
+    """Draw raw and corrected headings over the turn, and the deviation of the corrected ones."""
     assert turn.angle is not None
     angle = np.degrees(turn.angle)
     upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1.25, 1.0)})
@@ -30,18 +30,18 @@ def draw(figure: Figure, turn: Turn, corrected: Corrected) -> None:
 
 
 def caption(turn: Turn, corrected: Corrected) -> str:
-    """Explain the picture to someone who is no expert."""
+    """Return the explanation of the picture for users who are not experts."""
     by = "the gyro"
     if not turn.has_gyro:
-        by = "the corrected heading itself, smoothed (there is no gyro)"
+        by = "the smoothed corrected heading (there is no gyro)"
     kept = turn.inliers & np.isfinite(corrected.sigma)
     inside = np.abs(corrected.deviation[kept]) <= 2.0 * corrected.sigma[kept]
     scatter = 100.0 * float(inside.mean()) if len(inside) else 0.0
     return (
         "A perfect compass follows the black line: one degree of heading for each degree turned. "
-        f"The {turn.kind} was measured by {by}. Below, the corrected heading's distance from that "
-        f"line; {scatter:.0f}% of the samples lie in the blue ±2σ band that the node would publish "
-        "(about 95% should)."
+        f"The {turn.kind} was measured by {by}. Below is the deviation of the corrected heading "
+        f"from this line; {scatter:.0f}% of the samples are in the blue ±2σ band that the node "
+        "would publish (about 95% is expected)."
     )
 
 
@@ -49,7 +49,7 @@ def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> N
     order = turn.rows()
     order = order[np.argsort(angle[order])]
     ideal = np.degrees(wrap_angle(corrected.reference[order]))
-    # A line that leaves at the top and comes back at the bottom must not be joined.
+    # The line is interrupted where the heading wraps from 180° to -180°.
     ideal[1:][np.abs(np.diff(ideal)) > 180.0] = np.nan
     line = {"color": turn_views.IDEAL, "linewidth": 0.9, "zorder": 3}
     axes.plot(angle[order], ideal, label=f"the {turn.kind} itself", **line)
@@ -71,14 +71,14 @@ def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> 
     axes.fill_between(angle[rows], -band, band, color=blue, alpha=0.2, linewidth=0.0)
     axes.axhline(0.0, color=turn_views.IDEAL, linewidth=0.9)
     left_out = turn.rows(~turn.inliers, most=100)
-    # A few wild samples must not flatten all others; they are drawn at the rim.
+    # Outliers must not compress the scale; they are drawn at the edge.
     usual = np.percentile(np.append(np.abs(deviation[rows]), band), 98.0) if len(rows) else 0.0
     reach = 1.4 * max(float(usual), 0.1)
     clipped = np.clip(deviation, -reach, reach)
     turn_views.dots(axes, angle[rows], clipped[rows], color=blue)
     if len(left_out):
         turn_views.dots(axes, angle[left_out], clipped[left_out], **turn_views.LEFT_OUT)
-    axes.set(ylim=(-reach, reach), ylabel="after, off the line [°]")
+    axes.set(ylim=(-reach, reach), ylabel="deviation after [°]")
     axes.set_xlabel("turned since the start [°], left positive")
 
 
@@ -98,7 +98,7 @@ def draw_gyro(figure: Figure, turn: Turn, corrected: Corrected) -> None:
         title += f" (grey: good, ±{bound:g}° rms)"
     _draw_card(lower, after, turn_views.CORRECTED, "o", title)
     if bound is not None:
-        # The range that the verdict calls good stays in the picture.
+        # The range that the verdict calls good is always in the picture.
         lower.axhspan(-bound, bound, color="#EAEAEA", zorder=0)
         reach = max(1.2 * math.degrees(float(np.nanmax(np.abs(after)))), 1.25 * bound)
         lower.set_ylim(-reach, reach)
@@ -108,24 +108,24 @@ def draw_gyro(figure: Figure, turn: Turn, corrected: Corrected) -> None:
 
 
 def caption_of_gyro(turn: Turn, corrected: Corrected) -> str:
-    """Explain the picture to someone who is no expert."""
+    """Return the explanation of the picture for users who are not experts."""
     worst = math.degrees(float(np.nanmax(np.abs(deviations(turn, corrected)[1]))))
     swing = corrected.estimate.swing
     judged = ""
     if swing is not None:
-        judged = f" ({math.degrees(swing.rms):.1f}° rms beyond noise, which is judged)"
+        judged = f" ({math.degrees(swing.rms):.1f}° rms beyond noise, which is graded)"
     return (
-        "A gyro is not affected by magnetic fields, so it shows an error that the circle does "
-        "not: where steel nearby distorts the field, the compass error swings once or twice per "
-        f"turn. A flat blue line is good; here it swings by up to {worst:.1f}°{judged}. Each mark "
-        "is the mean over 15° of heading; the gyro's own bias and scale are subtracted."
+        "A gyro is not affected by magnetic fields, so it reveals an error that the circle does "
+        "not: if steel nearby distorts the field, the compass error oscillates once or twice per "
+        f"turn. A flat blue line is good; here the error is up to {worst:.1f}°{judged}. Each mark "
+        "is the mean over 15° of heading; the errors by bias and scale of the gyro are subtracted."
     )
 
 
 def deviations(turn: Turn, corrected: Corrected) -> tuple[FloatArray, FloatArray]:
-    """Return the mean deviation before and after at 24 headings, radians; NaN where none was.
+    """Return the mean deviation before and after at 24 headings, radians; NaN without samples.
 
-    Afterwards it is what the verdict is on, where it is on any.
+    The deviation after the correction is the one that is graded, if there is one.
     """
     reference, inliers = corrected.reference, turn.inliers
     before = _means(wrap_angle(turn.yaw - reference)[inliers], reference[inliers])
@@ -150,7 +150,7 @@ def _draw_card(axes: Any, values: FloatArray, colour: str, marker: str, title: s
     shown = np.degrees(values)
     axes.axhline(0.0, color=turn_views.IDEAL, linewidth=0.9)
     axes.plot(centre, shown, color=colour, marker=marker, markersize=4.5, linewidth=0.0)
-    # From -180 to +180 it is one small step, not a line through the whole picture.
+    # The line is interrupted where the deviation wraps from 180° to -180°.
     leaps = np.append(np.abs(np.diff(shown)) > 180.0, False)
     axes.plot(centre, np.where(leaps, np.nan, shown), color=colour, linewidth=1.2)
     reach = 1.2 * max(float(np.nanmax(np.abs(shown))), 0.1)
@@ -165,7 +165,7 @@ NO_MATPLOTLIB = (
 
 @dataclass(frozen=True)
 class Picture:
-    """One figure of the page."""
+    """A figure of the page; `missing` is the reason if there is no SVG."""
 
     name: str
     title: str
@@ -177,14 +177,14 @@ class Picture:
 NO_GYRO = Picture(
     "gyro",
     "Gyro against compass",
-    "Only a gyro shows whether steel nearby distorts the field: the compass error then swings "
-    "over the turn, although the circle looks right.",
+    "Only a gyro reveals whether steel nearby distorts the field: the compass error then "
+    "oscillates over the turn, although the circle looks right.",
     missing="Not checked: there was no gyro in these samples.",
 )
 
 
 def pictures(turn: Turn) -> list[Picture]:
-    """Draw everything that the turn can show."""
+    """Draw all pictures for which the turn has data."""
     if not len(turn.time):
         return []
     around = turn_views.draw_residuals, turn_views.caption_of_residuals(turn)
@@ -210,7 +210,7 @@ def _picture(turn: Turn, name: str, title: str, draw: turn_views.Draw, words: st
     except ImportError:
         missing = NO_MATPLOTLIB
     except Exception as error:
-        # Foreign drawing code meets foreign samples here; a report without one picture is worth
-        # more than none, and the calibration behind it is already made.
-        missing = f"No picture: it could not be drawn ({type(error).__name__}: {error})."
+        # Unusual samples may cause errors in matplotlib; the report is then written without this
+        # picture.
+        missing = f"No picture: drawing has failed ({type(error).__name__}: {error})."
     return Picture(name, title, words, svg, missing)

@@ -32,10 +32,10 @@ from magcal_ros.report.gallery import Picture
 from magcal_ros.report.turn import MICRO, Subject, Turn
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; form-action 'none'"
-"""Even text that slipped through could load nothing and run nothing."""
+"""Content security policy: even unescaped text could not load or run anything."""
 
-SIGNS = {Grade.EXCELLENT: "✓✓", Grade.GOOD: "✓", Grade.WARN: "!", Grade.REFUSED: "✗"}
-"""Grades differ in sign and word, not in colour alone."""
+GRADE_SIGNS = {Grade.EXCELLENT: "✓✓", Grade.GOOD: "✓", Grade.WARN: "!", Grade.REFUSED: "✗"}
+"""Signs of the grades, which do not differ in colour alone."""
 
 
 def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
@@ -53,7 +53,7 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     parts.append(_not_shown(outcome.verdict, turn.kind, estimate is not None))
     checks = sorted(outcome.verdict.checks, key=lambda each: (-each.grade.rank, each.aspect.value))
     rows = [(_chip(each.grade), each.aspect.value, escape(each.words)) for each in checks]
-    parts.append("<h2>What was checked</h2>" + table("checks", rows, ("grade", "aspect", "what")))
+    parts.append("<h2>Checks</h2>" + table("checks", rows, ("grade", "aspect", "what")))
     parts.append(_sensors(turn.sensors))
     if estimate is not None:
         heads = ("", "A (±1σ), dimensionless", "", "", "h (±1σ), µT")
@@ -66,7 +66,7 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
 
 
 def page_head(title: str, created: datetime, source: str) -> str:
-    """Return the beginning of a page, its headline included."""
+    """Return the beginning of a page up to its headline."""
     words = escape(title)
     style = files("magcal_ros.report").joinpath("page.css").read_text(encoding="utf-8")
     return f"""<!DOCTYPE html>
@@ -85,7 +85,7 @@ def page_head(title: str, created: datetime, source: str) -> str:
 
 
 def table(kind: str, rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
-    """Return a table of cells that are HTML already, under their heads if there are any."""
+    """Return an HTML table; cells and heads are HTML."""
     head = "".join(f"<th>{words}</th>" for words in heads)
     lines = [f"<tr>{head}</tr>"] if heads else []
     lines += ["<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows]
@@ -93,12 +93,12 @@ def table(kind: str, rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -
 
 
 def _chip(grade: Grade, words: str = "") -> str:
-    return f'<span class="grade {grade.value}">{SIGNS[grade]} {words}{grade.value}</span>'
+    return f'<span class="grade {grade.value}">{GRADE_SIGNS[grade]} {words}{grade.value}</span>'
 
 
 def _verdict(verdict: Verdict, by_hand: bool) -> str:
     grade = worst([verdict.quality, verdict.confidence])
-    note = "<p>A person put it in force against this verdict.</p>" if by_hand else ""
+    note = "<p>The user put it in force against this verdict.</p>" if by_hand else ""
     return (
         f'<section class="verdict {grade.value}"><div class="grades">'
         f"{_chip(verdict.quality, 'quality ')}{_chip(verdict.confidence, 'confidence ')}</div>"
@@ -113,15 +113,15 @@ def _key(rows: Iterable[Row]) -> str:
 
 
 def _several(several: Several) -> str:
-    """Return what became of each turn, what is shown, and what the next should be."""
+    """Return the section on several turns: results, determined quantities, and the next turn."""
     rows = [
         (escape(fate.name), "joined" if fate.joined else "left out", escape(fate.words))
         for fate in several.fates
     ]
     return (
-        '<section id="several"><h2>Turns put together</h2>'
-        f"{table('checks', rows, ('turn', 'result', 'what it shows'))}"
-        f"<p>Now shown: {escape(several.shown.in_words)}.</p>"
+        '<section id="several"><h2>Joined turns</h2>'
+        f"{table('checks', rows, ('turn', 'result', 'information'))}"
+        f"<p>Determined by all turns: {escape(several.shown.in_words)}.</p>"
         f"<p>{escape(several.advice_in_words)}</p></section>"
     )
 
@@ -142,7 +142,7 @@ def _missing(why: str) -> str:
 
 
 def _not_shown(verdict: Verdict, kind: str, found: bool) -> str:
-    title = f"<h2>What this {kind} could not show</h2>"
+    title = f"<h2>Not determined by this {kind}</h2>"
     if not found:
         return f"{title}<p>These samples gave no calibration; the reason is given above.</p>"
     lines = "".join(f"<li>{escape(item)}</li>" for item in verdict.not_shown)
@@ -150,14 +150,14 @@ def _not_shown(verdict: Verdict, kind: str, found: bool) -> str:
 
 
 def _sensors(page: Page) -> str:
-    """Return what is wrong with the sensors, and folded away all that was looked at."""
+    """Return the faults of the sensors, and a folded list of the other checks."""
     wrong = [finding for finding in page.findings if finding.is_wrong]
     rest = [finding for finding in page.findings if not finding.is_wrong]
     return (
         f'<section id="sensors" class="{"wrong" if wrong else "fine"}"><h2>The sensors</h2>'
         f"{_lines(wrong) if wrong else ''}"
-        f"<details><summary>{'What else' if wrong else 'Nothing is wrong with them: what'} was "
-        f"looked at</summary>{_lines(rest)}</details></section>"
+        f"<details><summary>{'Other checks' if wrong else 'No faults were found: all checks'}"
+        f"</summary>{_lines(rest)}</details></section>"
     )
 
 
@@ -167,7 +167,7 @@ def _lines(findings: Sequence[Finding]) -> str:
         ("not shown" if f.grade is Grade.GOOD else _chip(f.grade), escape(f.name), escape(_said(f)))
         for f in ordered
     ]
-    return table("checks", rows, ("grade", "what", "evidence, and what to change"))
+    return table("checks", rows, ("grade", "what", "evidence and remedy"))
 
 
 def _said(finding: Finding) -> str:
@@ -177,7 +177,7 @@ def _said(finding: Finding) -> str:
 
 
 def _columns(rows: Sequence[Row], kind: str) -> str:
-    """Return two tables side by side, where there is room."""
+    """Return two tables, side by side if the page is wide enough."""
     cells = [(escape(row.words), escape(row.value)) for row in rows]
     half = (len(cells) + 1) // 2
     return f'<div class="columns">{table(kind, cells[:half])}{table(kind, cells[half:])}</div>'
@@ -188,7 +188,7 @@ def _input(subject: Subject, turn: Turn) -> list[Row]:
     seconds = float(turn.time[-1]) if len(turn.time) else 0.0
     rows = [
         Row("method", subject.answered_by),
-        Row("why it stopped", estimate.message if estimate is not None else "refused"),
+        Row("end of the optimisation", estimate.message if estimate is not None else "refused"),
         Row("source", subject.source),
         Row("frame of the field", subject.magnetometer_frame or "not given"),
         Row("frame of the IMU", subject.imu_frame or "not given"),
@@ -210,8 +210,8 @@ def _repeat(subject: Subject) -> str:
     joins = " alone; <code>magcal fit</code> joins several recordings"
     note, alone = (" of the newest turn", joins) if newest else ("", "")
     return (
-        "<h2>Repeat the fit</h2><p>The folder of this page also has <code>samples.csv</code> with "
-        f"every sample{note} in SI units; these lines repeat the fit{alone}.</p>"
+        "<h2>Repeat the fit</h2><p>The folder of this page also contains <code>samples.csv</code> "
+        f"with all samples{note} in SI units; these lines repeat the fit{alone}.</p>"
         f"<pre><code>{escape(recipe(subject.knowledge, subject.answered_by))}</code></pre>"
     )
 
@@ -250,7 +250,7 @@ def _as_code(belief: Belief) -> str:
 
 
 class Row(NamedTuple):
-    """One line of a table: what it is, and its value with its unit."""
+    """One line of a table: description, and value with unit."""
 
     words: str
     value: str
@@ -265,7 +265,7 @@ FIGURES: dict[Figure, tuple[str, str]] = {
     Figure.DRIVING_TIME: ("length of the drive", " s"),
     Figure.METRES: ("distance driven", " m"),
     Figure.STREET: ("disturbance that changes with the place (1σ per axis)", " µT"),
-    Figure.LOCAL_FIELD: ("all disturbance along the drive (1σ per axis)", " µT"),
+    Figure.LOCAL_FIELD: ("total disturbance along the drive (1σ per axis)", " µT"),
     Figure.AXIAL_IRON: ("hard iron along the turn's axis, by the reference field", " µT"),
     Figure.STEADY_ACCELERATION: ("tilt by a steady acceleration, subtracted", "°"),
     Figure.POSSIBLE_ACCELERATION: ("heading error by an unmeasured acceleration (1σ)", "°"),
@@ -282,23 +282,23 @@ FIGURES: dict[Figure, tuple[str, str]] = {
     Figure.RIVAL_ANGLE: ("second solution, installation angle", "°"),
     Figure.WOBBLE: ("wobble of the turn's axis (1σ per axis)", "°"),
     Figure.SOFT_IRON: ("soft iron was fitted (1 yes, 0 no)", ""),
-    Figure.GYRO_CARRIED: ("the turn that the gyro measured explains the samples (1 yes, 0 no)", ""),
-    Figure.NOT_CONVERGED: ("the optimisation ended before it had converged (1 yes, 0 no)", ""),
+    Figure.GYRO_CARRIED: ("the turn by the gyro explains the samples (1 yes, 0 no)", ""),
+    Figure.NOT_CONVERGED: ("the optimisation has not converged (1 yes, 0 no)", ""),
     Figure.ITERATIONS: ("steps of the optimisation", ""),
     Figure.ON_THE_SPOT: ("probability that the robot turned on the spot", ""),
     Figure.TURNS: ("turns that were joined", ""),
-    Figure.TURN_MISFIT: ("largest difference of a turn from the others, over that by noise", ""),
+    Figure.TURN_MISFIT: ("largest difference of a turn from the others, over that of noise", ""),
     **{
         Figure(f"{sensor}_range_{axis}"): (f"{sensor}'s range along {axis}, de-rotated", unit)
         for sensor, unit in (("accelerometer", " g"), ("field", " µT"))
         for axis in "xyz"
     },
 }
-"""How a figure is shown: its words, and its unit."""
+"""Description and unit of each figure."""
 
 
 def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
-    """Return what a user wants to know first."""
+    """Return the most important numbers for the user."""
     figures = every_figure(estimate)
     sigma = np.sqrt(np.maximum(np.diag(estimate.covariance)[9:], 0.0))
     iron, sigma = estimate.correction.hard_iron * MICRO, sigma * MICRO
@@ -309,7 +309,7 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
         own, own_tilted = (calibration_sigma(estimate, tilt) for tilt in (0.0, CHECKED_TILT))
         said = [
             ("heading error by the calibration,", own, own_tilted),
-            ("heading error along the way,", level, tilted),
+            ("heading error along the drive,", level, tilted),
         ]
     rows = [
         Row(words + place, f"±{sigma * DEGREES:.2f}°")
@@ -329,18 +329,18 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
         rows.append(Row("installation yaw (±1σ)", words))
     inliers = int(np.count_nonzero(estimate.inliers))
     driven = figures.get(Figure.HEADINGS_DRIVEN)
-    seen = Row("turn seen", f"{estimate.arc * DEGREES:.0f}°")
+    seen = Row("measured arc", f"{estimate.arc * DEGREES:.0f}°")
     return [
         *rows,
         seen if driven is None else Row("headings driven", f"{driven:.0f} of 12"),
         Row("samples used (repeats and rests not counted)", f"{inliers} of {samples}"),
         Row("strength of the corrected field", f"{estimate.strength * MICRO:.2f} µT"),
-        Row("its inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
+        Row("inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
     ]
 
 
 def all_numbers(estimate: Estimate) -> list[Row]:
-    """Return everything else that was measured."""
+    """Return all further numbers of an estimate."""
     axis = ", ".join(f"{value:.4f}" for value in estimate.axis)
     rows = [
         Row("turn's axis in body axes", f"({axis})"),
@@ -352,7 +352,7 @@ def all_numbers(estimate: Estimate) -> list[Row]:
 
 
 def figure_row(name: Figure, value: float) -> Row:
-    """Name one figure; a name that is not known is shown as it is, in SI."""
+    """Return the line of a figure; an unknown figure is shown with its key, in SI units."""
     if name not in FIGURES:
         return Row(str(name).replace("_", " "), f"{value:.6g} (SI)")
     words, unit = FIGURES[name]
@@ -375,7 +375,7 @@ def matrix_rows(estimate: Estimate) -> list[list[str]]:
 
 
 def known_before(knowledge: Knowledge) -> list[Row]:
-    """Return what was known beforehand."""
+    """Return the prior knowledge."""
     reference, mounting, iron = knowledge.reference, knowledge.mounting, knowledge.soft_iron
     pose = "; ".join(" ".join(f"{value:.4g}" for value in row) for row in mounting.pose)
     spread = f"±{iron.sigma_diagonal * 100:g}% on, ±{iron.sigma_cross * 100:g}% off the diagonal"

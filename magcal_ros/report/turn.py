@@ -1,4 +1,4 @@
-"""A subject's samples in the form that pictures and tables show: angles, headings, deviations."""
+"""The samples of a report as its pictures show them: angles, headings and deviations."""
 
 from __future__ import annotations
 
@@ -35,25 +35,25 @@ from magcal_ros.core.up.follower import UpFollower, propagated_up
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """One calibration, or one attempt, that a report is about."""
+    """The subject of a report: one calibration or one refused attempt."""
 
     window: Window
     knowledge: Knowledge
     outcome: Outcome
-    """What came of it; a refusal is reported too."""
-    source: str  # where the samples came from: topics, or a recording. Any text: it is escaped.
-    method: str  # name of the method that was asked for
+    """The result, which may be a refusal."""
+    source: str  # topics or recording of the samples; any text, because it is escaped
+    method: str  # name of the requested method
     created: datetime = field(default_factory=lambda: datetime.now().astimezone())
-    """When the calibration was made; this moment unless given."""
+    """Time of the calibration, by default now."""
     title: str = "Compass calibration"
     magnetometer_frame: str = ""
     imu_frame: str = ""
-    """`frame_id` of field and IMU where they are known. Any text: it is escaped."""
-    vehicle: str = ""  # how the IMU sits in the vehicle, where driving has shown it
+    """`frame_id` of field and IMU if known; any text, because it is escaped."""
+    vehicle: str = ""  # the IMU's yaw in the vehicle by driving, in words; empty if unknown
 
     @property
     def answered_by(self) -> str:
-        """Name of the method that gave the result: a turn may have been fitted as a drive."""
+        """Name of the method that gave the result, because a turn may be fitted as a drive."""
         estimate = self.outcome.estimate
         return self.method if estimate is None else estimate.method
 
@@ -61,36 +61,37 @@ class Subject:
 MICRO = 1e6
 
 MOST_POINTS = 400
-"""Points of one series in a picture: more cannot be distinguished and make the file larger."""
+"""Points of one series in a picture; more would only make the file larger."""
 
 GYRO_BIAS_SIGMA = math.radians(0.5)
 GYRO_SCALE_SIGMA = 0.02
-"""How far, rad/s and relative, a gyro may be off without the compass being blamed."""
+"""Prior sigmas of the gyro's bias (rad/s) and scale (relative) in the comparison."""
 
 COMPASS_SIGMA = math.radians(2.0)
 INDEPENDENT_SAMPLES = 20
-"""Neighbours err together; so many of them are taken to count in a comparison with the gyro."""
+"""Effective number of samples in the comparison with the gyro: errors of neighbours are
+correlated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """What the estimate makes of the samples, one row per sample."""
+    """The samples after the correction, one row per sample."""
 
     estimate: Estimate
     field: FloatArray
     """Corrected field in body axes, tesla. Shape (n, 3)."""
     circle: FloatArray
-    """The field that was found, turned once about the axis, body axes, tesla. Shape (m, 3)."""
+    """The estimated reference field in a full turn, body axes, tesla. Shape (m, 3)."""
     yaw: FloatArray  # magnetic ENU yaw, radians. Shape (n,).
-    sigma: FloatArray  # its standard deviation as the node would publish it, radians. Shape (n,).
-    reference: FloatArray  # the yaw that the turn asks for, radians. Shape (n,).
+    sigma: FloatArray  # sigma of the yaw as published by the node, radians. Shape (n,).
+    reference: FloatArray  # yaw by the gyro, or the smoothed compass, radians. Shape (n,).
     radial: FloatArray
     axial: FloatArray
-    """Residual away from the turn's axis and along it, tesla. Shape (n,)."""
+    """Residual perpendicular to the turn's axis and along it, tesla. Shape (n,)."""
 
     @property
     def deviation(self) -> FloatArray:
-        """Heading after the correction minus what the turn asks for, radians, shape (n,)."""
+        """Heading after the correction minus `reference`, radians, shape (n,)."""
         return wrap_angle(self.yaw - self.reference)
 
 
@@ -104,23 +105,23 @@ class Turn:
     up: FloatArray  # specific force over its length. Shape (n, 3).
     yaw: FloatArray  # yaw of the raw field, radians. Shape (n,).
     angle: FloatArray | None
-    """Radians since the first sample, left positive; None if nothing shows it. Shape (n,)."""
+    """Radians since the first sample, left positive; None if unknown. Shape (n,)."""
     has_gyro: bool  # whether a gyro measured the angle
-    inliers: BoolArray  # inliers of the fit; all where there was none. Shape (n,).
+    inliers: BoolArray  # inliers of the fit; all without a fit. Shape (n,).
     coverage: Coverage
     corrected: Corrected | None
     sensors: Page
-    """What the samples show of the sensors themselves."""
+    """The findings of `doctor` for the samples."""
     swing_bound: float | None = None
-    """Degrees rms up to which the swing against the gyro is called good; None if not judged."""
+    """Limit of a good swing against the gyro, degrees rms; None if it is not graded."""
 
     @classmethod
     def of(cls, subject: Subject) -> Turn:
-        """Work out what there is to show of a subject."""
+        """Compute the contents of the pictures for a subject."""
         window, estimate = subject.window, subject.outcome.estimate
         field = window.field @ subject.knowledge.mounting.to_body.T
         up = unit(window.specific_force)
-        # The heading is published with the up that the gyro propagates, so it is judged by that.
+        # The node uses the up vector propagated by the gyro, so the comparison does, too.
         level = up if estimate is None else propagated_up(window)
         progress = gyro = corrected = None
         rate = window.angular_rate
@@ -154,13 +155,13 @@ class Turn:
 
     @property
     def kind(self) -> str:
-        """What the samples are of: a turn or a drive."""
+        """The kind of the samples: turn or drive."""
         found = self.corrected
         is_drive = found is not None and Figure.HEADINGS_DRIVEN in found.estimate.figures
         return "drive" if is_drive else "turn"
 
     def rows(self, mask: BoolArray | None = None, most: int = MOST_POINTS) -> IntArray:
-        """Return evenly spread row numbers, at most `most` of those in the mask."""
+        """Return at most `most` row numbers in the mask, evenly spaced."""
         rows = np.arange(len(self.time)) if mask is None else np.flatnonzero(mask)
         if len(rows) > most:
             rows = rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
@@ -195,7 +196,7 @@ def _correct(
 
 
 def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> FloatArray:
-    """Return the field that was found, turned once about the axis, body axes, shape (m, 3)."""
+    """Return the estimated reference field in a full turn, body axes, shape (m, 3)."""
     inliers = estimate.inliers if estimate.inliers.any() else np.ones(len(up), dtype=np.bool_)
     attitudes = body_from_enu(up[inliers], field[inliers])
     axis_in_world = unit(np.einsum("nij,i->nj", attitudes, estimate.axis).mean(axis=0))
@@ -209,9 +210,9 @@ def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> Floa
 def _published(
     calibration: Calibration, window: Window, up: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the field (n, 3), tesla, and the yaw's sigma (n,), radians, as the node makes them.
+    """Return the field (n, 3), tesla, and the yaw's sigma (n,), radians, as in the node.
 
-    The field of the motors, where it is known, is subtracted.
+    The field of the motors is subtracted if it is known.
     """
     compass, follower, sense = Compass(calibration), UpFollower(), MotionSense()
     rate = window.angular_rate
@@ -241,7 +242,7 @@ def _published(
 def _reference(
     time: FloatArray, yaw: FloatArray, gyro: FloatArray | None, inliers: BoolArray
 ) -> FloatArray:
-    """Return the yaw that the turn asks for: the gyro's, or the compass's own smoothed course."""
+    """Return the yaw to compare with: by the gyro, or without one the smoothed compass."""
     if not inliers.any():
         inliers = np.ones(len(yaw), dtype=np.bool_)
     if gyro is None:
@@ -259,8 +260,8 @@ def _reference(
 
 
 def _smooth_course(time: FloatArray, yaw: FloatArray, inliers: BoolArray) -> FloatArray:
-    """Return the unwrapped yaw through a local straight line over a twentieth of the samples."""
-    # Slow to load, and of use without a gyro alone.
+    """Return the unwrapped yaw, smoothed by local lines over a twentieth of the samples."""
+    # Imported here, because the import is slow and only needed without a gyro.
     from scipy.signal import savgol_filter
 
     course = np.interp(time, time[inliers], np.unwrap(yaw[inliers]))

@@ -1,4 +1,4 @@
-"""Drawing as SVG; the turn in space, and the residuals around it."""
+"""Drawing as SVG; the pictures of the turn in space and of its residuals."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Clouds = list[tuple[FloatArray, dict[str, Any]]]
 RAW = "#D55E00"
 CORRECTED = "#0072B2"
 UP = "#009E73"
-ODD = "#CC79A7"
+OUTLIER = "#CC79A7"
 IDEAL = "#222222"
 SPHERE = "#B8B8B8"
-"""Okabe and Ito's colours, which colour-blind people tell apart; markers differ besides."""
+"""Okabe and Ito's colours, which colour-blind people can distinguish; the markers also differ."""
 
-LEFT_OUT = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
+LEFT_OUT = {"color": OUTLIER, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
 """The style of outliers."""
 
 SIZE = (4.9, 5.5)  # width and height of every picture, inches
@@ -51,12 +51,12 @@ STYLE: dict[str, Any] = {
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,
 }
-# matplotlib's style is one for the whole process, so only one picture is drawn at a time.
+# matplotlib's style is global in the process, so only one picture is drawn at a time.
 _DRAWING = threading.Lock()
 
 
 def draw_svg(draw: Draw, turn: Turn, name: str, words: str) -> str:
-    """Draw a picture as an `svg` element that refers to nothing outside of itself."""
+    """Return a picture as an `svg` element without external references."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -71,7 +71,7 @@ def draw_svg(draw: Draw, turn: Turn, name: str, words: str) -> str:
 
 
 def _inline(svg: str, name: str, words: str) -> str:
-    """Make an SVG file part of a page: no foreign names, ids of its own, short numbers."""
+    """Return an SVG file as a part of a page, with unique ids and short numbers."""
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.S)
     body = re.sub(r"<style[^>]*>.*?</style>", "", body, flags=re.S)
@@ -94,7 +94,7 @@ def dots(axes: Any, x: Any, y: Any, **style: Any) -> None:
 
 
 def legend_below(figure: Figure, source: Any, columns: int = 2) -> None:
-    """Put the legend of one of its axes under the figure."""
+    """Put the legend of the axes `source` below the figure."""
     handles, labels = source.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncol=columns, markerscale=2.2)
 
@@ -113,7 +113,7 @@ def draw(figure: Figure, turn: Turn) -> None:
     limit = 1.08 * max(strength, *sizes)
     margins = {"left": 0.125, "right": 0.98, "top": 0.95, "bottom": 0.2}
     grid = figure.add_gridspec(2, 2, wspace=0.36, hspace=0.4, **margins)
-    # The solid view needs no room for tick labels, only some for its slanting axes.
+    # The 3-D view needs no space for tick labels, only some for its oblique axes.
     solid: Any = figure.add_axes((0.015, 0.595, 0.43, 0.345), projection="3d")
     _draw_solid(solid, turn, clouds, strength, limit)
     places = (grid[0, 1], grid[1, 0], grid[1, 1])
@@ -129,16 +129,16 @@ def draw(figure: Figure, turn: Turn) -> None:
 
 
 def caption(turn: Turn) -> str:
-    """Explain the picture to someone who is no expert."""
+    """Return the explanation of the picture for users who are not experts."""
     if turn.corrected is None:
         return (
-            "Each orange mark is one raw field sample. On one turn they should draw a circle; "
-            "green is up by the accelerometer, drawn as long as the field."
+            "Each orange mark is one raw field sample. In a full turn they should form a circle; "
+            "green is up by the accelerometer, drawn with the length of the field."
         )
     return (
-        "Turning the robot moves the field around a circle. Orange: as measured, shifted from the "
-        "origin by the hard iron and tilted by the mounting. Blue: corrected; it should lie on "
-        "the black circle that was fitted. Green: up, drawn as long as the field."
+        "When the robot turns, the field moves on a circle. Orange: as measured, shifted from the "
+        "origin by the hard iron and tilted by the mounting. Blue: corrected; the samples should "
+        "be on the fitted black circle. Green: up, drawn with the length of the field."
     )
 
 
@@ -149,7 +149,7 @@ def _strength(turn: Turn) -> float:
 
 
 def _clouds(turn: Turn, strength: float) -> Clouds:
-    """Return points (n, 3) in µT and their looks, the undermost first."""
+    """Return points (n, 3) in µT and their styles, in the order of drawing."""
     rows = turn.rows(most=POINTS)
     up = {"color": UP, "marker": "s", "label": "up (accelerometer)"}
     raw = {"color": RAW, "marker": "^", "markersize": 3.2, "label": "raw field"}
@@ -205,15 +205,15 @@ def _draw_solid(axes: Any, turn: Turn, clouds: Clouds, strength: float, limit: f
 
 
 RAW_FIELD = (
-    "Below, the raw field. On a turn two of its lines swing up and down like waves. Flat lines "
+    "Below is the raw field. During a turn, two of its lines look like waves. Flat lines "
     "mean that the robot did not turn, or that the sensor does not measure the field. Jumps mean "
     "that something magnetic was switched on or off."
 )
-"""What its picture shows, for someone who is no expert."""
+"""Explanation of the raw field for users who are not experts."""
 
 
 def draw_residuals(figure: Figure, turn: Turn) -> None:
-    """Draw the ring of headings that were seen, and the residuals, or without a fit the field."""
+    """Draw the ring of measured headings, and the residuals, or without a fit the raw field."""
     corrected = turn.corrected
     _draw_ring(figure.add_axes((0.29, 0.625, 0.42, 0.3), projection="polar"), turn)
     axes = figure.add_axes((0.155, 0.175, 0.825, 0.345))
@@ -225,15 +225,15 @@ def draw_residuals(figure: Figure, turn: Turn) -> None:
 
 
 def caption_of_residuals(turn: Turn) -> str:
-    """Explain the picture to someone who is no expert."""
+    """Return the explanation of the picture for users who are not experts."""
     hole = turn.coverage.hole_in_words or "none is missing"
-    ring = f"The ring shows which headings were seen, counted from the start: {hole}."
+    ring = f"The ring shows the measured headings, counted from the start: {hole}."
     if turn.corrected is None:
         return f"{ring} {RAW_FIELD}"
     return (
         f"{ring} Below are the residuals of the model: a cloud without a pattern inside the grey "
-        "band is sensor noise; waves show iron that turns with the robot, and bumps show "
-        "something that passed by."
+        "band is sensor noise; waves are caused by iron that turns with the robot, and bumps by "
+        "something magnetic that passed by."
     )
 
 
@@ -245,7 +245,7 @@ def _draw_ring(axes: Any, turn: Turn) -> None:
         counts = np.bincount(where.astype(int) % BINS, minlength=BINS).astype(float)
     width = math.tau / BINS
     centre = (np.arange(BINS) + 0.5) * width
-    # Square roots make areas comparable: the eye takes a bar's area on a ring for its size.
+    # With square roots, the areas of the bars are comparable.
     height = np.sqrt(counts / max(float(counts.max()), 1.0))
     axes.bar(centre, height, width=0.9 * width, bottom=0.55, color=CORRECTED)
     empty = centre[counts == 0.0]
@@ -259,14 +259,14 @@ def _draw_ring(axes: Any, turn: Turn) -> None:
     axes.tick_params(axis="x", pad=0)
     axes.grid(False)
     axes.spines["polar"].set_visible(False)
-    # The same arc as in the table of numbers, where a fit has measured one.
+    # With a fit, the arc is the same as in the table of numbers.
     arc = turn.coverage.arc if turn.corrected is None else turn.corrected.estimate.arc
-    seen = f"{math.degrees(arc):.0f}°\nseen"
+    seen = f"{math.degrees(arc):.0f}°\nmeasured"
     axes.text(0.0, 0.0, seen, ha="center", va="center", fontsize=9.5)
 
 
 def _draw_raw_field(axes: Any, turn: Turn) -> None:
-    """Draw the three components over time, for a turn from which nothing could be found."""
+    """Draw the three components over time, for a turn without an estimate."""
     rows = turn.rows()
     looks = (("x forward", RAW, "^"), ("y left", CORRECTED, "o"), ("z up", UP, "s"))
     for number, (words, colour, marker) in enumerate(looks):

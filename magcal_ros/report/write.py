@@ -1,4 +1,4 @@
-"""Writing a report, the page and its samples, into a folder of its own."""
+"""Writes reports into dated folders, with a page and its samples, and removes old ones."""
 
 from __future__ import annotations
 
@@ -22,24 +22,26 @@ SAMPLES = "samples.csv"
 def write_report(folder: Path, subject: Subject) -> Path:
     """Write `report.html` and `samples.csv` into a folder; returns the page.
 
-    Safe in any thread. Without matplotlib the page has no pictures and says what to install. A
-    FileTrouble if the folder already holds a report, or cannot be written to.
+    Thread-safe. Without matplotlib the page has no pictures and names the package to install.
+    Raises FileTrouble if the folder already contains a report, or cannot be written to.
     """
     page = folder / PAGE
     for path in (page, folder / SAMPLES):
         if path.exists():
-            raise FileTrouble(f"{path} is there already and stays; choose another folder")
+            raise FileTrouble(
+                f"{path} exists already and is not overwritten; choose another folder"
+            )
     turn = Turn.of(subject)
     inliers = None if subject.outcome.estimate is None else turn.inliers
-    # The samples come first, because the rest can be made of them; the page comes last: where
-    # there is one, the report is complete.
+    # The samples are written first, because the rest can be computed from them. The page is written
+    # last, so that a report with a page is complete.
     write_samples(folder / SAMPLES, subject.window, inliers)
     write_atomically(page, render(subject, turn, pictures(turn)), REMEDY)
     return page
 
 
 def write_to_the_end(folder: Path, subject: Subject) -> Path:
-    """Write a report in a process of its own, which signals that end the node do not end."""
+    """Write a report in a worker process, and ignore the SIGTERM that ends the node."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     return write_report(folder, subject)
 
@@ -47,20 +49,20 @@ def write_to_the_end(folder: Path, subject: Subject) -> Path:
 IN_FORCE = "in_force.txt"  # marks the report of a turn whose calibration was put in force
 
 OURS = ".magcal_ros"
-"""Marks a folder that `new_folder` made: others may have a date for a name as well."""
+"""Marks a folder made by `new_folder`, because other folders may also have a date as a name."""
 
 DATED = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:-(\d+))?")
 
 
 def new_folder(parent: Path, created: datetime) -> Path:
-    """Make a dated folder, marked as ours; a second one of the same second ends in `-2`."""
+    """Make a dated and marked folder; the second one in the same second ends in `-2`."""
     name = created.strftime("%Y-%m-%d_%H-%M-%S")
     try:
         parent.mkdir(parents=True, exist_ok=True)
         for number in count(1):
             folder = parent / (name if number == 1 else f"{name}-{number}")
             try:
-                # Making it is the only test that two processes cannot both pass.
+                # Creating the folder is an atomic test of whether the name is free.
                 folder.mkdir()
             except FileExistsError:
                 continue
@@ -69,18 +71,18 @@ def new_folder(parent: Path, created: datetime) -> Path:
     except OSError as error:
         raise FileTrouble(
             f"cannot make a folder for the report in {parent}: {error.strerror or error}. "
-            "Choose a writable place, or correct its permissions."
+            "Choose a writable folder, or correct its permissions."
         ) from error
     raise AssertionError("counting does not end")
 
 
 def mark_in_force(folder: Path) -> None:
-    """Keep a report for good: its calibration is, or was, in force."""
+    """Mark a report as one to keep, because its calibration was put in force."""
     (folder / IN_FORCE).write_text("put in force: kept when older reports are removed\n")
 
 
 def remove_old(parent: Path, keep: int) -> None:
-    """Remove the oldest reports; those that were put in force stay, and whatever is not ours."""
+    """Remove old reports except the newest `keep`; marked reports and other folders stay."""
     with contextlib.suppress(OSError):
         found = [
             (dated[1], int(dated[2] or 1), folder)
@@ -95,7 +97,7 @@ def remove_old(parent: Path, keep: int) -> None:
 
 
 def remove(folder: Path) -> None:
-    """Remove a report's own files, and its folder unless somebody put more into it."""
+    """Remove the files of a report, and its folder if it contains no other files."""
     with contextlib.suppress(OSError):
         own = (folder / PAGE, folder / SAMPLES, folder / OURS)
         for path in (*folder.glob(f".*{UNFINISHED}"), *own):

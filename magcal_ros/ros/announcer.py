@@ -1,4 +1,4 @@
-"""The log lines of the node; none is repeated without news."""
+"""The node's log: a line is written only when its content has changed."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from magcal_ros.core.session.turn_machine import Conclusion
 PAUSE = 10.0  # seconds between two lines on one subject
 
 LASTING = 3.0
-"""Seconds that something must be wrong before it is logged: drivers start one after another."""
+"""Seconds that a fault must last before it is logged, because drivers do not start together."""
 
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 class Log(Protocol):
-    """What is needed of a logger; rclpy's own class is none of its public names."""
+    """The methods that a logger needs, because rclpy's class of loggers is not public."""
 
     def info(self, message: str) -> object:
         """Log an event."""
 
     def warning(self, message: str) -> object:
-        """Log what is wrong."""
+        """Log a fault."""
 
     def error(self, message: str) -> object:
         """Log a failure."""
@@ -36,16 +36,16 @@ class Log(Protocol):
 
 @dataclass
 class _Line:
-    """The line to log on a subject, the line that was logged last, and when."""
+    """The newest line on a subject, and the line that was logged last."""
 
     text: str = ""
     wrong: bool = False
-    said: str = ""
-    at: float = -PAUSE
+    said: str = ""  # logged last
+    at: float = -PAUSE  # time of the last log, seconds
 
 
 class Announcer:
-    """Logs what has changed, at most once in ten seconds for each subject."""
+    """Logs changes, at most once in ten seconds for each subject."""
 
     def __init__(
         self, log: Log, clock: Callable[[], float] = time.monotonic, lasting: float = LASTING
@@ -58,20 +58,19 @@ class Announcer:
         self._answer: Conclusion | None = None
 
     def tell(self, subject: str, text: str, *, wrong: bool = False) -> None:
-        """Log something on a subject, if it differs from what was logged last.
+        """Log a line on a subject if it differs from the line that was logged last.
 
-        What comes sooner than ten seconds after the last line waits for `complain`, and only the
-        newest of it is logged.
+        Within ten seconds after the last line, the newest line waits for `complain`.
         """
         line = self._lines.setdefault(subject, _Line())
         line.text, line.wrong = text, wrong
         self._say_if_due(line)
 
     def complain(self, complaints: Iterable[str]) -> None:
-        """Log what is wrong: once it has lasted, and again when it comes back.
+        """Log each complaint once it has lasted, and again when it comes back.
 
-        A complaint in which only numbers change is the same one. What `tell` was told and had to
-        wait is logged as well: to be called about once a second.
+        Complaints that differ only in numbers are the same. Waiting lines of `tell` are logged too.
+        To be called about once a second.
         """
         for line in self._lines.values():
             self._say_if_due(line)
@@ -88,7 +87,7 @@ class Announcer:
         self._complained_at = said
 
     def follow_turn(self, turning: bool, answer: Conclusion | None) -> None:
-        """Log that a turn begins, and the words of each new answer."""
+        """Log the start of a turn, and the message of each new answer."""
         if answer is not None and answer is not self._answer:
             self._answer, self._turning = answer, False
             self._log.info(f"the turn is over: {answer.message}")
@@ -107,11 +106,11 @@ class Announcer:
                 self._log.info(line.text)
 
 
-LONGEST = 300  # characters of an error's own words that go into the log; some quote a whole message
+LONGEST = 300  # logged characters of an error's text; some errors quote a whole message
 
 
 class CallbackErrors:
-    """Counts the errors of all callbacks and logs each kind, a type at a line of code, once."""
+    """Counts the errors of all callbacks; logs each type of error at each line of code once."""
 
     def __init__(self, log: Callable[[str], object]) -> None:
         self._log = log
@@ -119,9 +118,9 @@ class CallbackErrors:
         self.total = 0
 
     def note(self, error: BaseException) -> str:
-        """Count an error that a callback raised, and log it if its kind is new; says what it is."""
+        """Count an error of a callback, log it if its kind is new, and return its description."""
         self.total += 1
-        # Without the lines of the source: what is short of files can read none.
+        # No source lines are read, because there may be no free file descriptor.
         calls = list(walk_tb(error.__traceback__))
         place = "an unknown place"
         if calls:
@@ -130,7 +129,7 @@ class CallbackErrors:
         kind = type(error), place
         words = " ".join(str(error).split())[:LONGEST]
         said = f"an error in a callback, {kind[0].__name__} in {place}"
-        # What rclpy does with a message on /clock.
+        # The error comes from rclpy's own callback of /clock.
         if any(frame.f_globals.get("__name__") == "rclpy.time_source" for frame, _ in calls):
             said = "the simulated time on /clock jumped to a time that ROS cannot represent"
         if kind not in self._known:

@@ -1,10 +1,10 @@
-"""A second process that stops the robot when the node no longer can.
+"""A watchdog process that stops the robot when the node cannot.
 
-Nothing that the node does helps against SIGKILL, SIGSTOP, a fault in the interpreter, or a disk or
-terminal that blocks it. So the node reports twenty times a second to a small process; when the
-reports stop, or the line breaks, this process publishes zeros. It exists only while the robot turns
-itself. Each time it has to answer what it would publish and where: a guard that is stopped, or that
-does something else, is no guard.
+The node cannot stop the robot after SIGKILL, SIGSTOP or a crash of the interpreter, or while a disk
+or terminal blocks it. The node therefore reports twenty times a second to a small process, the
+guard. The guard publishes zeros when the reports stop or the pipe breaks. It exists only while the
+robot turns itself. It answers each report with the message type and topic of its zeros, so that the
+node notices a guard that is stopped or wrong.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from collections.abc import Callable
 
 from magcal_ros.processes import start
 
-SILENCE = 0.3  # seconds without a word after which the node counts as gone, or the guard
+SILENCE = 0.3  # seconds without a report or an answer after which node or guard count as failed
 
 ZEROS_FOR, ZEROS_EVERY = 1.0, 0.05
-"""Seconds for which zeros are sent, and between two of them: a single message may be lost."""
+"""Seconds for which zeros are sent, and between two zeros, because a message may be lost."""
 
-ENDING = 2.0  # seconds that a guard is given to go by itself
+ENDING = 2.0  # seconds that a guard is given to end after its dismissal
 
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 
 ASKED, ALIVE, DISMISSED = b"?", b".", b"q"
-"""What a line of the node begins with; a question follows the first two, and the second says that
-the robot may move."""
+"""First byte of a line from the node. A question follows the first two; the second reports that the
+robot may move."""
 
 STOPPED = b"stopped the base"
 
-HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGALRM")
-"""Signals that are meant for the node: where both get one, the guard must not end first."""
+IGNORED_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGALRM")
+"""Signals that end the node; the guard ignores them, so that it does not end before the node."""
 
 
 class Guard:
@@ -49,8 +49,8 @@ class Guard:
             __name__,
             *(topic, frame, "stamped" if stamped else "", str(SILENCE)),
             # A process that is stopped while it writes to the shared memory of Fast DDS keeps the
-            # lock of the base's port there, and all who write to it wait for seconds. Who chose
-            # transports keeps them.
+            # lock of the base's port, and all other writers wait for seconds. Transports that the
+            # user chose are kept.
             extra={TRANSPORTS: os.environ.get(TRANSPORTS, "UDPv4")},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -67,23 +67,23 @@ class Guard:
         self._proved_at = -math.inf
         self._has_stopped = False
         self._heard = b""
-        # The signals' thread dismisses it while the executor's listens.
+        # The thread of the signals dismisses the guard while the executor's thread reads.
         self._lock = threading.Lock()
 
     @property
     def is_ready(self) -> bool:
-        """Whether it could stop the base now: it has just answered what it publishes and where."""
+        """Whether the guard can stop the base: it has just answered with the right topic."""
         self._ask(ASKED)
         return not self.has_ended and time.monotonic() - self._proved_at < SILENCE
 
     @property
     def has_ended(self) -> bool:
-        """Whether it has stopped the base, or its process has ended."""
+        """Whether the guard has stopped the base or its process has ended."""
         self._listen()
         return self._has_stopped or self._process.poll() is not None
 
     def tell_alive(self) -> None:
-        """Report that the node is alive; after the first report, silence stops the base."""
+        """Report that the node is alive; after the first report, the guard reacts to silence."""
         self._ask(ALIVE)
 
     def dismiss(self) -> None:
@@ -108,13 +108,13 @@ class Guard:
 
     def _ask(self, kind: bytes) -> None:
         now, question = time.monotonic(), os.urandom(8).hex().encode()
-        # An answer that comes later proves nothing any more.
+        # Answers to older questions are ignored.
         self._asked = {each: at for each, at in self._asked.items() if now - at < SILENCE}
         self._asked[question] = now
         self._say(kind + question)
 
     def _listen(self) -> None:
-        """Read its answers."""
+        """Read the answers of the guard."""
         with self._lock, contextlib.suppress(BlockingIOError):
             if self._answers >= 0:
                 self._heard += os.read(self._answers, 65536)
@@ -126,24 +126,24 @@ class Guard:
             self._has_stopped |= line == STOPPED
 
     def _say(self, words: bytes) -> None:
-        # A full pipe has heard enough; a broken one shows in `has_ended`.
+        # A full pipe already holds enough reports; `has_ended` reports a broken pipe.
         with self._lock, contextlib.suppress(BlockingIOError, BrokenPipeError):
             if self._line >= 0:
                 os.write(self._line, words + b"\n")
 
 
 def duty(kind: str, topic: str, silence: float) -> bytes:
-    """Return what a guard does, in the words of its answer."""
+    """Return the answer of a guard that would stop the base as described."""
     return f"zeros as {kind} on {topic} after {silence:g} s".encode()
 
 
 def main() -> int:
     """Watch standard input; returns 0 if dismissed and 1 if the base was stopped."""
-    for name in HANDLED:
+    for name in IGNORED_SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     topic, frame, stamped, silence = sys.argv[1], sys.argv[2], bool(sys.argv[3]), float(sys.argv[4])
     brake = Brake(topic, stamped, frame)
-    # Whatever blocks the node's log must not block the guard.
+    # A blocked log of the node must not block the guard.
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stderr.fileno())
 
@@ -158,13 +158,16 @@ def main() -> int:
 
 
 def _say(words: bytes) -> None:
-    # The node may be gone already.
+    # The node may have ended already.
     with contextlib.suppress(BrokenPipeError):
         os.write(sys.stdout.fileno(), words + b"\n")
 
 
 def is_needed(line: int, silence: float, answer: Callable[[bytes], object]) -> bool:
-    """Read the node's line; returns whether it went (silent for so many s) in a turn."""
+    """Read the reports until the guard may end; returns whether the node failed in a turn.
+
+    The node fails by `silence` seconds without a report or by closing the pipe.
+    """
     deadline, heard = math.inf, b""
     while True:
         patience = max(0.0, deadline - time.monotonic()) if deadline < math.inf else None
@@ -182,7 +185,7 @@ def is_needed(line: int, silence: float, answer: Callable[[bytes], object]) -> b
 
 
 class Brake:
-    """Publishes zeros."""
+    """Publishes zero velocities to the base."""
 
     def __init__(self, topic: str, stamped: bool, frame: str) -> None:
         import rclpy
@@ -192,14 +195,14 @@ class Brake:
         from rclpy.signals import SignalHandlerOptions
 
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        # A name that begins with an underscore is left out of lists of nodes.
+        # A name that begins with an underscore is hidden in lists of nodes.
         node = rclpy.create_node(
             f"_magcal_guard_{os.getpid()}",
             enable_rosout=False,
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
-        # A stamp of zero counts as now for bases that look at it; this clock need not be theirs.
+        # Bases that check the stamp take zero as now; their clock may differ from this one.
         self._zero = TwistStamped() if stamped else Twist()
         if stamped:
             self._zero.header.frame_id = frame
@@ -208,16 +211,16 @@ class Brake:
 
     @property
     def has_met_base(self) -> bool:
-        """Whether something has been there to listen."""
+        """Whether the topic has had a subscription."""
         self._has_met_base = self._has_met_base or self._out.get_subscription_count() > 0
         return self._has_met_base
 
     def duty(self, silence: float) -> bytes:
-        """Return what this process would publish, as its publisher describes itself."""
+        """Return the answer with the type and the topic of the actual publisher."""
         return duty(type(self._zero).__name__, self._out.topic_name, silence)
 
     def stop_base(self, tell: Callable[[], None]) -> None:
-        """Publish zeros for a second; `tell` is called after the first of them."""
+        """Publish zeros for a second; `tell` is called after the first zero."""
         deadline = time.monotonic() + ZEROS_FOR
         self._out.publish(self._zero)
         tell()

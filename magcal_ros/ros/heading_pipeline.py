@@ -1,4 +1,4 @@
-"""From a field message of any magnetometer to the published heading; the inputs it counts."""
+"""From a field message to the published heading; the state of the inputs; the reference field."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ from magcal_ros.ros.wire import FieldArrival
 
 SILENT_AFTER = 2.0  # seconds without a message after which a sensor is called silent
 
-REMEMBERED = 60
-"""Looks, one a second, over which dropped samples are counted for the complaints: what was wrong
-last month is no complaint any more, and what goes wrong after a good month is one."""
+DROP_WINDOW = 60
+"""Seconds over which dropped samples are counted for the complaints, so that complaints are about
+the present state."""
 
-RATE_LOOKS = 6  # looks over which a rate is taken
+RATE_LOOKS = 6  # newest seconds over which the rate of messages is computed
 
 
 @dataclass
 class Sensor:
-    """One topic: the newest frame, and when a message last came (steady clock)."""
+    """One sensor topic: its messages, frame and publishers, and the time of the last message."""
 
     topic: str
     clock: Callable[[], float] = time.monotonic
@@ -60,14 +60,14 @@ class Sensor:
 
     @property
     def rate(self) -> float:
-        """Messages a second over the last looks, Hz."""
+        """Rate of the messages over the last seconds, Hz."""
         if len(self._counts) < 2:
             return 0.0
         (then, before), (now, after) = self._counts[0], self._counts[-1]
         return (after - before) / max(now - then, 1e-9)
 
     def heard(self, frame: str) -> bool:
-        """Note that a message came; returns whether another sensor is met with it."""
+        """Note a message; returns whether it is the first, or its frame has changed."""
         is_first = self.last_heard is None
         self.messages += 1
         self.last_heard = self.clock()
@@ -80,7 +80,7 @@ class Sensor:
         return True
 
     def look(self) -> None:
-        """Note, once a second, how many messages and changes of the frame have come."""
+        """Note, once a second, the numbers of messages and of changes of the frame."""
         self._counts.append((self.clock(), self.messages))
         self._changes_at_look = (self._changes_at_look[1], self.changes)
 
@@ -89,7 +89,7 @@ class Sensor:
         return math.inf if self.last_heard is None else self.clock() - self.last_heard
 
     def complaint(self) -> str:
-        """Say that nothing comes, and what to look at; empty if messages flow."""
+        """Return what is wrong with the topic and what to check; empty if nothing is."""
         if self.last_heard is None:
             why = "check that the driver runs and the topic is remapped to it"
             return f"nothing has arrived on {self.topic}: {why}"
@@ -107,25 +107,25 @@ class Sensor:
 
 @dataclass
 class Inputs:
-    """Both sensors and their cleaned streams."""
+    """Both sensors and their streams of usable samples."""
 
     imu: Sensor
     field: Sensor
     streams: Streams
-    _earlier: deque[tuple[Heard, Heard]] = member(default_factory=lambda: deque(maxlen=REMEMBERED))
+    _earlier: deque[tuple[Heard, Heard]] = member(default_factory=lambda: deque(maxlen=DROP_WINDOW))
 
     def look(self, count_publishers: Callable[[str], int]) -> None:
-        """Note, once a second, what has come so far and who publishes it."""
+        """Note, once a second, the counts of messages and the numbers of publishers."""
         self._earlier.append(self._heard())
         for sensor in (self.imu, self.field):
             sensor.publishers = count_publishers(sensor.topic)
             sensor.look()
 
     def complaints(self) -> list[str]:
-        """Return everything that is wrong with the inputs, in words."""
+        """Return all faults of the inputs, in words."""
         found = [text for text in (self.imu.complaint(), self.field.complaint()) if text]
         imu, mag = self._heard()
-        if len(self._earlier) == REMEMBERED:
+        if len(self._earlier) == DROP_WINDOW:
             imu, mag = map(Heard.since, (imu, mag), self._earlier[0])
         return found + complaints(self.streams, imu, mag)
 
@@ -137,9 +137,9 @@ class Inputs:
         )
 
 
-HALF_A_PLACE = "give reference.latitude_deg and reference.longitude_deg both, or neither"
+INCOMPLETE_PLACE = "give reference.latitude_deg and reference.longitude_deg both, or neither"
 
-FIX_PAUSE = 0.2  # seconds after a look within which another fix brings no new one
+FIX_PAUSE = 0.2  # seconds after an evaluation within which a fix causes no new one
 
 
 class ReferenceSource:
@@ -157,30 +157,30 @@ class ReferenceSource:
 
     @property
     def reference(self) -> Reference:
-        """The reference field in use, by the parameters of this moment."""
+        """The reference field in use, by the present parameters."""
         if self._table.settings is not self._settings:
             self.refresh()
         return self._reference
 
     @property
     def field(self) -> ReferenceField:
-        """The field of this reference, by the parameters of this moment."""
+        """The field of `reference`."""
         return self.reference.field
 
     def use(self, calibration: Calibration | None) -> None:
-        """Compare the place where a calibration was made with this one from now on."""
+        """From now on, compare the present place with that of a calibration."""
         self._calibration = calibration
         self.refresh()
 
     def refresh(self) -> None:
-        """Evaluate parameters, place and date again, and log what is new."""
+        """Evaluate parameters, place and date again, and log changes."""
         self._looked = time.monotonic()
         before, self._reference = self._reference, self._resolve()
         say = self._announcer
         say.complain(self._reference.complaints)
         north, was = self._reference.north, before.north
         if self._calibration is not None and north != was:
-            words = f"compass/yaw counts from {north} north from now on, not from {was} north"
+            words = f"compass/yaw refers to {north} north from now on, no longer to {was} north"
             say.tell("north", words, wrong=True)
         if before.source != self._reference.source:
             say.tell("reference", f"reference field: {self._reference.words}")
@@ -194,20 +194,21 @@ class ReferenceSource:
         if settings.given.place is not None or not given.is_known:
             notes += self._fixes.complaints(settings.given.place)
         if settings.given.half_place:
-            notes.append(HALF_A_PLACE)
+            notes.append(INCOMPLETE_PLACE)
         if self._calibration is not None:
             notes.append(made_elsewhere(self._calibration, found.field))
         return replace(found, complaints=tuple(note for note in notes if note))
 
     def _year(self) -> float:
-        """Return the date to a tenth of a year; a clock of its own has simulated time."""
+        """Return the date to a tenth of a year: of fix or node's clock, else of the machine's."""
         clock = self._node.get_clock().now().nanoseconds * 1e-9
         return round(year_of((self._fixes.stamp, clock), time.time()), 1)
 
     def on_fix(self, fix: Fix) -> None:
         """Take a fix of a receiver."""
         news = self._fixes.add(fix)
-        # The heartbeat looks again, so that a faulty receiver cannot cost a model for each message.
+        # At most one evaluation of the model per pause, also with a faulty receiver; the heartbeat
+        # evaluates again.
         if news and time.monotonic() - self._looked >= FIX_PAUSE:
             self.refresh()
 
@@ -231,17 +232,17 @@ class HeadingPipeline:
         self.headings = HeadingOutput(node, self.frames)
         self.fused = FusedOutput(node, self.up, self.frames)
         self.several = SeveralCompasses()
-        self.lead: Calibration | None = None  # of the first that has one: the heading's
+        self.lead: Calibration | None = None  # of the calibrated magnetometer of lowest number
         self._origin: Origin | None = None
         self._in_force: dict[int, Calibration | None] = {}
 
     @property
     def settings(self) -> Settings:
-        """The parameters of this moment."""
+        """The present parameters."""
         return self._table.settings
 
     def use(self, keepers: Mapping[int, Keeper]) -> None:
-        """Use what is in force, by the numbers of the magnetometers."""
+        """Use the calibrations in force; the keys are the numbers of the magnetometers."""
         for number, keeper in keepers.items():
             if keeper.calibration is not self._in_force.get(number):
                 self._in_force[number] = keeper.calibration
@@ -259,7 +260,7 @@ class HeadingPipeline:
             self.travel.use(self._origin.vehicle_yaw if self._origin else None)
 
     def follow(self, keeper: Keeper, turn: TurnState) -> None:
-        """Take the parameters, use what was learnt of the motors and keep it, once a second."""
+        """Once a second, take the parameters, and use and store the learnt field of the motors."""
         self.fused.patience = self.settings.patience
         kept = None if keeper.calibration is None else keeper.calibration.motors
         mode, is_turning = Mode(self.settings.self_calibration), turn is not TurnState.IDLE
@@ -268,7 +269,7 @@ class HeadingPipeline:
             keeper.keep(learnt)
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
-        """Go on to an IMU message, of which up knows already."""
+        """Propagate the fused yaw to an IMU message that `up` has received already."""
         self.fused.on_imu(seconds, stamp, self.body_frame(), self.reference.field)
 
     def moment_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> Moment:
@@ -281,7 +282,7 @@ class HeadingPipeline:
         return Moment.of(compass, sample, up, streams.newest_rate, running, turning)
 
     def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
-        """Publish the heading that follows from a magnetometer's message."""
+        """Publish the heading computed from a magnetometer's message."""
         if self.fused.is_needed:  # a calibration of a further magnetometer is in force
             joined = self.several.add(number, moment, self.up.newest_stamp, self.fused.yaw)
             if joined is None:
@@ -297,15 +298,15 @@ class HeadingPipeline:
         return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
     def settled(self, number: int = FIRST, frame: str = "") -> Settings:
-        """Return the parameters as they hold for a turn of one magnetometer.
+        """Return the parameters for a turn of one magnetometer.
 
-        The reference field in use stands in place of the one that was given by hand.
+        The reference field in use replaces the one given by the parameters.
         """
         settings, mounting = self.settings, self.frames.mounting(number, frame)
         known = replace(settings.knowledge, reference=self.reference.field, mounting=mounting)
         return replace(settings, knowledge=known)
 
     def origin_of(self, magnetometer_frame: str) -> Origin:
-        """Return where a calibration that is made now comes from."""
+        """Return the origin of a calibration that is made now."""
         node = self.node.get_fully_qualified_name()
         return Origin.now(magnetometer_frame, self.imu.frame, node, self.travel.yaw)

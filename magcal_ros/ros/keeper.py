@@ -32,8 +32,8 @@ from magcal_ros.ros.threads import BackgroundThread
 
 Tell = Callable[[Conclusion], None]
 
-TO_WRITE = 15.0  # seconds that a slow but living disk may take to store a calibration for good
-MOST_KNOWN = 100  # names of sensors that are remembered; beyond that the oldest one is dropped
+WRITE_WITHIN = 15.0  # longest time to write a calibration to a slow disk, seconds
+MOST_SENSORS = 100  # frames of sensors that are remembered; the oldest is dropped first
 
 NOT_HEARD = (
     "no field has arrived yet, so the frame in the file's name is not known: start the "
@@ -42,7 +42,7 @@ NOT_HEARD = (
 
 
 class Loaded(NamedTuple):
-    """A calibration as a file has it."""
+    """A calibration that was read from a file."""
 
     path: Path
     calibration: Calibration
@@ -50,12 +50,12 @@ class Loaded(NamedTuple):
 
 
 class Keeper:
-    """Holds the calibration in force and moves it to and from its file.
+    """Holds the calibration in force, and saves and loads its file.
 
-    `name` is the node's namespace and name, part of the default path; a `number` above 1 stands in
-    the file's name. `chosen` returns the parameter calibration_file; of a file that is named there
-    after the start nothing is revealed to the network. `apply` is called with the calibration (or
-    None) and the magnetometer's frame whenever it changes.
+    `name` is the node's namespace and name, part of the default path; a `number` above 1 is added
+    to the file's name. `chosen` returns the parameter calibration_file. Messages do not reveal the
+    content of a file that is named after the start. `apply` is called with the new calibration (or
+    None) and the magnetometer's frame at each change.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Keeper:
         self._files, self._log, self._given = files, log, chosen()
         self.calibration: Calibration | None = None
         self.origin: Origin | None = None
-        self.trouble = ""  # what went wrong with the file last; empty if nothing
+        self.trouble = ""  # the last failure with the file; empty after a success
         self._frame, self._was_heard, self._was_named = "", False, False
         self._last_read: tuple[object, Loaded] | None = None
         self._is_reading = False
@@ -86,9 +86,9 @@ class Keeper:
         self._apply(calibration, origin.magnetometer_frame)
 
     def keep(self, learnt: VehicleYaw | MotorField) -> None:
-        """Store what was learnt while driving with the calibration in force, if there is one.
+        """Store a yaw or a motor field with the calibration in force, if there is one.
 
-        Nothing is applied: the caller uses it already.
+        `apply` is not called, because the caller uses the value already.
         """
         if self.calibration is None or self.origin is None:
             return
@@ -99,12 +99,12 @@ class Keeper:
         self.save()
 
     def reset(self) -> None:
-        """Use none."""
+        """Put no calibration in force."""
         self.calibration = self.origin = None
         self._apply(None, "")
 
     def save(self, tell: Tell = lambda _: None, with_backup: bool = True) -> None:
-        """Save the calibration in force; another one that the file holds is kept as a backup."""
+        """Save the calibration in force; a different one in the file is kept as a backup."""
         calibration, origin = self.calibration, self.origin
         if calibration is None or origin is None:
             tell(Conclusion(False, "there is no calibration in force to save"))
@@ -116,16 +116,16 @@ class Keeper:
 
             def keep() -> None:
                 nonlocal lost
-                # What is in force now matters more than what was.
+                # A failed backup must not prevent saving.
                 try:
                     keep_backup(path, calibration)
                 except (FileTrouble, OSError, ValueError) as error:
-                    lost = f" Its previous content could not be kept: {error}"
+                    lost = f" No backup of the previous calibration: {error}"
 
             try:
                 path = self._path(frame)
                 content = (path, calibration, origin, keep if with_backup else None)
-                promptly(lambda: write_calibration(*content), path, TO_WRITE)
+                promptly(lambda: write_calibration(*content), path, WRITE_WITHIN)
             except FileTrouble as error:
                 self.trouble = str(error)
                 return f"In force, but not saved: {error}"
@@ -139,7 +139,7 @@ class Keeper:
         )
 
     def load(self, tell: Tell) -> None:
-        """Put the calibration of the file in force."""
+        """Put the calibration in the file in force."""
         chosen, frame = self._chosen(), self._frame
         if not chosen and not self._was_heard:
             tell(Conclusion(False, NOT_HEARD))
@@ -155,9 +155,9 @@ class Keeper:
         self._files.run(lambda: self.read(chosen, frame), done, done)
 
     def read(self, chosen: str, frame: str) -> Loaded:
-        """Read the file of a sensor, in any thread; one that has not changed is not read again.
+        """Read the file of a sensor, in any thread; an unchanged file is not read again.
 
-        A FileTrouble if it is missing, damaged, foreign, or made for another sensor.
+        Raises FileTrouble if the file is missing, damaged, no calibration or of another sensor.
         """
         try:
             path = self._path(frame, chosen)
@@ -178,7 +178,7 @@ class Keeper:
         return loaded
 
     def use(self, loaded: Loaded) -> str:
-        """Put what was read in force; returns what was done."""
+        """Put a calibration that was read in force; returns what was done, in words."""
         self.trouble = ""
         self.put_in_force(loaded.calibration, loaded.origin)
         origin, method = loaded.origin, loaded.calibration.evidence.method
@@ -187,20 +187,21 @@ class Keeper:
         return f"loaded {loaded.path} (made {made}{where})"
 
     def begin(self) -> None:
-        """Load a file that was chosen by its name, before any message arrives."""
+        """Load the file in the parameter calibration_file, before any message arrives."""
         if self._chosen():
             self._read_next()
 
     def note_sensor(self, frame: str) -> None:
-        """Load the calibration of the sensor whose field comes now, in the background.
+        """Load the calibration of a sensor that has begun to publish, in the background.
 
-        One that is loaded already is checked; a sensor that was there before is not read again.
+        If a calibration is in force, its sensor is checked. The file of a sensor that was there
+        before is not read again.
         """
         self._frame, self._was_heard = frame, True
         if frame in self._found:
             self._use_found(self._found[frame])
             return
-        # A driver may leave out the frame at first.
+        # The first messages of a driver may have no frame.
         is_first, self._was_named = not self._was_named, self._was_named or bool(frame)
         if self.calibration is None:
             self._read_next()
@@ -210,24 +211,24 @@ class Keeper:
             self._check_sensor(frame)
 
     def forget(self) -> None:
-        """Do not use any more what was found, or began to be read, so far."""
+        """Discard all calibrations that were read or are being read."""
         self._found = OrderedDict.fromkeys(self._found)
         self._dismissed = self._used
         self._resets += 1
 
     def _path(self, frame: str, chosen: str | None = None) -> Path:
-        """Return the file to save to: as chosen, or by the node and the sensor's frame."""
+        """Return the chosen file, or the default one of this node and sensor."""
         chosen = self._chosen() if chosen is None else chosen
         own = chosen_path(chosen) if chosen else sensor_file(frame, *self._name)
         return numbered(own, self._number)
 
     def _remember(self, frame: str) -> None:
         self._found[frame] = None
-        if len(self._found) > MOST_KNOWN:
+        if len(self._found) > MOST_SENSORS:
             self._found.popitem(last=False)
 
     def _read_next(self) -> None:
-        """Read the file of the present sensor, once, when the one before it is read."""
+        """Read the file of the present sensor once, after the running read has ended."""
         frame, chosen, resets = self._frame, self._chosen(), self._resets
         if self._is_reading or self.calibration is not None or frame in self._found:
             return
@@ -245,14 +246,14 @@ class Keeper:
                 self._log.error(f"{found} Running uncalibrated.")
             elif resets == self._resets:
                 if found is None and not frame and chosen:
-                    # At the start; a path that is named later is not told to the network.
+                    # Only at the start: a path that is set later is not revealed to the network.
                     self._log.warning(
                         f"{self._path(frame, chosen)} does not exist: no calibration is in force. "
                         "The next calibration is saved there"
                     )
                 if frame in self._found:
                     self._found[frame] = found
-                # A chosen file is that of any sensor, and one may have been met meanwhile.
+                # A chosen file is for any sensor, and the sensor may have been heard since.
                 if frame == self._frame or (chosen and not frame):
                     self._use_found(found)
             self._read_next()
@@ -262,17 +263,17 @@ class Keeper:
     def _use_found(self, loaded: Loaded | None) -> None:
         if loaded is None or self.calibration is not None:
             return
-        # A chosen file is the same for a sensor that is met only after the reset.
+        # After a reset, a chosen file is not loaded again for a sensor that is heard later.
         if loaded.path == self._dismissed:
             return
         self._used = loaded.path
         words = self.use(loaded)
-        # rclpy takes some 30 ms for the first log line of a process; messages do not wait for it.
+        # The first log line of a process takes rclpy some 30 ms, so a background thread writes it.
         self._files.run(lambda: self._log.info(words), lambda _: None, lambda _: None)
         self._check_sensor(self._frame)
 
     def _check_sensor(self, frame: str) -> None:
-        """Take a loaded calibration out of force that was made for another sensor."""
+        """Reset a loaded calibration that was made for another sensor."""
         try:
             assert self.origin is not None
             _require_sensor(self._path(frame), self.origin, frame)
@@ -283,7 +284,7 @@ class Keeper:
 
 
 def _key_of(path: Path) -> object:
-    """Return what changes with a file; None if it cannot be looked at."""
+    """Return a key that changes with the file; None if there is no access to the file."""
     try:
         about = path.stat()
     except (OSError, ValueError):
@@ -292,11 +293,11 @@ def _key_of(path: Path) -> object:
 
 
 def _require_sensor(path: Path, origin: Origin, frame: str) -> None:
-    """Raise a FileTrouble for a calibration of another sensor: both frames are known and differ."""
+    """Raise FileTrouble for a calibration of another sensor: both frames known and different."""
     made_for, there = origin.magnetometer_frame, known_as(frame)
     if made_for and there and made_for != there:
         raise FileTrouble(
             f"{path} was made for the magnetometer {made_for!r}, but the field comes from "
-            f"{there!r}. Calibrate this sensor, or name its own file in "
+            f"{there!r}. Calibrate this sensor, or name the file of this sensor in "
             "calibration_file."
         )

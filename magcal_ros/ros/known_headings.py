@@ -1,4 +1,4 @@
-"""Known headings: given where a robot stands, or sent by a device such as two antennas."""
+"""Known headings: given by the user for a robot at rest, or by a device such as two antennas."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     from magcal_ros.core.smoother.standings import Standing
 
 TOPIC = "heading"
-FRESH = 1.0
-"""Seconds for which a heading of the topic counts as the present one."""
-MISSED = 10  # headings in a row that disagree with the fused yaw, after which it is reported
+VALID_FOR = 1.0
+"""Seconds for which a heading on the topic is current."""
+REPORTED_MISSES = 10  # successive disagreements with the fused yaw from which there is a warning
 NO_DECLINATION = (
-    "it is to true north, and the declination here is not known: give reference.latitude_deg and "
-    "longitude_deg, or wait for gps/fix"
+    "the heading refers to true north, and the declination here is not known: give "
+    "reference.latitude_deg and longitude_deg, or wait for gps/fix"
 )
 
 
 class Antenna:
-    """Uses the topic `heading`: for the fused yaw, and for a calibration along the way."""
+    """Uses the topic `heading` for the fused yaw and for calibration in a drive."""
 
     def __init__(
         self, magnetometer: Magnetometer, pipeline: HeadingPipeline, worker: WorkerProcess
@@ -50,7 +50,7 @@ class Antenna:
         self._say = node.get_logger().info
         self.topic = node.resolve_topic_name(TOPIC)
         self.is_heard = False
-        self.collected: list[HeadingSample] | None = None  # takes each while it is a list
+        self.collected: list[HeadingSample] | None = None  # headings during a collection
         self._heard_at = -math.inf
         self._collector: HeadingCollector | None = None
         self._is_fitting = False
@@ -61,52 +61,52 @@ class Antenna:
         )
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Discard the collected headings and all findings."""
         if self._collector is not None:
             self._collector.log = None
         self._answer, self._doubt, self._missed = "", "", 0
 
     @property
     def silence(self) -> str:
-        """Why the topic gives no heading now, in words that follow its name; empty if it does."""
-        if time.monotonic() - self._heard_at < FRESH:
+        """The topic, and why it has no current heading; empty if it has one."""
+        if time.monotonic() - self._heard_at < VALID_FOR:
             return ""
         if self._fault:
-            return f"{self.topic} (it sends, but {self._fault})"
+            return f"{self.topic} (there are messages, but {self._fault})"
         return f"{self.topic}{' (its last heading is too old)' * bool(self._collector)}"
 
     @property
     def complaints(self) -> list[str]:
-        """What is wrong with the headings, in words."""
+        """The faults of the headings, in words."""
         words = [self._fault]
         if self.is_heard and self._collector is not None:
             words += [self._collector.check.fault, self._doubt]
-        if self.is_heard and self._missed >= MISSED:
+        if self.is_heard and self._missed >= REPORTED_MISSES:
             words.append(
-                f"it differs from the fused yaw by {math.degrees(self._gap):.0f}°, far more than "
-                "both variances allow, and is not used; check its north "
-                "(known_heading.topic_north), its zero (east), and that the yaw of the antennas "
-                "in the vehicle is included. If it is right, the calibration is out of date: call "
-                "~/reset"
+                f"the heading differs from the fused yaw by {math.degrees(self._gap):.0f}°, far "
+                "more than both variances allow, and is not used; check which north it refers to "
+                "(known_heading.topic_north), that zero is east, and that the yaw of the antennas "
+                "in the vehicle is included. If the heading is right, the calibration is out of "
+                "date: call ~/reset"
             )
         return [f"{self.topic}: {each}" for each in words if each]
 
     def facts(self) -> dict[str, Any] | None:
-        """Return the part of `~/status` on the topic; None where no heading has come."""
+        """Return the part of `~/status` on the topic; None before the first heading."""
         if self._collector is None:
             return None
         kept = 0 if self._collector.log is None else len(self._collector.log.standings)
         return {"topic": self.topic, "speaks": self.is_heard, "kept": kept, "found": self._answer}
 
     def on_imu(self, stamp: float) -> None:
-        """Take the turn up to an IMU message that the up follower has received already."""
+        """Integrate the gyro up to an IMU message that the up follower has received already."""
         if self._collector is not None:
             self._collector.on_imu(stamp)
 
     def on_field(self, sample: FieldSample) -> None:
-        """Take a field sample while the topic sends."""
+        """Take a field sample while headings arrive."""
         collector, view = self._collector, self._pipeline.frames.view
-        if collector is None or sample.stamp - collector.newest.stamp > FRESH:
+        if collector is None or sample.stamp - collector.newest.stamp > VALID_FOR:
             self.is_heard = False
             return
         if view is None:
@@ -126,7 +126,7 @@ class Antenna:
             self._fault = sample
             return
         if self._collector is None:
-            # What only headings need is loaded with the first one.
+            # Modules that only headings need are imported with the first heading.
             from magcal_ros.core.session.at_known_heading import HeadingCollector
 
             self._collector = HeadingCollector(self._pipeline.up)
@@ -197,18 +197,18 @@ NO_POSE = (
 
 
 class KnownHeadings:
-    """Calibrates where the robot stands at a known heading; `antenna` uses the topic."""
+    """Calibrates a robot at rest at known headings; `antenna` uses the topic."""
 
     def __init__(self, magnetometer: Magnetometer, pipeline: HeadingPipeline) -> None:
         self._magnetometer, self._pipeline = magnetometer, pipeline
         self.worker = WorkerProcess()
-        """Its fits run in the thread of all fits, one at a time."""
+        """For fits of known headings, which run in the thread of all fits, one at a time."""
         self.antenna = Antenna(magnetometer, pipeline, self.worker)
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
         self._answer = ""
         self._turn: GyroTurn | None = None
-        """The gyro's since the last standing."""
+        """The turn by the gyro since the last standing; None if it is not known."""
         self._pairs: list[Pair] = []
         self._pairer = Pairer(magnetometer.inputs.streams)
         self._given: ExternalHeading | None = None
@@ -220,13 +220,13 @@ class KnownHeadings:
         return math.isfinite(self._deadline)
 
     def forget(self) -> None:
-        """Begin anew with the next heading."""
+        """Discard all known headings."""
         self._standings, self._turn, self._answer = (), None, ""
         self._epoch += 1
         self.antenna.forget()
 
     def calibrate(self, turns: Magnetometers, tell: Tell) -> None:
-        """Collect where the robot stands now, and answer what its heading shows."""
+        """Collect samples of the robot at rest, calibrate, and answer with the result."""
         settings = self._pipeline.settled()
         refusal = self._why_not(turns, settings)
         if refusal:
@@ -241,7 +241,7 @@ class KnownHeadings:
         if turns.state is not TurnState.IDLE:
             return "a turn is under way: wait for its verdict first"
         if self._tell is not None:
-            return "already collecting at a known heading: wait for its answer"
+            return "another call is already collecting at a known heading: wait for its answer"
         if settings.north_is_missing:
             return NO_NORTH
         if settings.known_heading is None and self.antenna.silence:
@@ -261,7 +261,7 @@ class KnownHeadings:
             self._fit()
 
     def on_imu(self, stamp: float) -> None:
-        """Take the turn up to an IMU message that the up follower has received already."""
+        """Integrate the gyro up to an IMU message that the up follower has received already."""
         if self.antenna.is_heard:
             self.antenna.on_imu(stamp)
         follower, turn = self._pipeline.up, self._turn
@@ -271,11 +271,11 @@ class KnownHeadings:
             known = follower.gyro_bias.variance
             self._turn = turn.after(stamp, follower.newest, follower.mean_rate, known)
         else:
-            # The turn since the last standing is not known any more.
+            # Without the gyro, the turn since the last standing is unknown.
             self._turn = None
 
     def facts(self) -> dict[str, Any] | None:
-        """Return the part of `~/status` on known headings; None where there is none."""
+        """Return the part of `~/status` on known headings; None if there are none."""
         topic = self.antenna.facts()
         if not self._standings and topic is None and not self._answer:
             return None
@@ -287,7 +287,7 @@ class KnownHeadings:
         }
 
     def look(self) -> None:
-        """Answer by what has come, once the time is up; to be called about once a second."""
+        """Fit the samples so far if the time is over; to be called about once a second."""
         if time.monotonic() > self._deadline:
             self._fit()
 
@@ -298,7 +298,7 @@ class KnownHeadings:
         given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)
         view = self._pipeline.frames.view
         if given is None or view is None:
-            self._conclude(False, f"{self.antenna.topic} stopped sending meanwhile")
+            self._conclude(False, f"the headings on {self.antenna.topic} stopped during the call")
             return
         bias = follower.gyro_bias.rate if follower.is_propagated else (0.0, 0.0, 0.0)
         turn = self._turn or GyroTurn()
@@ -308,7 +308,7 @@ class KnownHeadings:
         in_force = self._magnetometer.keeper.calibration
 
         def work() -> HeadingResult:
-            # What only a fit needs is loaded when one is made, beside the messages.
+            # Modules that only a fit needs are imported here, in the background thread.
             from magcal_ros.core.session.at_known_heading import (
                 CollectedSamples,
                 calibrate_standing,
@@ -321,18 +321,18 @@ class KnownHeadings:
 
     def _lost(self, error: Exception) -> None:
         why = "the node is shutting down" if isinstance(error, Stopped) else in_words(error)
-        self._conclude(False, f"nothing was found: {why}")
+        self._conclude(False, f"the fit failed: {why}")
 
     def _note(self, result: HeadingResult, epoch: int) -> None:
         if epoch != self._epoch:
-            words = "~/reset was called, or the sensor changed, meanwhile: call this service again"
+            words = "~/reset was called or the sensor changed: call this service again"
             self._conclude(False, words)
             return
         calibration = result.outcome.calibration
         if calibration is not None:
             self._standings, self._turn = result.standings, GyroTurn()
         if not result.applies or calibration is None:
-            # A heading that agrees with a better calibration is no failure.
+            # It is a success if the heading agrees with a better calibration in force.
             self._conclude(result.outcome.verdict.accepted, result.words)
             return
         self._magnetometer.use(

@@ -1,4 +1,4 @@
-"""A magnetometer: its messages, its calibration and file, its turns."""
+"""One magnetometer of the node: messages, calibration, file and turns."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from magcal_ros.ros.worker_process import WorkerProcess
 
 
 class Owner(Protocol):
-    """What the node does when something happens to a magnetometer."""
+    """The callbacks of the node for events of a magnetometer."""
 
     rotator: Rotator
 
@@ -45,22 +45,22 @@ class Owner(Protocol):
         """Note an error that ends a turn."""
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
-        """Take note of a sensor that sends for the first time, or under another name."""
+        """Note the first message of a sensor, or a new frame."""
 
     def sample_came(self, magnetometer: Magnetometer, sample: FieldSample) -> None:
-        """Take a field sample, before the heading that follows from it."""
+        """Take a field sample before its heading is computed."""
 
     def calibration_changed(self, magnetometer: Magnetometer) -> None:
-        """Use the calibration that is in force from now on."""
+        """Use the new calibration in force."""
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:
-        """Publish how a turn ended, before those who wait for it are answered."""
+        """Publish the result of a turn, before the waiting callers are answered."""
 
 
 class Magnetometer:
     """A magnetometer's messages, calibration, file and turns.
 
-    One beside the first is nothing but a subscription until its first message comes.
+    A further magnetometer has only a subscription until its first message arrives.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Magnetometer:
         self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
         self.compass: Compass | None = None
         self.watch: Watch | None = None
-        """Watches the calibration of the first magnetometer."""
+        """Monitor of the calibration; only of the first magnetometer."""
         is_first = number == FIRST
         self.out = FieldOutput(node, self._topic) if is_first else None
         group = pipeline.sensor_group if is_first else None
@@ -89,7 +89,7 @@ class Magnetometer:
         )
 
     def look_at_sensors(self) -> None:
-        """Take note of sensors that send for the first time, or under another name."""
+        """Note the first message of a sensor, or a new frame."""
         frames = self.inputs.field.frame, self.inputs.imu.frame
         self.control.tell(self.control.turn.note_sensors, *map(known_as, frames))
         self._owner.sensors_changed(self)
@@ -97,13 +97,13 @@ class Magnetometer:
             self.keeper.note_sensor(self.inputs.field.frame)
 
     def start(self, gyro: GyroAtRest | None) -> tm.Conclusion:
-        """Collect the turn that begins."""
+        """Start to collect a turn."""
         settings = self._pipeline.settled(self.number, self.inputs.field.frame)
         return self.control.start(settings, gyro)
 
     @property
     def accept(self) -> Callable[[Tell], None] | None:
-        """What puts the last fit in force; None without one that a person may accept."""
+        """A function that puts the last fit in force; None if the user cannot accept it."""
         turn, outcome = self.control.turn, self.control.turn.last_outcome
         found = None if outcome is None else outcome.calibration
         if outcome is None or found is None:
@@ -111,7 +111,7 @@ class Magnetometer:
         if self.number != FIRST and (outcome.verdict.accepted or turn.outcome_is_of_others):
             return None
         if turn.outcome_is_of_others:
-            words = "the last fit is of other sensors than the present ones"
+            words = "the last fit is of sensors other than the present ones"
             return lambda tell: tell(tm.Conclusion(False, words))
 
         def put_in_force(tell: Tell) -> None:
@@ -121,30 +121,30 @@ class Magnetometer:
         return put_in_force
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
-        """Apply a calibration and store it; only what is stored as well is a success."""
+        """Put a calibration in force and save it; a success only if it is saved."""
         self.keeper.put_in_force(calibration, self._pipeline.origin_of(self.inputs.field.frame))
         self.keeper.save(tell, with_backup)
 
     def reset(self) -> None:
-        """Use no calibration any more."""
+        """Put no calibration in force, and discard all that was read or collected."""
         self.control.turn.forget()
         self.keeper.forget()
         if self.keeper.calibration is not None:
             self.keeper.reset()
 
     def drive_knowledge(self) -> Knowledge | None:
-        """Return what is known beforehand of a drive; None while a turn is under way."""
+        """Return the prior knowledge for a drive; None while a turn is under way."""
         if self.control.turn.state is not tm.TurnState.IDLE:
             return None
         return self._pipeline.settled(self.number, self.inputs.field.frame).knowledge
 
     def describe_silence(self) -> str:
-        """Say which sensor is missing, and what to look at."""
+        """Return which sensor is missing, and what to check."""
         complaints = self.inputs.complaints()
-        return "; ".join(complaints) or "no new field sample with an acceleration has come"
+        return "; ".join(complaints) or "no new pair of field and acceleration samples has come"
 
     def wheel_speed(self, stamp: float) -> float:
-        """Return what wheels say, m/s; NaN without a measurement near a stamp, seconds."""
+        """Return the speed of the wheels, m/s; NaN without a measurement near a stamp, seconds."""
         return self._pipeline.travel.travelling.wheel_speed(stamp)
 
     @property
@@ -185,12 +185,12 @@ class Magnetometer:
 
 
 def topic_of(number: int) -> str:
-    """Return the topic of a magnetometer by its number, as it is before remapping."""
+    """Return the topic of a magnetometer by its number, before remapping."""
     return "imu/mag" if number == FIRST else f"imu/mag_{number}"
 
 
 SAVING_PATIENCE = 1.5
-"""Seconds that a disk may take to store a calibration while the node is being ended."""
+"""Seconds that a disk may take to store a calibration while the node shuts down."""
 
 T = TypeVar("T")
 
@@ -200,11 +200,11 @@ def _broken_off(error: Exception) -> str:
 
 
 class Control:
-    """Runs one turn at a time: reports events to the state machine, carries out its commands.
+    """Reports events to the state machine of a turn, and carries out its commands.
 
-    Collecting happens in the executor's thread, a few microseconds a sample. The fit has a process
-    of its own and the disk a thread, so the corrected field and the yaw are not interrupted. `turn`
-    is the state machine. Without a `robot` it commands none: another magnetometer's turn may.
+    Samples are collected in the executor's thread, a few microseconds each. Fits run in a worker
+    process and files are written in a thread, so that the outputs are not interrupted. `turn` is
+    the state machine. Without a `robot`, no base is commanded.
     """
 
     def __init__(
@@ -227,11 +227,11 @@ class Control:
         self._unreported: tm.Conclusion | None = None
 
     def when_done(self, listener: Tell) -> None:
-        """Call back once with the conclusion of the turn that is under way."""
+        """Call `listener` once with the conclusion of the present turn."""
         self._listeners.append(listener)
 
     def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> tm.Conclusion:
-        """Open a session; refused while another is under way."""
+        """Begin a turn; refused during another turn."""
         turns_itself = settings.rotation.enabled and self._commands_robot
         speed = settings.rotation.speed if turns_itself else None
         asked = settings.knowledge, settings.method, settings.accumulate
@@ -239,20 +239,20 @@ class Control:
         if answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
             self._unreported = None
-            # A fit will be asked for soon; whatever fails here ends the turn.
+            # The worker process is started early; if that fails, the turn ends.
             self.tell(self._fits.run, self._worker.start, lambda _: None, lambda _: None)
         return answer
 
     def add(self, sample: FieldSample) -> None:
-        """Take a field sample of the stream, if a session wants it."""
+        """Take a field sample if a turn is being collected."""
         if self.turn.state is tm.TurnState.COLLECTING:
             self._pairer.offer(sample)
             self._collect()
 
     def finish(self) -> tm.Conclusion | None:
-        """End the session now and fit what there is; None means the fit is under way.
+        """End the collection and fit the samples so far; None if the fit is running.
 
-        The verdict on a turn that ended by itself, and that nobody waited for, is returned once.
+        The verdict on a turn that ended automatically without a waiting caller is returned once.
         """
         self._collect()
         unreported, self._unreported = self._unreported, None
@@ -261,21 +261,21 @@ class Control:
         return self.tell(self.turn.finish, now())
 
     def tick(self) -> bool:
-        """Let a turn see that time has passed; returns whether one is under way."""
+        """Check the progress of a turn; returns whether one is under way."""
         if self.turn.state is tm.TurnState.COLLECTING:
             self._collect()
             self.tell(self.turn.tick, self._magnetometer.describe_silence(), now())
         return self.turn.state is not tm.TurnState.IDLE
 
     def look(self, around: Around) -> bool:
-        """Look at a robot that turns itself; returns whether there is still one to look at."""
+        """Make a control step of a robot that turns itself; returns whether there are more."""
         self._collect()
         if self.turn.progress is not None:
             self.tell(self.turn.look, around, now())
         return not self.turn.robot.is_quiet
 
     def shut_down(self) -> None:
-        """Drop a turn under way; what is in force already is saved before this returns."""
+        """Discard a turn under way; a calibration in force is saved before this returns."""
         if self.turn.state is tm.TurnState.SAVING:
             self._files.finish_within(SAVING_PATIENCE)
         self._worker.end()
@@ -287,12 +287,12 @@ class Control:
                 self.tell(self.turn.take, pair, now(), speed, self._magnetometer.currents)
 
     def tell(self, happened: Callable[..., T], *facts: Any) -> T:
-        """Report an event to the turn and carry out its commands; returns its answer."""
+        """Report an event to the turn, carry out the commands, and return the turn's answer."""
         before = self.turn.state
         try:
             answer = happened(*facts)
             commands = self.turn.commands()
-        except Exception as error:  # short of files even a median fails: its code must be read
+        except Exception as error:  # e.g. an import without free file descriptors
             if happened != self.turn.break_off:
                 was_under_way = {before, self.turn.state} != {tm.TurnState.IDLE}
                 self.tell(self.turn.break_off, _broken_off(error), was_under_way)
@@ -311,12 +311,12 @@ class Control:
                 case tm.FitTurn():
                     self._fit(command)
                 case tm.PutInForce(calibration):
-                    # A fault in storing it is only said.
+                    # A failure to store it appears in the message only.
                     saved = partial(self.tell, self.turn.note_saved)
                     self._magnetometer.use(calibration, lambda done: saved(done.message))
                 case tm.Conclusion():
                     self._conclude(command)
-        except Exception as error:  # whatever has failed, all who wait are answered
+        except Exception as error:  # any error: all waiting callers must be answered
             self._owner.note_error(error)
             self.tell(self.turn.break_off, _broken_off(error))
 
@@ -325,7 +325,7 @@ class Control:
         self._fits.run(
             lambda: self._worker.run(predicted_sigma, asked.window, known, method),
             lambda sigma: self.tell(self.turn.note_preview, asked, sigma, now()),
-            # A preview that failed predicts nothing; the fit will tell.
+            # After a failed preview the sigma is unknown; the fit will report the error.
             lambda _: self.tell(self.turn.note_preview, asked, math.inf, now()),
         )
 
@@ -342,14 +342,14 @@ class Control:
         assert self._settings is not None
         try:
             return self._magnetometer.reporter.report(window, self._settings, outcome)
-        except Exception as error:  # the calibration matters more than a page about it
+        except Exception as error:  # a failed report must not prevent the calibration
             self._owner.note_error(error)
             return f"No report: {error}."
 
     def _conclude(self, conclusion: tm.Conclusion) -> None:
         listeners, self._listeners = self._listeners, []
         self._unreported = None if listeners else conclusion
-        # Whatever fails here, all who wait are answered.
+        # All waiting callers are answered, even if one of these calls fails.
         with contextlib.ExitStack() as at_last:
             for listener in listeners:
                 at_last.callback(listener, conclusion)

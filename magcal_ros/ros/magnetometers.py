@@ -1,4 +1,4 @@
-"""All magnetometers of the node, one heading and one turn for all; the services that ask them."""
+"""All magnetometers of the node, which share heading and turns; the node's services."""
 
 from __future__ import annotations
 
@@ -30,54 +30,54 @@ Action = Callable[[], "Conclusion | Awaitable[Conclusion]"]
 
 
 class Magnetometers:
-    """All magnetometers of the node: which send, the heading of all, and turns of all at once."""
+    """The magnetometers that publish: their common turns, and their parts in the heading."""
 
     def __init__(self, first: Magnetometer, several: SeveralCompasses) -> None:
         self._several = several
         self.heard = [first]
-        """The first one and the further ones that were heard, by their numbers."""
+        """The first magnetometer, and the further ones that have published, by number."""
 
     @property
     def further(self) -> list[Magnetometer]:
-        """The further ones that were heard."""
+        """The magnetometers in `heard` without the first."""
         return self.heard[1:]
 
     def add(self, magnetometer: Magnetometer) -> None:
-        """Take note of one that sends."""
+        """Note a magnetometer that publishes."""
         if magnetometer not in self.heard:
             self.heard = sorted([*self.heard, magnetometer], key=lambda each: each.number)
 
     def save(self, tell: Tell) -> None:
-        """Save what is in force."""
+        """Save the calibrations in force."""
         saving = [each for each in self.heard if each.keeper.calibration is not None]
-        told_together({e.topic: e.keeper.save for e in saving or self.heard[:1]}, tell)
+        ask_all({e.topic: e.keeper.save for e in saving or self.heard[:1]}, tell)
 
     def load(self, tell: Tell) -> None:
-        """Put in force what the files have."""
-        told_together({each.topic: each.keeper.load for each in self.heard}, tell)
+        """Put the calibrations in the files in force."""
+        ask_all({each.topic: each.keeper.load for each in self.heard}, tell)
 
     def accept(self, proposed: Ask | None, tell: Tell, say: Callable[[str], object]) -> None:
-        """Put in force what waits to be accepted, first what was learnt while driving.
+        """Put the refused or proposed calibrations in force, first a proposal from driving.
 
-        `say` is given a line for the log on each that was put in force.
+        `say` takes a line for the log on each of them.
         """
         asked: dict[str, Ask] = {}
         for each in self.heard:
             ask = proposed if proposed is not None and each is self.heard[0] else each.accept
             if ask is not None:
-                asked[each.topic] = partial(_accepted, each, ask, say)
+                asked[each.topic] = partial(_accept_one, each, ask, say)
         if self.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
         elif asked:
-            told_together(asked, tell)
+            ask_all(asked, tell)
         else:
             tell(Conclusion(False, "there is no fitted calibration to accept"))
 
     def start(self, gyro: GyroAtRest | None) -> Conclusion:
-        """Let those that send collect the turn that begins."""
+        """Begin a turn of all magnetometers that publish."""
         first = self.heard[0]
         if self.state is not TurnState.IDLE and first.control.turn.state is TurnState.IDLE:
-            words = f"already {self.state.value} another magnetometer's turn: wait"
+            words = f"already {self.state.value} the turn of another magnetometer: wait"
             return Conclusion(False, words)
         opened = first.start(gyro)
         for each in self.further if opened.success else ():
@@ -85,7 +85,7 @@ class Magnetometers:
         return opened
 
     def look(self, count_publishers: Callable[[str], int], settings: Settings) -> None:
-        """Update those that send, once a second."""
+        """Update the magnetometers that publish, once a second."""
         for each in self.heard:
             each.inputs.streams.max_gap = settings.max_gap
             each.inputs.look(count_publishers)
@@ -93,13 +93,13 @@ class Magnetometers:
                 each.control.turn.forget()
 
     def complaints(self) -> list[str]:
-        """Return what is wrong with the further ones, and between all, in words."""
+        """Return the faults of the further magnetometers and of the common heading, in words."""
         found = [text for each in self.further for text in each.inputs.complaints()]
         if not self.are_calibrated:
             return found
         topics = {each.number: each.topic for each in self.heard}
         shares = self._several.shares
-        # What disturbs all of them alike is no fault of one.
+        # A disturbance of all of them is not a fault of one.
         if not all(share.why for share in shares.values()):
             for number, share in shares.items():
                 percent = round(100.0 * share.weight)
@@ -113,12 +113,12 @@ class Magnetometers:
             found.append(
                 f"the headings of {names} are {apart:.0f}° apart, and the samples do not show "
                 "which is wrong: the published sigma includes this difference. Calibrate all in "
-                "one turn, and check that each is mounted as mount_rpy_deg and mount_2_rpy_deg say"
+                "one turn, and check that mount_rpy_deg and mount_2_rpy_deg are right"
             )
         return found
 
     def facts(self) -> list[dict[str, Any]]:
-        """Return the part of `~/status` on them; nothing while only the first is there."""
+        """Return the part of `~/status` on the magnetometers; empty if there is only the first."""
         shares = {each.number: Share(0.0) for each in self.heard} | self._several.shares
         return [
             {
@@ -132,7 +132,7 @@ class Magnetometers:
         ]
 
     def diagnostics(self) -> list[DiagnosticStatus]:
-        """Say how each takes part in the heading; nothing while only the first is there."""
+        """Return the diagnostic of the common heading; empty if there is only one magnetometer."""
         if not self.further:
             return []
         complaints = [each.keeper.trouble for each in self.further if each.keeper.trouble]
@@ -151,7 +151,7 @@ class Magnetometers:
 
     @property
     def are_calibrated(self) -> bool:
-        """Whether a calibration of a further one is in force."""
+        """Whether a calibration of a further magnetometer is in force."""
         return any(each.keeper.calibration is not None for each in self.further)
 
     @property
@@ -160,44 +160,44 @@ class Magnetometers:
 
     @property
     def state(self) -> TurnState:
-        """What is going on; collecting as long as one of them does."""
+        """The state of the turns; collecting as long as one of them is."""
         states = [each.control.turn.state for each in self._busy]
         if TurnState.COLLECTING in states:
             return TurnState.COLLECTING
         return states[0] if states else TurnState.IDLE
 
     def when_done(self, listener: Tell) -> None:
-        """Call back once with the conclusion of the turns that are under way."""
+        """Call `listener` once with the common conclusion of the present turns."""
         waiting = self._busy or self.heard[:1]
         asked = {each.topic: each.control.when_done for each in waiting}
-        told_together(asked, listener, of_turns)
+        ask_all(asked, listener, of_turns)
 
     def finish(self) -> Conclusion | None:
-        """End the turns now and fit what there is; None means the fits are under way."""
+        """End the collection and fit the samples so far; None if fits are running."""
         collecting = [e for e in self._busy if e.control.turn.state is TurnState.COLLECTING]
         for each in collecting:
             each.control.finish()
         return None if collecting else self.heard[0].control.finish()
 
     def cancel(self) -> Conclusion:
-        """Cancel the turns under way; the calibrations in force stay."""
+        """Cancel the turns under way; the calibrations in force are kept."""
         busy = self._busy or self.heard[:1]
         return joined({e.topic: e.control.tell(e.control.turn.cancel) for e in busy})
 
     def tick(self) -> bool:
-        """Let turns see that time has passed; returns whether one is under way."""
+        """Check the progress of the turns; returns whether one is under way."""
         return sum(each.control.tick() for each in self.heard) > 0
 
     def shut_down(self) -> None:
-        """Drop the turns under way."""
+        """Discard the turns under way."""
         for each in self.heard:
             each.control.shut_down()
 
 
-def _accepted(
+def _accept_one(
     magnetometer: Magnetometer, ask: Ask, say: Callable[[str], object], tell: Tell
 ) -> None:
-    """Ask for what was accepted, and say what was put in force, if anything was."""
+    """Put a calibration in force by `ask`, and log it with `say`."""
     before = magnetometer.keeper.calibration
 
     def note(conclusion: Conclusion) -> None:
@@ -212,7 +212,7 @@ def _accepted(
 
 
 def joined(conclusions: Mapping[str, Conclusion]) -> Conclusion:
-    """Return one conclusion of several; only if all succeeded it is a success."""
+    """Return several conclusions as one, which is a success if all are."""
     if len(conclusions) == 1:
         return next(iter(conclusions.values()))
     words = "; ".join(f"{topic}: {each.message}" for topic, each in conclusions.items())
@@ -220,25 +220,25 @@ def joined(conclusions: Mapping[str, Conclusion]) -> Conclusion:
 
 
 def of_turns(conclusions: Mapping[str, Conclusion]) -> Conclusion:
-    """Return one conclusion of the turns of several; if one was calibrated it is a success.
+    """Return several conclusions of a turn as one, which is a success if at least one is.
 
-    It begins with those that were not.
+    It begins with the magnetometers that were not calibrated.
     """
     together = joined(conclusions)
     missing = [topic for topic, each in conclusions.items() if not each.success]
     if len(missing) in (0, len(conclusions)):
         return together
     names = " and ".join(missing)
-    words = f"this turn did not calibrate {names}: mend what is said of it, and calibrate again"
+    words = f"this turn did not calibrate {names}: remove the cause below, and calibrate again"
     return Conclusion(True, f"{words}. {together.message}")
 
 
-def told_together(
+def ask_all(
     asked: Mapping[str, Ask],
     tell: Tell,
     join: Callable[[Mapping[str, Conclusion]], Conclusion] = joined,
 ) -> None:
-    """Ask several, by the topics of their magnetometers, and join the answers."""
+    """Ask several magnetometers, by their topics, and join the answers."""
     answers: dict[str, Conclusion] = {}
 
     def note(topic: str, conclusion: Conclusion) -> None:
@@ -251,14 +251,14 @@ def told_together(
 
 
 CALLS = QoSProfile(depth=100)
-"""With the usual depth of 10, calls of a storm overwrite each other before they are read."""
+"""With the default depth of 10, many calls at once would overwrite each other in the queue."""
 
 
 class Services:
     """Offers the services.
 
-    `short` ones answer at once, one of them is `start`; `slow` ones answer when they are done.
-    `note` is given each error in a service, of which its caller is informed as well.
+    `short` services, which include `start`, answer at once; `slow` services answer when they are
+    done. `note` takes each error in a service; the caller receives the error as well.
     """
 
     def __init__(
@@ -271,8 +271,8 @@ class Services:
     ) -> None:
         self._node, self._turns, self._note = node, turns, note
         self._start = short["start"]
-        # A waiting coroutine holds its group: with one of its own nothing else starves, and
-        # being reentrant it lets a second call in, to be refused with the reason.
+        # A waiting coroutine blocks its callback group, so the services have their own group. It is
+        # reentrant, so that a second call can be refused with the reason.
         waiting = ReentrantCallbackGroup()
         actions: dict[str, Action] = {"calibrate": self._calibrate, "finish": self._finish, **short}
         actions |= {name: partial(self._told, ask) for name, ask in slow.items()}
@@ -302,8 +302,8 @@ class Services:
     async def _told(self, ask: Ask) -> Conclusion:
         """Ask, and wait for the answer."""
         future: Future = Future(executor=self._node.executor)
-        # An rclpy before 2026 does not wake for a future that a coroutine waits for, but for a
-        # callback of it.
+        # Before 2026, rclpy wakes for the callback of a future, but not for a coroutine that
+        # awaits it.
         future.add_done_callback(lambda _: None)
         ask(future.set_result)
         return await future
@@ -313,9 +313,9 @@ class Services:
             try:
                 found = action()
                 conclusion = found if isinstance(found, Conclusion) else await found
-            except Exception as error:  # whatever it is, the caller is answered
+            except Exception as error:  # any error: the caller must be answered
                 self._note(error)
-                words = f"an error in the node: {error}; see its log"
+                words = f"an error in the node: {error}; see the node's log"
                 conclusion = Conclusion(False, words)
             response.success, response.message = conclusion.success, conclusion.message
             return response

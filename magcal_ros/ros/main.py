@@ -1,9 +1,8 @@
 """The executable `ros2 run magcal_ros calibrator`.
 
-Signals that end the process come from a person, a supervisor or a closed terminal. rclpy's own
-handlers take the context down first, and then nothing can be published any more: a robot that turns
-would not be stopped. Here a signal calls a listener in a thread of its own, so that a callback that
-does not return cannot delay it.
+Signals that end the process come from the user, a supervisor or a closed terminal. rclpy's signal
+handlers shut down the context first; then no zeros can be published to stop a robot that turns.
+Here a signal calls a listener in a separate thread, so that a blocked callback cannot delay it.
 """
 
 from __future__ import annotations
@@ -23,23 +22,23 @@ from magcal_ros.ros.node import Calibrator
 
 NAMES = ("INT", "TERM", "HUP", "QUIT", "ABRT", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU")
 SIGNALS = tuple(getattr(signal, f"SIG{name}") for name in NAMES)
-"""Every one that would end the process and can be caught: a robot that turns must be stopped."""
+"""All signals that would end the process and can be caught, so that a moving robot is stopped."""
 
 
 class EndSignals:
-    """Notes that the process was told to end; to be made before the middleware starts threads."""
+    """Catches the signals that end the process; create it before the middleware starts threads."""
 
     def __init__(self) -> None:
         self._reader, writer = os.pipe()
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         for number in SIGNALS:
-            # nohup means: stay when the terminal goes.
+            # Under nohup the process continues when the terminal is closed.
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, lambda *_: None)
 
     def when_given(self, listener: Callable[[], None]) -> None:
-        """Call back once, from another thread; at once if a signal has come already."""
+        """Call `listener` once, from another thread; at once if a signal has come already."""
 
         def watch() -> None:
             os.read(self._reader, 1)
@@ -49,20 +48,20 @@ class EndSignals:
 
 
 SWITCH_INTERVAL = 0.0005
-"""Seconds after which the thread that hands over a turn or stores a calibration gives way to a
-message that waits. With Python's own 5 ms a message that came then would be late by as much."""
+"""Python's switch interval between threads, seconds. With the default of 5 ms, background work
+would delay messages by as much."""
 
 LAST_RESORT = 8.0
-"""Seconds after which a process that is to end is gone, whatever it still waits for: a lock
-of the middleware that another process took with it, say. `ros2 launch` kills after 10."""
+"""Seconds after which the process exits even if it is blocked, for example by a lock of the
+middleware that a dead process holds. `ros2 launch` kills after 10."""
 
 ENDING = 1.0
-"""Seconds that a callback of the sensors may take to return when the node is being ended."""
+"""Seconds that a callback of the sensors may take to return while the node shuts down."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node until a signal ends it; returns the exit status."""
-    # Fits and reports are computed in processes started from here.
+    # The limit also holds for the worker processes that this process starts.
     use_one_thread()
     signals = EndSignals()
     if arguments is None:
@@ -83,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ExternalShutdownException:
         pass
     except Exception:
-        # The context may go away in the middle of a callback: that is an end, no fault.
+        # If the context was shut down during a callback, the error is no fault.
         if rclpy.ok():
             raise
     finally:
@@ -97,7 +96,7 @@ def _spin(node: Calibrator, signals: EndSignals) -> None:
     spinner = node.spinner()
 
     def end() -> None:
-        # From the signals' thread, so that the robot stops even if a callback hangs.
+        # Called in the signals' thread, so that the robot stops even if a callback is blocked.
         last_resort = threading.Timer(LAST_RESORT, os._exit, [0])
         last_resort.daemon = True
         last_resort.start()

@@ -1,4 +1,4 @@
-"""What the motors do at the moment, and the field that they add."""
+"""The state of the motors, and the magnetic field that they add."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros.threads import SENSOR_DATA
-from magcal_ros.ros.travel import BETTER, Travel
+from magcal_ros.ros.travel import BETTER_SIGMA_RATIO, Travel
 
-PAUSE = 60  # seconds of learning between two writings of the file
+PAUSE = 60  # seconds of learning between two saves
 
 
 class Commands:
-    """Receives the commanded speed while something publishes it.
+    """Receives the commanded speed, in the message type of its publisher.
 
-    The type is that of the publisher. Nothing is subscribed to while the wheels measure a speed, or
-    while this node turns the robot and counts the subscribers of its commands.
+    There is no subscription while wheels measure the speed, or while this node turns the robot and
+    counts the subscriptions of its own commands.
     """
 
     def __init__(self, node: Node, up: UpFollower) -> None:
@@ -41,7 +41,7 @@ class Commands:
 
     @property
     def is_heard(self) -> bool:
-        """Whether a command has come since this subscribes."""
+        """Whether a command has arrived since the subscription."""
         return math.isfinite(self._speed)
 
     def speed_near(self, stamp: float) -> float:
@@ -49,18 +49,18 @@ class Commands:
         return self._speed if abs(stamp - self._received) < SILENT else math.nan
 
     def follow(self, is_wanted: bool) -> None:
-        """Subscribe or leave, once a second."""
+        """Subscribe or unsubscribe, once a second."""
         if not is_wanted:
             self.leave()
             return
         kinds = {kind.__name__: kind for kind in (Twist, TwistStamped)}
         own = self._node.get_name(), self._node.get_namespace()
-        spoken = [
+        published = [
             each.topic_type.rsplit("/", 1)[-1]
             for each in self._node.get_publishers_info_by_topic(self.topic)
             if (each.node_name, each.node_namespace) != own
         ]
-        kind = next((kinds[each] for each in spoken if each in kinds), None)
+        kind = next((kinds[each] for each in published if each in kinds), None)
         present = None if self._subscription is None else self._subscription.msg_type
         if kind is not None and kind is not present:
             self.leave()
@@ -69,19 +69,19 @@ class Commands:
             )
 
     def leave(self) -> None:
-        """Subscribe no longer."""
+        """Unsubscribe."""
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
         self._subscription, self._speed = None, math.nan
 
     def _on_command(self, message: Twist | TwistStamped) -> None:
-        # A command holds from when it comes, on the clock of the sensors.
+        # The time of a command is that of its arrival, on the clock of the sensors.
         twist = message.twist if isinstance(message, TwistStamped) else message
         self._speed, self._received = float(twist.linear.x), self._up.newest_stamp
 
 
 class Motors:
-    """Follows what motors do, by gyro, wheels and battery, and learns the field that they add."""
+    """Determines the state of the motors by gyro, wheels and battery, and learns their field."""
 
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
         self._up, self._travelling = up, travel.travelling
@@ -96,9 +96,9 @@ class Motors:
         node.create_subscription(BatteryState, "battery", self._on_battery, SENSOR_DATA)
 
     def running(self, stamp: float, motors: MotorField | None) -> Running:
-        """Return what the motors do at the stamp of a field message, seconds.
+        """Return the state of the motors at the stamp of a field message, seconds.
 
-        Of the current what is beyond that of the calibration of `motors` counts.
+        The current is relative to the reference current of `motors`.
         """
         rate = self._up.rate if self._up.is_propagated else None
         current = self._current if abs(stamp - self._received) < SILENT else math.nan
@@ -113,7 +113,7 @@ class Motors:
         return () if math.isnan(self._current) else ((self._received, self._current),)
 
     def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
-        """Learn from a sample; returns it without what the motors add, as a compass knows them."""
+        """Learn from a sample; returns it without the field of the motors known to a compass."""
         if compass is not self._compass:
             self._use(compass)
         if compass is None:
@@ -131,12 +131,12 @@ class Motors:
         return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
 
     def follow(self, mode: Mode, is_turning: bool, kept: MotorField | None) -> MotorField | None:
-        """Use what was learnt, once a second; returns what is to be kept in place of `kept`."""
-        # Where this node turns the robot, it counts the subscribers of its commands.
+        """Use the learnt field, once a second; returns a field to store in place of `kept`."""
+        # While this node turns the robot, it counts the subscriptions of its commands.
         self.commands.follow(not self._travelling.has_wheels and not is_turning)
         if mode is Mode.OFF:
             self._learning = None
-        # Asked once a second, as it holds for long, and not for each message.
+        # Determined once a second and not for each message, because it rarely changes.
         known = self._current, self.commands.speed_near(self._up.newest_stamp)
         has_input = self._travelling.has_wheels or any(map(math.isfinite, known))
         self._learns = has_input and mode is not Mode.OFF
@@ -148,20 +148,20 @@ class Motors:
         self._waited += 1
         if mode is not Mode.APPLY or self._waited < PAUSE:
             return None
-        if not motors.improves_on(kept, BETTER):
+        if not motors.improves_on(kept, BETTER_SIGMA_RATIO):
             return None
         self._waited = 0
         return motors
 
     def _use(self, compass: Compass | None) -> None:
-        """Take another calibration; the motors are the same, and so are their inputs."""
+        """Take another calibration, and keep the inputs of the motors."""
         before = None if self._compass is None else self._compass.motors
         self._compass, self._learning, self._has_learnt = compass, None, False
         if compass is not None and compass.motors is not None and before is not None:
             compass.use_motors(compass.motors.and_of(before))
 
     def facts(self, compass: Compass | None) -> dict[str, Any] | None:
-        """Return the part of `~/status` on the motors; None where nothing is known of them."""
+        """Return the part of `~/status` on the motors; None if their field is unknown."""
         motors = None if compass is None else compass.motors
         if motors is None:
             return None
@@ -196,7 +196,8 @@ class Motors:
         return f"gyro and {speed}" if is_known else "gyro"
 
     def _on_battery(self, message: BatteryState) -> None:
-        # Zero stamps are usual in drivers of batteries: the IMU's newest is as good.
+        # Many drivers of batteries send zero stamps, so the newest stamp of the IMU replaces a
+        # stamp that is far from it.
         stamp = seconds(message.header.stamp)
         newest = self._up.newest_stamp
         self._received = stamp if abs(stamp - newest) < SILENT else newest

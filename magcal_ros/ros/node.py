@@ -29,12 +29,12 @@ from magcal_ros.ros.sensor_frames import LATCHED
 from magcal_ros.ros.threads import SENSOR_DATA, Spinner
 from magcal_ros.ros.wire import Unreadable, read_imu
 
-TICK = 0.1  # seconds between looks at a turn under way; at rest nothing ticks
+TICK = 0.1  # seconds between checks of a turn under way; without a turn this timer is stopped
 HEARTBEAT = 1.0  # seconds between diagnostics, and between repetitions of the bias
 
 
 class Calibrator(Node):
-    """Calibrates a magnetometer from one turn and publishes what it measures from then on."""
+    """Calibrates magnetometers from one turn, and publishes corrected fields and the heading."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
@@ -69,7 +69,7 @@ class Calibrator(Node):
         )
         for number in range(FIRST + 1, self._table.settings.magnetometers + 1):
             Magnetometer(self, pipeline, number)
-        # Deadlines and heartbeats go on while simulated time stands still.
+        # Timers use the steady clock, because simulated time may be paused.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick = self.create_timer(TICK, self._on_tick, clock=steady)
         self._look = self.create_timer(PERIOD, self._on_look, clock=steady)
@@ -92,15 +92,15 @@ class Calibrator(Node):
         Services(self, magnetometers, quick, slow, self._on_callback_error)
 
     def close(self) -> None:
-        """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
+        """Discard a turn under way; an accepted calibration is on disk already."""
         self.rotator.halt()
         self._magnetometers.shut_down()
         self._keeping.worker.end()
         self._known.worker.end()
 
     def spinner(self) -> Spinner:
-        """Return what serves this node, its sensors with the least effort; one at a time."""
-        # Wheels are of no use without the IMU, and need not wake the node between its messages.
+        """Return the executor of this node, with an efficient thread for the sensors."""
+        # Odometry is useless without the IMU, so it does not wake the node between IMU messages.
         wheels, *receiver = self._travel.subscriptions
         sensors = self._imu_subscription, self._first.subscription
         subscriptions = [*sensors, *receiver, self._known.antenna.subscription]
@@ -108,12 +108,12 @@ class Calibrator(Node):
         return Spinner(self, subscriptions, group, self._on_callback_error, [wheels])
 
     def _on_callback_error(self, error: Exception) -> None:
-        # What failed may be what watches the turn.
+        # The failed callback may be the one that supervises the robot.
         reason, stop = self._callback_errors.note(error), self._control.turn.stop_robot
         self._control.tell(stop, reason, monotonic())
 
     def note_error(self, error: Exception) -> None:
-        """Take note of an error that ends a turn."""
+        """Note an error that ends a turn."""
         self._callback_errors.note(error)
 
     def _on_imu(self, data: bytes) -> None:
@@ -139,7 +139,7 @@ class Calibrator(Node):
             self._pipeline.on_imu(sample.stamp, stamp)
 
     def sample_came(self, magnetometer: Magnetometer, sample: FieldSample) -> None:
-        """Take a field sample, before the heading that follows from it."""
+        """Take a field sample before its heading is computed."""
         if magnetometer is self._first:
             self._up.add_field(sample.stamp, sample.field)
             at_rest = self._pipeline.motors.take(magnetometer.compass, sample)
@@ -147,13 +147,13 @@ class Calibrator(Node):
             self._known.on_field(at_rest)
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
-        """Take note of sensors that send for the first time, or under another name."""
+        """Note the first message of a sensor, or a new frame."""
         self._magnetometers.add(magnetometer)
         if magnetometer is self._first:
             imu, field = self._inputs.imu.frame, self._inputs.field.frame
             self._frames.note_sensors(imu, field)
             if self._sensors not in (("", ""), (imu, field)):
-                # What other sensors measured does not count.
+                # Samples of other sensors are not used.
                 self._keeping.machine.forget()
                 self._known.forget()
             self._sensors = imu, field
@@ -171,7 +171,7 @@ class Calibrator(Node):
         return opened
 
     def calibration_changed(self, magnetometer: Magnetometer) -> None:
-        """Let the heading follow what is in force."""
+        """Use the new calibration in force for the heading."""
         if magnetometer is self._first:
             self._keeping.machine.put_in_force(self._keeper.calibration)
         self._pipeline.use({each.number: each.keeper for each in self._magnetometers.heard})
@@ -186,11 +186,11 @@ class Calibrator(Node):
             return Conclusion(True, "there was no calibration in force")
         return Conclusion(
             True,
-            "no calibration is in force any more; its file stays and is used at the next start",
+            "no calibration is in force any more; the file is kept and is used at the next start",
         )
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:
-        """Publish how a turn ended, before those who wait for it are answered."""
+        """Publish the result of a turn, before the waiting callers are answered."""
         if magnetometer is self._first:
             self._publish_status()
             self._draw()

@@ -1,4 +1,4 @@
-"""The outputs of a field message: the corrected field, the yaw, and the markers."""
+"""The publishers of corrected fields, headings and markers."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class FieldOutput:
         self._bias = None
         if compass is not None:
             correction = compass.calibration.correction
-            # Drivers send the same covariance with every message.
+            # Cached, because drivers send the same covariance with every message.
             self._rotated = lru_cache(maxsize=1)(partial(_rotated, correction))
             self._bias = wire.bias_message(correction, magnetometer_frame)
             self.repeat_bias(None)
@@ -78,7 +78,7 @@ def _rotated(correction: Correction, covariance: bytes) -> tuple[float, ...]:
     sigma = np.frombuffer(covariance, "<f8").reshape(3, 3)
     with np.errstate(over="ignore", invalid="ignore"):
         rotated = correction.covariance(sigma)
-    # By convention zeros stand for a covariance that is not known.
+    # By convention, zeros mean an unknown covariance.
     return tuple(rotated.ravel().tolist()) if np.isfinite(rotated).all() else (0.0,) * 9
 
 
@@ -97,7 +97,7 @@ class AttitudeOutput:
     def publish(
         self, stamp: bytes, frame: str, heading: Heading, reference: ReferenceField | None = None
     ) -> None:
-        """Publish a heading, to true north by a reference field with a declination."""
+        """Publish a heading; it refers to true north if a reference field is given."""
         if self.is_wanted:
             declination, sigma = None, 0.0
             if reference is not None:
@@ -114,7 +114,7 @@ NO_DECLINATION = (
 
 
 class HeadingOutput:
-    """Publishes the heading of each field message; what nobody subscribes to is not filled in."""
+    """Publishes the heading of each field message on the topics that have a subscription."""
 
     def __init__(self, node: Node, frames: SensorFrames) -> None:
         self._node, self._frames = node, frames
@@ -130,10 +130,10 @@ class HeadingOutput:
                 self._azimuths[north] = out
         self._doubt: FieldDoubt | None = None
         self.moment: Moment | None = None
-        """The newest field message under the calibration in force, with the published variance."""
+        """Result of the newest field message with the calibration in force, None before it."""
 
     def complaints(self, reference: ReferenceField) -> list[str]:
-        """Return what consumers of the heading have to know."""
+        """Return warnings for subscribers of the heading."""
         found = []
         is_silent = self.moment is not None and reference.declination is None
         if is_silent and self._attitudes["true"].is_wanted:
@@ -155,12 +155,12 @@ class HeadingOutput:
         )
 
     def begin_anew(self, calibration: Calibration | None) -> None:
-        """Forget what came before: another calibration is in force, or none."""
+        """Start again with another calibration, or with none."""
         self._doubt = None if calibration is None else FieldDoubt(calibration)
         self.moment = None
 
     def publish(self, moment: Moment, stamp: bytes, frame: str, reference: ReferenceField) -> None:
-        """Publish everything that follows from one field message."""
+        """Publish the heading of one field message on all its topics."""
         moment, declination = self._with_doubt(moment), reference.declination
         self.moment = moment
         view = self._frames.view
@@ -178,7 +178,7 @@ class HeadingOutput:
                 out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
     def _with_doubt(self, moment: Moment) -> Moment:
-        """Return the moment with a larger yaw variance where its field is disturbed."""
+        """Return the moment with a larger yaw variance if its field is disturbed."""
         heading, up = moment.heading, moment.up
         if heading is None or up is None or self._doubt is None:
             return moment
@@ -188,7 +188,7 @@ class HeadingOutput:
 
 
 def azimuth_type() -> Any:
-    """Return compass_interfaces/msg/Azimuth; None where that package is not installed."""
+    """Return compass_interfaces/msg/Azimuth; None if that package is not installed."""
     try:
         return importlib.import_module("compass_interfaces.msg").Azimuth
     except ImportError:
@@ -209,17 +209,17 @@ class FusedOutput:
         self._frames = frames
         self.patience = PATIENCE
         self.is_needed = False
-        """Whether the yaw is propagated without a subscriber."""
+        """Whether the yaw is propagated even without a subscription."""
         self._out = AttitudeOutput(node, TOPIC)
         self._follower = follower
         self._calibration: Calibration | None = None
         self.yaw: FusedYaw | None = None
-        """The yaw that is propagated; None while none is."""
+        """The yaw filter; None while it does not run."""
 
     def begin_anew(self, calibration: Calibration | None) -> None:
-        """Forget the yaw: another calibration is in force, or none.
+        """Start again with another calibration, or with none.
 
-        While two antennas measure it, no compass is needed.
+        A yaw that is measured by another device is kept.
         """
         self._calibration = calibration
         if calibration is not None and self.yaw is not None and self.yaw.has_external_yaw:
@@ -228,7 +228,7 @@ class FusedOutput:
             self.yaw = None
 
     def on_imu(self, seconds: float, stamp: bytes, frame: str, reference: ReferenceField) -> None:
-        """Propagate the yaw to an IMU message, and publish it there."""
+        """Propagate the yaw to an IMU message, and publish it."""
         if self._calibration is None:
             return
         if not (self._out.is_wanted or self.is_needed):
@@ -248,7 +248,7 @@ class FusedOutput:
             self._out.publish(stamp, frame, seen, reference)
 
     def on_field(self, moment: Moment) -> None:
-        """Let a field message correct the yaw."""
+        """Correct the yaw by a field message."""
         if self.yaw is None or not self._follower.is_propagated:
             return
         if moment.up is not None and moment.heading is not None:
@@ -256,7 +256,7 @@ class FusedOutput:
             self.yaw.correct(moment.stamp, moment.field, moment.up, moment.heading)
 
     def diagnostic(self) -> DiagnosticStatus:
-        """Say whether the yaw is published, and whether the field corrects it."""
+        """Return the diagnostic of the fused yaw: its output and the state of the field."""
         silence, level = self._silence(), DiagnosticStatus.OK
         if silence:
             level = level if self.yaw is None else DiagnosticStatus.WARN
@@ -270,7 +270,7 @@ class FusedOutput:
             values["last disturbance"] = detector.last.in_words
         if detector.trust is not Trust.GOOD:
             level = DiagnosticStatus.WARN
-            message = f"the field is not the calibrated one and {detector.trust.value}"
+            message = f"the field differs from the calibrated one and {detector.trust.value}"
             if detector.trust is Trust.IGNORED and detector.last is not None:
                 message += f": {detector.last.in_words}; the gyro alone propagates the yaw"
         elif self.yaw.dispute is not None and self.yaw.is_disputed:
@@ -280,7 +280,7 @@ class FusedOutput:
         return wire.diagnostic("Fused", message, values, level)
 
     def _silence(self) -> str:
-        """Say why nothing is published; empty if something is."""
+        """Return why nothing is published; empty if the yaw is published."""
         if self._calibration is None:
             return "no fused yaw before a calibration is in force"
         if self.yaw is None or not self._out.is_wanted:
@@ -313,14 +313,14 @@ AXIS = (0.3, 0.3, 0.3)
 
 
 class TurnMarkers:
-    """Publishes the drawing of a turn, once for each window of it."""
+    """Publishes the markers of a turn, once for each window of samples."""
 
     def __init__(self, node: Node) -> None:
         self._out = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._drawn: Window | None = None
 
     def draw(self, turn: TurnMachine, to_body: FloatArray, frame: str) -> None:
-        """Draw the window of the moment; a turn under way has a new one with each preview."""
+        """Draw the newest window; during a turn each preview has a new window."""
         window = turn.last_window
         if window is None or window is self._drawn:
             return
@@ -336,9 +336,9 @@ class TurnMarkers:
 def turn_markers(
     window: Window, to_body: FloatArray, estimate: Estimate | None, frame: str
 ) -> MarkerArray:
-    """Draw a turn under way (without an estimate), or a fitted one, in place of what was drawn.
+    """Return the markers of a turn, fitted if there is an estimate; they replace earlier ones.
 
-    `to_body` (3, 3) turns the magnetometer's axes to nominal body axes; all is in the IMU's frame.
+    `to_body` (3, 3) rotates the magnetometer's axes to nominal body axes. `frame` is the IMU's.
     """
     every = max(1, len(window) // MOST_POINTS)
     shown = window.field @ to_body.T
@@ -347,7 +347,7 @@ def turn_markers(
     if estimate is not None:
         shown, up = estimate.correction.apply(window.field), estimate.axis
         drawn.append(_marker("corrected", Marker.POINTS, CORRECTED, shown[::every], *size))
-    # A robot that has not turned yet draws no circle.
+    # There is no circle before the robot has turned.
     with contextlib.suppress(Refusal):
         drawn += _circle(fit_circle_in_space(shown, up), shown)
     ends = np.stack([np.zeros(3), up]) / METRES_PER_TESLA
@@ -370,7 +370,7 @@ def _circle(circle: Circle, points: FloatArray) -> list[Marker]:
 
 
 def _marker(name: str, kind: int, colour: Triple, field: FloatArray, *scale: float) -> Marker:
-    """Draw points of the field; the meaning of its width and height depends on the kind."""
+    """Return a marker with points of the field; the meaning of `scale` depends on the kind."""
     marker = Marker(ns=name, type=kind, action=Marker.ADD)
     marker.pose.orientation.w = 1.0
     marker.scale.x, marker.scale.y = (*scale, 0.0)[:2]

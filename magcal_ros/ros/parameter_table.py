@@ -1,4 +1,4 @@
-"""The one table of parameters: descriptors, checks and the table of doc/node.md come from it."""
+"""The table of parameters, from which descriptors, checks and the table of doc/node.md are made."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from magcal_ros.files.disk import plain
 
 Value: TypeAlias = "bool | int | float | str | tuple[float, ...]"
 LONGEST_TEXT = 4096
-"""Characters of a text, as many as a path may have: it is shown, published and handed on."""
-MOST_SHOWN = 20  # items of a list where it is refused
+"""Characters of a text parameter, as many as a path may have."""
+MOST_SHOWN = 20  # items of a refused list that are shown
 TRUE_NORTH, MAGNETIC_NORTH = "true_north", "magnetic_north"
-"""Choices of a north; plain `true` would be no text in YAML."""
-UNSET = math.nan  # stands for a number that is not known; in YAML it is written .nan or left out
+"""Choices of a north; `true` alone would be a boolean in YAML."""
+UNSET = math.nan  # an unknown number, written as .nan in YAML or left out
 
 
 class Later(Enum):
-    """What of a parameter may be changed while the node runs, by whoever reaches its network."""
+    """Which changes of a parameter are allowed while the node runs, for anyone on its network."""
 
     ANYTHING = "anything"
     NOTHING = "nothing"
-    FILE = "a file below the package's own folder, or the one that was given at start"
-    FOLDER = "a folder below the package's own or the one that was given at start"
-    SWITCH_OFF = "switched off, and on only where that was allowed at start"
+    FILE = "a file below the package's folder, or the one given at start"
+    FOLDER = "a folder below the package's folder or below the one given at start"
+    SWITCH_OFF = "switched off, and switched on only if that was allowed at start"
 
 
 class Span(NamedTuple):
@@ -55,12 +55,12 @@ class Spec:
     """One row of the table."""
 
     name: str
-    default: Value  # which also fixes the type
+    default: Value  # also determines the type
     span: Span = ANY
     choices: tuple[str, ...] = ()  # allowed texts; empty for any
     later: Later = Later.ANYTHING
     words: tuple[str, ...] = ("",)
-    """Texts that are no path, of a parameter that is one otherwise."""
+    """Texts with another meaning, for a parameter that is otherwise a path."""
     description: str = ""
 
     def means(self, description: str) -> Spec:
@@ -74,7 +74,7 @@ class Spec:
         return isinstance(default, float) and math.isnan(default)
 
     def parse(self, value: Any) -> Value:
-        """Return a value in the right type; a ValueError says what would be right."""
+        """Return a value in the right type; raises ValueError with the allowed values."""
         default = self.default
         if isinstance(default, bool):
             return value if isinstance(value, bool) else self._refuse("true or false", value)
@@ -102,7 +102,7 @@ class Spec:
             self._refuse(f"{count} numbers, as in {self.yaml_default}", value)
         numbers = tuple(self._parse_number(item) for item in items)
         if len({math.isnan(number) for number in numbers}) > 1:
-            self._refuse("known as a whole or not", value)
+            self._refuse("either all numbers or all .nan", value)
         return numbers
 
     def _parse_number(self, value: Any) -> float:
@@ -122,7 +122,7 @@ class Spec:
 
     @property
     def constraints(self) -> str:
-        """What is allowed, in words; empty for anything."""
+        """The allowed values in words; empty for any."""
         if self.choices:
             return "one of " + ", ".join(choice or '""' for choice in self.choices)
         low, high, unit = self.span
@@ -148,10 +148,10 @@ def _yaml(value: Value) -> str:
 
 
 def _number(value: Any) -> float | None:
-    """Return a number, also one that came as text; None for anything else.
+    """Return a number, also from a text; None for anything else.
 
-    `ros2 param load` and `set` send NaN and 1e-5 as texts, which Python and YAML 1.1 write
-    differently.
+    `ros2 param load` and `set` send NaN and 1e-5 as texts, because YAML 1.1 does not read Python's
+    notation of them as numbers.
     """
     if isinstance(value, str):
         text = value.strip().lower()
@@ -168,7 +168,7 @@ def _number(value: Any) -> float | None:
 
 
 def _items(value: Any) -> list[Any] | None:
-    """Return a list's items, also of one that `ros2 param` sends as text; None if it is none."""
+    """Return the items of a list, also from the text of `ros2 param`; None for anything else."""
     if isinstance(value, str):
         text = value.strip()
         return text[1:-1].split(",") if text[:1] == "[" and text[-1:] == "]" else None
@@ -178,7 +178,7 @@ def _items(value: Any) -> list[Any] | None:
 
 
 def _shown(value: Any) -> str:
-    """Write a value as a person would have typed it, or how it begins: it may be of any size."""
+    """Return a value as a user would type it; a long one is shortened."""
     items = None if isinstance(value, str) else _items(value)
     if items is not None:
         more = ", …]" if len(items) > MOST_SHOWN else "]"
@@ -201,22 +201,21 @@ PARAMETERS: tuple[Spec, ...] = (
         "$ROS_HOME/magcal or below the one given at start can be set"
     ),
     Spec("reports_kept", 50, Span(1, 100_000)).means(
-        "How many reports are kept beside those of turns that were put in force; older ones are "
-        "removed"
+        "How many reports are kept, in addition to those of turns that were put in force; older "
+        "ones are removed"
     ),
     Spec("memory_limit_mb", 1024, Span(256, 1_000_000, "MB"), later=Later.NOTHING).means(
-        "How much more memory than at its start the node may use, so that a false request for "
-        "millions of values fails. Read when the node starts; fits are not limited"
+        "How much memory the node may use in addition to that at its start, so that a malformed "
+        "request for millions of values fails. Read when the node starts; fits are not limited"
     ),
     Spec("method", METHODS[0], choices=METHODS).means(METHOD_WORDS),
     Spec("accumulate", False).means(
         "Join the next turns, made on different tilts, into one estimate of the full correction, "
-        "installation yaw included; false: each turn stands alone"
+        "installation yaw included; false: each turn is used alone"
     ),
     Spec("self_calibration", "propose", choices=tuple(mode.value for mode in Mode)).means(
-        "What is done with a calibration from ordinary driving that has proved better: propose it "
-        "(call ~/accept), apply it (and take it back where it proves worse), or off: none is "
-        "looked for"
+        "What is done with a calibration from ordinary driving that is better on held-out data: "
+        "propose it (call ~/accept), apply it (and go back if it proves worse), or off: no search"
     ),
     Spec("reference.strength_ut", UNSET, Span(15.0, 100.0, "µT")).means(
         "Strength of the Earth's field here; .nan to take it from the World Magnetic Model"
@@ -249,57 +248,57 @@ PARAMETERS: tuple[Spec, ...] = (
         "Known gains of the sensor's axes"
     ),
     Spec("base_frame", "").means(
-        "Frame that the attitudes are published for, given by the fixed joints of "
-        "robot_description or the static transforms. Empty: the IMU's own"
+        "Frame for which the attitudes are published, given by the fixed joints of "
+        "robot_description or the static transforms. Empty: the IMU's frame"
     ),
     Spec("vehicle_yaw_deg", UNSET, Span(-360.0, 360.0, "°")).means(
-        "Yaw of the IMU in the vehicle by hand, to the left of its front, for base_frame and for "
-        "calibration by a circle or a drive; .nan for what the robot's description says, corrected "
-        "by up to 15° by what driving shows"
+        "Yaw of the IMU in the vehicle, to the left of the vehicle's front, for base_frame and for "
+        "calibration by a circle or a drive; .nan for the yaw in the robot's description, "
+        "corrected by up to 15° by an estimate while driving"
     ),
     Spec("mount_rpy_deg", (UNSET, UNSET, UNSET), Span(-360.0, 360.0, "°")).means(
         "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF; .nan for "
-        "what the robot's description says if base_frame is set, else zero"
+        "the values in the robot's description if base_frame is set, else zero"
     ),
     Spec("mount_2_rpy_deg", (UNSET, UNSET, UNSET), Span(-360.0, 360.0, "°")).means(
         "The same for the magnetometer on imu/mag_2"
     ),
     Spec("magnetometers", 2, Span(1, 8), later=Later.NOTHING).means(
-        "How many magnetometers are listened to: imu/mag, imu/mag_2, imu/mag_3 and so on. One that "
-        "is silent from the start does not count. Read when the node starts"
+        "How many magnetometers are subscribed to: imu/mag, imu/mag_2, imu/mag_3 and so on. A "
+        "topic without messages is ignored. Read when the node starts"
     ),
     Spec("confidence.target_sigma_deg", 0.5, Span(0.01, 10.0, "°")).means(
         "Predicted heading error (1 σ, on level ground) at which a complete turn is enough; after "
         "1.2 turns, up to twice as much is accepted"
     ),
     Spec("known_heading.yaw_deg", UNSET, Span(-360.0, 360.0, "°")).means(
-        "Heading at which the robot stands when ~/calibrate_at_heading is called: ENU yaw, 0 to "
-        "the east, 90 to the north, positive to the left; .nan for that of the topic heading"
+        "Heading of the robot when ~/calibrate_at_heading is called: ENU yaw, 0 to the east, 90 to "
+        "the north, positive to the left; .nan for the heading on the topic heading"
     ),
     Spec("known_heading.north", "", choices=("", TRUE_NORTH, MAGNETIC_NORTH)).means(
-        "Which north known_heading.yaw_deg is to; there is no default"
+        "Which north known_heading.yaw_deg refers to; there is no default"
     ),
     Spec("known_heading.sigma_deg", 2.0, Span(0.05, 30.0, "°")).means(
         "Standard deviation of known_heading.yaw_deg"
     ),
     Spec("known_heading.topic_north", TRUE_NORTH, choices=(TRUE_NORTH, MAGNETIC_NORTH)).means(
-        "Which north the topic heading is to; that of two antennas is true"
+        "Which north the topic heading refers to; for two antennas it is true north"
     ),
     Spec("window.timeout_s", 90.0, Span(2.0, 3600.0, "s")).means(
-        "A turn is used or refused after this time, whatever was seen"
+        "A turn ends after this time at the latest, and is used or refused"
     ),
     Spec("window.silence_s", 10.0, Span(0.5, 600.0, "s")).means(
         "A turn ends when a sensor has been silent for this long"
     ),
     Spec("window.max_gap_s", STREAMS.max_gap, Span(0.001, 5.0, "s")).means(
-        "Between IMU samples further apart than this nothing is interpolated"
+        "Largest gap between IMU samples over which they are interpolated"
     ),
     Spec("fused.patience_s", PATIENCE, Span(1.0, 3600.0, "s")).means(
-        "A field that differs from the calibrated one for this long is taken as the new one"
+        "A field that differs from the calibrated one for this long is accepted as the new field"
     ),
     Spec("rotate.enabled", False, later=Later.SWITCH_OFF).means(
-        "Whether the robot turns itself, by velocities on cmd_vel, when a turn is asked for. "
-        "While the node runs, it can be switched off; on only with rotate.may_be_enabled"
+        "Whether the robot turns itself, by velocities on cmd_vel, when a turn is requested. While "
+        "the node runs, it can be switched off, but switched on only with rotate.may_be_enabled"
     ),
     Spec(MAY_BE_ENABLED, False, later=Later.NOTHING).means(
         "Whether rotate.enabled may be switched on while the node runs, by anyone on its network. "

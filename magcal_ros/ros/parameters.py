@@ -1,4 +1,4 @@
-"""The node's parameters: declared, checked, and changed while it runs."""
+"""Declares and checks the node's parameters, and follows their changes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from magcal_ros.ros.parameter_table import (
 
 @dataclass(frozen=True)
 class Rotation:
-    """Whether and how the robot turns itself."""
+    """The parameters of a robot that turns itself."""
 
     enabled: bool
     speed: float
@@ -48,27 +48,27 @@ class Rotation:
 
 @dataclass(frozen=True)
 class Settings:
-    """The parameters' values in SI units and in the core's own types, under their names."""
+    """The values of the parameters in SI units and in types of the core."""
 
     calibration_file: str
     report_folder: str
     reports_kept: int
     method: str
     accumulate: bool
-    knowledge: Knowledge  # given by hand
+    knowledge: Knowledge  # given by parameters
     limits: Limits
     max_gap: float
     patience: float
-    given: Given  # with the model, what the reference field lacks
+    given: Given  # parts of the reference field, and the place
     rotation: Rotation
-    base_frame: str  # empty for the IMU's
-    mounts: Mapping[int, FloatArray]  # poses that were given, by number of magnetometer
+    base_frame: str  # empty for the IMU's frame
+    mounts: Mapping[int, FloatArray]  # given poses in the IMU's frame, by number of magnetometer
     magnetometers: int
     self_calibration: str
-    vehicle_yaw: float | None  # of the IMU in the vehicle by hand, radians; None without
-    known_heading: ExternalHeading | None  # None without one, or without its north
-    north_is_missing: bool
-    heading_is_true: bool  # the north of the topic `heading`
+    vehicle_yaw: float | None  # of the IMU in the vehicle, radians; None if not given
+    known_heading: ExternalHeading | None  # None if the yaw or the north is not given
+    north_is_missing: bool  # whether only the yaw of the known heading is given
+    heading_is_true: bool  # whether the topic `heading` refers to true north
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
@@ -108,8 +108,8 @@ class Settings:
 class Parameters:
     """The node's parameters, declared, checked and kept as `settings`.
 
-    A value from the command line or a file that is not allowed is reported in the log and replaced
-    by the default: the node stays alive.
+    A value from the command line or a file that is not allowed is logged and replaced by the
+    default, so that the node continues.
     """
 
     def __init__(self, node: Node) -> None:
@@ -122,7 +122,7 @@ class Parameters:
         self._given = dict(self._values)
         self.settings = Settings.of(self._values)
         node.add_on_set_parameters_callback(self._check)
-        # Humble has no callback after all have agreed.
+        # Humble has no callback after all callbacks have accepted a change.
         when_agreed = getattr(node, "add_post_set_parameters_callback", None)
         self._effects_come_later = when_agreed is not None
         if when_agreed is not None:
@@ -130,8 +130,9 @@ class Parameters:
 
     def _declare(self, spec: Spec) -> Any:
         default = list(spec.default) if isinstance(spec.default, tuple) else spec.default
-        # Dynamic typing lets `-p reference.strength_ut:=48` and `[0, 0, 0]` pass as numbers. A
-        # range would end the node on a bad value from a file: it is added after the check.
+        # With dynamic typing, integers such as `-p reference.strength_ut:=48` and `[0, 0, 0]` are
+        # accepted for floats. The range is added after the check, because with a range a bad value
+        # in a file would end the node.
         bare = ParameterDescriptor(
             description=spec.description,
             additional_constraints=spec.constraints,
@@ -149,7 +150,7 @@ class Parameters:
         return value
 
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
-        """Say whether changes are allowed; a later callback may still refuse them."""
+        """Return whether changes are allowed; another callback may still refuse them."""
         try:
             Settings.of(self._changed(changes))
             for change in changes:
@@ -163,8 +164,8 @@ class Parameters:
         return SetParametersResult(successful=True)
 
     def _require_changeable(self, spec: Spec, value: Value) -> None:
-        """Refuse what only those who start the node may choose."""
-        # What rclpy holds: on Humble a change takes effect a little later.
+        """Raise ValueError for a change that is not allowed while the node runs."""
+        # The comparison is with rclpy's value, because on Humble changes take effect later.
         if value == spec.parse(self._node.get_parameter(spec.name).value):
             return
         if spec.later is Later.NOTHING:
@@ -173,7 +174,7 @@ class Parameters:
             )
         if spec.later is Later.SWITCH_OFF and value and not self._given[MAY_BE_ENABLED]:
             raise ValueError(
-                f"{spec.name} can be switched on when the node starts; later only if it was "
+                f"{spec.name} can be switched on when the node starts; later only if the node was "
                 f"started with {MAY_BE_ENABLED}:=true"
             )
         if spec.later in (Later.FILE, Later.FOLDER) and value not in spec.words:
@@ -184,22 +185,22 @@ class Parameters:
         places = [own_folder()]
         if given not in spec.words:
             places.append(chosen_path(given))
-        # Below the file that was given there can only be a folder, which would be in its way.
+        # A path below a given file is not possible, so only a given folder is added.
         within = places if spec.later is Later.FOLDER else places[:1]
         if value != given and not lies_within(chosen_path(value), within):
             named = " or ".join(str(place) for place in places)
             raise ValueError(
-                f"{spec.name} must lie within {named} while the node runs: to use another place, "
+                f"{spec.name} must lie within {named} while the node runs: to use another path, "
                 "restart the node with it"
             )
 
     def _put_in_effect(self, changes: list[Parameter]) -> None:
-        """Use what all callbacks have accepted."""
+        """Use changes that all callbacks have accepted."""
         self._values = self._changed(changes)
         self.settings = Settings.of(self._values)
 
     def _put_in_effect_afterwards(self, changes: list[Parameter]) -> None:
-        """Read the values when the call is over: Humble has no callback for that."""
+        """Read the values after the call, because Humble has no callback for that."""
 
         def look() -> None:
             names = [change.name for change in changes if self._node.has_parameter(change.name)]
@@ -219,7 +220,7 @@ class Parameters:
 
 
 def _with_range(descriptor: ParameterDescriptor, spec: Spec) -> ParameterDescriptor:
-    """Add the range that tools make a slider of; where NaN is allowed rclpy would refuse it."""
+    """Add the range, unless NaN is allowed, which rclpy would refuse with a range."""
     if isinstance(spec.default, (bool, str, tuple)) or spec.may_be_unset:
         return descriptor
     low, high, _ = spec.span

@@ -1,4 +1,4 @@
-"""What a calibration and `doctor` need from the graph: topics, publishers and samples."""
+"""Checks of topics, publishers and samples before a calibration, also used by `doctor`."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from magcal_ros.ros.sensor_frames import Description
 from magcal_ros.ros.wire import read_field, read_imu
 
 MOST_FRAMES = 5
-"""Names of frames that are shown."""
+"""Number of different frames that are shown."""
 
-FEWEST_STAMPS = 10  # stamps that are needed to see whether they come in bursts
+FEWEST_STAMPS = 10  # number of stamps needed to detect bursts
 SLOWEST_FIELD = 5.0  # hertz, below which a turn of 12 s gives too few samples
 
 
 @dataclass(eq=False)
 class Heard:
-    """What came on the topic of a sensor; without `take` the samples are kept."""
+    """The messages on the topic of a sensor; without `take` the samples are stored."""
 
     topic: str
     kind: str
     take: Callable[[ImuSample | FieldSample], None] | None = None
     messages: int = 0
-    frame: str = ""  # the newest
-    frames: set[str] = field(default_factory=set)  # fit to be shown
+    frame: str = ""  # of the newest message
+    frames: set[str] = field(default_factory=set)  # some frames, printable
     samples: list[ImuSample | FieldSample] = field(default_factory=list)
 
     def listen(self, node: Node) -> Subscription:
@@ -65,24 +65,24 @@ class Heard:
 
     @property
     def size(self) -> float:
-        """Median length of the vector, in the unit of the topic; NaN if nothing came."""
+        """Median length of the vector, in the unit of the topic; NaN without samples."""
         vectors = [s.force if isinstance(s, ImuSample) else s.field for s in self.samples]
         return float(np.median(np.linalg.norm(vectors, axis=1))) if vectors else math.nan
 
 
 class Preflight(NamedTuple):
-    """The findings, each a line for people, and whether a turn makes sense."""
+    """The result of the checks."""
 
-    lines: tuple[str, ...]
-    ready: bool
+    lines: tuple[str, ...]  # findings for the user
+    ready: bool  # whether IMU and field arrive
 
 
 def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
-    """Listen to the sensors of a running calibrator."""
+    """Check the sensors of a running calibrator, for `duration` seconds."""
     inputs = _inputs_of(node, calibrator)
     if inputs is None:
         remedy = "start it with `ros2 run magcal_ros calibrator`, or name it with --node"
-        return Preflight((f"the node {calibrator} is not there: {remedy}",), False)
+        return Preflight((f"the node {calibrator} is not running: {remedy}",), False)
     sensors, taken = inputs
     _listen(node, sensors, duration)
     ready = {heard.kind for heard in sensors if heard.messages} == {IMU_TYPE, FIELD_TYPE}
@@ -109,13 +109,13 @@ def _inputs_of(node: Node, calibrator: str) -> tuple[list[Heard], set[str]] | No
         except Exception:  # rclpy raises its own kinds while the node is not discovered yet
             found = []
         imus = [topic for topic, kinds in found if kinds[0] == IMU_TYPE]
-        # A known heading has the same type and is optional.
+        # The topic of known headings has the same type and is optional.
         imus.sort(key=lambda topic: ("heading" in topic, not node.count_publishers(topic)))
         fields = sorted((topic for topic, kinds in found if kinds[0] == FIELD_TYPE), key=len)
         if imus and fields:
-            # A further magnetometer without a publisher does not exist.
-            spoken = [topic for topic in fields if node.count_publishers(topic)] or fields[:1]
-            sensors = [Heard(imus[0], IMU_TYPE), *(Heard(topic, FIELD_TYPE) for topic in spoken)]
+            # The topic of a further magnetometer without a publisher is ignored.
+            active = [topic for topic in fields if node.count_publishers(topic)] or fields[:1]
+            sensors = [Heard(imus[0], IMU_TYPE), *(Heard(topic, FIELD_TYPE) for topic in active)]
             return sensors, {topic for topic, _ in found}
         time.sleep(0.1)
     return None
@@ -175,17 +175,17 @@ def _explain_silence(heard: Heard, publishers: int, elsewhere: Sequence[str]) ->
     return lines
 
 
-OURS = ("_unbiased", "_bias", "/enu/imu")  # how the names of a calibrator's own topics end
-DISCOVERY = 3.0  # seconds in which topics are looked for
+OURS = ("_unbiased", "_bias", "/enu/imu")  # endings of the topics that a calibrator publishes
+DISCOVERY = 3.0  # longest wait for topics, seconds
 
 USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
-"""Which of several topics of a type is meant."""
+"""The default topic, if there are several topics of a type."""
 
 
 def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
-    """Return the topic of a sensor: as wanted, else the only one of this type, or the usual one.
+    """Return `wanted`, or the usual topic of a sensor, or the only topic of this type.
 
-    Misuse if several would do, a MagcalError if there is none.
+    Raises Misuse if several are possible, MagcalError if there is none.
     """
     if wanted:
         return node.resolve_topic_name(wanted)
@@ -209,7 +209,7 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
 
 
 def _of_sensors(node: Node, kind: str) -> list[str]:
-    """Return the topics of a type that somebody publishes, without those of a calibrator."""
+    """Return the published topics of a type, without those of a calibrator."""
     return [
         topic
         for topic, kinds in node.get_topic_names_and_types()
@@ -218,7 +218,7 @@ def _of_sensors(node: Node, kind: str) -> list[str]:
 
 
 class Listener:
-    """Subscribes to both sensors and passes on their samples."""
+    """Subscribes to both sensors and passes their samples to `take`."""
 
     def __init__(
         self,
@@ -236,7 +236,7 @@ class Listener:
 
     @property
     def several_publishers(self) -> list[str]:
-        """The topics on which more than one node publishes, in words."""
+        """The topics with more than one publisher, in words."""
         said = []
         for heard in self.sensors:
             infos = self._node.get_publishers_info_by_topic(heard.topic)
@@ -247,7 +247,7 @@ class Listener:
 
     @property
     def described_pose(self) -> FloatArray | None:
-        """The magnetometer's pose in the IMU by the robot's description; None without one."""
+        """The magnetometer's pose in the IMU frame by the robot's description, if known."""
         imu, field = (known_as(heard.frame) for heard in self.sensors)
         tree = self._description.tree
         if not imu or not field or imu == field or field not in tree.frames:

@@ -1,4 +1,4 @@
-"""Simulated sensors in the graph: a replayed recording, or a robot that a simulated user turns."""
+"""Simulated sensors on topics: a replayed recording, or a simulated robot that is turned."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class SensorSource:
 
     @property
     def listeners(self) -> int:
-        """How many subscriptions both topics have, the less-heard one counting."""
+        """Number of subscriptions, of the topic with fewer."""
         return min(self._imu_out.get_subscription_count(), self._field_out.get_subscription_count())
 
     def publish(self, sample: ImuSample | FieldSample) -> None:
-        """Publish one sample under its own stamp."""
+        """Publish one sample with its own stamp."""
         message = self._imu if isinstance(sample, ImuSample) else self._field
         set_time(message.header.stamp, sample.stamp)
         if isinstance(sample, FieldSample):
@@ -63,7 +63,7 @@ class SensorSource:
 
 
 def set_time(time: Any, stamp: float) -> None:
-    """Put a stamp in seconds into a builtin_interfaces/Time."""
+    """Set a builtin_interfaces/Time to a stamp in seconds."""
     time.sec, time.nanosec = divmod(round(stamp * 1e9), 1_000_000_000)
 
 
@@ -75,7 +75,7 @@ def replay(
     between: Callable[[float], None],
     clock: bool = False,
 ) -> int:
-    """Publish a recording under its own stamps, in its own time or `rate` times faster.
+    """Publish a recording with its own stamps, `rate` times faster than recorded.
 
     `between` is called with the seconds to wait before the next sample; it may spin or sleep.
     Returns the number of samples.
@@ -96,14 +96,14 @@ def replay(
 TURN_RATE = 0.5
 SAMPLES_PER_HEADING = 20
 
-PATIENCE = 30.0  # seconds within which an answer of the node must come, on the slowest machine
+PATIENCE = 30.0  # longest wait for an answer of the node, seconds, on a slow machine
 
 SETTLE = 0.8
-"""Seconds of the robot's time until the node's up vector has followed it into a new pose."""
+"""Simulated seconds until the node's up vector has settled in a new pose."""
 
 
 class Rehearsal:
-    """Drives a simulated robot and calls the node's services."""
+    """Simulates a robot in real time and calls the node's services."""
 
     def __init__(
         self,
@@ -142,11 +142,11 @@ class Rehearsal:
             self._settled_yaws.append(float(rpy_from_rotation(body_to_world)[2]))
 
     def wait_for_node(self, patience: float = PATIENCE) -> None:
-        """Wait until the node listens to the sensors and has published its state."""
+        """Wait until the node has subscribed to the sensors and published its status."""
         deadline = time.monotonic() + patience
         while not (self.source.listeners and self.status):
             if time.monotonic() > deadline:
-                raise MagcalError(f"the node {self._calibrator} did not come up in {patience:g} s")
+                raise MagcalError(f"the node {self._calibrator} did not start in {patience:g} s")
             self._executor.spin_once(timeout_sec=0.05)
 
     def call(self, service: str) -> Any:
@@ -164,7 +164,7 @@ class Rehearsal:
         return future.result()
 
     def reset(self) -> None:
-        """Reset the node, which may have loaded a calibration."""
+        """Reset the node, because it may have loaded a calibration."""
         self.answer(self.call("reset"))
 
     def run(
@@ -173,9 +173,9 @@ class Rehearsal:
         yaw_rate: float | Callable[[], float] = 0.0,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Run the robot for so many wall-clock seconds, or until `stop` returns true.
+        """Run the robot for `seconds` of wall-clock time, or until `stop` returns true.
 
-        Its yaw rate (rad/s) is given, or asked for at each step.
+        `yaw_rate` is a value in rad/s, or a function that is called at each step.
         """
         rate = yaw_rate if callable(yaw_rate) else lambda: yaw_rate
         started = time.monotonic()
@@ -200,7 +200,7 @@ class Rehearsal:
         yaw_rate: float = TURN_RATE,
         patience: float = 120.0,
     ) -> Any:
-        """Call ~/calibrate and turn until it answers; returns the answer."""
+        """Call ~/calibrate and turn the robot until the service answers; returns the answer."""
         future = self.call("calibrate")
         shown = None
 
@@ -218,18 +218,18 @@ class Rehearsal:
     def published_errors(
         self, tilts: Sequence[tuple[float, float]], headings: int = 24
     ) -> list[float]:
-        """Stand at all headings and tilts (degrees) and compare the published yaw, radians.
+        """Return the errors of the published yaw (radians) at rest, at all headings and tilts.
 
-        The yaw is that of `compass/mag/enu/imu`: its stamp identifies the pose, however late it
-        comes.
+        Tilts are in degrees. The yaw is from `compass/mag/enu/imu`, whose stamp identifies the pose
+        even if the message is late.
         """
         if self._attitudes is None:
             self._attitudes = self.node.create_subscription(
                 Imu, "compass/mag/enu/imu", self._on_attitude, 10
             )
 
-        # It rests before it is carried off: an up vector that lost messages in a turn follows
-        # no jump out of it.
+        # The robot rests before the pose jumps, because an up vector that has lost messages in a
+        # turn does not follow such a jump.
         self._settled_yaw()
         errors = []
         for roll, pitch in tilts:
@@ -239,7 +239,7 @@ class Rehearsal:
         return errors
 
     def _settled_yaw(self) -> float:
-        """Let the robot stand and return the mean of the yaws once they are of this pose."""
+        """Keep the robot at rest until the yaw has settled, and return the mean of the yaws."""
         self._settled, self._settled_yaws = self.ride.stamp + SETTLE, []
         self.run(PATIENCE, stop=lambda: len(self._settled_yaws) >= SAMPLES_PER_HEADING)
         if not self._settled_yaws:

@@ -1,4 +1,4 @@
-"""Reports on turns, drawn by a process of their own."""
+"""Reports on turns, written by a worker process."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 NO_REPORTS = "none"
 
 LONGEST = 60.0
-"""Seconds that a report may take. It takes a second or two; longer, the next ones would wait."""
+"""Longest time for a report, seconds; usually it takes one or two."""
 
 
 class Reporter:
     """Writes one report after another without delaying the node.
 
-    Drawing takes a second or two of one core and loads a plotting library, so a process does it
-    that is ended afterwards. It is not ended with the node: a report that was begun is finished.
-    Of the reports that wait, only the newest is drawn.
+    A report takes a second or two of one core and imports a plotting library, so it is written by a
+    worker process, which ends afterwards. A report is finished even if the node ends. Of waiting
+    reports only the newest is written.
     """
 
     def __init__(
@@ -48,9 +48,9 @@ class Reporter:
         self._newest: Path | None = None
 
     def report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
-        """Start the report on a turn in a new folder; returns its place in words, if there is one.
+        """Start the report on a turn in a new folder; returns its location in words, or nothing.
 
-        A node that never calibrates does not load what draws reports.
+        The modules for reports are imported here, so that starting the node does not import them.
         """
         self._newest = None
         if settings.report_folder == NO_REPORTS:
@@ -86,7 +86,7 @@ class Reporter:
         return f"Report: {folder / 'report.html'}."
 
     def put_in_force(self) -> None:
-        """Keep the newest turn's report: its calibration was put in force."""
+        """Mark the newest report as one to keep, because its calibration was put in force."""
         from magcal_ros.report import mark_in_force
 
         if self._newest is not None:
@@ -99,7 +99,7 @@ class Reporter:
 
         if folder != self._newest:
             remove(folder)
-            raise MagcalError("newer turns came before it was drawn")
+            raise MagcalError("there were newer turns before the report was written")
         watchdog = threading.Timer(LONGEST, self._worker.stop)
         watchdog.daemon = True
         watchdog.start()
@@ -107,14 +107,13 @@ class Reporter:
             self._worker.run_once(write_to_the_end, folder, subject)
         except Stopped:
             raise MagcalError(
-                f"its process took more than {LONGEST:g} s, and the node has ended it; check that "
-                "the disk of report_folder answers, and end other programs that keep the machine "
-                "busy"
+                f"its process took more than {LONGEST:g} s and was ended: check that the disk of "
+                "report_folder works, and end other programs that keep the machine busy"
             ) from None
         finally:
             watchdog.cancel()
 
 
 def reports_of(parent: str) -> Path:
-    """Return where reports go, by the parameter report_folder."""
+    """Return the folder of all reports for a value of the parameter report_folder."""
     return chosen_path(parent) if parent else own_folder() / "reports"

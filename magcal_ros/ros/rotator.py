@@ -1,7 +1,7 @@
 """Commands the base of a robot that turns itself, and sends zeros whenever a turn ends.
 
-A guard in a process of its own stands by from the request until the closing zeros are sent, for the
-cases in which this process can send none.
+From the request until the last zeros, a guard in a second process runs, which sends zeros if this
+process cannot.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from magcal_ros.ros.guard import Guard
 from magcal_ros.ros.parameters import Rotation
 
 PERIOD = 0.05  # seconds between velocity messages
-LAST_ZEROS = 5  # how often zero is sent when the process ends, `LAST_PERIOD` seconds apart
+LAST_ZEROS = 5  # zeros that are sent when the process ends, `LAST_PERIOD` seconds apart
 LAST_PERIOD = 0.03
 ACKNOWLEDGED_WITHIN = 0.2
-"""Seconds that the last zeros are given to arrive."""
+"""Longest wait for the acknowledgement of the last zeros, seconds."""
 
 
 class Rotator:
@@ -46,11 +46,11 @@ class Rotator:
 
     @property
     def listeners(self) -> int:
-        """How many subscribe to the velocities."""
+        """Number of subscriptions of the velocities."""
         return 0 if self._out is None else self._out.get_subscription_count()
 
     def prepare(self, rotation: Rotation) -> None:
-        """Make the publisher when it is first needed or the type has changed; start a guard."""
+        """Create the publisher at first, or if the type has changed, and start a guard."""
         if self._made_for is None or self._made_for.stamped != rotation.stamped:
             if self._out is not None:
                 if self._may_move:
@@ -78,18 +78,18 @@ class Rotator:
                 self._may_move = True
 
     def rest(self) -> None:
-        """Note that enough zeros were sent, and end the guard."""
+        """End the guard, after enough zeros were sent."""
         self._may_move = False
         self._dismiss_guard()
 
     def halt(self) -> None:
-        """Stop the robot for good, from any thread; returns when the zeros are on their way."""
-        # A second caller waits: the context must not end before the zeros have been sent.
+        """Stop the robot permanently, from any thread; returns when the zeros are sent."""
+        # A second caller waits, because the context must not end before the zeros are sent.
         with self._halting:
             with self._lock:
                 was_halted, self._halted = self._halted, True
             if self._may_move and not was_halted:
-                # The context may have ended already: then the guard sends the zeros.
+                # If the context has ended already, the guard sends the zeros.
                 with contextlib.suppress(Exception):
                     self._send_last_zeros()
                     self._dismiss_guard()

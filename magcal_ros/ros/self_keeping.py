@@ -1,4 +1,4 @@
-"""Self-calibration in the node: fits in a process of its own, decisions in log and status."""
+"""Self-calibration in the node: fits in a worker process, decisions in log and status."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 if TYPE_CHECKING:
     from magcal_ros.core.keeping.story import DriveStory
 
-NICENESS = 10  # of the process that fits: whatever else the machine does comes first
-IDLE_LOOKS = 300  # heartbeats without a job after which the process and its memory are given back
+NICENESS = 10  # of the worker process, so that other processes have priority
+IDLE_HEARTBEATS = 300  # heartbeats without a job after which the worker process is ended
 
 
 class SelfKeeping:
@@ -42,12 +42,12 @@ class SelfKeeping:
         self._jobs = BackgroundThread(node, "magcal-keep")
         self.worker = WorkerProcess()
         self._idle = 0
-        self.lost = 0  # fits that were never finished
-        self.trouble = ""  # why there is no decision; empty if the last fit was finished
+        self.lost = 0  # number of fits that failed
+        self.trouble = ""  # the failure of the last fit; empty if it succeeded
         self._reports = NO_REPORTS
 
     def on_field(self, sample: FieldSample, travel: Travel) -> None:
-        """Take a field sample, and what the vehicle does."""
+        """Take a field sample, and the state of the vehicle."""
         if self.machine.mode is Mode.OFF:
             return
         self._pairer.offer(sample)
@@ -63,12 +63,12 @@ class SelfKeeping:
         if self.machine.mode is not Mode(mode):
             self.machine.mode = Mode(mode)
             self.machine.forget()
-        if self._idle == IDLE_LOOKS:
+        if self._idle == IDLE_HEARTBEATS:
             self.worker.stop()
 
     @property
     def accept(self) -> Callable[[Tell], None] | None:
-        """What puts the proposal in force; None without one."""
+        """A function that puts the proposal in force; None without a proposal."""
         proposal = self.machine.proposal
         if proposal is None:
             return None
@@ -105,8 +105,8 @@ class SelfKeeping:
         self.machine.fail()
         if not isinstance(error, Stopped):
             self.lost += 1
-            self.trouble = f"self-calibration: no fit was finished lately: {in_words(error)}"
-            self._say(f"{self.trouble}; the next one is tried after twice as long a drive")
+            self.trouble = f"self-calibration: the last fit has failed: {in_words(error)}"
+            self._say(f"{self.trouble}; the next fit follows after a drive twice as long")
 
     def _note(self, findings: Findings) -> None:
         self.trouble = ""
@@ -119,7 +119,7 @@ class SelfKeeping:
             if verb is Verb.PROPOSED:
                 self._tell("call ~/accept to put it in force")
                 continue
-            # Refined, it is the same calibration still, and the one before it is the way back.
+            # A refined calibration needs no backup: the backup of the one before it is kept.
             is_another = verb is not Verb.REFINED
             self._magnetometer.use(calibration, lambda done: self._tell(done.message), is_another)
 
@@ -127,7 +127,7 @@ class SelfKeeping:
         self._say(f"self-calibration: {words}")
 
     def _leave_page(self, calibration: Calibration) -> None:
-        """Write a page on the drive, the samples used and the decisions."""
+        """Start to write a page on the drive, its samples and the decisions."""
         if self._reports == NO_REPORTS:
             return
         from magcal_ros.core.keeping.story import DriveStory
@@ -145,7 +145,7 @@ class SelfKeeping:
 
 
 def run_with_low_priority(job: DriveJob) -> Findings:
-    """Do a job in the worker process at low priority; only there is loaded what it takes."""
+    """Do a job in the worker process at low priority; its modules are imported only there."""
     from magcal_ros.core.keeping.worker import answer
 
     os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
@@ -153,7 +153,7 @@ def run_with_low_priority(job: DriveJob) -> Findings:
 
 
 def write_page(parent: Path, story: DriveStory, log: Window) -> Path:
-    """Draw the page on a decision, with the map of what is remembered; returns it."""
+    """Write the page on a decision, with a map of the recorded drive; returns its path."""
     from magcal_ros.core.keeping.story import path_of_log
     from magcal_ros.report import new_folder
     from magcal_ros.report.drive_page import write_drive_page

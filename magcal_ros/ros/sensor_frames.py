@@ -44,9 +44,9 @@ MOST_FRAMES = 10_000  # frames that are kept; a humanoid with hands has a few hu
 
 
 class Description:
-    """Keeps the joints of `robot_description` and the static transforms, once `listen` is called.
+    """Keeps the joints of `robot_description` and the static transforms after `listen` is called.
 
-    The network may send anything there. Both are read in a thread of their own, and no more than
+    Messages from the network may have any size. They are parsed in a background thread, at most
     `LARGEST` bytes at a time.
     """
 
@@ -60,7 +60,7 @@ class Description:
 
     @property
     def tree(self) -> FrameTree:
-        """What is described."""
+        """The frames and joints that are described."""
         self._thread.deliver()
         return self._tree
 
@@ -84,7 +84,7 @@ class Description:
         self, topic: str, kind: type, joints_in: Callable[[Any], Iterable[FrameJoint]], data: bytes
     ) -> None:
         if self._unread + len(data) > LARGEST:
-            self._complain(f"{topic} has messages above {LARGEST} bytes, and is not read")
+            self._complain(f"{topic} has messages above {LARGEST} bytes and is not read")
             return
         self._unread += len(data)
 
@@ -92,7 +92,7 @@ class Description:
             self._unread -= len(data)
             tree = self._tree.with_joints(joints)
             if len(tree.frames) > MOST_FRAMES:
-                self._complain(f"{topic} names more than {MOST_FRAMES} frames, and is not used")
+                self._complain(f"{topic} has more than {MOST_FRAMES} frames and is not used")
                 return
             self._tree, self.trouble = tree, ""
             self._changed()
@@ -121,7 +121,7 @@ def joints_from(transforms: Iterable[TransformStamped]) -> list[FrameJoint]:
 
 
 def _transform_message() -> type | None:
-    """Return the message of /tf_static where tf2 is installed."""
+    """Return the message type of /tf_static; None if tf2 is not installed."""
     try:
         importlib.import_module("tf2_ros")
         kind: type = importlib.import_module("tf2_msgs.msg").TFMessage
@@ -130,12 +130,12 @@ def _transform_message() -> type | None:
     return kind
 
 
-FAR_OFF = 0.26
-"""Radians between a described and a found pose from which the description is doubted (15°)."""
+DOUBTED_ANGLE = 0.26
+"""Angle between described and estimated pose from which there is a warning, radians (15°)."""
 
 
 class SensorFrames:
-    """Gives the poses of magnetometer and IMU, and the frame that attitudes are published in."""
+    """The poses of magnetometers and IMU, and the frame in which attitudes are published."""
 
     def __init__(self, node: Node, settings: Callable[[], Settings]) -> None:
         self._settings = settings
@@ -150,23 +150,23 @@ class SensorFrames:
         self._against_drive = ""
 
     def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> None:
-        """Take the frames that the sensors' messages name."""
+        """Take the frames in the messages of the sensors."""
         self._imu_frame = known_as(imu_frame)
         self._magnetometer_frame = known_as(magnetometer_frame)
         self._look()
 
     @property
     def view(self) -> BaseView | None:
-        """Converts the IMU's attitude to the base's; None while its pose is not known."""
+        """Converts the IMU's attitude to the base's; None while the IMU's pose is not known."""
         self._follow_parameters()
         return self._view
 
     def frame(self, imu_frame: str) -> str:
-        """Return the frame that attitudes are published in."""
+        """Return the frame in which attitudes are published."""
         return self._settings().base_frame or imu_frame
 
     def mounting(self, number: int = 1, frame: str = "") -> Mounting:
-        """Return how a magnetometer sits in the IMU, as it is given or described."""
+        """Return the given or described mounting of a magnetometer in the IMU frame."""
         self._follow_parameters()
         settings, forward = self._settings(), self._forward
         if number == 1:
@@ -174,14 +174,14 @@ class SensorFrames:
             return replace(mounting, pose=pose, forward=forward)
         frames, given = replace(self._frames, magnetometer=frame), settings.mounts.get(number)
         pose = sensor_poses(frames, self._description.tree, given).magnetometer
-        # The known gains are those of the first.
+        # The given gains are of the first magnetometer only.
         return Mounting(pose=pose, forward=forward)
 
     def follow(self, follower: UpFollower, outcome: Outcome | None, yaw: VehicleYaw | None) -> None:
-        """Compare the description with what was measured, once a second.
+        """Compare the description with measurements, once a second.
 
-        That is gravity while the robot stands, the last turn, and the yaw of the IMU in the vehicle
-        that was found while driving.
+        These are gravity at rest, the installation by the last turn, and the yaw of the IMU in the
+        vehicle that was estimated while driving.
         """
         estimate = None if outcome is None else outcome.estimate
         self._found = None if estimate is None else estimate.installation
@@ -194,7 +194,7 @@ class SensorFrames:
 
     @property
     def _forward(self) -> FloatArray:
-        """The front of the vehicle in the IMU's axes, as far as it is given or described."""
+        """The given or described front of the vehicle, IMU axes; by default x. Shape (3,)."""
         settings = self._settings()
         if settings.base_frame or settings.vehicle_yaw is None:
             return (self._view or BaseView(np.eye(3))).pose[0]
@@ -202,17 +202,17 @@ class SensorFrames:
 
     @property
     def complaints(self) -> list[str]:
-        """What is missing or contradicts the samples, in words."""
+        """Missing poses, and contradictions between poses and samples, in words."""
         self._follow_parameters()
         poses = self._poses
         words = [*poses.complaints, self._contradiction, self._against_drive]
         if self._frames.base:
             words.append(self._description.trouble)
-        if poses.is_described and self._found is not None and self._found.angle > FAR_OFF:
+        if poses.is_described and self._found is not None and self._found.angle > DOUBTED_ANGLE:
             words.append(
                 f"the robot's description has {self._magnetometer_frame!r} in {self._imu_frame!r} "
-                f"at {pose_in_words(poses.magnetometer)}, and the last turn found it "
-                f"{np.degrees(self._found.angle):.0f}° away from that: correct its joint, or give "
+                f"at {pose_in_words(poses.magnetometer)}, but the pose by the last turn is "
+                f"{np.degrees(self._found.angle):.0f}° away from this: correct the joint, or give "
                 "mount_rpy_deg"
             )
         return [each for each in words if each]

@@ -31,9 +31,9 @@ from magcal_ros.ros.wire import diagnostic, yaw_values
 def status_json(
     magnetometers: Magnetometers, reference: Reference, parts: Mapping[str, Any]
 ) -> str:
-    """Return the content of `~/status`: one JSON object, stable keys, people's units.
+    """Return the content of `~/status`: one JSON object with stable keys and displayed units.
 
-    `parts` are entries that others give.
+    `parts` are further entries.
     """
     first = magnetometers.heard[0]
     keeper, streams, turn = first.keeper, first.inputs.streams, first.control.turn
@@ -129,7 +129,7 @@ def _calibration(keeper: Keeper) -> Mapping[str, Any] | None:
 
 
 def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
-    """Say whether a calibration is in force, which, how good it was, and if it is this sensor's."""
+    """Return the diagnostic of the calibration in force: origin, grades, and sensor."""
     keeper, control, level = first.keeper, first.control, DiagnosticStatus.OK
     calibration, facts = keeper.calibration, _calibration(keeper)
     values = {"state": control.turn.state.value}
@@ -158,12 +158,12 @@ def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
 def field_diagnostic(
     moment: Moment | None, calibration: Calibration | None, reference: Reference
 ) -> DiagnosticStatus:
-    """Say whether the field looks like the calibrated one, and what it is compared with."""
+    """Return the diagnostic of the corrected field, compared with calibration and reference."""
     values, level = dict[str, str](), DiagnosticStatus.OK
     if calibration is None:
         message = "no corrected field before a calibration is in force"
     elif moment is None:
-        message = "no field has come since the calibration is in force"
+        message = "no field message since the calibration was put in force"
     else:
         strength, heading = math.hypot(*moment.field), moment.heading
         shown, calibrated = f"{strength * 1e6:.1f} µT", f"{calibration.strength * 1e6:.1f} µT"
@@ -181,7 +181,7 @@ def field_diagnostic(
 
 
 def watch_diagnostic(watch: Watch | None, keeping: SelfKeeping) -> DiagnosticStatus:
-    """Say whether the calibration has held over the last minutes, and whether it keeps itself."""
+    """Return the diagnostic of the calibration's monitoring and of self-calibration."""
     values = {"self-calibration": keeping.facts()["doing"], "fits lost": str(keeping.lost)}
     words, is_wrong = ["nothing to watch before a calibration is in force"], bool(keeping.trouble)
     if watch is not None:
@@ -196,7 +196,7 @@ def watch_diagnostic(watch: Watch | None, keeping: SelfKeeping) -> DiagnosticSta
 def inputs_diagnostic(
     inputs: Inputs, complaints: list[str], callback_errors: int
 ) -> DiagnosticStatus:
-    """Say whether both sensors arrive, what is wrong with their messages, and what went wrong."""
+    """Return the diagnostic of the inputs: rates, complaints and errors in callbacks."""
     both = (inputs.imu, inputs.streams.imu_drops), (inputs.field, inputs.streams.field_drops)
     values = {f"{sensor.topic} messages": str(sensor.messages) for sensor, _ in both}
     values |= {f"{sensor.topic} rate": f"{sensor.rate:.1f} Hz" for sensor, _ in both}
@@ -210,7 +210,7 @@ def inputs_diagnostic(
 def diagnostic_array(
     node: str, statuses: Iterable[DiagnosticStatus], frame: str, stamp: Time
 ) -> DiagnosticArray:
-    """Return statuses that say which node and sensor they are about: its frame names the sensor."""
+    """Return the statuses with the node in their names and the sensor's frame as hardware id."""
     array = DiagnosticArray(status=list(statuses))
     array.header.stamp = stamp
     for status in array.status:

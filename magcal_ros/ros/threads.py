@@ -1,10 +1,10 @@
 """The node's threads: one for the messages of the sensors, others for long computations.
 
-For each message rclpy's executor gathers everything the node owns, builds a wait set of it and
-makes a task of the callback, twice over: most of what a rclpy node costs. Here the sensors have a
-wait set of their own that is kept, and a thread that waits for nothing else. It makes the calls
-that rclpy's public `wait_for_message` makes, and no others of rclpy's inside; when one of them
-fails, the sensors go back to rclpy's executor with all that lies in their queues.
+For each message, rclpy's executor collects all entities of the node, builds a wait set and creates
+a task for the callback, twice. This is most of the CPU load of a rclpy node. Here a thread waits
+for the sensors only, with a wait set that is kept. It uses only those internals of rclpy that the
+public `wait_for_message` uses. If one of these calls fails, rclpy's executor serves the sensors
+again, and the messages in their queues are not lost.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 SENSOR_DATA = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Matches every publisher. The usual depth of 5 loses messages of a fast IMU whenever the machine
-is busy for some milliseconds, and the gyro's path with them."""
+"""Compatible with every publisher. With the usual depth of 5, messages of a fast IMU would be lost
+when the machine is busy for some milliseconds, and then the gyro cannot be integrated."""
 
-MOST_AT_ONCE = 16  # messages of one subscription that are taken before anything else has its turn
+MOST_AT_ONCE = 16  # messages of one subscription that are taken before other callbacks are served
 
 FOR_EVER = -1
 
 
 class SensorGroup(CallbackGroup):
-    """Keeps subscriptions from rclpy's executor while a thread of the `Spinner` serves them.
+    """A callback group that rclpy's executor ignores while a thread of the `Spinner` serves it.
 
-    Their events of the middleware (a publisher of another type) are kept from it too: in a wait set
-    they are woken by each message. While `is_open`, as at first, rclpy's executor serves them.
+    The events of its subscriptions (a publisher of another type) are ignored too, because each
+    message would wake them. While `is_open`, as at first, rclpy's executor serves the group.
     """
 
     def __init__(self) -> None:
@@ -60,14 +60,14 @@ class SensorGroup(CallbackGroup):
         return self.is_open
 
     def ending_execution(self, _: Any) -> None:
-        """Nothing has to be noted: one thread calls back at a time."""
+        """Do nothing, because only one callback runs at a time."""
 
 
 class FairLock:
-    """A lock that two threads get in turn whenever both want it.
+    """A lock that two threads acquire alternately whenever both wait for it.
 
-    With a plain one, the thread that releases it and wants it again at once usually gets it again,
-    and under a flood of messages a service would never be answered.
+    A plain lock is usually acquired again by the thread that has just released it. With very many
+    messages a service would then never be answered.
     """
 
     def __init__(self) -> None:
@@ -82,12 +82,13 @@ class FairLock:
 
 
 class Spinner:
-    """Serves a node, one callback at a time, and chosen subscriptions with the least effort.
+    """Runs the callbacks of a node one at a time, and serves chosen subscriptions efficiently.
 
-    rclpy's executor finds what is ready, and the handlers it returns are called here, under a lock
-    that is shared with a thread that serves the subscriptions. Messages of `unhurried` ones wake
-    nothing and are taken with the next of the others. An error in a callback is noted and ends
-    nothing. If a call of rclpy fails in that thread, rclpy's executor serves the subscriptions.
+    rclpy's executor waits for the other entities and returns their handlers. A thread serves the
+    chosen subscriptions, and a lock prevents simultaneous callbacks. Messages of `unhurried`
+    subscriptions do not wake the thread; they are taken with the next message of the others. After
+    an error in a callback, which is passed to `note`, the node continues. If a call of rclpy fails
+    in the thread, rclpy's executor serves the subscriptions.
     """
 
     def __init__(
@@ -115,9 +116,9 @@ class Spinner:
             self.spin_once()
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait until something is ready, at most so many seconds, and serve it.
+        """Wait at most `timeout_sec` seconds for one ready entity, and serve it.
 
-        From the first call on the chosen subscriptions are served too, until the shutdown.
+        The first call starts the thread of the chosen subscriptions.
         """
         if not self._is_started:
             self._is_started = True
@@ -126,7 +127,7 @@ class Spinner:
             ready: Any = self._executor.wait_for_ready_callbacks(timeout_sec, None, self._has_ended)
         except (TimeoutException, ConditionReachedException, ShutdownException):
             return
-        except MemoryError as error:  # a request that claims to be huge has taken it for a moment
+        except MemoryError as error:  # a malformed request that claims a huge size
             self._note(error)
             return
         handler, entity, _ = ready
@@ -144,14 +145,14 @@ class Spinner:
                 handler.add_done_callback(self._look_at)
 
     def end(self) -> None:
-        """Let `spin` and `spin_once` return, for good; from any thread."""
+        """Make `spin` and `spin_once` return, now and later; from any thread."""
         self._is_over = True
         if self._thread.is_alive() and self._guard is not None:
             self._guard.trigger()
         self._wake()
 
     def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """Stop; returns whether the callbacks of the subscriptions have ended in time."""
+        """Stop serving; returns whether the running callback has ended in time."""
         self.end()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(timeout_sec)
@@ -160,12 +161,12 @@ class Spinner:
             return self._executor.shutdown(timeout_sec) and has_ended
 
     def _wake(self) -> None:
-        # Not while the shutdown destroys what it is woken by.
+        # The lock excludes the shutdown, which destroys the executor's guard condition.
         with self._waking:
             self._executor.wake()
 
     def _has_ended(self) -> bool:
-        # Given another function, rclpy forgets all else that was ready.
+        # Always the same function: with another one rclpy discards the other ready entities.
         return self._is_over
 
     def _look_at(self, handler: Future) -> None:
@@ -175,13 +176,14 @@ class Spinner:
             self._note(error)
 
     def _note(self, error: Exception) -> None:
-        # The context may go away in the middle of a callback: that is an end, no fault.
+        # If the context was shut down during a callback, the error is no fault.
         if self._node.context.ok():
             self._note_error(error)
 
     def _start_thread(self) -> None:
         try:
-            # One of the node would be gone with it, and nothing left to end the thread with.
+            # A guard condition of the node would be destroyed with the node, and could then not
+            # end the thread.
             self._guard = GuardCondition(None, None, context=self._node.context)
             self._group.is_open = False
             self._thread.start()
@@ -192,24 +194,24 @@ class Spinner:
         try:
             self._serve()
         except Exception as error:
-            # When the context is gone its parts fail, and there is nothing left to serve.
+            # Errors after the shutdown of the context are expected.
             if self._node.context.ok() and not self._is_over:
                 self._hand_back(error)
 
     def _hand_back(self, error: Exception) -> None:
         self._group.is_open = True
         self._node.get_logger().warning(
-            f"this version of rclpy is not known ({type(error).__name__}: {error}): rclpy's own "
-            "executor serves the sensors from now on, with more CPU load"
+            f"this version of rclpy is not supported ({type(error).__name__}: {error}): "
+            "rclpy's own executor serves the sensors from now on, with more CPU load"
         )
         self._wake()
 
     def _serve(self) -> None:
-        # Imported where its absence can be survived.
+        # Imported here, because the caller handles a failure.
         from rclpy.impl.implementation_singleton import rclpy_implementation
 
         assert self._guard is not None
-        # Their types promise less than there is.
+        # rclpy's type hints lack the methods that are used here.
         context: Any = self._node.context
         new_wait_set: Any = rclpy_implementation.WaitSet
         guard = self._guard.handle
@@ -217,7 +219,7 @@ class Spinner:
         handles: list[Any] = [subscription.handle for subscription in self._awaited]
         with ExitStack() as in_use:
             for handle in (context.handle, guard, *served):
-                # Nothing of it is destroyed while it is waited for.
+                # Handles must not be destroyed during the wait.
                 in_use.enter_context(handle)
             wait_set = new_wait_set(len(handles), 1, 0, 0, 0, 0, context.handle)
             while not self._is_over and context.ok():
@@ -245,7 +247,7 @@ class Spinner:
 
 
 def _release(entity: Any) -> None:
-    """Free the callback group of what failed before its callback: rclpy leaves it taken."""
+    """Free the callback group of an entity that failed before its callback; rclpy does not."""
     group = None if entity is None else entity.callback_group
     if group is not None and not group.can_execute(entity):
         group.ending_execution(entity)
@@ -257,10 +259,10 @@ Done = Callable[[], object]
 
 
 class BackgroundThread:
-    """Runs one job after another in a thread; what follows runs in the executor.
+    """Runs one job after another in a thread; the results are handled in the executor's thread.
 
-    The thread starts with the first job. It does not delay the end of the process: a disk that does
-    not answer may block it for ever. If no thread can be started, the job fails with that error.
+    The thread starts with the first job. It is a daemon thread, because a blocked disk must not
+    prevent the end of the process. If no thread can be started, the job fails with that error.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -275,7 +277,7 @@ class BackgroundThread:
         then: Callable[[T], object],
         otherwise: Callable[[Exception], object],
     ) -> None:
-        """Do some work, then go on in the executor's thread."""
+        """Run `work` in the thread, then `then` or `otherwise` in the executor's thread."""
 
         def job() -> Done:
             try:
@@ -284,7 +286,7 @@ class BackgroundThread:
                 return partial(otherwise, error)
             return partial(then, result)
 
-        # Where memory is short the thread itself may end in an error.
+        # The thread may have ended by an error, for example without free memory.
         if self._thread is None or not self._thread.is_alive():
             thread = threading.Thread(target=self._work, name=self._name, daemon=True)
             try:
@@ -296,12 +298,12 @@ class BackgroundThread:
         self._waiting.put(job)
 
     def deliver(self) -> None:
-        """Hand over what is done; the executor calls it, and a heartbeat may."""
+        """Handle the results of finished jobs, in the executor's thread."""
         while not self._done.empty():
             self._done.get()()
 
     def finish_within(self, patience: float) -> bool:
-        """Wait so many seconds for the work that was asked for; returns whether it is done."""
+        """Wait at most `patience` seconds for all jobs; returns whether they are finished."""
         if self._thread is None:
             return True
         is_done = threading.Event()
@@ -320,7 +322,7 @@ class BackgroundThread:
     def _hand_over(self, done: Done) -> None:
         self._done.put(done)
         executor = self._node.executor
-        # One that is shut down at this moment has lost what wakes it; nothing waits any more.
+        # Waking an executor that is being shut down fails, and no result is needed then.
         with contextlib.suppress(Exception):
             if executor is not None:
                 executor.create_task(self.deliver)

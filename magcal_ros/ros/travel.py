@@ -1,4 +1,4 @@
-"""Speed and fixes: they improve up, and show the vehicle's front and the compass against course."""
+"""Speeds and fixes, for the up vector, the vehicle's front and the check of compass by course."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ RECEIVED: tuple[tuple[SpeedSource, type, str, Callable[[bytes], Sample | str]], 
     (SpeedSource.FIXES, NavSatFix, "gps/fix", wire.read_fix),
 )
 
-BETTER = 0.7  # share of the sigma that is kept, below which what is newly found is kept instead
+BETTER_SIGMA_RATIO = 0.7  # ratio of new to stored sigma below which a new estimate is stored
 
 
 class Travel:
-    """Receives `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing."""
+    """Receives the optional topics `odom`, `gps/vel` and `gps/fix`."""
 
     def __init__(
         self,
@@ -54,8 +54,8 @@ class Travel:
         self.travelling = Travelling(run=self._run)
         self.front = Front()
         self.kept: VehicleYaw | None = None
-        """The yaw that lies beside the calibration in force."""
-        self.subscriptions = []  # of wheels, velocity and fixes; their callbacks take bytes
+        """The yaw that is stored with the calibration in force."""
+        self.subscriptions = []  # of odometry, velocity and fixes; their callbacks take bytes
         for source, kind, topic, read in RECEIVED:
             self._topics[source] = node.resolve_topic_name(topic)
             take = partial(self._take, source, read)
@@ -66,12 +66,12 @@ class Travel:
 
     @property
     def yaw(self) -> VehicleYaw | None:
-        """How the IMU sits in the vehicle: what is found now, else what was kept."""
+        """The yaw of the IMU in the vehicle: the new estimate if it is better, else the stored."""
         found = self.front.yaw
         return found if found is not None and self._is_better(found, 1.0) else self.kept
 
     def _is_better(self, found: VehicleYaw, share: float) -> bool:
-        """Whether a yaw is known to a share of the sigma that is kept, or contradicts what is."""
+        """Whether a yaw has at most a share of the stored sigma, or contradicts the stored yaw."""
         kept = self.kept
         if kept is None or found.sigma <= share * kept.sigma:
             return True
@@ -79,14 +79,14 @@ class Travel:
         return abs(gap) >= 3.0 * math.hypot(found.sigma, kept.sigma)
 
     def use(self, kept: VehicleYaw | None) -> None:
-        """Another calibration is in force; take what lies beside it."""
+        """Take the yaw that is stored with a new calibration in force."""
         self.travelling.forget_compass()
         if kept is not None:
             self.kept = kept
             self.travelling.believe(kept.offset, kept.sigma)
 
     def follow(self, reference: ReferenceField, announcer: Announcer) -> VehicleYaw | None:
-        """Estimate the front, once a second, and log what is new; returns what is to be kept."""
+        """Estimate the front, once a second, and log changes; returns a yaw to store, if any."""
         travelling, verdict = self.travelling, self.verdict
         if not travelling.is_heard:
             return None
@@ -95,7 +95,11 @@ class Travel:
         if verdict:
             announcer.tell("course", verdict, wrong=True)
         found = self.front.yaw
-        if found is None or found.sigma > FRONT.useful or not self._is_better(found, BETTER):
+        if (
+            found is None
+            or found.sigma > FRONT.useful
+            or not self._is_better(found, BETTER_SIGMA_RATIO)
+        ):
             return None
         self.kept = found
         announcer.tell("front", found.words)
@@ -103,7 +107,7 @@ class Travel:
 
     @property
     def complaints(self) -> list[str]:
-        """What is wrong with speeds, compass or declination, in words."""
+        """Faults of speeds, compass or declination, in words."""
         watch = self.travelling.mounting
         words = [
             fault_words(self._topics[source], fault, watch.seen[source])
@@ -119,7 +123,7 @@ class Travel:
     def verdict(self) -> str:
         """Why the course contradicts the calibration in force; empty if it does not."""
         if self.travelling.known_mounting is None:
-            # A vehicle that moves sideways would make every compass look wrong.
+            # If the vehicle may move sideways, its course says nothing about the compass.
             return ""
         return course_fault(check_by_course(self.travelling.course))
 
@@ -132,7 +136,7 @@ class Travel:
         return {"deg": deg, "sigma_deg": sigma, "by": yaw.source, "words": yaw.words}
 
     def facts(self) -> dict[str, Any] | None:
-        """Return the part of `~/status` on the drive; None where no speed and no fix came."""
+        """Return the part of `~/status` on the drive; None without speeds and fixes."""
         travelling, yaw = self.travelling, self.yaw
         if not travelling.is_heard and yaw is None:
             return None
@@ -150,7 +154,7 @@ class Travel:
         }
 
     def diagnostics(self) -> list[DiagnosticStatus]:
-        """Return what the drive has shown so far; nothing where no speed and no fix has come."""
+        """Return the diagnostic of the drive; empty without speeds and fixes."""
         if not self.travelling.is_heard:
             return []
         yaw, verdict = self.yaw, self.verdict
@@ -170,7 +174,7 @@ class Travel:
     def _take(
         self, source: SpeedSource, read: Callable[[bytes], Sample | str], data: bytes
     ) -> None:
-        """Take a message; where it holds no sample, keep why as a complaint."""
+        """Take a message; if it has no usable sample, the reason becomes a complaint."""
         is_by_wheels = source is SpeedSource.ODOMETRY
         if is_by_wheels and not self.travelling.wants_speed(wire.read_stamp(data)):
             return
@@ -185,7 +189,7 @@ class Travel:
         if not isinstance(found, Fix):
             self.travelling.add_travel(found)
             return
-        # What is wrong with fixes is said where the place is looked up.
+        # The reference field reports the faults of fixes.
         self._tell_fix(found)
         position = self._plane.position(found)
         if position is not None:

@@ -1,9 +1,9 @@
-"""The node's messages as bytes: read on arrival, filled before sending.
+"""Reading and writing of the node's messages as serialized bytes.
 
-rclpy turns each message into Python objects and back, which costs more than all computation on it.
-The few messages of the node have fixed places for all their numbers, so these are read and written
-in place: a template is serialized once by rclpy and then filled. Anything laid out otherwise goes
-through rclpy.
+The conversion of messages to Python objects and back by rclpy takes more time than all computation
+on them. The numbers in the node's few messages have fixed offsets, so they are read and written in
+the bytes. For output, rclpy serializes a template once, which is then filled. Messages with another
+layout are converted by rclpy.
 """
 
 from __future__ import annotations
@@ -40,30 +40,30 @@ _frame_of = lru_cache(maxsize=8)(frame_of)
 
 
 class Unreadable(MagcalError):
-    """Bytes that are no message of their topic's type."""
+    """Bytes that are not a message of the topic's type."""
 
 
 class ImuArrival(NamedTuple):
-    """What the node takes from a sensor_msgs/Imu."""
+    """The parts of a sensor_msgs/Imu that the node uses."""
 
     frame: str
-    sample: ImuSample | None  # its numbers; None if it carries no acceleration
+    sample: ImuSample | None  # None if the message has no acceleration
     stamp: bytes
-    """Seconds and nanoseconds, little-endian, as every answer to this message carries them."""
+    """Seconds and nanoseconds, little-endian, for the outputs that belong to this message."""
 
 
 class FieldArrival(NamedTuple):
-    """What the node takes from a sensor_msgs/MagneticField."""
+    """The parts of a sensor_msgs/MagneticField that the node uses."""
 
     frame: str
     sample: FieldSample
     stamp: bytes
-    """Seconds and nanoseconds, little-endian, as every answer to this message carries them."""
+    """Seconds and nanoseconds, little-endian, for the outputs that belong to this message."""
     covariance: bytes  # nine little-endian doubles, row-major, T²
 
 
 def _reader(kind: type, parse: Callable[[bytes], T]) -> Callable[[bytes], T]:
-    """Return what reads a serialized message; it raises `Unreadable` if the bytes are none."""
+    """Return a function that reads serialized messages, and raises `Unreadable` for other bytes."""
 
     def read(data: bytes) -> T:
         if is_plain_cdr(data):
@@ -98,7 +98,7 @@ read_fix = _reader(NavSatFix, CDR.fix)
 
 
 def read_stamp(data: bytes) -> float:
-    """Return the stamp of a message with a header, seconds; NaN if it is laid out otherwise."""
+    """Return the stamp of a message with a header, seconds; NaN for another layout."""
     with contextlib.suppress(struct.error):
         if is_plain_cdr(data):
             return CDR.header(data)[0]
@@ -106,23 +106,23 @@ def read_stamp(data: bytes) -> float:
 
 
 def by_rclpy(data: bytes, kind: type) -> Any:
-    """Return a message of any kind; Unreadable if the bytes are none."""
+    """Return the message in serialized bytes; raises Unreadable if there is none."""
     try:
         return deserialize_message(data, kind)
     # rclpy has several base classes of errors, and the bytes may be anything.
     except Exception as error:
-        raise Unreadable(f"bytes that are no {kind.__name__}: {error}") from error
+        raise Unreadable(f"the bytes are not a {kind.__name__}: {error}") from error
 
 
 DOUBLE = 8
 _FRAME_PLACE = _STAMP_END + 4
-"""After the stamp comes the frame's length in four bytes."""
+"""Offset of the frame, after the stamp and four bytes with the frame's length."""
 
 
 class Template:
-    """A message that is filled again and again: a header, a vector and its covariance (3, 3).
+    """A message that is filled repeatedly: a header, a vector and a covariance (3, 3).
 
-    Where rclpy lays it out otherwise, the numbers are set in the message itself.
+    If rclpy uses another layout, the numbers are set in the message object.
     """
 
     def __init__(self, message: Any, vector: str, axes: str) -> None:
@@ -133,7 +133,7 @@ class Template:
         self._place = 0
 
     def fill(self, stamp: bytes, frame: str, numbers: tuple[float, ...]) -> Any:
-        """Return what to publish: the message as bytes, or itself."""
+        """Return the message to publish, as bytes or as an object."""
         if frame != self._frame:
             self._lay_out(frame)
         if self._data is None:
@@ -175,7 +175,7 @@ def _set_stamp(message: Any, stamp: bytes) -> None:
 
 
 def bias_message(correction: Correction, frame: str) -> MagneticField:
-    """Return the correction as ctu-vras tools take it: h as the field, A as the covariance."""
+    """Return the correction in the form of ctu-vras tools: h as the field, A as the covariance."""
     message = MagneticField()
     message.header.frame_id = frame
     message.magnetic_field.x, message.magnetic_field.y, message.magnetic_field.z = (
@@ -203,7 +203,7 @@ def azimuth_message(
 
 
 def yaw_values(heading: Heading | None) -> dict[str, str]:
-    """Return what diagnostics say of a heading, if there is one."""
+    """Return the values of a heading for diagnostics; empty without a heading."""
     if heading is None:
         return {}
     sigma = math.degrees(math.sqrt(heading.yaw_variance))

@@ -1,7 +1,7 @@
 """A worker process for computations that take long.
 
-A fit in a thread of the node competes with the messages that arrive meanwhile, and delays them. A
-process of its own does not delay them, can be ended at any moment, and its memory is freed then.
+A fit in a thread of the node would delay the callbacks of messages. A worker process does not delay
+them, can be ended at any time, and frees its memory when it ends.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-LOOK = 1.0  # seconds between two checks whether the process has been stopped by a signal
+LOOK = 1.0  # seconds between two checks whether a signal has stopped the process
 ENDING = 1.0  # seconds to wait for the end of a process that has closed its output
 SIZE = 8  # bytes of the length that precedes each message
 
@@ -43,7 +43,7 @@ class Stopped(Lost):
 class WorkerProcess:
     """Runs functions in a process that is started when it is needed.
 
-    All methods but `stop` and `end` block: call them from another thread than that of the messages.
+    All methods except `stop` and `end` block: do not call them from the thread of the messages.
     """
 
     def __init__(self) -> None:
@@ -52,9 +52,10 @@ class WorkerProcess:
         self._is_over = False
 
     def start(self, calls: IO[bytes] | None = None) -> subprocess.Popen[bytes]:
-        """Start the process, if it does not run, and return it; without a file it has a pipe.
+        """Start the process if it does not run, and return it.
 
-        Lost if the system cannot start it, or after `end`.
+        Its standard input is the file `calls`, or a pipe. Raises Lost if the system cannot start
+        the process, and Stopped after `end`.
         """
         import subprocess
 
@@ -67,7 +68,7 @@ class WorkerProcess:
                         __name__,
                         stdin=subprocess.PIPE if calls is None else calls,
                         stdout=subprocess.PIPE,
-                        # Ctrl-C in the node's terminal is not meant for it.
+                        # Ctrl-C in the node's terminal must not end this process.
                         start_new_session=True,
                     )
                 except OSError as error:
@@ -78,20 +79,20 @@ class WorkerProcess:
             return self._process
 
     def run(self, function: Callable[..., T], *arguments: Any) -> T:
-        """Return what a function of a module returns, or raise what it raises.
+        """Call a function of a module in the process; its result or exception is passed on.
 
-        Lost if the process could not be started, or ended or was stopped meanwhile.
+        Raises Lost if the process could not be started or has ended, Stopped after `stop`.
         """
         return self._answer(self.start(), _message((function, arguments)))
 
     def run_once(self, function: Callable[..., T], *arguments: Any) -> T:
-        """Do the same as `run` in a process of its own, which finishes even if the node ends.
+        """Do the same as `run` in a new process, which finishes even if the node ends.
 
-        No other call may be under way.
+        No other call may be running.
         """
         import tempfile
 
-        # A pipe would be cut off where the node ends before the other side has read it.
+        # With a pipe, the call would be incomplete if the node ends before it is read.
         with tempfile.TemporaryFile() as call:
             call.write(_message((function, arguments)))
             call.seek(0)
@@ -114,30 +115,30 @@ class WorkerProcess:
         return answer
 
     def stop(self) -> None:
-        """End the process at once, whatever it does."""
+        """End the process immediately."""
         with self._lock:
             process, self._process = self._process, None
         if process is not None:
             process.kill()
 
     def end(self) -> None:
-        """End the process for good."""
+        """End the process; it cannot be started again."""
         self._is_over = True
         self.stop()
 
 
 def _message(content: object) -> bytes:
-    """Return what a process reads, or answers: its length, and the content."""
+    """Return the bytes of a call or an answer: their length, and the pickled content."""
     words = pickle.dumps(content)
     return len(words).to_bytes(SIZE, "big") + words
 
 
 def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
-    """Send a call, if it is not empty, and return the answer."""
+    """Send a call unless it is empty, and return the answer."""
     assert process.stdout is not None
     back, to = process.stdout.fileno(), -1
     unsent, heard = memoryview(call), bytearray()
-    # Another selector would open a file, for which there may be no room.
+    # Other selectors need a file descriptor, and there may be no free one.
     with selectors.PollSelector() as line:
         if process.stdin is not None:
             to = process.stdin.fileno()
@@ -161,7 +162,7 @@ def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
 
 
 def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
-    """Whether the process is stopped by a signal, so that the node would wait for it."""
+    """Whether a signal has stopped the process, which then never answers."""
     try:
         found = os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
     except ChildProcessError:
@@ -170,7 +171,7 @@ def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
 
 
 def _how_it_ended(process: subprocess.Popen[bytes]) -> str:
-    """Say why there was no answer, and make sure that the process has ended."""
+    """Return why there was no answer, and make sure that the process ends."""
     import subprocess
 
     if _is_stopped(process):
@@ -192,7 +193,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     unbound_memory()
     back = os.dup(sys.stdout.fileno())
-    # Output that a library prints must not be taken for an answer.
+    # Text that a library prints must not get into the answers.
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     with contextlib.suppress(EOFError, OSError), open(back, "wb") as line:
         while size := sys.stdin.buffer.read(SIZE):

@@ -238,7 +238,7 @@ def test_a_fault_of_ours_is_told_as_ours_with_its_traceback(monkeypatch, capsys,
     errors = capsys.readouterr().err
     assert "Traceback" in errors
     assert "ZeroDivisionError: a bug" in errors
-    assert "is a fault of magcal_ros" in errors
+    assert "is an error in magcal_ros" in errors
     assert "Please report it" in errors
 
 

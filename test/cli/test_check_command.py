@@ -56,7 +56,7 @@ def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
     assert out.startswith("The calibration is stale, calibrate again.\n")
     (row,) = (line for line in out.splitlines() if "heading swing  " in line)
     assert row.split()[-5:] == ["≤", "4°", ">", "7°", "stale"]
-    contradicts = out.partition("What contradicts it:")[2].partition("\n\n")[0]
+    contradicts = out.partition("What contradicts the calibration:")[2].partition("\n\n")[0]
     assert "the level field makes the heading swing by " in contradicts
     assert "° (doubtful beyond 4°, stale beyond 7°): the hard iron" in contradicts
     assert "check that the calibration was made for this robot" in contradicts
@@ -90,7 +90,7 @@ def test_json_has_both_sides_of_every_figure(check, tmp_path):
 def test_too_little_of_a_turn_is_3(check, tmp_path, arguments):
     status, out, _ = check(write_csv(tmp_path / "csv", drive(20.0)), *arguments)
     assert status == 3
-    assert "too little of a turn" in out
+    assert "the turn is too short" in out
 
 
 def test_another_sensor_is_said(check, tmp_path):

@@ -44,7 +44,7 @@ def test_a_drive_from_nothing_ends_with_a_calibration_and_a_page(driven, tmp_pat
     on_the_way, own = predicted_heading_sigma(found), known_sigma(found)
     assert own < 0.7 * on_the_way
     shown = (
-        f"heading ±{math.degrees(own):.1f}° by the calibration (1σ); along the way, with local"
+        f"heading ±{math.degrees(own):.1f}° by the calibration (1σ); along the drive, with local"
         f" magnetic disturbances, ±{math.degrees(on_the_way):.1f}°"
     )
     assert shown in told["summary"]
@@ -85,7 +85,7 @@ def test_an_older_report_stays(tmp_path, capsys):
     arguments = ["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]
     main(arguments)
     assert main(arguments) == 5
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 def test_fit_takes_a_whole_drive_without_a_turn(driven, tmp_path, capsys):
@@ -141,7 +141,7 @@ def test_a_drive_with_a_gyro_in_degrees_is_told_so(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "the sensors may be the cause" in said
     assert "degrees/s published as rad/s" in said
-    assert "did not show enough" not in said
+    assert "was not sufficient" not in said
     assert "degrees/s published as rad/s" in (tmp_path / "out" / "report.html").read_text()
 
 

@@ -134,7 +134,7 @@ class TestExits:
     def test_too_little_data_is_3(self, fit, tmp_path, turned, status):
         found, out, _ = fit(write_csv(tmp_path / "csv", drive(turned)))
         assert found == status
-        assert out.startswith("Refused: too little of a turn")
+        assert out.startswith("Refused: the turn is too short")
         assert "No calibration was written." in out
         assert not (tmp_path / "found").exists()
 
@@ -251,7 +251,7 @@ class TestSeveralTurns:
         assert status == 0
         assert re.search(r", yaw 4\.\d+° ±0\.\d+°|, yaw 5\.\d+° ±0\.\d+°", out)
         assert "installation yaw from ±5° to ±0." in out
-        assert "short: left out: too little of a turn" in out
+        assert "short: left out: the turn is too short" in out
         assert "a (2): left out: it holds the same samples as " in out
         assert "Not shown by these recordings:" not in out or "yaw of the installation" not in out
 
@@ -271,7 +271,7 @@ class TestSeveralTurns:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            (["--from", "2"], "--from and --to cut one recording"),
+            (["--from", "2"], "--from and --to take one recording"),
             (["--compare"], "--compare takes one recording"),
             (["--method", "design_tip"], "takes one turn; maximum_likelihood joins several"),
         ],
@@ -291,7 +291,7 @@ class TestSeveralTurns:
     def test_nothing_but_short_recordings_is_too_little_data(self, fit, turns):
         status, out, _ = fit([turns / "short", turns / "short"])
         assert status == 3
-        assert "too little of a turn" in out
+        assert "the turn is too short" in out
 
 
 def test_repeats_that_are_left_out_are_said(fit, tmp_path):
@@ -301,7 +301,7 @@ def test_repeats_that_are_left_out_are_said(fit, tmp_path):
     for k, after in repeated:
         samples[after] = samples[after]._replace(field=samples[k].field)
     _, out, _ = fit(write_csv(tmp_path / "csv", samples))
-    said = f"{len(repeated)} of {len(fields)} samples repeat the one before, and are left out"
+    said = f"{len(repeated)} of {len(fields)} samples repeat the previous one and are left out"
     assert f"mag.csv: {said}" in out
 
 

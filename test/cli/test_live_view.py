@@ -71,7 +71,7 @@ def test_a_terminal_gets_a_panel(monkeypatch):
         view.show(PROGRESS)
         view.show(PROGRESS | {"heading_sigma_deg": 0.31})
     shown = screen.getvalue()
-    for words in ("one turn", "90° of the turn seen", "±0.31°", "turn left", "Ctrl-C cancels"):
+    for words in ("one turn", "90° of the turn measured", "±0.31°", "turn left", "Ctrl-C cancels"):
         assert words in shown
 
 

@@ -108,12 +108,12 @@ def test_a_drive_is_called_a_drive_and_its_figures_have_units(tmp_path):
         "length of the drive 93.7 s",
         "disturbance that changes with the place (1σ per axis) 1.4 µT",
         "heading error by the calibration, on level ground (1σ) ±",
-        "heading error along the way, on level ground (1σ) ±",
-        "What this drive could not show",
+        "heading error along the drive, on level ground (1σ) ±",
+        "Not determined by this drive",
         "The drive was measured by the gyro",
     ):
         assert said in words
-    assert "turn seen" not in words
+    assert "measured arc" not in words
 
 
 def test_every_graded_figure_has_a_unit():
@@ -222,7 +222,7 @@ def test_a_calibration_accepted_by_a_person_says_so(tmp_path):
     calibration = subject.outcome.calibration.accepted_by_person()
     outcome = replace(subject.outcome, calibration=calibration)
     words = words_of(text_of(tmp_path, replace(subject, outcome=outcome)))
-    assert "A person put it in force against this verdict." in words
+    assert "The user put it in force against this verdict." in words
 
 
 @pytest.mark.nightly
@@ -260,7 +260,7 @@ def test_a_picture_that_fails_does_not_take_the_report_with_it(tmp_path, monkeyp
     monkeypatch.setattr(turn_views, "_draw_solid", fail)
     page = write_report(tmp_path, good()).read_text(encoding="utf-8")
     assert page.count("<svg") == 3
-    assert "could not be drawn (ZeroDivisionError: a &lt;bug&gt;)" in page
+    assert "drawing has failed (ZeroDivisionError: a &lt;bug&gt;)" in page
 
 
 WITHOUT_MATPLOTLIB = """
@@ -317,11 +317,11 @@ def test_turns_that_were_put_together_have_a_section(tmp_path, monkeypatch):
     outcome = calibrate_turns([*windows, windows[0]], knowledge, names=names)
     subject = subject_of(windows[1], knowledge, outcome, method="maximum_likelihood")
     words = words_of(text_of(tmp_path, subject))
-    assert "Turns put together" in words
+    assert "Joined turns" in words
     assert "it holds the same samples as <first>" in words
     assert outcome.several.advice_in_words in words
     assert "installation yaw (±1σ)" in words
-    assert "every sample of the newest turn" in words
+    assert "all samples of the newest turn" in words
 
 
 def test_how_the_imu_sits_in_the_vehicle_is_told_where_driving_showed_it(tmp_path):

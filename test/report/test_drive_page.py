@@ -24,13 +24,13 @@ def test_the_map_shows_degrees():
     page = render_drive(story([[0, 0], [10, 0], [20, 0], [30, 0], [40, 0]]), "a drive")
     for name in ("0 to 2°: 20%", "2 to 5°: 20%", "more than 20°: 20%"):
         assert name in page
-    assert "On 40% of the points it was less than 5°" in page
+    assert "At 40% of the points it was less than 5°" in page
     assert "µT:" not in page
 
 
 def test_nothing_in_force_makes_no_empty_table():
     page = render_drive(story([[k, 0] for k in range(5)]), "a drive")
-    assert "<p>Nothing.</p>" in page
+    assert "<p>None.</p>" in page
     assert "made by" not in page
 
 

@@ -50,7 +50,7 @@ def test_a_car_that_leans_outwards_draws_no_larger_swing_than_is_judged(recordin
     judged = math.degrees(outcome.estimate.figures[Figure.GYRO_COMPASS_SWING])
     assert drawn_rms(picture) == pytest.approx(judged, rel=0.3)
     words = caption_of_gyro(picture, picture.corrected)
-    assert f"{judged:.1f}° rms beyond noise, which is judged" in words
+    assert f"{judged:.1f}° rms beyond noise, which is graded" in words
 
 
 @pytest.mark.parametrize("swing_deg", first_of([12.0, 20.0]))

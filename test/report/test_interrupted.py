@@ -42,7 +42,7 @@ def test_killed_at_any_moment(tmp_path, attempt):
 def test_a_page_that_cannot_be_written_is_said(tmp_path):
     (tmp_path / "report.html").write_text("mine")
     worker = WorkerProcess()
-    with pytest.raises(FileTrouble, match="stays; choose another folder"):
+    with pytest.raises(FileTrouble, match="is not overwritten; choose another folder"):
         worker.run(write_to_the_end, tmp_path, good())
     worker.end()
     assert (tmp_path / "report.html").read_text() == "mine"

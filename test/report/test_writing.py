@@ -53,14 +53,14 @@ def test_folders_made_at_once_differ(tmp_path):
 
 def test_a_folder_that_cannot_be_made_is_explained(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(FileTrouble, match="writable place"):
+    with pytest.raises(FileTrouble, match="writable folder"):
         new_folder(tmp_path / "file", CREATED)
 
 
 def test_a_report_is_never_overwritten(no_pictures, tmp_path):
     page = write_report(tmp_path, good())
     before = page.read_bytes(), (tmp_path / "samples.csv").read_bytes()
-    with pytest.raises(FileTrouble, match="is there already"):
+    with pytest.raises(FileTrouble, match="exists already"):
         write_report(tmp_path, refused())
     assert (page.read_bytes(), (tmp_path / "samples.csv").read_bytes()) == before
 
@@ -68,7 +68,7 @@ def test_a_report_is_never_overwritten(no_pictures, tmp_path):
 def test_samples_that_are_there_are_not_overwritten(tmp_path):
     samples = tmp_path / "samples.csv"
     samples.write_text("somebody's own")
-    with pytest.raises(FileTrouble, match="is there already"):
+    with pytest.raises(FileTrouble, match="exists already"):
         write_report(tmp_path, good())
     assert samples.read_text() == "somebody's own"
     assert not (tmp_path / "report.html").exists()

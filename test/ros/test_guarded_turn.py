@@ -74,7 +74,7 @@ def test_a_guard_that_is_stopped_ends_the_turn(run_node, actor):
     os.kill(guard, signal.SIGSTOP)
     try:
         wait_for_zero(robot, time.monotonic())
-        assert "its guard has ended, does not answer" in robot.answer(future).message
+        assert "the guard process has ended, does not answer" in robot.answer(future).message
         robot.assert_stopped_and_silent()
         wait_until(lambda: guard not in children_of(process.pid))
     finally:

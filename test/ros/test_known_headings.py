@@ -99,7 +99,7 @@ def test_a_heading_that_contradicts_the_calibration_in_force_is_refused(loaded):
     actor = loaded(speed=SPEED)
     agreed = dock(actor, 70.0)
     assert agreed.success
-    assert "it stays" in agreed.message
+    assert "it is kept" in agreed.message
     wrong = dock(actor, 70.0, lambda yaw: yaw + 40.0)
     assert not wrong.success
     assert "40° further to the right" in wrong.message

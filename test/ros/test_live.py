@@ -137,4 +137,4 @@ def test_a_node_that_is_not_there_is_said(graph):
         [*COMMAND, "--node", "nobody"], capture_output=True, text=True, check=False, timeout=60
     )
     assert done.returncode == 1
-    assert "the node /nobody is not there" in done.stderr
+    assert "the node /nobody was not found" in done.stderr

@@ -212,5 +212,5 @@ def test_the_first_fix_with_a_calibration_in_force_is_said_in_the_log(loaded, ca
     receiver.say(times=3)
     receiver.reference(lambda reference: reference["declination_deg"] is not None)
     node = graph.calibrators[0]
-    assert "compass/yaw counts from true north from now on" in capfd.readouterr().err
+    assert "compass/yaw refers to true north from now on" in capfd.readouterr().err
     assert node._callback_errors.total == 0

@@ -88,7 +88,7 @@ def test_what_is_given_by_hand_wins_and_a_wrong_description_is_said(start_node, 
     describe(robot, "0.5 0 0", "3.141592653589793 0 0")
     assert re.search(r"'base_link' would be tilted by 1(79|80)°", complaints(robot, "tilted by"))
     robot.calibrate()
-    assert "away from that" in complaints(robot, "away from that")
+    assert "away from this" in complaints(robot, "away from this")
     node.set_parameters([Parameter("mount_rpy_deg", value=[0.0, 0.0, 0.0])])
     answer = robot.calibrate()
     assert answer.success, answer.message

@@ -58,7 +58,7 @@ def test_start_and_finish_are_calibrate_in_two_steps(stage):
     turn_by(actor, 240.0)
     answer = actor.answer(actor.call("finish"))
     assert answer.success, answer.message
-    assert "finished by hand" in answer.message
+    assert "finished by the user" in answer.message
     assert actor.status["state"] == "calibrated"
 
 

@@ -117,7 +117,7 @@ def test_a_node_that_is_killed_ends_the_command_in_a_few_seconds(node_process, c
     node_process.kill()
     _, errors = command.communicate(timeout=PATIENCE)
     assert command.returncode == 1
-    assert "/calibrator has been silent for 6 s: it has ended or hangs" in errors
+    assert "/calibrator has been silent for 6 s: the node has ended or hangs" in errors
 
 
 @pytest.mark.nightly

@@ -367,7 +367,7 @@ def _headline(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, flo
     if Figure.LOCAL_SIGMA in figures:
         # The graded sigma comes first, as for a turn.
         by = " by the calibration"
-        way = f"; along the way, with local magnetic disturbances, ±{level * DEGREES:.2f}°"
+        way = f"; along the drive, with local magnetic disturbances, ±{level * DEGREES:.2f}°"
         level, tilted = calibration_sigma(estimate), calibration_sigma(estimate, CHECKED_TILT)
     words = (
         f"{grades}: heading ±{level * DEGREES:.2f}° on level ground, "

@@ -1,4 +1,4 @@
-"""Calibrating by headings that are known: where a robot stands, or along the way it drives."""
+"""Calibration at known headings: of a robot at rest, or of one that drives."""
 
 from __future__ import annotations
 
@@ -34,62 +34,62 @@ def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:
     moved = np.abs(field[:half].mean(axis=0) - field[half:].mean(axis=0)).max()
     turned = float(np.linalg.norm(rate.mean(axis=0))) if np.isfinite(rate).all() else 0.0
     if turned > TUNING.rate:
-        what = f"by the gyro, the robot turned at {turned * DEGREES:.1f} °/s"
+        what = f"the robot turned at {turned * DEGREES:.1f} °/s (measured by the gyro)"
     elif moved > TUNING.creep + 4.0 * noise * math.sqrt(2.0 / half):
         what = f"the field changed by {moved * MICROTESLA:.1f} µT"
     else:
         return
     raise Refusal(
         Reason.HEADING_CONTRADICTED,
-        f"{what} meanwhile: the robot has to stand still for {TUNING.seconds:g} s at the known "
-        "heading, with nothing magnetic moving beside it",
+        f"{what} during the measurement: the robot has to stand still for {TUNING.seconds:g} s at "
+        "the known heading, and nothing magnetic may move near it",
     )
 
 
 def _noise(values: FloatArray) -> float:
-    """Return the standard deviation of single samples (n, 3) per axis, by their differences."""
+    """Return the standard deviation of one sample of (n, 3) per axis, from the differences."""
     return float(np.sqrt(np.mean(np.diff(values, axis=0) ** 2) / 2.0))
 
 
 @dataclass(frozen=True, eq=False)
 class HeadingResult:
-    """The result of standing at a known heading."""
+    """The result of a rest at a known heading."""
 
-    standings: tuple[Standing, ...]  # all that count from now on
+    standings: tuple[Standing, ...]  # all rests to use from now on
     outcome: Outcome
     applies: bool
-    """Whether what was found is to be put in force."""
-    words: str  # what is known now, and what the next heading would show
+    """Whether the new calibration is to be put in force."""
+    words: str  # the verdict, and the accuracy to expect after the next heading
 
 
 @dataclass(frozen=True, eq=False)
 class CollectedSamples:
-    """The samples of a robot that stands at a known heading."""
+    """The samples of a robot at rest at a known heading."""
 
     pairs: tuple[Pair, ...]
     given: ExternalHeading
     knowledge: Knowledge
     """With the declination, if the heading is to true north."""
-    forward: FloatArray  # direction in the IMU's axes whose heading it is. Shape (3,).
-    since: GyroTurn = field(default_factory=GyroTurn)  # by the gyro since the standing before
-    bias: Triple = (0.0, 0.0, 0.0)  # the gyro's, as far as it is known, rad/s
+    forward: FloatArray  # direction to which the heading refers, IMU axes. Shape (3,).
+    since: GyroTurn = field(default_factory=GyroTurn)  # measured since the previous standing
+    bias: Triple = (0.0, 0.0, 0.0)  # estimated bias of the gyro, rad/s; zero if unknown
 
     def standing(self) -> Standing:
-        """Return what the robot measured; a Refusal if it moved or the samples do not suffice."""
+        """Return the means; raises Refusal if the robot moved or there are too few samples."""
         declination = self.given.to_magnetic(self.knowledge.reference)
         if declination is None:
             raise Refusal(
                 Reason.NO_SOLUTION,
-                "the heading is to true north, and the declination here is not known: give "
+                "the heading refers to true north, and the declination here is not known: give "
                 "reference.latitude_deg and longitude_deg (or reference.declination_deg), wait "
-                "for gps/fix, or give the heading to magnetic north",
+                "for gps/fix, or give a heading that refers to magnetic north",
             )
         if len(self.pairs) < TUNING.fewest:
             raise Refusal(
                 Reason.TOO_FEW_SAMPLES,
                 f"only {len(self.pairs)} samples of field and acceleration came in "
                 f"{TUNING.seconds:g} s, and {TUNING.fewest} are needed: check that both sensors "
-                "publish, and their stamps",
+                "publish, and check their stamps",
             )
         time = np.array([pair.field.stamp for pair in self.pairs])
         field = np.array([pair.field.field for pair in self.pairs])
@@ -115,7 +115,7 @@ class CollectedSamples:
 def calibrate_standing(
     before: tuple[Standing, ...], collected: CollectedSamples, in_force: Calibration | None = None
 ) -> HeadingResult:
-    """Calibrate with the standings so far and what was collected now."""
+    """Calibrate with the earlier standings and the new samples."""
     try:
         new = collected.standing()
     except Refusal as refusal:
@@ -124,7 +124,7 @@ def calibrate_standing(
 
 
 def _refused(before: tuple[Standing, ...], refusal: Refusal) -> HeadingResult:
-    kept = f" The {len(before)} before it are kept." if before else ""
+    kept = f" Earlier known headings that are kept: {len(before)}." if before else ""
     words = str(refusal).rstrip(".")
     return HeadingResult(before, Outcome.refused(refusal), False, f"Refused: {words}.{kept}")
 
@@ -135,10 +135,10 @@ def add_standing(
     knowledge: Knowledge,
     in_force: Calibration | None = None,
 ) -> HeadingResult:
-    """Add a standing to those before, fit, and judge; bad data are a refused result.
+    """Add a standing to the earlier ones, fit, and judge; bad data are a refused result.
 
-    A calibration in force that is not of known headings stays if it is more certain, and refuses a
-    heading that contradicts it.
+    A calibration in force from a turn or drive is kept if its heading sigma is smaller. A heading
+    that contradicts this calibration is refused.
     """
     other = None if in_force is None or external_heading.is_by_headings(in_force) else in_force
     standings = (*_apart_from(before, new), new)[-TUNING.most :]
@@ -161,28 +161,28 @@ def add_standing(
             words.insert(
                 0,
                 f"The calibration in force agrees with this heading (off by {gap * DEGREES:.1f}°) "
-                f"and predicts ±{theirs * DEGREES:.1f}°, so that it stays. By known headings:",
+                f"and predicts ±{theirs * DEGREES:.1f}°, so it is kept. By known headings:",
             )
     said = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
     return HeadingResult(standings, outcome, applies, said.replace(":.", ":"))
 
 
 def _apart_from(before: tuple[Standing, ...], new: Standing) -> tuple[Standing, ...]:
-    """Return the standings that a new one does not repeat."""
+    """Return the earlier standings without those that the new one repeats."""
     kept: list[Standing] = []
     lost = False
     for each in before:
         near = abs(wrapped(each.heading - new.heading)) < TUNING.same
         is_same = near and np.linalg.norm(each.field - new.field) * MICROTESLA < STANDING.usual
         if not is_same:
-            # The turn across one that is left out is not known.
+            # The turn since a standing that is left out is not known.
             kept.append(replace(each, turned_sigma=math.inf) if lost else each)
         lost = bool(is_same)
     return tuple(kept)
 
 
 def _gap(calibration: Calibration, new: Standing) -> tuple[float, float]:
-    """Return a calibration's heading less the known one, and the sigma of that, radians."""
+    """Return a calibration's heading minus the known heading, and its sigma, radians."""
     field, up = calibration.correction.apply(new.field), unit(new.force)
     east, north, _ = body_from_enu(up, field).T @ new.forward
     yaw = math.atan2(float(north), float(east))
@@ -196,26 +196,26 @@ def _gap(calibration: Calibration, new: Standing) -> tuple[float, float]:
 def _contradicted(gap: float, sigma: float) -> str:
     return (
         f"the calibration in force shows a heading {abs(gap) * DEGREES:.0f}° further to the "
-        f"{'left' if gap > 0.0 else 'right'} than was given, where ±{sigma * DEGREES:.1f}° would "
-        "be usual. Check the heading: its sign, its north, its zero to the east. If it is right, "
-        "the calibration is out of date or the sensor was turned: call ~/reset, and then this "
-        "service again"
+        f"{'left' if gap > 0.0 else 'right'} than the given heading; ±{sigma * DEGREES:.1f}° would "
+        "be usual. Check the sign of the heading, that zero is east, and which north it refers "
+        "to. If the heading is right, the calibration is out of date or the sensor was turned: "
+        "call ~/reset, and then this service again"
     )
 
 
 def _next_in_words(standings: Sequence[Standing], knowledge: Knowledge) -> str:
-    """Say what the next known heading would show."""
+    """Return the best next known heading and the accuracy to expect, in words."""
     heading, sigma = next_heading(standings, knowledge)
     shift = wrapped(heading - standings[-1].heading) * DEGREES
     side = "" if abs(shift) > 179.0 else " to the left" if shift > 0.0 else " to the right"
     return (
-        f"One more known heading, {abs(shift):.0f}°{side} of this one, would bring "
+        f"One more known heading, {abs(shift):.0f}°{side} of this one, would give "
         f"±{sigma * DEGREES:.1f}°"
     )
 
 
 class _Kept(NamedTuple):
-    """A mean along a drive, with the gyro's turn and the metres gone since the log began."""
+    """A mean of samples in a drive, with the gyro's turn and the metres since the log began."""
 
     stamp: float
     standing: Standing
@@ -223,7 +223,7 @@ class _Kept(NamedTuple):
     metres: float
 
     def after(self, before: _Kept | None) -> Standing:
-        """Return the standing with what lies between it and the one before, if there is one."""
+        """Return the standing with distance, time and turn since the previous one, if any."""
         if before is None:
             return self.standing
         turn = self.turn.since(before.turn)
@@ -237,7 +237,10 @@ class _Kept(NamedTuple):
 
 
 class HeadingLog:
-    """Keeps means of the field at headings of `forward` (3,), IMU axes, some for each direction."""
+    """Keeps means of the field at known headings of `forward` (3,), IMU axes.
+
+    The number of means for each sector of headings is limited.
+    """
 
     def __init__(self, forward: FloatArray) -> None:
         self.forward = forward
@@ -257,11 +260,12 @@ class HeadingLog:
         is_at_rest: bool,
         turn: GyroTurn,
     ) -> bool:
-        """Take a field sample and the heading of this moment; returns whether to fit again.
+        """Take a field sample and the heading at its stamp; returns whether to fit again.
 
-        `up` is unit and `rate` in rad/s less the bias, body axes; `shift` (rad) makes the heading
-        one to magnetic north. A robot at rest gives one mean only: more show nothing new. `turn` is
-        the gyro's since the log began: it shows headings that drift.
+        `up` is a unit vector and `rate` in rad/s without the bias, body axes. `shift` (rad) is
+        added to the heading to refer it to magnetic north. A rest gives one mean only, because
+        further means add no information. `turn` is by the gyro since the log began: it reveals
+        headings that drift.
         """
         stamp = sample.stamp
         since, self._heard = stamp - self._heard, stamp
@@ -275,8 +279,8 @@ class HeadingLog:
             return False
         if self._block and not 0.0 <= stamp - self._block[0][0] < 2.0 * LOG.block:
             self._block = []
-        told = math.cos(given.yaw), math.sin(given.yaw)
-        self._block.append((stamp, *sample.field, *up, *told, turn.angle))
+        direction = math.cos(given.yaw), math.sin(given.yaw)
+        self._block.append((stamp, *sample.field, *up, *direction, turn.angle))
         if stamp - self._block[0][0] < LOG.block or len(self._block) < LOG.fewest:
             return False
         mean = np.mean(self._block, axis=0)
@@ -308,19 +312,22 @@ class HeadingLog:
 
     @property
     def standings(self) -> tuple[Standing, ...]:
-        """What is kept, in the order of time."""
+        """The kept means in the order of time."""
         found = [each for sector in self._kept for each in sector]
         kept = sorted(found, key=lambda each: each.stamp)
         return tuple(each.after(kept[k - 1] if k else None) for k, each in enumerate(kept))
 
     def take(self) -> tuple[Standing, ...]:
-        """Return what is kept, for a fit; what comes after is new."""
+        """Return the kept means for a fit; means that come later count as new."""
         self._fresh = 0
         return self.standings
 
 
 def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outcome, str]:
-    """Calibrate from headings on the way; the text says if they seem to be to the other north."""
+    """Calibrate from headings in a drive; returns the outcome and a warning.
+
+    The warning says that the headings seem to refer to the other north; it is empty if not.
+    """
     try:
         estimate = fit(standings, knowledge, SIZES["street"])
     except Refusal as refusal:
@@ -329,9 +336,9 @@ def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outc
 
 
 class HeadingCollector:
-    """Collects field samples at the headings that a device sends, live or from a recording.
+    """Collects field samples at headings measured by another device, live or from a recording.
 
-    `check` compares the headings with the gyro; nothing is collected while they disagree.
+    `check` compares the headings with the gyro; no sample is taken while they disagree.
     """
 
     def __init__(self, up: UpFollower) -> None:
@@ -342,7 +349,7 @@ class HeadingCollector:
         self._turn = GyroTurn()
 
     def on_imu(self, stamp: float) -> None:
-        """Take the turn up to an IMU message, seconds, that `up` has received already."""
+        """Integrate the gyro up to the stamp (seconds) of an IMU message that `up` has received."""
         up = self._up.newest
         if up is not None:
             known = self._up.gyro_bias.variance
@@ -361,10 +368,10 @@ class HeadingCollector:
         reference: ReferenceField,
         max_gap: float = 0.0,
     ) -> bool:
-        """Take a field sample; returns whether enough is new for a fit.
+        """Take a field sample; returns whether there are enough new means for a fit.
 
-        `forward` (3,) is the direction in the IMU's axes whose heading is sent, to true north or
-        to magnetic north; `max_gap` is as of `UpFollower.at`.
+        `forward` (3,) is the direction in the IMU's axes to which the headings refer. `is_true`
+        says whether they refer to true or to magnetic north; `max_gap` is as in `UpFollower.at`.
         """
         up, heading = self._up.at(sample.stamp, max_gap), self.newest
         given = ExternalHeading(heading.yaw, heading.sigma, is_true)
@@ -375,5 +382,5 @@ class HeadingCollector:
             return False
         if self.log is None or not np.array_equal(self.log.forward, forward):
             self.log = HeadingLog(forward)
-        seen = sample, up.direction, self._up.rate, given, shift, self._up.is_at_rest
-        return self.log.add(*seen, self._turn)
+        values = sample, up.direction, self._up.rate, given, shift, self._up.is_at_rest
+        return self.log.add(*values, self._turn)

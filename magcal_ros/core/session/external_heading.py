@@ -21,20 +21,20 @@ from magcal_ros.core.samples.streams import STREAMS, HeadingSample
 
 @dataclass(frozen=True)
 class KnownHeadingTuning:
-    """How a robot stands at a known heading, and when a device's heading contradicts the gyro."""
+    """Rests at a known heading, and the comparison of a device's headings with the gyro."""
 
-    seconds: float = 3.0  # how long samples are averaged
-    fewest: int = 10  # samples of the field that are needed
-    patience: float = 15.0  # seconds, by another clock, after which those that came are too few
-    rate: float = math.radians(1.5)  # rad/s beyond the bias from which a robot turns
-    creep: float = 0.7e-6  # tesla by which the field's mean may move meanwhile, noise apart
+    seconds: float = 3.0  # duration of a mean
+    fewest: int = 10  # field samples that a mean needs
+    patience: float = 15.0  # steady-clock seconds after which the samples are taken as too few
+    rate: float = math.radians(1.5)  # rad/s without the bias from which the robot turns
+    creep: float = 0.7e-6  # largest change of the field in a rest, without noise, tesla
     contradicted: float = 3.0  # sigmas by which a calibration in force may miss a known heading
-    same: float = math.radians(5.0)  # radians within which a standing replaces another one
+    same: float = math.radians(5.0)  # radians of heading within which a standing replaces another
     most: int = 24  # standings that are kept
-    turn: float = math.radians(40.0)  # radians that the gyro must turn for a comparison
-    apart: float = math.radians(12.0)  # radians by which both may differ
-    times: int = 3  # comparisons in a row that must fail
-    longest: float = 60.0  # seconds over which the gyro is trusted
+    turn: float = math.radians(40.0)  # smallest turn by the gyro for a comparison, radians
+    apart: float = math.radians(12.0)  # largest difference in a comparison, radians
+    times: int = 3  # successive failed comparisons from which the headings are refused
+    longest: float = 60.0  # seconds over which the gyro is integrated for a comparison
 
 
 TUNING = KnownHeadingTuning()
@@ -42,20 +42,21 @@ TUNING = KnownHeadingTuning()
 
 @dataclass(frozen=True)
 class LogTuning:
-    """What is kept of a drive along which external headings arrive."""
+    """The means that are kept of a drive with external headings."""
 
-    sectors: int = 12  # directions
-    each: int = 8  # means that are kept of each
+    sectors: int = 12  # sectors of headings
+    each: int = 8  # means that are kept in each sector
     block: float = 0.5  # seconds of a mean
-    pause: float = 4.0  # and between those of one direction: streets bend the field over 30 m
+    pause: float = 4.0
+    """Seconds between two means of a sector: local disturbances extend over some 30 m of street."""
     fewest: int = 4  # samples of a mean
-    rate: float = 0.1  # rad/s of turning from which heading and field are not of one moment
-    sigma: float = math.radians(0.7)  # radians of heading, for being apart in time
+    rate: float = 0.1  # rad/s from which a delay between heading and field matters
+    sigma: float = math.radians(0.7)  # heading error by such a delay, radians
     common: float = math.radians(0.5)
-    """Radians by which a device is mounted askew: two antennas a metre apart by a centimetre."""
-    force: float = 0.15  # m/s² per axis by which up is wrong on the way
-    speed: float = 5.0  # m/s of a robot that moves: nobody tells how far it goes
-    first: int = 8  # new means after which it is worth while to fit
+    """Sigma of the device's mounting yaw, radians: a centimetre for antennas a metre apart."""
+    force: float = 0.15  # sigma of the up vector in a drive, m/s² per axis
+    speed: float = 5.0  # assumed speed of a moving robot, m/s, because the speed is not measured
+    first: int = 8  # new means needed for a fit
 
 
 LOG = LogTuning()
@@ -63,58 +64,58 @@ LOG = LogTuning()
 
 @dataclass(frozen=True)
 class ExternalHeading:
-    """A heading from outside, such as a dock's or an antenna pair's."""
+    """A heading from another source, such as a dock or a pair of antennas."""
 
     yaw: float  # ENU yaw, radians: zero to the east, positive to the left
     sigma: float
-    is_true: bool  # whether it is to true north; otherwise to magnetic north
+    is_true: bool  # whether it refers to true north; otherwise to magnetic north
 
     def to_magnetic(self, reference: ReferenceField) -> float | None:
-        """Return what is added for magnetic north, radians; None where it is not known."""
+        """Return the angle to add for magnetic north, radians; None if it is not known."""
         return reference.declination if self.is_true else 0.0
 
 
 def mean_heading(heard: Sequence[HeadingSample], is_true: bool) -> ExternalHeading | None:
-    """Return the mean heading of a robot at rest; None where none was heard."""
+    """Return the mean heading of a robot at rest; None without headings."""
     if not heard:
         return None
     yaw = mean_angle(np.array([each.yaw for each in heard]))
-    # The errors of a receiver's messages are correlated: the mean is no more certain.
+    # The errors of a receiver's messages are correlated: averaging does not reduce the sigma.
     return ExternalHeading(yaw, max(each.sigma for each in heard), is_true)
 
 
 METHOD = "known_headings"
-ENOUGH = math.radians(5.0)
-"""Heading sigma from which a calibration is no longer called rough."""
+LARGEST_FIRST_SIGMA = math.radians(5.0)
+"""Heading sigma below which a first calibration is put in force, radians."""
 
 
 def is_by_headings(calibration: Calibration) -> bool:
-    """Whether a calibration was made at known headings, not by a turn or a drive."""
+    """Whether a calibration was made at known headings, not from a turn or a drive."""
     return calibration.evidence.method == METHOD
 
 
 def replaces(found: Calibration, before: Calibration | None) -> bool:
-    """Whether a calibration by headings replaces the one in force; one of a turn stays."""
+    """Whether a calibration from headings replaces the one in force; one from a turn is kept."""
     if before is None:
-        return calibration_sigma(found) < ENOUGH
+        return calibration_sigma(found) < LARGEST_FIRST_SIGMA
     return is_by_headings(before) and calibration_sigma(found) < calibration_sigma(before)
 
 
 class GyroTurn(NamedTuple):
-    """How far the gyro has turned to the left since some moment, radians."""
+    """The turn by the gyro since some start, radians to the left."""
 
     stamp: float = math.nan  # of the newest IMU message, seconds
-    seconds: float = 0.0  # since that moment
+    seconds: float = 0.0  # since the start
     angle: float = 0.0
-    variance: float = 0.0  # by what the gyro loses, apart from its bias
+    variance: float = 0.0  # by noise and scale of the gyro, without the bias
     by_bias: float = 0.0
-    """Sigma by a bias beyond `FUSION.bias_sigma`, as it may be before a rest has shown it."""
+    """Sigma by the part of the bias beyond `FUSION.bias_sigma`, large before the first rest."""
 
     def after(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> GyroTurn:
         """Return the turn up to an IMU message at a stamp, seconds.
 
-        `up` is unit, `rate` the mean since the message before, rad/s less the known bias, body
-        axes. The variance is of that bias about up, (rad/s)².
+        `up` is a unit vector. `rate` is the mean since the previous message, rad/s without the
+        known bias, body axes. `bias_variance` is of the bias about up, (rad/s)².
         """
         seconds = stamp - self.stamp
         if math.isnan(seconds):
@@ -132,15 +133,15 @@ class GyroTurn(NamedTuple):
         )
 
     def since(self, before: GyroTurn) -> GyroTurn:
-        """Return the turn since an earlier moment."""
+        """Return the turn after an earlier one with the same start."""
         apart = (now - then for now, then in zip(self[1:], before[1:], strict=True))
         return GyroTurn(self.stamp, *apart)
 
     @property
     def sigma(self) -> float:
-        """Standard deviation but for a constant bias; infinite after a gap or without messages.
+        """Standard deviation; infinite after a gap or without messages.
 
-        That bias, with `FUSION.bias_sigma`, is an unknown of the fit.
+        A constant bias with `FUSION.bias_sigma` is not included: it is an unknown of the fit.
         """
         if math.isnan(self.stamp) or self.variance >= UNKNOWN_YAW:
             return math.inf
@@ -149,9 +150,9 @@ class GyroTurn(NamedTuple):
 
 
 class HeadingAgainstGyro:
-    """Whether the headings of a device turn as the gyro does.
+    """Compares the turns of a device's headings with those of the gyro.
 
-    `fault` says in words how they differ; it is empty while they agree.
+    `fault` describes the difference in words; it is empty while they agree.
     """
 
     def __init__(self) -> None:
@@ -160,7 +161,7 @@ class HeadingAgainstGyro:
         self._wrong: list[tuple[float, float]] = []
 
     def add(self, stamp: float, yaw: float, angle: float) -> None:
-        """Take a heading, and how far the gyro has turned by then, radians to the left."""
+        """Take a heading, and the turn by the gyro up to its stamp, radians to the left."""
         seconds, given, turned = stamp - self._last[0], yaw - self._last[1], angle - self._last[2]
         if not 0.0 < seconds < TUNING.longest:
             self._last = stamp, yaw, angle
@@ -176,26 +177,27 @@ class HeadingAgainstGyro:
             self.fault = self._in_words()
 
     def _in_words(self) -> str:
-        for factor, words in TURNS_AS.items():
+        for factor, words in FAULTS_BY_FACTOR.items():
             if all(abs(wrapped(t - factor * g)) < TUNING.apart for t, g in self._wrong):
                 return words
         given, turned = self._wrong[-1]
         return (
-            f"it turned by {given * DEGREES:.0f}°, but the gyro measured "
-            f"{wrapped(turned) * DEGREES:.0f}° (to the left): check that it is the robot's "
-            "heading, and that its stamps are those of the measurement"
+            f"the heading turned by {given * DEGREES:.0f}°, but the gyro measured "
+            f"{wrapped(turned) * DEGREES:.0f}° (to the left): check that the topic has the robot's "
+            "heading, and that the stamps are times of measurement"
         )
 
 
-TURNS_AS = {
+FAULTS_BY_FACTOR = {
     -1.0: (
-        "it turns in the direction opposite to the gyro's: its sign is wrong (a bearing counts "
-        "clockwise, yaw counts to the left), or the antennas are mirrored"
+        "the heading turns opposite to the gyro: the sign is wrong (a bearing counts clockwise, "
+        "yaw counts to the left), or the antennas are mirrored"
     ),
-    DEGREES: "it turns about 57 times as far as the gyro: degrees were published as radians",
+    DEGREES: "the heading turns about 57 times as far as the gyro: degrees were published as "
+    "radians",
     1.0 / DEGREES: (
-        "it hardly turns when the gyro shows a turn: the device repeats an old heading, or "
-        "radians were taken for degrees"
+        "the heading hardly turns when the gyro measures a turn: the device repeats an old "
+        "heading, or radians are converted as if they were degrees"
     ),
 }
-"""What is wrong with a heading that turns so many times as far as the gyro."""
+"""The fault of a heading that turns by this factor of the gyro's turn."""

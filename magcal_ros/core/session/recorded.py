@@ -1,4 +1,4 @@
-"""A recording in place of the sensors: the same streams, pairs, session and verdict as live."""
+"""Calibration from a recording, with the same streams, pairs, session and verdict as live."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 """One sample; None is an Imu message that marks its acceleration as absent."""
 
 
-LONGEST_DRIVE = 7200.0  # seconds of movement that are remembered; of a longer drive the last ones
-LONGER = 20  # times that what is kept of a recording may be as long as a turn: two hours at 50 Hz
+LONGEST_DRIVE = 7200.0  # seconds of movement that are kept, the newest ones of a longer drive
+LONGER = 20  # buffer of a recording in multiples of that of a turn: two hours at 50 Hz
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Refusals that a longer recording could avoid."""
@@ -66,10 +66,10 @@ NEVER_TOGETHER = "their stamps have no time in common: `magcal doctor` shows how
 
 
 class Gathering:
-    """Takes a whole recording into one session, which does not end by itself.
+    """Collects a whole recording in one session, which does not end automatically.
 
-    Memory is bounded: the session thins its samples, whatever the recording's length. The topics
-    are names for messages.
+    Memory is bounded, because the session thins its samples. The topics are the names that messages
+    use.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Gathering:
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
         self.heard = [0, 0]
-        """How many messages of IMU and field came."""
+        """Number of messages of IMU and field."""
         self._drive = DriveRecorder(LONGEST_DRIVE)
         self._replay = TravelReplay(())
         self._currents: Messages = ()
@@ -93,9 +93,9 @@ class Gathering:
         travel: Sequence[TravelSample] = (),
         currents: Messages = (),
     ) -> None:
-        """Take everything, in the order in which it was recorded; travel by stamp.
+        """Take all readings in the order of recording, and travel in the order of stamps.
 
-        `currents` are those of the battery, by stamp (s, A).
+        `currents` are the battery's stamps (s) and currents (A), in the order of stamps.
         """
         streams, self._currents = self.streams, currents
         self._session.note_currents(*currents)
@@ -115,16 +115,16 @@ class Gathering:
 
     @property
     def has_samples(self) -> bool:
-        """Whether any pair of field and acceleration was made."""
+        """Whether there is a pair of field and acceleration samples."""
         return self._session.has_samples
 
     @property
     def repeats(self) -> int:
-        """How many field samples repeat the one before; they are left out."""
+        """Number of field samples that repeat the previous one; they are left out."""
         return self.streams.field_drops[Drop.REPEATED]
 
     def drive(self) -> Window:
-        """Return what was driven; nothing without a gyro, or of a field too slow for one."""
+        """Return the samples of the drive; empty without a gyro or if the field is too slow."""
         return DriveRecorder(LONGEST_DRIVE).log() if self.slow_field else self._drive.log()
 
     @property
@@ -135,19 +135,19 @@ class Gathering:
         return f"{self._topics[1]}: {words}" if words else ""
 
     def complaints(self) -> list[str]:
-        """Say in words what is wrong with what came; empty if nothing is."""
+        """Return the faults of the messages in words."""
         drops = (self.streams.imu_drops, self.streams.field_drops)
         imu, field = map(Heard, self._topics, self.heard, drops)
         return complaints(self.streams, imu, field)
 
     def progress(self) -> Progress:
-        """Return how much of a turn was seen."""
+        """Return how much of a turn was measured."""
         return self._session.progress(0.0)
 
     def window(self, reference: ReferenceField = ReferenceField()) -> Window:
-        """Return what was gathered; a Refusal if it is not enough of a turn.
+        """Return the samples of the turn; raises Refusal if the turn is too short.
 
-        The reference field serves to say what is wrong with the sensors then.
+        The refusal names a fault of the sensors, if one is found by means of the reference field.
         """
         if not self._session.has_samples:
             words = "no pair of field and acceleration samples could be made"
@@ -176,7 +176,7 @@ class Gathering:
                 self._drive.add(pair, travelling.speed)
 
     def _choose(self) -> None:
-        """Keep the part with most of a turn, of the parts between which time was set back."""
+        """Keep the part with the largest arc, if time was set back and there are two parts."""
         if self._best is not None:
             both = self._best, self._session
             self._session = max(both, key=lambda session: session.progress(0.0).coverage.arc)
@@ -189,16 +189,16 @@ def fit_gathered(
     method: str = METHODS[0],
     progress: Callable[[float], object] | None = None,
 ) -> Outcome:
-    """Calibrate from what was gathered; bad data are a refused outcome, perhaps without a window.
+    """Calibrate from a recording; bad data are a refused outcome, perhaps without a window.
 
-    `progress` takes the share of the work that is done, 0 to 1, of a fit that takes long.
+    A slow fit calls `progress` with the fraction of the work that is done.
     """
     log = gathering.drive()
     if method == DRIVES:
         return calibrate_drive(log, knowledge)
     drive: Outcome | None = None
     if method == METHODS[0] and log.rolls:
-        # Unlike a window, the log says where the robot stood on its way.
+        # Unlike a window, the log has the positions of the rests along the drive.
         drive = calibrate_drive(log, knowledge)
         if drive.verdict.accepted:
             return drive
@@ -215,14 +215,14 @@ def fit_gathered(
 
 
 def fault_of_drive(gathering: Gathering, knowledge: Knowledge) -> str:
-    """Return what may be wrong with the sensors of a drive without a result; empty if nothing.
+    """Return the likely fault of the sensors in a drive without a result; empty if none is found.
 
-    Raises `Refusal` if no field and acceleration belong together, with the reason.
+    Raises `Refusal` with the reason if there is no pair of field and acceleration samples.
     """
     newest, log = gathering.streams.newest_imu, gathering.drive()
     has_gyro = newest is not None and math.isfinite(newest.rate[0])
     if has_gyro and not gathering.has_samples:
-        # It has no samples, and says why.
+        # Raises the refusal, because there are no samples.
         gathering.window(knowledge.reference)
     if not len(log):
         return ""
@@ -238,8 +238,8 @@ def fit_several(
 ) -> tuple[Outcome, int]:
     """Join the turns of several recordings into one calibration.
 
-    Returns the outcome, and which recording its window is from. A recording without a turn is left
-    out, with the reason. Misuse if the method cannot join turns.
+    Returns the outcome, and the index of the recording that its window is from. A recording without
+    a turn is left out, with the reason. Raises Misuse if the method cannot join turns.
     """
     looked = [_window_or_refusal(gathering, knowledge) for gathering in gatherings]
     windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}
@@ -273,9 +273,9 @@ def without_motors(
     travel: Iterable[TravelSample],
     currents: Messages,
 ) -> Iterator[AnyReading | FieldSample]:
-    """Yield the readings; raw fields are those of the robot with its motors off.
+    """Yield the readings with the field of the motors subtracted from the raw field.
 
-    Speeds of the wheels in `travel`, and `currents` (stamps in s, battery in A), are by stamp.
+    Wheel speeds in `travel` and battery `currents` (stamp in s, A) are in the order of stamps.
     """
     if calibration.motors is None:
         yield from readings
@@ -300,17 +300,17 @@ def without_motors(
 
 
 def _newest(values: Messages, stamp: float) -> float:
-    """Return the newest of some values (stamp in s, value) at a stamp; NaN if it is unknown."""
+    """Return the newest of (stamp in s, value) pairs at a stamp; NaN if none is recent."""
     row = bisect_right(values, (stamp, math.inf))
     since, value = values[row - 1] if row else (-math.inf, math.nan)
     return value if stamp - since < SILENT else math.nan
 
 
-FORWARD = np.array([1.0, 0.0, 0.0])  # the heading is that of the IMU's x axis
+FORWARD = np.array([1.0, 0.0, 0.0])  # direction to which the headings refer: the IMU's x axis
 
 
 def standing_pairs(readings: Iterable[Reading]) -> tuple[Pair, ...]:
-    """Return the field samples of a recording, each with the IMU's of its moment."""
+    """Return the field samples of a recording, each with the IMU sample at its stamp."""
     streams = Streams(STREAMS.max_gap)
     pairer, found = Pairer(streams), list[Pair]()
     for reading in readings:
@@ -325,7 +325,7 @@ def standing_pairs(readings: Iterable[Reading]) -> tuple[Pair, ...]:
 def fit_at_headings(
     recordings: Sequence[tuple[Pair, ...]], given: Sequence[ExternalHeading], knowledge: Knowledge
 ) -> tuple[Outcome, str]:
-    """Calibrate from recordings of a robot at rest; returns the outcome, and its summary."""
+    """Calibrate from recordings of a robot at rest; returns the outcome and its summary."""
     standings: tuple[Standing, ...] = ()
     outcome, words = Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, "no heading was given")), ""
     for pairs, heading in zip(recordings, given, strict=True):
@@ -345,7 +345,10 @@ def fit_heading_topic(
     """Calibrate from a recording in which another device measures the heading."""
     reference = knowledge.reference
     if is_true and reference.declination is None:
-        words = "the headings are to true north, and the declination is not known: give the place"
+        words = (
+            "the headings refer to true north, and the declination is not known: give latitude "
+            "and longitude"
+        )
         return Outcome.refused(Refusal(Reason.NO_SOLUTION, words))
     up, waiting = UpFollower(), iter(headings)
     collector, following = HeadingCollector(up), next(waiting, None)

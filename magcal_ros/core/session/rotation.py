@@ -1,12 +1,12 @@
-"""How a robot turns itself: one turn out, one back, when to stop, and what the sensors show of it.
+"""Control of a robot that turns itself once each way, and its supervision by the sensors.
 
-Time and what the sensors show are passed in; out comes the yaw rate to command. A turn each way
-winds no cable, and delays between gyro and compass cancel.
+The plan takes the time and the measured turn, and returns the yaw rate to command. With a turn each
+way, cables are not twisted, and delays between gyro and compass cancel.
 
-A gyro that hangs or is saturated still gives numbers. The level field of a robot that turned by an
-angle moves as far on an unknown circle. The angles of the gyro and of the commands are both fitted
-to it, each with a free scale that a slipping wheel or a distorted field explains. The gyro is
-rejected if only the other one fits.
+A frozen or saturated gyro still publishes numbers. While the robot turns by an angle, the level
+field moves by the same angle on an unknown circle. The angles by the gyro and by the commands are
+both fitted to the field, each with a free scale for wheel slip and a distorted field. The gyro is
+rejected if only the commanded angle fits.
 """
 
 from __future__ import annotations
@@ -27,30 +27,30 @@ from magcal_ros.core.session.session import Progress
 
 @dataclass(frozen=True)
 class RotationTuning:
-    """How a robot turns itself, what is a fault, and when the field contradicts the gyro."""
+    """Commands of a turn, faults of the robot, and the test of the gyro by the field."""
 
     acceleration: float = 0.5  # rad/s² of the ramps
-    pause: float = 0.5  # seconds at rest between the two ways
-    longest_step: float = 0.2  # seconds that a ramp goes on after any longer delay
-    least_share: float = 0.3  # a robot that turns with less of the commanded rate does not turn
-    most_share: float = 1.75  # times the commanded rate beyond which a robot is far too fast
-    most_more: float = 0.1  # and rad/s on top
-    leeway: float = 1.5  # times the planned time and angle that a turn may take: wheels slip
-    farthest_beyond: float = math.radians(45.0)  # radians beyond either end: it coasts
+    pause: float = 0.5  # seconds at rest between the two directions
+    longest_step: float = 0.2  # longest time step of a ramp, seconds, also after a longer delay
+    least_share: float = 0.3  # fraction of the commanded rate below which the robot does not turn
+    most_share: float = 1.75  # with `most_more`: the fastest rate is this times the planned speed
+    most_more: float = 0.1  # plus this, rad/s
+    leeway: float = 1.5  # limit of time and angle in multiples of the plan, because wheels slip
+    farthest_beyond: float = math.radians(45.0)  # limit beyond either end, because a robot coasts
     rate_span: float = 0.5  # seconds over which the gyro's rate is averaged
-    kept: int = 2000  # samples kept to tell the compass's sense of rotation
-    asked_every: float = 0.25  # seconds between two looks at the field
+    kept: int = 2000  # samples that are kept to compare gyro, commands and field
+    asked_every: float = 0.25  # seconds between two tests of the gyro by the field
     spans: tuple[float, float, float] = (
         math.radians(75.0),
         math.radians(150.0),
         math.radians(300.0),
     )
-    """Radians that gyro or commands have turned before a test; larger spans show more."""
-    disagree: float = 0.38  # share by which gyro and commands differ before the field is tested
-    factors: tuple[float, float, float] = (0.85, 1.0, 1.2)  # scales of an angle that may be true
-    clearly_worse: float = 1.4  # times the squared misfit at which an angle is rejected
-    smallest_radius: float = 1.5e-6  # tesla. A field on a smaller circle has not turned.
-    most_rows: int = 200  # samples that are looked at, evenly over the span
+    """Spans of either angle that are tested, radians; a larger span is more conclusive."""
+    disagree: float = 0.38  # relative difference of gyro and commands from which the field decides
+    factors: tuple[float, float, float] = (0.85, 1.0, 1.2)  # scales of an angle that are tried
+    clearly_worse: float = 1.4  # ratio of squared misfits from which an angle is rejected
+    smallest_radius: float = 1.5e-6  # tesla; a field on a smaller circle has not turned
+    most_rows: int = 200  # samples of a test, evenly over the span
 
 
 TUNING = RotationTuning()
@@ -75,17 +75,17 @@ class Fault(str, Enum):
 
 @dataclass(frozen=True)
 class Seen:
-    """What the sensors show of the turn."""
+    """The turn as measured by the sensors."""
 
     turned: float  # radians since the start, left positive
-    rate: float  # rad/s over the last moments, left positive
+    rate: float  # recent mean rate, rad/s, left positive
     by_gyro: bool
-    """Whether the gyro shows it; the compass alone is slower, and shows nothing at first."""
-    is_complete: bool  # whether every heading was seen
+    """Whether the gyro measures the turn. The compass is slower and needs an arc first."""
+    is_complete: bool  # whether there are samples at every heading
 
 
 def patience(by_gyro: bool, speed: float) -> dict[Fault, float]:
-    """Return the seconds that faults must last; the compass shows nothing before an arc."""
+    """Return the seconds that a fault must last; more for the compass, which needs an arc first."""
     if by_gyro:
         return {Fault.NOT_TURNING: 2.5, Fault.WRONG_WAY: 0.5, Fault.TOO_FAST: 0.5}
     slow = max(5.0, 1.5 / speed)
@@ -93,15 +93,15 @@ def patience(by_gyro: bool, speed: float) -> dict[Fault, float]:
 
 
 def planned_duration(speed: float) -> float:
-    """Return seconds that a turn each way takes at `speed`, rad/s."""
+    """Return the duration in seconds of a turn each way at `speed`, rad/s."""
     return 2.0 * (math.tau / speed + speed / TUNING.acceleration) + TUNING.pause
 
 
 class RotationPlan:
-    """A turn to the left until every heading was seen or the turn is full, and as far back.
+    """A turn to the left until all headings are measured, at most a full circle, and back.
 
-    Speed and commands are in rad/s; `now` is in seconds on a steady clock. `fault` says why the
-    plan was broken off, if it was.
+    Speed and commands are in rad/s; `now` is in seconds on a steady clock. `fault` is the reason
+    for an early end, or None.
     """
 
     def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
@@ -121,11 +121,11 @@ class RotationPlan:
         self._commanded = self._path = 0.0
 
     def is_late(self, now: float) -> bool:
-        """Whether the time for the turn is up."""
+        """Whether the time limit of the turn is exceeded."""
         return now > self._deadline
 
     def note(self, now: float, command: float, seen: Seen) -> None:
-        """Take the command (rad/s) that was in force until `now`, and what the sensors show."""
+        """Take the command (rad/s) that was in force until `now`, and the measured turn."""
         step, self._noted = (now - self._noted) * command, now
         self._commanded += step
         self._path += abs(step)
@@ -134,8 +134,8 @@ class RotationPlan:
         beyond = TUNING.farthest_beyond
         if seen.by_gyro and not -beyond <= seen.turned <= math.tau + beyond:
             self.objection = (
-                f"the gyro shows {math.degrees(seen.turned):+.0f}°, outside of the turn from 0° to "
-                "360°"
+                f"the gyro measured {math.degrees(seen.turned):+.0f}°, outside the planned turn "
+                "from 0° to 360°"
             )
         elif max(abs(self._commanded), 0.5 * self._path) > TUNING.leeway * math.tau:
             self.objection = (
@@ -144,7 +144,7 @@ class RotationPlan:
 
     @property
     def direction(self) -> float:
-        """+1 on the way out, to the left; -1 on the way back."""
+        """+1 for the turn to the left, -1 for the turn back."""
         return -1.0 if self.phase is Phase.BACK else 1.0
 
     def step(self, now: float, seen: Seen) -> float:
@@ -180,7 +180,7 @@ class RotationPlan:
             self._paused_at = now
 
     def _find_fault(self, now: float, seen: Seen) -> Fault | None:
-        """Return a fault that has lasted longer than is tolerated."""
+        """Return a fault that has lasted longer than `patience`."""
         along = self.direction * seen.rate
         commanded = 0.0 if self._brakes else abs(self.command)
         shows = {
@@ -198,10 +198,10 @@ class RotationPlan:
 
 
 def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArray) -> str:
-    """Say how the field contradicts the gyro; empty if it does not, or it is too early to say.
+    """Return how the field contradicts the gyro; empty if it does not or the turn is too short.
 
-    The angles by gyro and by commands are (n,), radians to the left; the field in two level axes is
-    (n, 2), tesla.
+    `turned` by the gyro and `commanded` are (n,), radians to the left. `level` is the field in two
+    level axes, (n, 2), tesla.
     """
     for span in TUNING.spans:
         rows = _last(span, turned, commanded)
@@ -217,19 +217,16 @@ def _objection(by_gyro: FloatArray, by_command: FloatArray, level: FloatArray, s
     gyro_span, commanded_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
     shown, asked = math.degrees(gyro_span), math.degrees(commanded_span)
     if gyro_span >= span and _best_fit(by_gyro, level)[1] < TUNING.smallest_radius:
-        return f"the gyro shows {shown:.0f}° of turn, but the field did not change"
+        return f"the gyro measured a turn of {shown:.0f}°, but the field did not change"
     if np.ptp(by_gyro - by_command) < TUNING.disagree * max(gyro_span, commanded_span):
         return ""
     if _turns_rather_by(by_command, by_gyro, level):
-        return (
-            f"the gyro shows {shown:.0f}°, but the field turned with the {asked:.0f}° that were "
-            "commanded"
-        )
+        return f"the gyro measured {shown:.0f}°, but the field turned by the commanded {asked:.0f}°"
     return ""
 
 
 def _turns_rather_by(one: FloatArray, other: FloatArray, level: FloatArray) -> bool:
-    """Return whether the field turns by one angle and not by the other."""
+    """Return whether the field turns by angle `one` and not by angle `other`."""
     if not len(level):
         return False
     misfit, radius = _best_fit(one, level)
@@ -256,7 +253,7 @@ def _best_fit(turned: FloatArray, level: FloatArray) -> tuple[float, float]:
 
 
 def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
-    """Return the newest rows in which either angle spans so much, evenly thinned; else none."""
+    """Return the newest rows over which either angle spans `span`, evenly thinned, or no rows."""
     backward = slice(None, None, -1)
     spans = [
         np.maximum.accumulate(angle[backward]) - np.minimum.accumulate(angle[backward])
@@ -271,7 +268,10 @@ def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
 
 
 class RotationProof:
-    """Follows one turn by its samples; `to_body` (3, 3) is from raw field to nominal body axes."""
+    """Integrates the gyro over one turn and tests it by the field.
+
+    `to_body` (3, 3) rotates the raw field to nominal body axes.
+    """
 
     def __init__(self, to_body: FloatArray) -> None:
         self._to_body = to_body
@@ -283,7 +283,7 @@ class RotationProof:
         self._rows: deque[tuple[float, ...]] = deque(maxlen=TUNING.kept)
 
     def add(self, pair: Pair, command: float = 0.0) -> None:
-        """Take the next sample, and the rate (rad/s) that is commanded meanwhile."""
+        """Take the next sample, and the commanded rate (rad/s) at its stamp."""
         stamp, force, rate = pair.field.stamp, pair.imu.force, pair.imu.rate
         if not all(map(math.isfinite, rate)):
             return
@@ -299,14 +299,14 @@ class RotationProof:
         self._rows.append(row)
 
     def seen(self, progress: Progress) -> Seen:
-        """Return what the gyro shows, or without one what the session's compass shows."""
+        """Return the turn by the gyro, or without a gyro by the session's compass."""
         coverage = progress.coverage
         if self._has_gyro:
             return Seen(self._turned, self._rate(), True, coverage.is_complete)
         return Seen(coverage.turned, progress.turn_rate, False, coverage.is_complete)
 
     def objection(self, now: float) -> str:
-        """Say how the field contradicts the gyro; most calls return at once, without a test."""
+        """Return how the field contradicts the gyro, if so; tests at most every `asked_every`."""
         if not self._has_gyro or now - self._asked < TUNING.asked_every:
             return ""
         self._asked = now
@@ -315,17 +315,17 @@ class RotationProof:
         return f"{found}: {why}" if found else ""
 
     def explain(self, fault: Fault, seen: Seen, command: float) -> str:
-        """Return what is wrong and what to check, for a fault at a command in rad/s."""
+        """Describe a fault at a command in rad/s, with what to check."""
         shown, commanded = math.degrees(seen.rate), math.degrees(command)
         sensor = "gyro" if seen.by_gyro else "compass"
-        rates = f"the {sensor} shows {shown:+.0f}°/s where {commanded:+.0f}°/s were commanded"
+        rates = f"the {sensor} measures {shown:+.0f}°/s at a command of {commanded:+.0f}°/s"
         if fault is Fault.TOO_FAST:
             return f"the robot turns far too fast: {rates}"
         if fault is Fault.WRONG_WAY:
             return f"{rates}: {self._blame(seen)}"
         turned, asked, level = self._angles_and_field()
         if seen.by_gyro and _turns_rather_by(asked, turned, level):
-            return f"{rates}, but the field turns: the gyro does not measure this turn"
+            return f"{rates}, but the field turns: the gyro does not measure the turn"
         remedy = "check the emergency stop, and that the base obeys cmd_vel"
         return f"the robot does not turn: {rates}; {remedy}"
 
@@ -335,12 +335,12 @@ class RotationProof:
             return f"{base}, or the magnetometer's axes are mirrored"
         return {
             1: f"{base}; the compass agrees with the gyro",
-            -1: "the gyro is mirrored, because the compass shows the turn as commanded",
-            0: f"{base}, or the gyro is mirrored; the compass does not show which yet",
+            -1: "the gyro is mirrored, because the compass agrees with the commands",
+            0: f"{base}, or the gyro is mirrored; the arc is too short to decide by the compass",
         }[self.compass_sense()]
 
     def compass_sense(self) -> int:
-        """Return +1 if the field turns as the gyro does, -1 if the other way, 0 if unknown.
+        """Return +1 if the field turns like the gyro, -1 if opposite, 0 if it is unknown.
 
         The arc may be short.
         """
@@ -349,7 +349,7 @@ class RotationProof:
         return with_gyro - _turns_rather_by(-turned, turned, level)
 
     def _rate(self) -> float:
-        """Return the mean rate over the last moments, rad/s."""
+        """Return the mean rate over the newest `rate_span` seconds, rad/s."""
         first = last = self._rows[-1]
         for row in reversed(self._rows):
             if last[7] - row[7] > TUNING.rate_span:
@@ -359,7 +359,7 @@ class RotationProof:
         return (last[0] - first[0]) / seconds if seconds > 0.0 else 0.0
 
     def _angles_and_field(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the angles of gyro and commands (n,), and the field in two level axes (n, 2)."""
+        """Return the angles by gyro and commands (n,), and the field in two level axes (n, 2)."""
         if len(self._rows) < 10:
             return np.zeros(0), np.zeros(0), np.zeros((0, 2))
         rows = np.array(self._rows)

@@ -1,7 +1,7 @@
-"""A robot that turns itself: when it starts, its commands, and every reason to stop it.
+"""A robot that turns itself: conditions for the start, commands, and reasons to stop the robot.
 
-Time and the surroundings are passed in, and the rate to command, if any, is returned. No command,
-not even zero, is given before the robot starts, and none after the zeros that end the turn.
+Time and the states of sensors and base are passed in, and the rate to command, if any, is returned.
+There is no command, not even zero, before the start and after the zeros that end the turn.
 """
 
 from __future__ import annotations
@@ -17,50 +17,50 @@ from magcal_ros.core.session.session import Brief, Progress
 
 @dataclass(frozen=True)
 class SelfTurnTuning:
-    """How long a robot that turns itself may be without what it needs."""
+    """Time limits of a robot that turns itself, and the end of its commands."""
 
-    zeros: int = 10  # how often zero is sent at the end, for a single message may be lost
-    silence: float = 1.0  # seconds without a sensor after which a moving robot is stopped
+    zeros: int = 10  # zeros that are sent at the end, because a single message may be lost
+    silence: float = 1.0  # seconds without messages of a sensor after which the robot is stopped
     gyro_silence: float = 0.5
-    """Seconds without an angular velocity after which a robot that is controlled by the gyro is
-    stopped, and between two looks at a moving robot: later it could not be stopped in time."""
-    listeners_within: float = 3.0  # seconds within which the commands must have a listener
-    stands_first: float = 3.0  # seconds at rest first: for the gyro's bias, the motors' field
-    guarded_within: float = 10.0  # seconds for the guard: a small computer takes three
+    """Seconds without an angular velocity, or between two calls of `SelfTurn.look`, after which the
+    moving robot is stopped."""
+    listeners_within: float = 3.0  # seconds within which the commands must have a subscription
+    stands_first: float = 3.0  # seconds at rest first, for gyro bias and the motors' field
+    guarded_within: float = 10.0  # longest wait for the guard, s; a small computer needs three
 
 
 TUNING = SelfTurnTuning()
 
 
 UNGUARDED = (
-    "the robot does not start to turn: its guard, a second process that can stop it, was not "
-    f"ready within {TUNING.guarded_within:g} s; end other programs that keep the machine busy, and "
-    "see the log"
+    "the robot does not start to turn: the guard, a second process that can stop the robot, was "
+    f"not ready within {TUNING.guarded_within:g} s; end other programs that keep the machine busy, "
+    "and see the log"
 )
 GUARD_GONE = (
-    "its guard has ended, does not answer, or has stopped it because this node was silent for too "
-    "long: end other programs that keep the machine busy"
+    "the guard process has ended, does not answer, or has stopped the robot because this node was "
+    "silent for too long: end other programs that keep the machine busy"
 )
 
 
 @dataclass(frozen=True)
 class Around:
-    """The state of sensors, base and guard at one look."""
+    """The state of sensors, base and guard at one moment."""
 
-    imu_age: float  # seconds since the newest message; infinite before the first
-    field_age: float  # the same
-    listeners: int
-    is_allowed: bool  # whether the user still lets the robot turn itself
+    imu_age: float  # seconds since the newest IMU message; infinite before the first
+    field_age: float  # the same for the field
+    listeners: int  # subscriptions of the command topic
+    is_allowed: bool  # whether the parameter rotate.enabled is true
     is_guarded: bool  # whether the guard would stop the robot if this node failed
 
 
 @dataclass(frozen=True)
 class Steering:
-    """What a look at the robot leads to."""
+    """The result of one control step."""
 
     rate: float | None = None  # to command, rad/s, if any
-    broken_off: str = ""  # why its turn is given up
-    ended: str = ""  # why it goes no further, and what was seen is to be fitted
+    broken_off: str = ""  # why the turn is given up, if it is
+    ended: str = ""  # why the turn ends before it is complete; its samples are fitted
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Moving:
 class SelfTurn:
     """Turns the robot from the first usable samples of a turn until its end.
 
-    The texts are names of the sensors and the commands for messages.
+    The arguments are names of both sensors and of the command topic, for messages.
     """
 
     def __init__(
@@ -82,23 +82,23 @@ class SelfTurn:
     ) -> None:
         self._imu, self._field, self._command = imu, field, command
         self._stage: Brief | Moving | None = None
-        """A brief while it waits for both sensors, a subscriber of the commands and the guard."""
-        self._zeros = 0  # so many zeros are still sent to end a turn
+        """A `Brief` while it waits for both sensors, a subscription of the commands, the guard."""
+        self._zeros = 0  # zeros that are still to be sent
         self._opened = self._looked = self._paired = 0.0
         self._gyro_heard: float | None = None
 
     @property
     def is_under_way(self) -> bool:
-        """Whether the robot is to turn, or turns."""
+        """Whether the robot turns or waits for its start."""
         return self._stage is not None
 
     @property
     def is_quiet(self) -> bool:
-        """Whether the turn and its zeros are over."""
+        """Whether the turn is over and all zeros are sent."""
         return self._stage is None and not self._zeros
 
     def open(self, brief: Brief, now: float) -> None:
-        """Let the robot turn as soon as it may."""
+        """Start the turn as soon as its conditions are met."""
         self._stage = brief
         self._gyro_heard = None
         self._opened = self._looked = self._paired = now
@@ -106,7 +106,7 @@ class SelfTurn:
     def hear(self, rate: Triple, now: float) -> None:
         """Note the angular velocity (rad/s, NaN without one) of an IMU message."""
         is_finite = all(map(math.isfinite, rate))
-        # Without a gyro many drivers send zero; after another value zero is a rate like others.
+        # Many drivers without a gyro send zeros; after another value, zero is a measured rate.
         if is_finite and (self._gyro_heard is not None or any(rate)):
             self._gyro_heard = now
 
@@ -118,7 +118,7 @@ class SelfTurn:
             stage.proof.add(pair, stage.plan.command)
 
     def look(self, now: float, progress: Progress, around: Around) -> Steering:
-        """Return the command at `now` (s, steady clock); to be called twenty times a second."""
+        """Return the control step at `now` (s, steady clock); called twenty times a second."""
         stage = self._stage
         since, self._looked = now - self._looked, now
         if self._zeros:
@@ -185,10 +185,10 @@ class SelfTurn:
         return Steering(rate)
 
     def _objection(self, stage: Moving, now: float, since: float, around: Around) -> str:
-        """Say why the robot must not turn on; empty if it may."""
+        """Return why the turn must not continue; empty if it may."""
         if since > TUNING.gyro_silence:
             return (
-                f"the machine was too busy to check it for {since:.1f} s: "
+                f"the machine was too busy to supervise the robot for {since:.1f} s: "
                 "end other programs that keep the machine busy"
             )
         if not around.is_allowed:
@@ -201,7 +201,7 @@ class SelfTurn:
         is_pausing = stage.plan.phase is Phase.PAUSE
         is_unpaired = now - self._paired > TUNING.silence and not is_pausing
         by_gyro = self._gyro_heard is not None
-        # Pairs end with the older of the two samples, a little before the sensor's silence.
+        # A pair needs both sensors, so pairs end a little before a sensor counts as silent.
         longest = TUNING.silence / 2.0 if is_unpaired else TUNING.silence
         for topic, age, limit in (
             (self._imu, around.imu_age, TUNING.gyro_silence if by_gyro else longest),
@@ -215,5 +215,5 @@ class SelfTurn:
                 f"{now - self._gyro_heard:.1f} s"
             )
         if is_unpaired:
-            return "no new field sample with an acceleration has come while the robot turned"
+            return "no new pair of field and acceleration samples has come while the robot turned"
         return ""

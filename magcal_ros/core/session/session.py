@@ -1,7 +1,7 @@
-"""Collects the samples of one turn and decides when it is over; time is passed in.
+"""Collects the samples of one turn and decides when the turn is over; time is passed in.
 
-Paired samples enter, coverage answers how far the turn is, and the session says when it is over
-and why. It does not fit: its owner passes the window to a method.
+A session takes pairs of samples and computes the coverage, and the reason for the end. It does not
+fit: its owner passes the window to a method.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ from magcal_ros.core.samples.window import Window, steps_of
 
 @dataclass(frozen=True)
 class SessionTuning:
-    """What a session keeps, and when a turn is taken to be complete."""
+    """Size of the buffer, and conditions for a complete turn."""
 
     largest_buffer: int = 20_000
-    """Pairs. A full buffer is thinned to equal angles, or to equal times without known angles. So
-    its size is bounded, however long the robot waits or turns."""
+    """Pairs. A full buffer is thinned to equal angles, or to equal times if the angles are unknown,
+    so that its size is bounded."""
     enough_for_progress: int = 2_000
-    """Rows beyond which progress looks at every second, third ... row: it is asked ten times a
-    second, between the messages."""
-    most_turns: float = 2.0  # full turns after which more hardly shows anything
+    """Rows beyond which progress uses only every second, third ... row, because it is computed ten
+    times a second in the thread of the messages."""
+    most_turns: float = 2.0  # full turns after which a turn ends in any case
     near: float = 2.0
-    """Times the target up to which turning may end before the target is reached. Far from it the
-    surroundings are at fault, and a second round is useful."""
-    once_more: float = 1.2  # full turns at which it ends, unless a whole one was beyond `near`
-    stands_still: float = 3.0  # seconds at rest, after a complete turn, that end it
-    slowest_turn: float = math.radians(3.0)  # rad/s. Slower than this the robot stands.
-    preview_arc: float = math.radians(120.0)  # radians of arc for a first prediction
-    preview_share: float = 0.25  # share of one core that predictions may take
+    """Ratio of the predicted sigma to the target up to which a turn ends at `once_more`. Beyond it
+    a local disturbance is likely, and a second round is useful."""
+    once_more: float = 1.2  # full turns at which a turn ends if the target is not reached
+    stands_still: float = 3.0  # seconds at rest that end a complete turn
+    slowest_turn: float = math.radians(3.0)  # rad/s below which the robot is at rest
+    preview_arc: float = math.radians(120.0)  # arc for the first predicted sigma, radians
+    preview_share: float = 0.25  # fraction of one core that predictions may use
 
 
 TUNING = SessionTuning()
@@ -56,33 +56,34 @@ TUNING = SessionTuning()
 NO_SPAN = (math.nan,) * 7
 
 
-UNSEEN = (
-    "; if it did turn, `magcal doctor` finds the sensor that misses it: the field may be too "
-    "steep for a compass here, the magnetometer may not measure it, or the gyro has another axis"
+TURN_NOT_MEASURED = (
+    "; if the robot did turn, `magcal doctor` finds the sensor that does not measure it: the field "
+    "may be too steep for a compass here, the magnetometer may not measure it, or the gyro has "
+    "another axis"
 )
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When a session ends by itself."""
+    """Limits at which a session ends automatically."""
 
-    timeout: float = 90.0  # seconds on a steady clock until whatever was seen is used or refused
-    silence: float = 10.0  # seconds without a usable pair after which waiting longer is pointless
+    timeout: float = 90.0  # steady-clock seconds after which the samples so far are used
+    silence: float = 10.0  # seconds without a usable pair after which the session ends
     smallest_arc: float = math.radians(45.0)  # radians below which a turn is refused without a fit
-    target_sigma: float = math.radians(0.5)  # radians at which a turn is enough
+    target_sigma: float = math.radians(0.5)  # predicted heading sigma at which a turn ends, radians
 
 
 @dataclass(frozen=True)
 class Brief:
-    """What a turn is opened with."""
+    """The request for a turn."""
 
     limits: Limits
     knowledge: Knowledge
     method: str
     """One of `magcal_ros.core.calibrate.METHODS`."""
     accumulate: bool
-    speed: float | None = None  # rad/s of a robot that turns itself; None if a person turns it
-    gyro: GyroAtRest | None = None  # what a rest before the turn has shown of the gyro
+    speed: float | None = None  # rad/s of a robot that turns itself; None if the user turns it
+    gyro: GyroAtRest | None = None  # bias of the gyro from a rest before the turn
 
 
 class Stage(str, Enum):
@@ -96,20 +97,20 @@ class Stage(str, Enum):
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a session is."""
+    """The progress of a session."""
 
-    stage: Stage  # whether it is over, and why
+    stage: Stage  # whether the session is over, and why
     coverage: Coverage
     samples: int
     elapsed: float  # seconds since the start on a steady clock
-    turn_rate: float  # rad/s over the last seconds, left positive; zero when not known
-    heading_sigma: float = math.inf  # radians, as predicted; infinite while not
+    turn_rate: float  # rad/s over the last two seconds, left positive; zero if not known
+    heading_sigma: float = math.inf  # predicted, radians; infinite without a prediction
 
     @property
     def in_words(self) -> str:
-        """One line for a person."""
+        """The progress in one line for the user."""
         arc = math.degrees(self.coverage.arc)
-        line = f"{arc:.0f}° of the turn seen, {self.samples} samples"
+        line = f"{arc:.0f}° of the turn measured, {self.samples} samples"
         if math.isfinite(self.heading_sigma):
             line += f", heading ±{math.degrees(self.heading_sigma):.2f}°"
         hole = self.coverage.hole_in_words
@@ -121,17 +122,17 @@ class Progress:
             stood = not self.coverage.has_turned
             raise Refusal(
                 Reason.NO_MOTION if stood else Reason.ARC_TOO_SHORT,
-                f"too little of a turn: {self.in_words}. Turn the robot a full circle"
-                f"{UNSEEN if stood else ''}",
+                f"the turn is too short: {self.in_words}. Turn the robot a full circle"
+                f"{TURN_NOT_MEASURED if stood else ''}",
             )
 
 
 class Session:
     """Collects one turn.
 
-    `mounting` is needed for the phase about the up vector, `now` is in seconds on a steady clock,
-    `gyro` is from a rest before it. The buffer may be `longer` times that of a turn. `was_set_back`
-    says whether stamps went back, and what came before was left out.
+    `mounting` is needed for the angle about the up vector, `now` is in seconds on a steady clock,
+    and `gyro` is from a rest before the turn. `longer` multiplies the size of the buffer.
+    `was_set_back` says whether stamps went back; the samples before that are left out.
     """
 
     def __init__(
@@ -154,7 +155,7 @@ class Session:
 
     @property
     def has_samples(self) -> bool:
-        """Whether any pair has come."""
+        """Whether there is a pair."""
         return self._size > 0
 
     @property
@@ -163,11 +164,10 @@ class Session:
         return float(self._buffer[self._size - 1, 0]) if self._size else -math.inf
 
     def add(self, pair: Pair, now: float, speed: float = math.nan) -> None:
-        """Take a pair, and the speed of the wheels, m/s ahead; NaN where it is not measured.
+        """Take a pair, and the speed of the wheels, m/s ahead; NaN if it is not measured.
 
-        One with the stamp of the newest is left out. An older stamp means that time was set back,
-        by a clock or by a bag that loops. The robot may have moved meanwhile, so the turn starts
-        again.
+        A pair with the newest stamp is left out. An older stamp means that time was set back by a
+        clock or a looping bag. The robot may have moved in between, so the turn starts again.
         """
         stamp, newest = pair.field.stamp, self.newest
         if stamp == newest:
@@ -186,25 +186,25 @@ class Session:
         self._last_pair = now
 
     def note_currents(self, *messages: tuple[float, float]) -> None:
-        """Take messages of the battery, a repeated one once: stamp, seconds, and amperes."""
+        """Take the battery's stamps (s) and currents (A); a repeated message counts once."""
         self._currents += [each for each in messages if each not in self._currents[-1:]]
 
     def look(self) -> Window:
-        """Return `window`; the heading sigma that its fit predicts comes to `note_sigma`."""
+        """Return `window` for a predicted heading sigma, which `note_sigma` takes."""
         self._looked_at = self._turned
         return self.window()
 
     def note_sigma(self, sigma: float) -> None:
-        """Take the heading sigma (radians) that a fit of the last look predicts."""
+        """Take the heading sigma (radians) that the fit of the last look predicts."""
         self._sigma, self._seen = sigma, self._looked_at
 
     @property
     def was_seen_whole(self) -> bool:
-        """Whether a fit has looked at a whole turn."""
+        """Whether a predicted sigma is of a whole turn."""
         return self._seen >= math.tau - COVERAGE.largest_gap
 
     def progress(self, now: float) -> Progress:
-        """Return how far the turn is at `now`, seconds on the steady clock of the start."""
+        """Return the progress at `now`, seconds on the same steady clock as the start."""
         rows = self._buffer[: self._size : 1 + self._size // TUNING.enough_for_progress]
         angle = self._angle(rows)
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
@@ -218,7 +218,7 @@ class Session:
         return Progress(stage, coverage, self._size, elapsed, rate, self._sigma)
 
     def window(self) -> Window:
-        """Return what was collected of the turn, thinned to equal angles, and its rests."""
+        """Return the samples of the turn, thinned to equal angles, and its rests."""
         if not self._size:
             raise Refusal(
                 Reason.TOO_FEW_SAMPLES,
@@ -235,7 +235,7 @@ class Session:
         steps, kept = steps_of(rows), self._kept(rows)
         gaps = [np.diff(rows[each, 0]).max(initial=0.0) for each in (kept, slice(None))]
         if gaps[0] > max(STREAMS.longest_gyro_step, 2.0 * gaps[1]):
-            # A drive is straight for long: of the force there, nothing may be left out.
+            # On long straights of a drive thinning would lose samples of the specific force.
             kept = np.arange(len(rows))
         rows = rows[kept]
         sensors = rows[:, FIELD], rows[:, FORCE], rows[:, RATE]
@@ -244,7 +244,7 @@ class Session:
         return window.with_steps(steps.over(kept)).with_battery(self._currents)
 
     def _kept(self, rows: FloatArray) -> IntArray:
-        """Return which rows stay when they are thinned to equal angles."""
+        """Return the rows that remain after thinning to equal angles."""
         angle = self._angle(rows)
         if angle is None:
             return np.arange(len(rows))
@@ -264,7 +264,7 @@ class Session:
         return Stage.COLLECTING
 
     def _is_enough(self, coverage: Coverage, now: float) -> bool:
-        """Whether the turn can end: certain enough, or no longer getting more certain."""
+        """Whether a complete turn can end: at the target sigma, after more turning, or at rest."""
         target, turns = self.limits.target_sigma, abs(coverage.turned) / math.tau
         is_near = self._sigma <= TUNING.near * target
         return (
@@ -302,7 +302,7 @@ def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
 
 
 def _rate_if_any(rows: FloatArray) -> FloatArray | None:
-    """Return the angular rates, zero where missing; None without a gyro, absent or unfilled."""
+    """Return the angular rates, zero if missing; None without a gyro (absent or only zeros)."""
     rate = rows[:, RATE]
     finite = np.asarray(np.isfinite(rate).all(axis=1))
     if not len(rate) or finite.mean() < 0.9 or not rate[finite].any():

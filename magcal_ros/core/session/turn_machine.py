@@ -1,7 +1,7 @@
-"""The state machine of a turn: calls in, commands out, time passed in.
+"""The state machine of a turn: it takes events and time, and returns commands.
 
-Its owner (a node, or a test in virtual time) reports events and carries out the commands; fits,
-files and messages belong to the owner.
+Its owner (a node, or a test in virtual time) reports events and carries out the commands. Fits,
+files and messages are the owner's part.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from magcal_ros.core.session.session import TUNING, Brief, Progress, Session, St
 
 @dataclass(frozen=True)
 class Conclusion:
-    """How a turn ended, or what a request led to.
+    """The result of a turn or of a request.
 
-    As a command: answer everyone who waits for the turn, and release what computes for it.
+    As a command: answer all callers that wait for the turn, and release its computing resources.
     """
 
     success: bool
@@ -37,7 +37,7 @@ class Conclusion:
 
 @dataclass(frozen=True, eq=False)
 class Preview:
-    """Predict how certain a fit would be; answered by `note_preview`."""
+    """Predict the heading sigma of a fit; answered by `note_preview`."""
 
     window: Window
     brief: Brief
@@ -45,7 +45,7 @@ class Preview:
 
 @dataclass(frozen=True, eq=False)
 class FitTurn:
-    """Fit a turn on top of those kept; answered by `note_fit` or `note_failed_fit`."""
+    """Fit a turn together with the kept ones; answered by `note_fit` or `note_failed_fit`."""
 
     kept: Kept
     window: Window
@@ -61,7 +61,7 @@ class PutInForce:
 
 @dataclass(frozen=True)
 class MoveBase:
-    """Tell the base to turn at a rate, rad/s, left positive."""
+    """Command the base to turn at a rate, rad/s, left positive."""
 
     rate: float
 
@@ -77,12 +77,12 @@ class TurnState(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class Collecting:
-    """Samples arrive; a preview of the fit is running or is planned."""
+    """Samples are collected; a preview of the fit is running or will be."""
 
     brief: Brief
     session: Session
     state: ClassVar = TurnState.COLLECTING
-    asked: Preview | None = None
+    asked: Preview | None = None  # the preview that is running
     asked_at: float = 0.0
     next_preview: float = 0.0
 
@@ -106,20 +106,20 @@ class Saving:
 
 
 Command: TypeAlias = Conclusion | Preview | FitTurn | PutInForce | MoveBase
-"""Something that the owner of the state machine has to do."""
+"""An action for the owner of the state machine."""
 
 
 NO_SENSORS = ("", "")
-"""The frames of magnetometer and IMU before either is heard; some drivers never name one."""
+"""The frames of magnetometer and IMU before the first messages; some drivers leave them empty."""
 
-SET_BACK = "the time was set back during the turn; samples from before that were left out"
+SET_BACK = "the time was set back during the turn; earlier samples were left out"
 UNCHANGED = "the calibration in force is unchanged"
 
 
 class TurnMachine:
     """One turn at a time, from the request to the calibration in force.
 
-    `report` begins the report on a turn, and returns where it will lie, in words.
+    `report` starts to write the report on a turn, and returns its location in words.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class TurnMachine:
         report: Callable[[Window, Outcome], str] = lambda _, __: "",
     ) -> None:
         self.robot, self._report = SelfTurn() if robot is None else robot, report
-        self.progress: Progress | None = None  # like the next ones the newest; None before any
+        self.progress: Progress | None = None  # of the newest turn, as the following attributes
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
         self.last_conclusion: Conclusion | None = None
@@ -139,21 +139,21 @@ class TurnMachine:
 
     @property
     def state(self) -> TurnState:
-        """What is going on."""
+        """The state of the turn."""
         return TurnState.IDLE if self._stage is None else self._stage.state
 
     @property
     def outcome_is_of_others(self) -> bool:
-        """Whether the last outcome is of other sensors than the present ones."""
+        """Whether the last outcome is of sensors other than the present ones."""
         return bool(_changes(self._sensors_of_outcome, self._sensors))
 
     @property
     def turns_kept(self) -> int:
-        """How many turns the next one would join."""
+        """Number of turns that the next turn would be joined with."""
         return len(self._kept.windows)
 
     def commands(self) -> list[Command]:
-        """Return what is to be done about what happened, in this order."""
+        """Return the new commands, to be carried out in this order."""
         commands, self._commands = self._commands, []
         return commands
 
@@ -162,7 +162,7 @@ class TurnMachine:
         self._kept = Kept()
 
     def open(self, brief: Brief, now: float) -> Conclusion:
-        """Begin a turn, at `now`, seconds on a steady clock; returns whether it has begun."""
+        """Begin a turn at `now`, seconds on a steady clock; returns whether the turn has begun."""
         refusal = self._why_not(brief)
         if refusal:
             return Conclusion(False, refusal)
@@ -180,7 +180,7 @@ class TurnMachine:
         return Conclusion(True, f"collecting: {words}")
 
     def _why_not(self, brief: Brief) -> str:
-        """Say why a turn cannot be opened; empty if it can."""
+        """Return why a turn cannot begin; empty if it can."""
         longest = brief.limits.timeout
         if brief.speed is not None and planned_duration(brief.speed) > longest:
             return (
@@ -189,7 +189,7 @@ class TurnMachine:
                 f" longer than window.timeout_s ({longest:g} s): raise one of them"
             )
         if self._stage is not None:
-            return f"already {self.state.value}: wait for it to end, or call ~/cancel first"
+            return f"already {self.state.value}: wait for the end, or call ~/cancel first"
         if brief.accumulate and brief.method != JOINS:
             return (
                 f"the method {brief.method} does not join turns: set method to {JOINS}, or "
@@ -200,14 +200,14 @@ class TurnMachine:
     def take(
         self, pair: Pair, now: float, speed: float = math.nan, currents: Messages = ()
     ) -> None:
-        """Take a field sample with the IMU at its stamp, speed (m/s or NaN), new currents."""
+        """Take a pair, the speed of the wheels (m/s or NaN), and new currents of the battery."""
         if isinstance(self._stage, Collecting):
             self._stage.session.note_currents(*currents)
             self._stage.session.add(pair, now, speed)
             self.robot.take(pair, now)
 
     def tick(self, silence: str, now: float) -> None:
-        """See that time has passed; `silence` says what is wrong, should nothing come."""
+        """Check the progress at `now`; `silence` is the explanation if no samples arrive."""
         stage = self._stage
         if not isinstance(stage, Collecting):
             return
@@ -221,13 +221,13 @@ class TurnMachine:
         else:
             why = {
                 Stage.COMPLETE: "",
-                Stage.TIMED_OUT: f"{BY_TIME} {progress.elapsed:.0f} s",
+                Stage.TIMED_OUT: f"{ENDED_BY_TIME} {progress.elapsed:.0f} s",
                 Stage.SILENT: silence,
             }[progress.stage]
             self._begin_fit(stage, why, now)
 
     def _look_ahead(self, stage: Collecting, progress: Progress, now: float) -> None:
-        """Ask at intervals how certain a fit would be already, and once the circle is complete."""
+        """Request a preview at intervals, and once the circle is complete."""
         waits = progress.coverage.is_complete and not stage.session.was_seen_whole
         is_due = now > stage.next_preview or waits
         if stage.asked is None and is_due and progress.coverage.arc > TUNING.preview_arc:
@@ -237,7 +237,7 @@ class TurnMachine:
             self._commands.append(asked)
 
     def note_preview(self, asked: Preview, sigma: float, now: float) -> None:
-        """Take the heading sigma (radians) that a fit of the samples so far predicts."""
+        """Take the heading sigma (radians) that the fit for a preview predicts."""
         stage = self._stage
         if isinstance(stage, Collecting) and stage.asked is asked:
             stage.session.note_sigma(sigma)
@@ -245,12 +245,12 @@ class TurnMachine:
             self._stage = replace(stage, asked=None, next_preview=now + pause)
 
     def look(self, around: Around, now: float) -> None:
-        """Look at a robot that turns itself."""
+        """Make a control step of a robot that turns itself."""
         assert self.progress is not None
         self._follow(self.robot.look(now, self.progress, around), now)
 
     def _follow(self, steering: Steering, now: float) -> None:
-        # Stopping comes first; what it leads to may take a moment.
+        # The robot is stopped first, because the rest may take a moment.
         self._steer(steering)
         if not isinstance(self._stage, Collecting):
             return
@@ -260,7 +260,7 @@ class TurnMachine:
             self._begin_fit(self._stage, steering.ended, now)
 
     def stop_robot(self, reason: str, now: float) -> None:
-        """Stop a robot that turns itself: what has failed may be what supervises it."""
+        """Stop a robot that turns itself, because its supervision may have failed."""
         if self.robot.is_under_way:
             self._follow(self.robot.break_off(reason), now)
 
@@ -273,9 +273,9 @@ class TurnMachine:
         self._stage = None
 
     def finish(self, now: float) -> Conclusion | None:
-        """Fit what there is; None where a fit is under way."""
+        """Fit the samples so far; None if a fit is running or will be."""
         if isinstance(self._stage, Collecting):
-            self._begin_fit(self._stage, "finished by hand", now)
+            self._begin_fit(self._stage, "finished by the user", now)
         elif self._stage is None:
             return Conclusion(False, "no turn is being collected: call ~/start first")
         return None
@@ -299,23 +299,23 @@ class TurnMachine:
         self._commands.append(asked)
 
     def note_fit(self, asked: FitTurn, outcome: Outcome, kept: Kept) -> None:
-        """Take the fit of a turn, and what is kept for the next one to join."""
+        """Take the fit of a turn, and the turns to keep for the next one."""
         stage = self._stage
         if not isinstance(stage, Fitting) or stage.asked is not asked:
             return
-        # Turns that were forgotten while this one was fitted do not come back with it.
+        # If the kept turns were discarded during this fit, they stay discarded.
         if self._kept is asked.kept:
             self._kept = kept
         self.last_window = outcome.window or self.last_window
         self._judge(outcome, stage.why_ended)
 
     def note_failed_fit(self, asked: FitTurn, words: str) -> None:
-        """Take note that a fit ended with an error of the program."""
+        """Note that a fit ended with an error of the program."""
         if isinstance(self._stage, Fitting) and self._stage.asked is asked:
             self._conclude(False, f"the fit failed unexpectedly: {words}")
 
     def _judge(self, outcome: Outcome, why: str) -> None:
-        """Put the calibration in force if it is good enough; else say what can be done."""
+        """Put the calibration in force if it is accepted; otherwise name the remedy."""
         self.last_outcome, self._sensors_of_outcome = outcome, self._sensors
         words = outcome.verdict.summary
         if outcome.several is not None and outcome.calibration is not None:
@@ -330,11 +330,11 @@ class TurnMachine:
             self._stage = Saving(words, ending)
             self._commands.append(PutInForce(outcome.calibration))
         else:
-            remedy = "~/accept applies this one anyway"
+            remedy = "~/accept puts the new one in force anyway"
             self._conclude(False, f"{words} {unchanged}; {remedy}.{ending}")
 
     def note_saved(self, words: str) -> None:
-        """Take whether the calibration in force is stored, in words."""
+        """Note whether the calibration in force is stored, in words."""
         stage = self._stage
         if isinstance(stage, Saving):
             self._conclude(True, f"{stage.words} {words}{stage.report}")
@@ -352,7 +352,10 @@ class TurnMachine:
         return Conclusion(True, words)
 
     def note_sensors(self, field: str, imu: str) -> None:
-        """Take the frames of the sensors: turns of others are not joined, nor one turn of two."""
+        """Take the frames of the sensors.
+
+        Turns of different sensors are not joined, and a change of a sensor ends the turn.
+        """
         before = self._sensors
         self._sensors = field or before[0], imu or before[1]
         changes = _changes(before, self._sensors)
@@ -363,7 +366,7 @@ class TurnMachine:
             )
 
     def break_off(self, words: str, was_under_way: bool = False) -> None:
-        """End the turn, also one that was under way and was left already: something has failed."""
+        """End the turn after a failure, also a turn that has left its stage already."""
         if self._stage is not None or was_under_way:
             self._leave_collecting()
             self._conclude(False, words)
@@ -374,18 +377,18 @@ class TurnMachine:
         self._commands.append(self.last_conclusion)
 
 
-BY_TIME = "ended by the time limit of"
+ENDED_BY_TIME = "ended by the time limit of"
 
 
 def _with_ending(words: str, why: str, accepted: bool) -> str:
-    """Add why a turn ended; what is no fault stands behind a success, lest it seem a failure."""
-    if accepted and why.startswith(BY_TIME):
+    """Add why a turn ended; a time limit comes after a success, because it is no fault."""
+    if accepted and why.startswith(ENDED_BY_TIME):
         return f"{words} ({why[0].upper()}{why[1:]}.)"
     return f"{why}; {words}" if why else words
 
 
 def _changes(before: tuple[str, str], after: tuple[str, str]) -> list[str]:
-    """Say which sensor is another one now."""
+    """Return which sensors have changed, in words."""
     return [
         f"the frame of {sensor} changed from {old!r} to {new!r}"
         for sensor, old, new in zip(("the magnetometer", "the IMU"), before, after, strict=True)

@@ -1,4 +1,4 @@
-"""A simulated robot: the truth, and what its sensors measure."""
+"""A simulated robot: true values and measurements of its sensors."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ UP_ENU: FloatArray = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """The true field, the true compass errors and the sensors' noise.
+    """The true field, the true errors of the magnetometer, and the noise of the sensors.
 
     The raw field is `K R_n (I + E) R m_body + h + noise`, as in `Knowledge`.
     """
 
     strength: float = 50e-6
     inclination: float = 60.0 * DEGREE
-    declination: float = 0.0  # the field where the robot stands: tesla, radians, radians
+    declination: float = 0.0  # the Earth's field at the robot: tesla, radians, radians
     roll: float = 3.0 * DEGREE
     pitch: float = -4.0 * DEGREE
     yaw: float = 0.0
-    """Installation error in radians, a pose as in a URDF. Yaw is for trying what one turn cannot
-    show."""
+    """Installation error in radians, a pose as in a URDF. The yaw is not observable from one
+    turn."""
     hard_iron: FloatArray = field(default_factory=lambda: np.array([30e-6, -20e-6, 25e-6]))
     """Tesla, in the magnetometer's axes. Shape (3,)."""
-    mounting: Mounting = field(default_factory=Mounting)  # the known gains and the nominal pose
+    mounting: Mounting = field(default_factory=Mounting)  # known gains and nominal pose
     soft_iron: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
-    """E, the soft iron nobody told the estimator of. Shape (3, 3)."""
+    """E, soft iron that is unknown to the estimator. Shape (3, 3)."""
     noise_field: float = 0.5e-6
     noise_force: float = 0.01 * STANDARD_GRAVITY
     noise_rate: float = 1e-3  # standard deviations per axis and sample: tesla, m/s², rad/s
@@ -65,11 +65,11 @@ class Robot:
 
     @property
     def true_correction(self) -> Correction:
-        """The correction a perfect calibration would find."""
+        """The correction of a perfect calibration."""
         return Correction(np.asarray(np.linalg.inv(self.distortion)), self.hard_iron)
 
     def knowledge(self, strength_sigma: float = 0.0, inclination_sigma: float = 0.0) -> Knowledge:
-        """Return what an owner of this robot knows: reference field, mounting, faultless sensors.
+        """Return the prior knowledge of this robot: reference field, mounting, exact sensors.
 
         The sigmas are in tesla and radians; zero for exactly known, infinite for unknown.
         """
@@ -88,7 +88,7 @@ class Robot:
 def trial_attitudes(tilt: float = 10.0 * DEGREE) -> FloatArray:
     """Return attitudes ENU to body at 24 headings for nine tilts, shape (24, 9, 3, 3).
 
-    The tilts are roll and pitch in {-tilt, 0, tilt}; index 4 is level.
+    The tilts are roll and pitch in {-tilt, 0, tilt}, radians; index 4 is level.
     """
     yaws = np.arange(24) * (2.0 * math.pi / 24)
     steps = (-tilt, 0.0, tilt)
@@ -101,10 +101,10 @@ LEVEL_TILT = 4  # index of the level tilt in `trial_attitudes`
 def heading_errors(
     correction: Correction, robot: Robot, attitudes: FloatArray | None = None
 ) -> FloatArray:
-    """Return the yaw error that a correction leaves at known attitudes with perfect sensors.
+    """Return the yaw errors of a correction at known attitudes with perfect sensors.
 
-    Estimated less true yaw, both to magnetic north, radians in (-pi, pi], shape (...). The
-    attitudes (..., 3, 3) are from ENU to body; `trial_attitudes` unless given.
+    They are the estimated minus the true magnetic yaw, radians in (-pi, pi], shape (...). The
+    attitudes (..., 3, 3) are from ENU to body, by default `trial_attitudes`.
     """
     poses = trial_attitudes() if attitudes is None else attitudes
     up, field_body = poses @ UP_ENU, poses @ robot.field_enu
@@ -116,11 +116,11 @@ REST: FloatArray = np.zeros(3)
 
 
 class Ride:
-    """Moves a robot in small steps and lets its sensors watch.
+    """Moves a robot in small steps and simulates its sensors.
 
-    The stamps begin at `start`, seconds. The IMU and the steps come `imu_rate` times a second, a
-    field sample with every `steps_per_field`-th of them. `attitude` (3, 3) is from ENU to body
-    axes, `axis` (3,) what the robot turns about in body axes: z, unless the IMU is tilted on it.
+    The stamps begin at `start`, seconds. There are `imu_rate` steps and IMU samples a second, and a
+    field sample in every `steps_per_field`-th step. `attitude` (3, 3) is from ENU to body axes.
+    `axis` (3,) is the axis of rotation in body axes, which is z unless the IMU is tilted.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class Ride:
         self._steps = 0
 
     def stand(self, roll: float, pitch: float, yaw: float) -> None:
-        """Set the robot down with this attitude (ENU, radians)."""
+        """Set the attitude of the robot (ENU, radians)."""
         self.attitude = rotation_from_rpy(roll, pitch, yaw).T
 
     def step(
@@ -155,11 +155,11 @@ class Ride:
         tipping: FloatArray = REST,
         disturbance: FloatArray = REST,
     ) -> list[ImuSample | FieldSample]:
-        """Move on for one period and return what the sensors report.
+        """Move for one period and return the samples of the sensors.
 
-        The rates are in rad/s: about `axis`, and `tipping` (3,) in body axes on top of it, as at
-        the foot of a ramp. The `acceleration` (3,) is in m/s², body axes, and the `disturbance`
-        (3,) by iron nearby in tesla, ENU.
+        `yaw_rate` is about `axis`, `tipping` (3,) an additional rate in body axes, as at the foot
+        of a ramp, both in rad/s. `acceleration` (3,) is in m/s², body axes. `disturbance` (3,) is
+        the field of iron nearby in tesla, ENU.
         """
         rate = yaw_rate * self.axis + tipping
         self.attitude = exp_rotation(-rate * self.period) @ self.attitude
@@ -172,7 +172,7 @@ class Ride:
 
     @property
     def magnetic_yaw(self) -> float:
-        """The true ENU yaw of body x to magnetic north, radians."""
+        """The true magnetic ENU yaw of body x, radians."""
         forward = self.attitude[0]
         return float(np.arctan2(forward[1], forward[0]) + self.robot.declination)
 

@@ -237,7 +237,7 @@ class TestJudge:
         verdict = judge(estimate(figures=DRIVE), KNOWN)
         assert re.search(
             r"heading ±[\d.]+° on level ground, ±[\d.]+° at 10° of tilt \(1σ\) by the calibration; "
-            r"along the way, with local magnetic disturbances, ±[\d.]+°; hard iron",
+            r"along the drive, with local magnetic disturbances, ±[\d.]+°; hard iron",
             verdict.summary,
         ), verdict.summary
 

@@ -15,7 +15,7 @@ from magcal_ros.core.session import GyroTurn, HeadingAgainstGyro
         (lambda yaw: -yaw, "mirrored"),
         (lambda yaw: 0.5 * math.pi - yaw, "bearing"),
         (lambda yaw: math.degrees(yaw), "degrees were published as radians"),
-        (lambda yaw: math.radians(yaw), "radians were taken for degrees"),
+        (lambda yaw: math.radians(yaw), "converted as if they were degrees"),
         (lambda yaw: 0.7, "repeats an old heading"),
     ],
 )

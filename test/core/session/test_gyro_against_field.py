@@ -58,7 +58,7 @@ def test_one_that_hangs_is_accused_within_a_quarter_turn(seed, hangs_at, world):
     gyro = np.cumsum(np.minimum(rate, hangs_at)) / RATE
     end = int(np.searchsorted(told, math.radians(100.0)))
     found = [objection_to_gyro(gyro[:k], told[:k], level[:k]) for k in range(20, end, 12)]
-    assert any("the field turned with" in words for words in found) or hangs_at == 0.2
+    assert any("the field turned by" in words for words in found) or hangs_at == 0.2
     late = int(np.searchsorted(told, math.radians(330.0)))
     assert objection_to_gyro(gyro[:late], told[:late], level[:late])
 

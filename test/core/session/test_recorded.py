@@ -199,7 +199,7 @@ class TestRefusals:
     def test_too_short_an_arc_says_what_was_seen(self):
         outcome = fitted(drive(30.0))
         assert outcome.reason is Reason.ARC_TOO_SHORT
-        assert "of the turn seen" in outcome.verdict.summary
+        assert "of the turn measured" in outcome.verdict.summary
 
     def test_a_wrong_unit_is_named(self):
         samples = [

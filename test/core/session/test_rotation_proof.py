@@ -66,8 +66,8 @@ def test_a_mirrored_gyro_and_a_mirrored_base_are_told_apart():
 
     assert "the gyro is mirrored" in words(mirror_gyro=-1.0)
     assert "the base turns the wrong way" in words(yaw_rate=-TOLD)
-    assert "does not show which" in words(yaw_rate=-TOLD, seconds=0.2)
-    assert "-23°/s where +23°/s were commanded" in words(yaw_rate=-TOLD)
+    assert "too short to decide" in words(yaw_rate=-TOLD, seconds=0.2)
+    assert "-23°/s at a command of +23°/s" in words(yaw_rate=-TOLD)
 
 
 def test_a_gyro_that_misses_the_turn_is_named_and_a_robot_at_rest_too():

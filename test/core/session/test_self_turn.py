@@ -72,7 +72,7 @@ def test_without_a_guard_it_does_not_set_off_and_says_so():
     scene = robot()
     scene.is_guarded = False
     words = scene.until_concluded(20.0).message
-    assert words.startswith("the robot does not start to turn: its guard")
+    assert words.startswith("the robot does not start to turn: the guard")
     assert not scene.said
 
 
@@ -98,7 +98,9 @@ def test_a_guard_that_ends_in_the_turn_ends_it():
     scene.until_moving()
     scene.is_guarded = False
     since = scene.now
-    assert "the robot was stopped: its guard has ended" in scene.until_concluded(1.0).message
+    assert (
+        "the robot was stopped: the guard process has ended" in scene.until_concluded(1.0).message
+    )
     assert scene.now - since < 0.1
     scene.assert_stopped_and_silent()
 
@@ -261,14 +263,14 @@ class TestGyro:
         scene = robot()
         scene.until_moving(0.45)
         scene.mangle = with_rate(lambda _: np.array([0.0, 0.0, SPEED]))
-        assert "the gyro shows" in scene.until_concluded().message
+        assert "the gyro measured" in scene.until_concluded().message
         assert scene.farthest < math.tau + math.radians(60.0)
         scene.assert_stopped_and_silent()
 
     def test_saturation_at_a_third_is_told(self):
         scene = robot(speed=0.9)
         scene.mangle = with_rate(lambda rate: np.clip(rate, -0.3, 0.3))
-        assert "the gyro shows" in scene.until_concluded().message
+        assert "the gyro measured" in scene.until_concluded().message
         assert scene.farthest < math.radians(115.0)
 
     def test_a_slipping_base_with_a_true_gyro_is_not_stopped(self):
@@ -287,7 +289,7 @@ class TestBounds:
 
         scene.mangle = run_on
         conclusion = scene.until_concluded(20.0)
-        assert "outside of the turn from 0° to 360°" in conclusion.message
+        assert "outside the planned turn from 0° to 360°" in conclusion.message
         assert scene.farthest < math.radians(415.0)
 
     def test_commands_have_an_end_even_where_every_sensor_is_content(self):
@@ -315,7 +317,7 @@ class TestBounds:
         scene.freeze(12.9)
         scene.live(0.2)
         assert [rate for _, rate in scene.said[before:]] == [0.0] * (len(scene.said) - before)
-        assert "too busy to check it for 1" in scene.conclusion.message
+        assert "too busy to supervise the robot for 1" in scene.conclusion.message
         scene.assert_stopped_and_silent()
 
     def test_a_hiccup_is_none(self):

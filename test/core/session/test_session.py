@@ -150,7 +150,7 @@ class TestStages:
 class TestProgress:
     def test_before_any_pair_it_says_that_nothing_was_seen(self):
         words = Session(LIMITS, Mounting(), now=0.0).progress(1.0).in_words
-        assert words == "0° of the turn seen, 0 samples; the robot has not turned yet"
+        assert words == "0° of the turn measured, 0 samples; the robot has not turned yet"
 
     def test_words_tell_arc_samples_and_hole(self):
         words = session_with(simulated(arc=270 * DEGREE)).progress(15.0).in_words

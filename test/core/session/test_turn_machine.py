@@ -78,7 +78,7 @@ def test_finish_fits_what_there_is_and_says_by_whom_it_was_ended():
     assert scene.tell("finish", scene.now) is None
     assert scene.turn.state is TurnState.FITTING
     assert scene.tell("finish", scene.now) is None
-    assert scene.until_concluded().message.startswith("finished by hand; ")
+    assert scene.until_concluded().message.startswith("finished by the user; ")
 
 
 def test_finish_after_the_turn_has_ended_by_itself_waits_for_its_verdict():
@@ -98,8 +98,8 @@ def test_finish_of_too_little_is_refused_with_what_was_seen_and_not_fitted():
     scene.live(1.0, 0.5)
     scene.tell("finish", scene.now)
     conclusion = scene.conclusion
-    assert "too little of a turn" in conclusion.message
-    seen = int(conclusion.message.split("° of the turn seen")[0].split()[-1])
+    assert "the turn is too short" in conclusion.message
+    seen = int(conclusion.message.split("° of the turn measured")[0].split()[-1])
     assert abs(seen - 28) < 6
     assert not asked_for(scene, FitTurn)
 

@@ -226,4 +226,4 @@ def test_standings_add_up_and_one_that_says_the_same_takes_its_place():
     wrong = add_standing(kept, replace(standings([1.0])[0], heading=-1.0), knowledge())
     assert wrong.standings == kept
     assert not wrong.applies
-    assert "The 3 before it are kept" in wrong.words
+    assert "Earlier known headings that are kept: 3." in wrong.words
