@@ -91,6 +91,7 @@ def test_a_guard_that_is_dismissed_says_nothing_and_goes(base, topic):
         base(0.1)
     guard.dismiss()
     assert base(SILENCE + 0.5) == []
+    base(PATIENCE, lambda: guard.has_ended)
     assert guard.has_ended
 
 
