@@ -298,7 +298,7 @@ def _library_reader(path: Path) -> AnyReader:
             f"reading {plain(str(path))} needs ROS 2 (source its setup file) or the Python library "
             "rosbags (in a virtual environment: pip install rosbags)"
         ) from error
-    # Bags of old distributions lack type definitions; those of the sensor messages never changed.
+    # Bags of old distributions lack type definitions. The types of sensor messages never changed.
     return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
 
 

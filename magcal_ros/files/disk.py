@@ -17,7 +17,7 @@ from magcal_ros.core.errors import MagcalError
 
 
 class FileTrouble(MagcalError):
-    """A file cannot be read or written; the text says which, why, and what to do."""
+    """A file cannot be read or written; the text names the file, the reason and a remedy."""
 
 
 UNFINISHED = ".magcal-unfinished"

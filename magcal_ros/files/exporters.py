@@ -248,7 +248,7 @@ def c_header(calibration: Calibration) -> str:
 
 
 ARDUPILOT_FRAME = "ardupilot_compass"
-"""The magnetometer's frame in a calibration from a log of ArduPilot; the compass number follows."""
+"""Prefix of the magnetometer's frame in a calibration from a log of ArduPilot."""
 
 
 def ardupilot(calibration: Calibration, frame: str = "") -> str:
@@ -299,8 +299,8 @@ def px4(calibration: Calibration, frame: str = "") -> str:
     PX4: offsets that are subtracted, and a symmetric matrix.
 
     `corrected = R S (mag - OFF)` with S = [[XSCALE, XODIAG, YODIAG], [XODIAG, YSCALE, ZODIAG],
-    [YODIAG, ZODIAG, ZSCALE]], gauss, in the sensor's own forward-right-down axes; R is
-    CAL_MAG0_ROT, one of a few rotations, and is left alone (parameter reference, CAL_MAG0_XOFF in
+    [YODIAG, ZODIAG, ZSCALE]], gauss, in the sensor's own forward-right-down axes. R is
+    CAL_MAG0_ROT, one of a few rotations, and is not changed (parameter reference, CAL_MAG0_XOFF in
     gauss, CAL_MAG0_XSCALE, CAL_MAG0_XODIAG). Scales must lie between 0.1 and 3.
 
     The calibration is of fields in the vehicle's forward-left-up axes. `frame` is the

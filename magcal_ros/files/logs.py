@@ -272,7 +272,7 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 @contextlib.contextmanager
 def quietly(path: Path, deadline: Deadline) -> Iterator[None]:
-    """Discard what a library prints, and raise its errors as `FileTrouble`."""
+    """Discard the output of a library, and raise its errors as `FileTrouble`."""
     heard = _DiscardedOutput(deadline)
     with (
         damage_in_words(path, "no log of its kind", lambda: "Download it again"),
@@ -283,7 +283,7 @@ def quietly(path: Path, deadline: Deadline) -> Iterator[None]:
 
 
 class _DiscardedOutput(io.TextIOBase):
-    """Discards what a library prints, and checks the time limit at each write."""
+    """Discards the output of a library, and checks the time limit at each write."""
 
     def __init__(self, deadline: Deadline) -> None:
         super().__init__()

@@ -1,10 +1,10 @@
 """PX4's logs (.ulg), read by pyulog.
 
-`sensor_mag` is the raw field in gauss, in the sensor's own forward-right-down axes;
+`sensor_mag` is the raw field in gauss, in the sensor's own forward-right-down axes.
 `vehicle_magnetometer` is `L R S (raw + P COMP - OFF) - bias` in the body's, with the parameters
-CAL_MAGn of the device (lib/sensor_calibration, VehicleMagnetometer): L levels the board
-(SENS_BOARD_X_OFF, Y, Z), R is CAL_MAGn_ROT or SENS_BOARD_ROT, P the throttle or current of
-CAL_MAG_COMP_TYP, bias the estimate made while disarmed. By its default profile, PX4 logs
+CAL_MAGn of the device (lib/sensor_calibration, VehicleMagnetometer). L levels the board
+(SENS_BOARD_X_OFF, Y, Z) and R is CAL_MAGn_ROT or SENS_BOARD_ROT. P is the throttle or current of
+CAL_MAG_COMP_TYP, and bias the estimate made while disarmed. By its default profile, PX4 logs
 `sensor_mag` once a second and `vehicle_magnetometer` twice or more. The latter is used, with its
 calibration removed, if the parameters stayed the same and it has more samples or PX4 compensates
 for the power. This compensation stays in the field, because PX4 continues it.

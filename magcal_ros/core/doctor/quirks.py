@@ -1,4 +1,4 @@
-"""Known faults of drivers: how they show in a log, and what corrects them."""
+"""Known faults of drivers: how a log shows them, and the remedies."""
 
 from __future__ import annotations
 
