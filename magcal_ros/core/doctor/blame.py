@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import WEIGHED, Explanations
+from magcal_ros.core.doctor.explanations import LIMITS, Explanations
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, INVERTED
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
@@ -30,7 +30,7 @@ NOSE = "lift the nose by 20° while the robot turns"
 LIFT = f"{NOSE}, or drive over a kerb"
 GIVE_DIP = ", and give the place or the field's inclination"
 DRIVE = "; or drive straight, where a receiver's course shows the yaw"
-SIGN = (
+WRONG_SIGN = (
     "gravity has the wrong sign: REP-145 requires +9.81 on z at rest, so negate "
     "linear_acceleration in the driver"
 )
@@ -61,8 +61,8 @@ def upright(
         return wrong("imu_axes", name, evidence, sideways(usual)), False
     flipped = _is_flipped(given, other, turned_left)
     key, words = {
-        None: ("gravity_sign", f"either {SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
-        True: ("gravity_sign", SIGN),
+        None: ("gravity_sign", f"either {WRONG_SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
+        True: ("gravity_sign", WRONG_SIGN),
         False: ("imu_axes", UPSIDE_DOWN),
     }[flipped]
     return wrong(key, name, evidence, words), flipped
@@ -99,11 +99,11 @@ def _is_flipped(
     if given is None or other is None:
         return None
     turned = given.turned(given.best)
-    if turned_left is not None and abs(turned) > WEIGHED.least_turn:
+    if turned_left is not None and abs(turned) > LIMITS.least_turn:
         # If the vector of up points down, a turn to the left looks like one to the right.
         return (turned > 0.0) is not turned_left
     worse = given.field_right - other.field_right
-    return None if abs(worse) < WEIGHED.doubtful else worse > 0.0
+    return None if abs(worse) < LIMITS.doubtful else worse > 0.0
 
 
 STANDARD = np.eye(3)
@@ -111,7 +111,7 @@ NOTHING_FITS = (
     "no mounting and no swapped or mirrored axes explain gyro, field and gravity together: check "
     "that the gyro responds to turns, check its unit and the stamps, and turn far from iron"
 )
-BOTH = (
+SEVERAL_WRONG = (
     "gyro, magnetometer and gravity contradict each other, and wrong axes of one sensor do not "
     "explain it. Linear acceleration and iron nearby can be the cause, too: stand still, turn on "
     f"the spot away from iron, and {LIFT}"
@@ -142,7 +142,7 @@ class AxesFound:
     def dip_known(self) -> bool:
         """Whether the reference inclination distinguishes axes from their opposites."""
         dip = self.knowledge.reference.inclination
-        return not dip.is_unknown and abs(dip.value) > CLEAR * WEIGHED.dip_sigma
+        return not dip.is_unknown and abs(dip.value) > CLEAR * LIMITS.dip_sigma
 
     @property
     def meant(self) -> FloatArray:
@@ -195,8 +195,8 @@ class AxesFound:
 
 def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
     """Describe the likeliest of the candidates (k, 3, 3), with the number of the others."""
-    left = len(candidates) - WEIGHED.most_named
-    words = [say(axes) for axes in candidates[: WEIGHED.most_named]]
+    left = len(candidates) - LIMITS.most_named
+    words = [say(axes) for axes in candidates[: LIMITS.most_named]]
     return "; or ".join([*words, f"{left} more"] if left > 0 else words)
 
 
@@ -230,16 +230,16 @@ def blame(
 ) -> Blame:
     """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
     misfit, given = explanations.misfit, explanations.plain
-    if explanations.rms[explanations.best] > WEIGHED.worst_fit:
+    if explanations.rms[explanations.best] > LIMITS.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return Blame((finding,))
-    remains = misfit < WEIGHED.remains
+    remains = misfit < LIMITS.remains
     contrary = np.zeros(len(misfit), dtype=np.bool_)
     if turned_left is not None:
         # The user may have turned the wrong way while all sensors are right.
         turned = np.array([explanations.turned(k) for k in range(len(misfit))])
-        contrary = (np.abs(turned) > WEIGHED.least_turn) & ((turned > 0.0) != turned_left)
-    if misfit[given] < 2.0 * WEIGHED.remains:
+        contrary = (np.abs(turned) > LIMITS.least_turn) & ((turned > 0.0) != turned_left)
+    if misfit[given] < 2.0 * LIMITS.remains:
         return _all_agree(explanations, remains, knowledge, contrary)
     kept = remains & ~contrary
     remains = kept if kept.any() else remains
@@ -250,7 +250,7 @@ def blame(
     fewest = [k for k in left if len(rank[k]) == least]
     # Likely hypotheses are ordered by how common the mistake is.
     gyro, field = explanations.gyro, explanations.field
-    fewest.sort(key=lambda k: (misfit[k] > WEIGHED.likely, rank_of(gyro[k]), rank_of(field[k])))
+    fewest.sort(key=lambda k: (misfit[k] > LIMITS.likely, rank_of(gyro[k]), rank_of(field[k])))
     if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
         return Blame((not_shown("axes", "axes", DEAD_GYRO),))
     return _findings_on_axes(explanations, fewest, rank, knowledge)
@@ -301,7 +301,7 @@ def _findings_on_axes(
     if len(culprits[0]) > 1:
         names = " and ".join(culprits[0])
         evidence = f"other axes of {names} explain the movement better"
-        return Blame((looked_at("axes", "axes", evidence, BOTH),))
+        return Blame((looked_at("axes", "axes", evidence, SEVERAL_WRONG),))
     is_clear = len(culprits) == 1
     said, axes = {}, None
     for (sensor,) in culprits:
@@ -312,7 +312,7 @@ def _findings_on_axes(
             continue
         words, slip = AXES_REMEDIES[sensor]
         candidates = _distinct(explanations.gyro[ways])
-        is_asked = is_clear and len(candidates) > WEIGHED.most_named
+        is_asked = is_clear and len(candidates) > LIMITS.most_named
         which = f". To tell which, {LIFT}" if is_asked else ""
         said[sensor] = words.format(named(candidates, slip)) + which
     names = " or ".join(said)

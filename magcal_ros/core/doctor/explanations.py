@@ -77,7 +77,7 @@ class ExplanationTuning:
     """Largest ratio of rough to known factor, and of known to rough: noise enlarges the rough."""
 
 
-WEIGHED = ExplanationTuning()
+LIMITS = ExplanationTuning()
 
 
 class Way(NamedTuple):
@@ -140,7 +140,7 @@ class Explanations:
     @property
     def fits_well(self) -> bool:
         """Whether the best fit is so good that small differences are significant."""
-        return bool(self.rms[self.best] < WEIGHED.good_fit)
+        return bool(self.rms[self.best] < LIMITS.good_fit)
 
     @property
     def shows_the_unit(self) -> bool:
@@ -149,13 +149,13 @@ class Explanations:
         In less than a quarter turn, some axes fit a field that varies from place to place, whatever
         the gyro's unit.
         """
-        axes_fit = bool(self.rms[self.plain] < WEIGHED.good_fit)
+        axes_fit = bool(self.rms[self.plain] < LIMITS.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
 
     def is_better(self, other: Explanations) -> bool:
         """Whether the axes as given explain the movement better than any axes in `other`."""
         own = self.rms[self.plain]
-        return bool(own < min(WEIGHED.worst_fit, float(other.rms.min())))
+        return bool(own < min(LIMITS.worst_fit, float(other.rms.min())))
 
     def way(self, k: int) -> Way:
         """Return hypothesis `k`."""
@@ -184,12 +184,12 @@ def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> 
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0
-    if part is None or most_turned(part) < WEIGHED.least_turn:
+    if part is None or most_turned(part) < LIMITS.least_turn:
         return None
     senses = _fit_to_the_field(part, proper, bias)
-    for _ in range(WEIGHED.looks):
+    for _ in range(LIMITS.looks):
         more = float(senses.parameters[senses.best, LAG])
-        nearer = stretch_of_log(log, lag + more) if abs(more) > WEIGHED.settled else None
+        nearer = stretch_of_log(log, lag + more) if abs(more) > LIMITS.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
@@ -232,8 +232,8 @@ def _hypotheses_to_fit(
     # A vehicle's accelerations tilt gravity for a long time: only changes are compared.
     misfit, rms = gravity_misfit(stretch, every)
     gravity = _limited(misfit, rms, senses.least_tilt > 0.0)
-    is_good = bool(senses.rms[senses.best] < WEIGHED.good_fit)
-    lifted = senses.tilt > WEIGHED.lift and senses.least_tilt > 0.0 and is_good
+    is_good = bool(senses.rms[senses.best] < LIMITS.good_fit)
+    lifted = senses.tilt > LIMITS.lift and senses.least_tilt > 0.0 and is_good
     against_field = _limited(senses.misfit, senses.rms, lifted).reshape(2, -1)
     sense = np.rint(np.linalg.det(every))
     cost = (against_field[(sense < 0.0).astype(int)] + gravity[:, None]).ravel()
@@ -241,9 +241,9 @@ def _hypotheses_to_fit(
     order = np.argsort(cost, kind="stable")
     gyro = order // len(proper)
     # A level turn leaves most axes of a gyro open: the axes as given are always included.
-    likely = (np.arange(len(order)) < WEIGHED.most) | (gyro == 0)
+    likely = (np.arange(len(order)) < LIMITS.most) | (gyro == 0)
     right = (gyro == 0) & _are_right(field[order])
-    kept = (likely & (cost[order] - cost.min() < 4.0 * WEIGHED.remains)) | right
+    kept = (likely & (cost[order] - cost.min() < 4.0 * LIMITS.remains)) | right
     return every[gyro[kept]], field[order[kept]], cost[order[kept]]
 
 
@@ -252,8 +252,8 @@ def _limited(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
     # In a turn about one axis, unusually strong soft iron looks like other axes. Linear
     # acceleration does, too, if gravity does not show a lift that the gyro measures. Then only
     # clearly worse fits are excluded.
-    plainly = rms > WEIGHED.times * rms[np.argmin(misfit)]
-    capped = np.minimum(misfit, WEIGHED.doubtful)
+    plainly = rms > LIMITS.times * rms[np.argmin(misfit)]
+    capped = np.minimum(misfit, LIMITS.doubtful)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 
@@ -270,8 +270,8 @@ def _inclination_misfit(found: Alignment, dip: Belief) -> FloatArray:
     covariance = np.where(is_known[:, None, None], found.covariance[:, FIELD, FIELD], 0.0)
     variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
     # The gyro's drift looks like a small tilt, which does not determine the field.
-    variance += (WEIGHED.attitude_error / max(found.least_tilt, 1e-6)) ** 2
-    variance += WEIGHED.dip_sigma**2 + dip.sigma**2
+    variance += (LIMITS.attitude_error / max(found.least_tilt, 1e-6)) ** 2
+    variance += LIMITS.dip_sigma**2 + dip.sigma**2
     seen = -np.arcsin(np.clip(along, -1.0, 1.0))
     misfits = [
         np.where(is_known, (sign * seen - dip.value) ** 2 / variance, 0.0) for sign in (1, -1)
@@ -290,7 +290,7 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
     seconds = accumulated(stretch.seconds)
-    first, last, turn = _turns_in(stretch, WEIGHED.span)
+    first, last, turn = _turns_in(stretch, LIMITS.span)
     if len(first) < 4:
         return np.zeros(len(ways)), np.zeros(len(ways))
     size = np.linalg.norm(stretch.up, axis=1, keepdims=True)
@@ -311,11 +311,11 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
     target = seen - moved
-    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [WEIGHED.lever] * 3)
+    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [LIMITS.lever] * 3)
     prior = np.diag(sizes**-2.0)
     repeated = max(float(np.mean(last - first)), 1.0)
     sigma, left = math.radians(5.0), np.zeros((count, n))
-    for _ in range(WEIGHED.rounds):
+    for _ in range(LIMITS.rounds):
         weight = 7.0 / (4.0 + left / sigma**2) / sigma**2 / repeated
         rows = design * weight[..., None, None]
         normal = np.einsum("knia,knib->kab", rows, design) + prior
@@ -323,10 +323,10 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
         left = np.sum((target - np.einsum("knia,ka->kni", design, found)) ** 2, axis=2)
         typical = np.sqrt(np.median(left, axis=1) / 2.37)
         cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
-        sigma = max(float(typical[np.argmin(cost)]), uneven, WEIGHED.attitude_error)
+        sigma = max(float(typical[np.argmin(cost)]), uneven, LIMITS.attitude_error)
     cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
     cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
-    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, WEIGHED.attitude_error))
+    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, LIMITS.attitude_error))
 
 
 def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatArray]:
@@ -337,7 +337,7 @@ def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatA
     return first, last[first], angle[last[first]] - angle[first]
 
 
-KNOWN: tuple[tuple[float, str], ...] = (
+UNIT_ERRORS: tuple[tuple[float, str], ...] = (
     (math.radians(1.0), "degrees/s published as rad/s"),
     (math.degrees(1.0), "rad/s converted from degrees twice"),
     (math.radians(1.0) / STANDARD_GRAVITY, "rates converted to degrees and multiplied by gravity"),
@@ -357,10 +357,10 @@ def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
     for rough in (_by_the_gyro(stretch), _by_the_field(stretch)):
         if rough is None:
             continue
-        if 1.0 / WEIGHED.plain < rough < WEIGHED.plain:
+        if 1.0 / LIMITS.plain < rough < LIMITS.plain:
             return None
-        known = (1.0, *(factor for factor, _ in KNOWN))
-        near = tuple(f for f in known if rough / WEIGHED.below < f < rough * WEIGHED.above)
+        known = (1.0, *(factor for factor, _ in UNIT_ERRORS))
+        near = tuple(f for f in known if rough / LIMITS.below < f < rough * LIMITS.above)
         if near:
             return near
     return (1.0,)
@@ -371,7 +371,7 @@ def _by_the_gyro(stretch: Stretch) -> float | None:
 
     The movement by magnetic objects along a road is measured in spans without a turn.
     """
-    first, last, turn = _turns_in(stretch, WEIGHED.spans[0])
+    first, last, turn = _turns_in(stretch, LIMITS.spans[0])
     way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
     turned = np.linalg.norm(turn, axis=1)
     most = float(np.max(turned, initial=0.0))
@@ -388,10 +388,10 @@ def _by_the_field(stretch: Stretch) -> float | None:
 
     A field that varies from place to place moves farther than by the turn: the unit is not wrong.
     """
-    for span in WEIGHED.spans:
+    for span in LIMITS.spans:
         first, last, turn = _turns_in(stretch, span)
         way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
-        moved = way > max(WEIGHED.moved, 0.5 * float(np.max(way, initial=0.0)))
+        moved = way > max(LIMITS.moved, 0.5 * float(np.max(way, initial=0.0)))
         if moved.sum() >= FEWEST_SPANS:
             turned = np.linalg.norm(turn[moved], axis=1)
             return float(np.median(way[moved])) / max(float(np.median(turned)), 1e-12)

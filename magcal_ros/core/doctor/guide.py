@@ -68,7 +68,7 @@ class Guide:
         self._field: list[tuple[float, ...]] = []
         self._blocks: list[FloatArray] = []
         """Means of force, rate and field over a short time, NaN without samples. Shape (3, 3)."""
-        self._stage_start = 0  # index of the current step's first block
+        self._step_start = 0  # index of the current step's first block
         self._resting: FloatArray | None = None
         self._angle = 0.0
         self._done_moving = False
@@ -76,7 +76,7 @@ class Guide:
     @property
     def current(self) -> GuideStep | None:
         """The current step; None at the end."""
-        return next((stage for stage in GuideStep if stage not in self.ended), None)
+        return next((step for step in GuideStep if step not in self.ended), None)
 
     @property
     def turned_left(self) -> bool | None:
@@ -96,21 +96,21 @@ class Guide:
 
     def skip(self, now: float) -> bool:
         """Give up the current step; return whether this is possible: the first step is needed."""
-        stage = self.current
-        if stage is None or stage is GuideStep.STAND:
+        step = self.current
+        if step is None or step is GuideStep.STAND:
             return False
-        self._end(stage, False, now)
+        self._end(step, False, now)
         return True
 
     def pass_time(self, now: float) -> bool:
         """Advance the time to `now`; return whether a step was done or given up."""
-        stage = self.current
-        if stage is None or now - self._block_began < TUNING.block:
+        step = self.current
+        if step is None or now - self._block_began < TUNING.block:
             return False
         self._close_block(now)
-        is_seen = self._seen(stage)
+        is_seen = self._seen(step)
         if is_seen or now - self._since > TUNING.patience:
-            self._end(stage, is_seen, now)
+            self._end(step, is_seen, now)
             return True
         return False
 
@@ -129,25 +129,25 @@ class Guide:
         self._imu, self._field = [], []
         self._block_began = now
 
-    def _seen(self, stage: GuideStep) -> bool:
-        if stage is GuideStep.STAND:
+    def _seen(self, step: GuideStep) -> bool:
+        if step is GuideStep.STAND:
             return self._stands(TUNING.stand)
         assert self._resting is not None
         (force, _, field), (resting, _, first) = self._blocks[-1], self._resting
-        if stage is GuideStep.TURN:
+        if step is GuideStep.TURN:
             swing = float(np.linalg.norm(field - first)) / max(float(np.linalg.norm(first)), 1e-12)
             self._done_moving |= abs(self._angle) > TUNING.angle or swing > TUNING.swing
         else:
             self._done_moving |= angle_between(force, resting) > TUNING.lift
         if not (self._done_moving and self._stands(TUNING.rest)):
             return False
-        return stage is not GuideStep.TURN or self._has_stopped()
+        return step is not GuideStep.TURN or self._has_stopped()
 
     def _has_stopped(self) -> bool:
         """Return whether the turn has ended, by the sensor that measured it, in any unit."""
         # Within `rest` seconds, a slow turn changes the field less than `still` allows.
         assert self._resting is not None
-        _, rate, field = np.swapaxes(self._blocks[self._stage_start :], 0, 1)
+        _, rate, field = np.swapaxes(self._blocks[self._step_start :], 0, 1)
         by_gyro = abs(self._angle) > TUNING.angle
         moved = rate - self._resting[1] if by_gyro else np.diff(field, axis=0)
         pace = np.linalg.norm(moved, axis=1)
@@ -168,8 +168,8 @@ class Guide:
         is_calm = bool((away < swing * np.linalg.norm(field)).all())
         return is_calm and all(angle_between(each, force) < lean for each in last[:, 0])
 
-    def _end(self, stage: GuideStep, is_seen: bool, now: float) -> None:
-        self.ended[stage] = is_seen
+    def _end(self, step: GuideStep, is_seen: bool, now: float) -> None:
+        self.ended[step] = is_seen
         self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
         self._since, self._angle, self._done_moving = now, 0.0, False
-        self._stage_start = len(self._blocks)
+        self._step_start = len(self._blocks)

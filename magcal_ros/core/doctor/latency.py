@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import WEIGHED, Way
+from magcal_ros.core.doctor.explanations import LIMITS, Way
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import skews
@@ -143,7 +143,7 @@ def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> Alig
 def force_latency(log: SensorLog, way: Way) -> Latency | None:
     """Return the accelerometer's latency, as `field_latency`; only a changing tilt shows it."""
     before, found = 0.0, None
-    for _ in range(WEIGHED.looks):
+    for _ in range(LIMITS.looks):
         fit = fit_of_the_force(log, way.gyro, before)
         if fit is None:
             break
@@ -152,7 +152,7 @@ def force_latency(log: SensorLog, way: Way) -> Latency | None:
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
         lever *= TUNING.lever / part.size
         found = _latency(before, *_fitted(fit, _linearisation_point(fit, state), log, lever))
-        if abs(found.lag - before) < WEIGHED.settled:
+        if abs(found.lag - before) < LIMITS.settled:
             break
         before = found.lag
     return found
@@ -182,7 +182,7 @@ def _fitted(
     prior[: len(fit.prior), : len(fit.prior)] = fit.prior
     slope = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
     left, nu = residual, fit.tuning.freedom
-    for _ in range(WEIGHED.rounds):
+    for _ in range(LIMITS.rounds):
         variance = _noise_around(left, time)
         weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
         weight /= inefficiency(left / np.sqrt(variance)[:, None])
@@ -271,7 +271,7 @@ def drove_while_turning(
     to_world = np.array([attitude[rows].mean(axis=0).T for _, rows in rests])
     felt = force[seen] - np.einsum("nij,nj->ni", attitude[seen], gravity[nearest[seen]])
     unsure = STANDARD_GRAVITY * np.hypot(SPOT.drift * since[seen], SPOT.lean)
-    allowed = np.hypot(WEIGHED.lever * about_up[seen] ** 2, unsure)
+    allowed = np.hypot(LIMITS.lever * about_up[seen] ** 2, unsure)
     left = _without_offset(felt, attitude[seen] @ to_world[nearest[seen]], up, allowed)
     return bool(np.median(np.linalg.norm(left, axis=1) / allowed) > SPOT.beyond)
 

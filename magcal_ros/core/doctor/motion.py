@@ -9,8 +9,8 @@ import numpy as np
 
 from magcal_ros.core.doctor.blame import AxesFound, Blame, blame, upright
 from magcal_ros.core.doctor.explanations import (
-    KNOWN,
-    WEIGHED,
+    LIMITS,
+    UNIT_ERRORS,
     Explanations,
     Way,
     explain,
@@ -108,7 +108,7 @@ def compare(
     factors = rate_factors(part)
     bias = NO_BIAS if rest is None else rest.rate
     beside = replace(part, turn=part.turn - part.seconds[:, None] * bias)
-    turns = most_turned(beside) >= WEIGHED.least_turn
+    turns = most_turned(beside) >= LIMITS.least_turn
     stands_still = rest is not None and rest.is_certain and not turns
     given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge, bias)
     if given is None:
@@ -185,7 +185,7 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
     times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
     words = (
         f"the gyro's rates are {times:.3g} times too {size}, which looks like "
-        f"{dict(KNOWN)[factor]}; multiply them by {factor:.6g} in the driver"
+        f"{dict(UNIT_ERRORS)[factor]}; multiply them by {factor:.6g} in the driver"
     )
     return wrong("rate_unit", "gyro: unit", evidence, words)
 

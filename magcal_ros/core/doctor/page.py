@@ -34,7 +34,7 @@ from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
 
-PAIRED = ("bursts", "stamps", "repeats")  # keys of findings that need unpaired samples
+UNPAIRED_ONLY = ("bursts", "stamps", "repeats")  # keys of findings that need unpaired samples
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def examine(
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
     """Check the sensors by the samples of a turn, which are already paired and cleaned."""
     page = examine(SensorLog.of_window(window), knowledge)
-    kept = [f for f in page.findings if f.key not in PAIRED]
+    kept = [f for f in page.findings if f.key not in UNPAIRED_ONLY]
     return replace(page, findings=tuple(kept))
 
 
