@@ -157,7 +157,7 @@ class _Kind:
         if left_out and not self.count(number):
             return (
                 f"the autopilot calls {self.name(number)} unhealthy in all its {left_out} samples "
-                f"({self.called.health}): it receives no readings from it"
+                f"({self.called.health}): the sensor sends no readings"
             )
         return (
             f"{self.name(number)} holds one value, or none, in all its {self.count(number)} samples"

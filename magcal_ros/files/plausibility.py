@@ -87,7 +87,7 @@ def _require_covariance(covariance: FloatArray) -> None:
     scale = np.where(sigmas > 0.0, sigmas, 1.0)
     correlations = covariance / np.outer(scale, scale)
     if (np.abs(covariance[sigmas == 0.0]) > 0.0).any():
-        raise ValueError("covariance links a number to others although its variance is zero")
+        raise ValueError("covariance has correlations of a number whose variance is zero")
     if np.abs(correlations - correlations.T).max() > BOUNDS.asymmetry:
         raise ValueError("covariance is not symmetric")
     smallest = float(np.linalg.eigvalsh((correlations + correlations.T) / 2.0)[0])

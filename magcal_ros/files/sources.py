@@ -75,7 +75,7 @@ def _read_whole(path: Path, imu: str, field: str, progress: Progress | None) -> 
     if path.is_file() and kind == ".ulg":
         return px4.read_px4(path, imu, field, progress)
     if path.is_file() and kind in PACKED:
-        raise FileTrouble(f"{plain(str(path))} is packed: unpack it, and name what was in it")
+        raise FileTrouble(f"{plain(str(path))} is packed: unpack it, and name the result")
     if path.is_file() and kind == ".csv":
         raise FileTrouble(f"{plain(str(path))} is one table of a recording: name its folder")
     is_csv = (path / "imu.csv").exists() or (path / "mag.csv").exists()
@@ -190,7 +190,7 @@ class RepairedReadings:
             if new is not None:
                 topics.setdefault(bursts_in_words(old), []).append(name)
         self.notes += [
-            f"{' and '.join(them)}: {words}; here they were spread evenly, which a node cannot do"
+            f"{' and '.join(them)}: {words}; here the stamps were spread evenly (a node cannot)"
             for words, them in topics.items()
         ]
 
