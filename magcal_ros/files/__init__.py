@@ -1,4 +1,4 @@
-"""Calibrations and recordings on disk: no ROS graph, every write atomic."""
+"""Calibrations and recordings on disk, without a ROS graph; every write is atomic."""
 
 from magcal_ros.core.lazy_names import lazy_names
 

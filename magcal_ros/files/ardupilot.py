@@ -3,10 +3,10 @@
 MAG holds the corrected field, `D SCALE (raw + OFS) + motors` in milligauss, cut to whole numbers
 (AP_Compass_Backend::correct_field; releases before 3.6 add the motors' part before D). The raw
 field is that of the sensor after COMPASS_ORIENT and, for a sensor on the board, after
-AHRS_ORIENTATION, so all of it, and the IMU, is in the vehicle's axes, forward-right-down. The
-offsets stand beside it, D and SCALE are parameters. What the calibration in force added is taken
-off. The compensation of the motors (COMPASS_MOT) stays, as it goes on in flight: without it the
-mean field of the motors would be part of the hard iron, and would be taken off twice. RAW_IMU and
+AHRS_ORIENTATION. So field and IMU are in the vehicle's axes, forward-right-down. MAG also holds the
+offsets; D and SCALE are parameters. The autopilot's calibration is removed from the field. The
+compensation of the motors (COMPASS_MOT) is kept, because it continues in flight: without it, the
+motors' mean field would be part of the hard iron, and would be subtracted twice. RAW_IMU and
 SCALED_IMU of telemetry hold the same field.
 """
 
@@ -52,19 +52,19 @@ TELEMETRY_NAMES = logs.Names(
 )
 REPEATED = -1
 RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
-"""Messages of telemetry, and the number of their sensors. SCALED_IMU repeats RAW_IMU."""
+"""Messages of telemetry, and the number of the sensor. SCALED_IMU repeats RAW_IMU."""
 
 TELEMETRY_KINDS = {*RAW_KINDS, "ATTITUDE", "GPS_RAW_INT", "PARAM_VALUE"}
 
 AUTOPILOT = 1  # component of MAVLink: cameras and gimbals have others
 SLOTS = ("", "2", "3")  # how the parameters of the compasses, and of the IMUs, are numbered
-PARAMETERS = ("COMPASS_", "EK3_", "INS_USE")  # how those begin that are read
+PARAMETERS = ("COMPASS_", "EK3_", "INS_USE")  # prefixes of the parameters that are read
 
 SMALLEST_SCALE, LARGEST_SCALE = 1.0 / 1.5, 1.5
-"""Of COMPASS_SCALE; the autopilot ignores others (Compass::have_scale_factor)."""
+"""Range of COMPASS_SCALE; the autopilot ignores other values (Compass::have_scale_factor)."""
 
 BACKWARDS, LATE = 1.0, 10.0
-"""Seconds by which an autopilot's clock goes back, or a message is late, where it started anew."""
+"""Seconds by which the clock goes back, or a message is late, if the autopilot was restarted."""
 
 SENSORS = 3
 Parameters = dict[str, float]
@@ -73,8 +73,8 @@ Parameters = dict[str, float]
 def read_ardupilot(
     path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
 ) -> Recording:
-    """Read a DataFlash or telemetry log; arguments and errors as of `open_recording`."""
-    begun = logs.begun_with(path, 8000)
+    """Read a DataFlash or telemetry log; arguments and errors are those of `open_recording`."""
+    begun = logs.first_bytes(path, 8000)
     telemetry = path.suffix.lower() == ".tlog"
     is_text = path.suffix.lower() == ".log" and b"FMT," in begun
     if not (telemetry or is_text or begun[:2] == BINARY):
@@ -94,19 +94,19 @@ def read_ardupilot(
 
 @dataclass
 class _Logged:
-    """The numbers of a log by sensor, as logged, forward-right-down."""
+    """The contents of a log by sensor, as logged, in forward-right-down axes."""
 
     imus: dict[int, FloatArray] = field(default_factory=dict)  # stamp, specific force, rate
     mags: dict[int, FloatArray] = field(default_factory=dict)
-    """Stamp, field, offsets and motors' part, milligauss; NaN where they are not logged."""
+    """Stamp (s), field, offsets and motors' part (milligauss); NaN for columns not logged."""
     parameters: list[tuple[float, Parameters]] = field(default_factory=lambda: [(-math.inf, {})])
-    """From when on they hold; a log may span a calibration by the autopilot."""
+    """All parameters, with the time from which they are valid: the autopilot may change them."""
     lane: tuple[int, int] | None = None
-    """Lane of the EKF that was in use most of the time, and its compass."""
+    """Lane of the EKF that was used most of the time, and the compass of this lane."""
     tables: logs.LogTables = field(default_factory=logs.LogTables)
 
     def take_parameter(self, stamp: float, name: str, value: float) -> None:
-        """Take a parameter; the first value also holds before it was logged."""
+        """Add a parameter; its first value is also valid before it was logged."""
         if not name.startswith(PARAMETERS):
             return
         newest = self.parameters[-1][1]
@@ -117,7 +117,7 @@ class _Logged:
             self.parameters.append((stamp, {**newest, name: value}))
 
     def take_fix(self, fix: Fix, speed: float, course: float) -> None:
-        """Take what a receiver says, m/s and radians."""
+        """Add a receiver's fix, with speed (m/s) and course (rad)."""
         self.tables.fixes.append(fix)
         if fix.has_fix and math.isfinite(speed + course):
             self.tables.velocities.append(logs.velocity(fix.stamp, speed, course))
@@ -140,7 +140,7 @@ def _logged(found: DataFlash) -> _Logged:
         out.tables.yaw = np.column_stack([stamps, np.radians(90.0 - bearing)])
     receivers = found.tables.get("GPS", np.empty(0)).tolist()
     for stamp, number, status, latitude, longitude, altitude, speed, course in receivers:
-        if not number > 0.0:  # the first one, which old releases do not number
+        if not number > 0.0:  # the first receiver, which old releases do not number
             fix = Fix(status >= logs.FIX_3D, latitude, longitude, altitude, stamp)
             out.take_fix(fix, speed, math.radians(course))
     if "XKFS" in found.tables and "XKF4" in found.tables:
@@ -179,7 +179,7 @@ def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
 
 
 class _Telemetry:
-    """Takes messages one by one."""
+    """Collects telemetry messages, added one by one."""
 
     def __init__(self) -> None:
         # Flat arrays take a tenth of the memory of rows.
@@ -191,7 +191,7 @@ class _Telemetry:
         self._booted = self._own = math.nan
 
     def take(self, kind: str, m: Any) -> None:
-        """Take a message of any kind."""
+        """Add a message of any kind."""
         if kind not in TELEMETRY_KINDS or m.get_srcComponent() != AUTOPILOT:
             return
         if self._system is None:
@@ -224,7 +224,7 @@ class _Telemetry:
         return float(own + self._booted)
 
     def logged(self) -> _Logged:
-        """Return what was taken."""
+        """Return the collected messages."""
         out = self._out
         for sensors in (self._imus, self._mags):
             repeated = sensors.pop(REPEATED, _numbers())
@@ -243,7 +243,7 @@ def _numbers() -> array[float]:
 
 
 def _raw_tables(logged: _Logged, telemetry: bool) -> logs.LogTables:
-    """Return everything in SI units, forward-left-up axes, calibrations taken off."""
+    """Return the log in SI units and forward-left-up axes, without the autopilot's calibration."""
     tables, newest = logged.tables, logged.parameters[-1][1]
     for number, table in logged.imus.items():
         if len(table):
@@ -252,10 +252,10 @@ def _raw_tables(logged: _Logged, telemetry: bool) -> logs.LogTables:
     for number, table in logged.mags.items():
         if len(table):
             _take_field(tables, number, table, logged.parameters)
-    # Logs without the EKF's choice may have it as parameters, the latter up to release 4.0.
+    # Without messages on the EKF's choice, use the parameters; COMPASS_PRIMARY exists up to 4.0.
     primary = newest.get("EK3_PRIMARY"), newest.get("COMPASS_PRIMARY")
     lane, compass = logged.lane or (None if each is None else int(each) for each in primary)
-    # Lanes of the EKF are counted over the IMUs of its mask.
+    # Lanes of the EKF are numbered over the IMUs in EK3_IMU_MASK.
     of_lanes = [k for k in range(SENSORS) if int(newest.get("EK3_IMU_MASK", 3.0)) >> k & 1]
     used = of_lanes[lane] if lane is not None and 0 <= lane < len(of_lanes) else None
     tables.imu_order = _order(tables.imus, newest, "INS_USE", used)
@@ -274,7 +274,7 @@ def _take_field(
     table: FloatArray,
     parameters: list[tuple[float, Parameters]],
 ) -> None:
-    """Add a compass, raw; what an earlier orientation turned is left out."""
+    """Add the raw field of a compass; samples with an earlier orientation are left out."""
     newest = parameters[-1][1]
     slot = _slot(number, table[-1, 4:7], newest)
     orientation = f"COMPASS_ORIENT{SLOTS[slot]}"
@@ -303,7 +303,7 @@ def _take_field(
 def _order(
     sensors: Mapping[int, FloatArray], parameters: Parameters, switch: str, used: int | None
 ) -> logs.Order:
-    """Return the order of sensors: the used one, then those switched on, healthy, by number."""
+    """Return the order: enabled sensors first, the used one first of them, then by health."""
     longest = max((len(each) for each in sensors.values()), default=0)
 
     def rank(number: int) -> tuple[bool, bool, bool, int]:
@@ -318,8 +318,8 @@ def _order(
 
 
 def _slot(number: int, offsets: FloatArray, parameters: Parameters) -> int:
-    """Return which of the parameters' compasses a sensor is: the one with its offsets."""
-    # Priorities may put the sensors of a log into another order than the parameters.
+    """Return which compass of the parameters a sensor is: the one with the logged offsets."""
+    # Priorities may give the sensors of a log another order than that of the parameters.
     gaps = [np.abs(_three(parameters, f"COMPASS_OFS{slot}_") - offsets).max() for slot in SLOTS]
     known = np.nan_to_num(gaps, nan=math.inf)
     usual = min(number, len(SLOTS) - 1)
@@ -328,7 +328,7 @@ def _slot(number: int, offsets: FloatArray, parameters: Parameters) -> int:
 
 
 def _without_calibration(table: FloatArray, slot: int, parameters: Parameters) -> FloatArray:
-    """Return the field before the autopilot's own calibration, milligauss."""
+    """Return the field without the autopilot's calibration, milligauss."""
     name = SLOTS[slot]
     off_diagonal = np.nan_to_num(_three(parameters, f"COMPASS_ODI{name}_"))
     matrix = logs.symmetric(_three(parameters, f"COMPASS_DIA{name}_"), off_diagonal)
@@ -337,7 +337,7 @@ def _without_calibration(table: FloatArray, slot: int, parameters: Parameters) -
     scale = parameters.get(f"COMPASS_SCALE{name}", 1.0)
     if not SMALLEST_SCALE <= scale <= LARGEST_SCALE:
         scale = 1.0
-    # The logged offsets are cut to whole numbers, the parameters are not.
+    # The logged offsets are truncated to integers, the parameters are not.
     exact, offsets = _three(parameters, f"COMPASS_OFS{name}_"), table[:, 4:7]
     is_same = np.isnan(offsets) | (np.abs(exact - offsets) < 1.0)
     offsets = np.nan_to_num(np.where(is_same, exact, offsets))

@@ -1,4 +1,4 @@
-"""Bags read lazily: rosbag2 (mcap, sqlite3) with ROS's own reader, or without ROS, and ROS 1."""
+"""Bags, read message by message: rosbag2 (mcap, sqlite3), with or without ROS, and ROS 1."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
 ODOM_TYPE = "nav_msgs/msg/Odometry"
 TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
-SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+TWIST_COVARIANCE_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 TRAVEL: dict[str, Callable[[Format, bytes], Any]] = {
     FIX_TYPE: Format.fix,
     ODOM_TYPE: Format.speed,
     TWIST_TYPE: Format.velocity,
-    SURE_TWIST_TYPE: Format.sure_velocity,
+    TWIST_COVARIANCE_TYPE: Format.sure_velocity,
 }
 RECEIVER_TOPICS = ("vel", "fix_velocity")
-"""How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
-body's. A bag without fixes has no receiver."""
+"""Last part of the topics with a receiver's velocity over ground in ENU. Other twists are commands
+or in body axes. A bag without fixes has no receiver."""
 
 LATEST = 2**63 - 1  # nanoseconds: after every message
 
@@ -55,21 +55,21 @@ REMEDIES = {
 STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
 
 LATE = 5_000_000_000
-"""Nanoseconds after the end of a span within which a message of the span may still come."""
+"""Nanoseconds after the end of a span within which its messages may still be recorded."""
 
 
 class Bag:
-    """The two sensor topics of an open bag, to be read once; a damaged one is a FileTrouble.
+    """The two sensor topics of an open bag; FileTrouble if the bag is damaged.
 
-    Empty topics stand for the only one of the right type. `start` and `stop` are seconds from the
-    bag's beginning, by its own clock. The frames are the newest `frame_id` of each topic, empty
-    while unknown.
+    An empty topic means the only topic of the right type. `start` and `stop` are seconds from the
+    bag's beginning, by the time of recording. The frames are the newest `frame_id` of each topic,
+    empty while unknown.
     """
 
     imu_frame = field_frame = ""
     notes: tuple[str, ...] = ()
     yaw = np.empty((0, 2))
-    """Only logs have the yaws of an autopilot."""
+    """Empty: only logs have the yaws of an autopilot."""
 
     def __init__(
         self, path: Path, reader: Any, imu: str, field: str, start: float, stop: float
@@ -85,7 +85,7 @@ class Bag:
         self._end: int = min(reader.end_time, reader.start_time + _nanoseconds(stop))
         share = (self._end - self._first) / max(reader.end_time - reader.start_time, 1)
         self.count = round(share * sum(c.msgcount for c in (*self._imu, *self._field)))
-        """About how many messages of both sensors the span holds."""
+        """Approximate number of messages of both sensors in the span."""
 
     def readings(self) -> Iterator[Reading]:
         """Yield the samples of both topics in the order in which they were recorded."""
@@ -109,7 +109,7 @@ class Bag:
 
     @property
     def begun(self) -> float:
-        """When the span begins by the bag's own clock, seconds."""
+        """Time of recording at which the span begins, seconds."""
         return self._first * 1e-9
 
     @property
@@ -126,13 +126,13 @@ class Bag:
     def _journey(self) -> tuple[tuple[TravelSample, ...], Place | None]:
         heard = self._of(FIX_TYPE, ODOM_TYPE)
         if self._of(FIX_TYPE):
-            twists = self._of(TWIST_TYPE, SURE_TWIST_TYPE)
+            twists = self._of(TWIST_TYPE, TWIST_COVARIANCE_TYPE)
             heard += [c for c in twists if c.topic.rpartition("/")[2] in RECEIVER_TOPICS]
 
         def take(connection: Connection, _: int, data: bytes) -> Any:
             return TRAVEL[connection.msgtype](self._format, data)
 
-        # What has no fix, speed or velocity says why instead.
+        # A message without a fix, speed or velocity gives the reason as text instead.
         found = self._read(heard, take)
         return travel_of(each for each in found if not isinstance(each, str))
 
@@ -140,25 +140,25 @@ class Bag:
     def currents(self) -> list[tuple[float, float]]:
         """Stamps, seconds, and currents of the battery, A; empty if there is none."""
         heard = self._of(BATTERY_TYPE)
-        # Several batteries are no one current.
+        # With several batteries, the total current is not known.
         if len({c.topic for c in heard}) != 1:
             return []
 
         def take(connection: Connection, received: int, data: bytes) -> tuple[float, float]:
             if self._reader.is2:
                 stamp, current = CDR.current(data)
-            else:  # some distributions of ROS 1 have no temperature before the current
+            else:  # in some distributions of ROS 1, no temperature precedes the current
                 message: Any = self._reader.deserialize(data, connection.msgtype)
                 stamp, current = seconds(message.header.stamp), float(message.current)
-            # Zero stamps are usual in drivers of batteries.
+            # Drivers of batteries often leave the stamp at zero.
             return stamp or received * 1e-9, current
 
         return sorted(self._read(heard, take))
 
     def headings(self, topic: str) -> list[HeadingSample]:
-        """Return the yaws of a topic's orientations, by stamp.
+        """Return the yaws of a topic's orientations, sorted by stamp.
 
-        Misuse if there is no such topic, FileTrouble if it gives no heading.
+        FileTrouble if there is no such topic of IMU messages, or none of them gives a heading.
         """
         heard = _named(self._path, self._reader, IMU_TYPE, topic)
         read = list(self._read(heard, lambda _, __, data: self._format.heading(data)))
@@ -175,14 +175,14 @@ class Bag:
     def _read(
         self, heard: list[Connection], take: Callable[[Connection, int, bytes], T]
     ) -> Iterator[T]:
-        """Yield what `take` makes of connection, time of recording (ns) and bytes of the span."""
+        """Yield `take(connection, time of recording in ns, bytes)` of each message in the span."""
         reader = self._reader
         if not heard:
-            return  # the library rosbags takes no connections for all of them
+            return  # the library rosbags would read all connections
         with _damage_in_words(self._path):
             for connection, received, data in reader.messages(heard, self._first, self._end):
                 if reader.is2 and not is_plain_cdr(data):
-                    # The library turns the other byte order.
+                    # The library converts big-endian messages.
                     kind, store = connection.msgtype, reader.typestore
                     message = reader.deserialize(data, kind)
                     data = bytes(store.serialize_cdr(message, kind, little_endian=True))
@@ -191,7 +191,7 @@ class Bag:
 
 @contextlib.contextmanager
 def open_bag(path: Path, imu: str, field: str, start: float, stop: float) -> Iterator[Bag]:
-    """Open a bag; arguments and errors as of `open_recording`."""
+    """Open a bag; arguments and errors are those of `open_recording`."""
     _refuse_other_files(path)
     with contextlib.ExitStack() as stack:
         with _damage_in_words(path):
@@ -211,10 +211,10 @@ class Channel(NamedTuple):
 class RosReader:
     """An open rosbag2: a folder with metadata.yaml, or a single .mcap or .db3.
 
-    `library` is the module `rosbag2_py`, which a robot has without any other library; it raises
-    RuntimeError for what it cannot read. The names are those that the library rosbags gives.
-    Checked against its published source from Humble to Rolling: before Jazzy the metadata's
-    duration is a `timedelta`, since then an `rclpy` Duration; Humble wants the storage named.
+    `library` is the module `rosbag2_py`, which every robot with ROS 2 has. It raises RuntimeError
+    if it cannot read a bag. The attributes have the names of the library rosbags. From Humble to
+    Rolling, rosbag2_py differs in two points: the metadata's duration is a `timedelta` before Jazzy
+    and an `rclpy` Duration since then, and Humble needs the name of the storage.
     """
 
     is2 = True
@@ -228,7 +228,7 @@ class RosReader:
             for topic in self._metadata.topics_with_message_count
             for about in (topic.topic_metadata,)
         ]
-        # The metadata's own start is rounded to microseconds before Jazzy.
+        # Before Jazzy, the start in the metadata is rounded to microseconds.
         first = next(self._everything(self.connections), None)
         self.start_time = 0 if first is None else first[2]
         duration = self._metadata.duration
@@ -245,14 +245,14 @@ class RosReader:
         channels = {channel.topic: channel for channel in connections}
         for topic, data, stamp in self._everything(channels.values()):
             if stamp >= stop:
-                # Messages are written as they come: a later one may be a little older.
+                # Messages are written in the order of arrival, not exactly that of their times.
                 if stamp >= stop + LATE:
                     return
             elif stamp >= start and topic in channels:
                 yield channels[topic], stamp, data
 
     def deserialize(self, _: bytes, msgtype: str) -> NoReturn:
-        """Refuse what is in the other byte order, with a FileTrouble."""
+        """Raise a FileTrouble: this reader does not convert big-endian messages."""
         raise FileTrouble(
             f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
             "Python library rosbags is installed and ROS is not"
@@ -274,12 +274,12 @@ class RosReader:
 
 
 def _storage_of(path: Path) -> str:
-    """Return the storage by the file's name; a folder's metadata names it."""
+    """Return the storage by the file's suffix; empty for a folder, whose metadata names it."""
     return STORAGES.get(path.suffix, "") if path.is_file() else ""
 
 
 def _ros_reader(path: Path) -> Any:
-    """Return a reader of ROS's own; None where there is no ROS, and for bags of ROS 1."""
+    """Return a reader that uses rosbag2_py; None without ROS 2, and for bags of ROS 1."""
     if path.suffix == ".bag":
         return None
     try:
@@ -298,7 +298,7 @@ def _library_reader(path: Path) -> AnyReader:
             f"reading {plain(str(path))} needs ROS 2 (source its setup file) or the Python library "
             "rosbags (in a virtual environment: pip install rosbags)"
         ) from error
-    # Bags of old distributions do not carry their types: these two never changed.
+    # Bags of old distributions lack type definitions. The types of sensor messages never changed.
     return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
 
 
@@ -318,7 +318,7 @@ def _refuse_other_files(path: Path) -> None:
             "(.ulg), or the unpacked folder of a phone's Sensor Logger or phyphox"
         )
     for file in path.rglob("*") if path.is_dir() else [path]:
-        # A pipe would be waited for.
+        # Opening a pipe would block.
         if file.exists() and not (file.is_file() or file.is_dir()):
             raise FileTrouble(f"cannot read {plain(str(file))}: it is not a regular file")
 

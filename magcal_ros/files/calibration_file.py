@@ -24,17 +24,17 @@ from magcal_ros.files.plausibility import require_possible
 FORMAT = "magcal_ros/calibration"
 FORMAT_VERSION = 1
 LARGEST_FILE = 100_000
-"""Bytes. A calibration has about ten thousand; anything larger is something else."""
+"""Bytes. A calibration has about ten thousand."""
 
 DEEPEST = 10  # levels of nesting; a calibration has three
 
-_SAYS_IT_IS_OURS = re.compile(
+_FORMAT_MARK = re.compile(
     rb"""^(format: *["']?magcal_ros/calibration\b|# Magnetometer calibration by magcal_ros\.)""",
     re.MULTILINE,
 )
 
-_NONSENSE = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
-"""What the YAML loader and the reading of its document raise where a file holds nonsense."""
+_INVALID_CONTENT = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+"""Errors of the YAML loader, and of reading its document, for invalid content."""
 
 HEADER = """\
 # Magnetometer calibration by magcal_ros.
@@ -51,9 +51,9 @@ class Origin:
     imu_frame: str
     """`frame_id` of the two sensors' messages."""
     created: str  # ISO 8601, UTC
-    node: str = ""  # fully qualified name of the node that made it; empty where there was none
+    node: str = ""  # fully qualified name of the node that made it; empty without a node
     vehicle_yaw: VehicleYaw | None = None
-    """How the IMU sits in the vehicle, as drives have shown it; no part of the calibration."""
+    """Yaw of the IMU in the vehicle, estimated by drives; no part of the calibration."""
 
     @classmethod
     def now(
@@ -65,7 +65,7 @@ class Origin:
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Safe YAML without anchors and deep nesting: a calibration needs neither, bombs do."""
+    """Safe YAML without aliases and deep nesting, which could exhaust the memory."""
 
     _depth = 0
 
@@ -82,7 +82,7 @@ class _PlainLoader(yaml.SafeLoader):
 
 
 class _PlainDumper(yaml.SafeDumper):
-    """Safe YAML that quotes texts with unprintable characters: some breaks would come back else."""
+    """Safe YAML that quotes texts with unprintable characters, which may else change in reading."""
 
 
 _TEXT = "tag:yaml.org,2002:str"
@@ -99,8 +99,8 @@ def write_calibration(
 ) -> None:
     """Write a calibration in one step, at full precision.
 
-    After a FileTrouble the file is as it was: it cannot be written, or it is no calibration of this
-    package. `when_written` is as of `write_atomically`.
+    FileTrouble if the file cannot be written, or exists and is no calibration of this package; it
+    is then unchanged. `when_written` is as in `write_atomically`.
     """
     require_ours(path)
     document = {k: v for k, v in _document(calibration, origin).items() if v is not None}
@@ -110,18 +110,18 @@ def write_calibration(
 
 
 def is_free_or_ours(path: Path) -> bool:
-    """Whether there is nothing, an empty file, or what says it is a calibration of this package."""
+    """Whether the file is missing, empty, or marked as a calibration of this package."""
     try:
         content = read_small(path, LARGEST_FILE)
     except (FileNotFoundError, NotADirectoryError):
         return True
     except (OSError, NotOrdinary):
         return False
-    return not content.strip() or _SAYS_IT_IS_OURS.search(content) is not None
+    return not content.strip() or _FORMAT_MARK.search(content) is not None
 
 
 def require_ours(path: Path) -> None:
-    """Raise a FileTrouble if `path` is neither free nor ours."""
+    """Raise a FileTrouble unless `is_free_or_ours`."""
     if not is_free_or_ours(path):
         raise FileTrouble(
             f"{path} is not a calibration of magcal_ros, and was not changed; choose another name"
@@ -129,16 +129,16 @@ def require_ours(path: Path) -> None:
 
 
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
-    """Return the numbers that were written, to the last bit.
+    """Return a calibration and its origin, with exactly the numbers that were written.
 
-    A FileTrouble if the file is missing, damaged, no calibration of this version, or claims what is
-    impossible.
+    FileTrouble if the file is missing, damaged, of another format or version, or has impossible
+    numbers.
     """
     document = _parse(path)
     try:
         calibration, origin = _calibration(document), _origin(document)
         require_possible(calibration)
-    except _NONSENSE as error:
+    except _INVALID_CONTENT as error:
         detail = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
         raise _damaged(path, detail) from error
     return calibration, origin
@@ -147,15 +147,15 @@ def read_calibration(path: Path) -> tuple[Calibration, Origin]:
 def _parse(path: Path) -> Mapping[str, Any]:
     try:
         content = read_small(path, LARGEST_FILE)
-        # Looked for first, because YAML takes a second for what is large and none of ours.
-        says_it = _SAYS_IT_IS_OURS.search(content) is not None
+        # The mark is checked first: YAML takes a second for a large file of another kind.
+        is_marked = _FORMAT_MARK.search(content) is not None
         text = content.decode("utf-8")
-        document = yaml.load(text, Loader=_PlainLoader) if says_it else None
+        document = yaml.load(text, Loader=_PlainLoader) if is_marked else None
     except OSError as error:
         raise FileTrouble(f"cannot read {path}: {error.strerror or error}") from error
     except NotOrdinary as error:
         raise _damaged(path, str(error)) from error
-    except (yaml.YAMLError, RecursionError, *_NONSENSE) as error:
+    except (yaml.YAMLError, RecursionError, *_INVALID_CONTENT) as error:
         reason = " ".join(str(error).split())[:200]
         raise _damaged(path, f"it is not readable YAML ({reason})") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
@@ -218,7 +218,7 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
 
 
 def _vehicle_yaw(document: Mapping[str, Any]) -> VehicleYaw | None:
-    """Return how the IMU sits in the vehicle; files from before have nothing of it."""
+    """Return the IMU's yaw in the vehicle; None in files without this entry."""
     entry = document.get("vehicle_yaw_offset")
     if entry is None:
         return None
@@ -266,7 +266,7 @@ def _motors_entry(motors: MotorField | None) -> dict[str, Any] | None:
 
 
 def _motors(document: Mapping[str, Any]) -> MotorField | None:
-    """Return what motors add; files from before have nothing of it."""
+    """Return the field of the motors; None in files without this entry."""
     entry = document.get("motors")
     if entry is None:
         return None
@@ -303,7 +303,7 @@ def _origin(document: Mapping[str, Any]) -> Origin:
 
 
 def _number(value: Any) -> float:
-    # YAML 1.1 reads 1e-5 as text: a file edited by hand may well hold such numbers.
+    # YAML 1.1 reads 1e-5 as text, and a file edited by hand may contain such numbers.
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise ValueError(f"{value!r} is not a number")
     return float(value)
@@ -329,7 +329,7 @@ def _positive(value: Any, name: str) -> float:
     return number
 
 
-KEPT = 3  # former files that are kept
+KEPT = 3  # number of backups
 
 
 def backup_files(path: Path) -> list[Path]:
@@ -338,39 +338,39 @@ def backup_files(path: Path) -> list[Path]:
 
 
 def keep_backup(path: Path, successor: Calibration) -> None:
-    """Copy what a file holds to the newest of its backups; older ones move on.
+    """Copy a file to its newest backup; older backups move on by one name.
 
-    Nothing is done if the file holds no usable calibration, the successor's numbers, or what was
-    kept last. A calibration that was kept earlier moves to the front and is not kept twice: two
-    that alternate do not push out a third. Files of these names that do not say that they are ours
-    stay where they are, and are not counted. After a FileTrouble the backups are as they were.
+    Nothing is done if the file holds no usable calibration, the successor's numbers, or those of
+    the newest backup. If an older backup has the same numbers, the copy replaces it: calibrations
+    that alternate use one backup each. Files with these names that are not ours are neither changed
+    nor counted. After a FileTrouble the backups are unchanged.
     """
-    held = _held_by(path)
+    held = _stored_correction(path)
     if held is None:
         return
     content = read_small(path, LARGEST_FILE)
     files = [file for file in backup_files(path) if is_free_or_ours(file) and not file.is_symlink()]
     if not files:
         raise FileTrouble("all names for it belong to files that are not ours")
-    each = [_held_by(file) for file in files]
+    each = [_stored_correction(file) for file in files]
     kept = next((k for k, other in enumerate(each) if other and other.is_same(held)), None)
     if kept == 0 or held.is_same(successor.correction):
         return
     missing = (k for k, file in enumerate(files) if not file.exists())
     free = next(missing, len(files) - 1) if kept is None else kept
     text = content.decode("utf-8")
-    write_atomically(files[0], text, when_written=lambda: _move_on(files, free))
+    write_atomically(files[0], text, when_written=lambda: _shift_names(files, free))
 
 
-def _held_by(file: Path) -> Correction | None:
-    """Return the numbers of a file; None if it cannot be loaded."""
+def _stored_correction(file: Path) -> Correction | None:
+    """Return the correction stored in a file; None if the file cannot be loaded."""
     try:
         return read_calibration(file)[0].correction
     except (OSError, ValueError, FileTrouble):
         return None
 
 
-def _move_on(files: list[Path], free: int) -> None:
-    """Move each file before a free name, or one that may go, to the next name."""
+def _shift_names(files: list[Path], free: int) -> None:
+    """Rename each file before index `free` to the next name; the file at `free` is replaced."""
     for k in range(free, 0, -1):
         os.replace(files[k - 1], files[k])

@@ -1,8 +1,8 @@
 """ArduPilot's DataFlash logs (.BIN, .log) as tables of the wanted messages, read by pymavlink.
 
-A binary log is decoded a message type at a time, at the places that the library's index gives:
-message by message takes fifteen times as long. Text, and binary logs of releases without a clock
-of their own, are read message by message.
+A binary log is decoded one message type at a time, at the offsets in the library's index. This is
+fifteen times as fast as message by message, which is used for text, and for binary logs of old
+releases whose messages have no clock in microseconds or milliseconds.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.files import logs
 
 BINARY = b"\xa3\x95"
-"""The first bytes of a binary log, and of each message in it; a third one is the type."""
+"""The first bytes of a binary log and of each of its messages; the third byte is the type."""
 
 HEADER = 3
 
@@ -33,28 +33,28 @@ COLUMNS = {
     "XKFS": ("C", "MI"),
     "XKF4": ("PI",),
 }
-"""The wanted numbers of each message; XKF are of the third EKF: its lanes, compass and lane."""
+"""The columns to read of each message. XKFS and XKF4 give the compass and the lane of EKF3."""
 
 GPS_MESSAGES = ("GPS", "GPS2")
 
 
 @dataclass
 class DataFlash:
-    """What a log holds; the numbers are as logged."""
+    """The contents of a log; the numbers are as logged."""
 
     tables: dict[str, FloatArray] = field(default_factory=dict)
-    """By message: the stamp and `COLUMNS`, NaN where a release has none."""
+    """By message type: the stamp and `COLUMNS`, NaN for columns that a release does not log."""
     parameters: list[tuple[float, str, float]] = field(default_factory=list)  # stamp, name, value
 
 
 def read_dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> DataFlash:
-    """Read a log that begins with these bytes."""
+    """Read a log; `begun` are its first bytes."""
     library = logs.library(path, "pymavlink.DFReader", "ardupilot")
     is_binary = begun[:2] == BINARY
     kind: Any = library.DFReader_binary if is_binary else library.DFReader_text
 
     def recv_msg(reader: Any) -> Any:
-        # Without a receiver the library goes through the whole log before it gives a message.
+        # Without a receiver, the library reads the whole log before it returns a message.
         deadline.check()
         return kind.recv_msg(reader)
 
@@ -112,7 +112,7 @@ def _rows(reader: Any, kind: str, codes: Any) -> tuple[Any, FloatArray]:
     starts = np.asarray(reader.offsets[number], dtype=np.int64) + HEADER
     size = reader.data_len - row.itemsize
     starts = starts[starts <= size]
-    # A row from every byte on, of which those at the places of the messages are taken.
+    # A view with a row at every byte, of which the rows at the messages' offsets are taken.
     rows = np.ndarray((size + 1,), row, buffer=reader.data_map, strides=(1,))[starts]
     own = "TimeUS" if "TimeUS" in form.columns else "T" if kind in GPS_MESSAGES else "TimeMS"
     unit = 1e-6 if own == "TimeUS" else 1e-3

@@ -1,4 +1,4 @@
-"""Paths of files that the user has not named; a FileTrouble where there is no home for one."""
+"""Paths of files that the user has not named; a FileTrouble without a home folder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\Z", re.IGNORECASE)
 
 
 def own_folder() -> Path:
-    """Return the folder in the user's ROS home (`$ROS_HOME`, or `~/.ros`) that has everything."""
+    """Return this package's folder in the user's ROS home (`$ROS_HOME`, or `~/.ros`)."""
     return chosen_path(os.environ.get("ROS_HOME") or "~/.ros") / "magcal"
 
 
@@ -33,9 +33,9 @@ def chosen_path(text: str) -> Path:
 
 
 def lies_within(path: Path, places: Iterable[Path]) -> bool:
-    """Whether a path is one of some places or lies below one, by its names alone.
+    """Whether a path is one of the places or lies below one, by its text alone.
 
-    Links are not looked at: only who may write there already can have made one.
+    Links are not resolved: only a user who may write to a place can have made a link there.
     """
     if ".." in path.parts or "\0" in str(path):
         return False
@@ -43,12 +43,12 @@ def lies_within(path: Path, places: Iterable[Path]) -> bool:
 
 
 def numbered(path: Path, number: int) -> Path:
-    """Return a magnetometer's own file beside the first one's: `name.2.yaml` for the second."""
+    """Return the file of a magnetometer by its number: `name.2.yaml` for the second."""
     return path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
 
 
 def is_missing(path: Path) -> bool:
-    """Whether there is surely nothing; a place that cannot be looked at may hold something."""
+    """Whether a file is certainly missing; False if the file system cannot tell."""
     try:
         path.stat()
     except (OSError, ValueError) as error:
@@ -57,10 +57,10 @@ def is_missing(path: Path) -> bool:
 
 
 def safe_name(text: str) -> str:
-    """Turn a name from the network into one that can stand in a path.
+    """Convert a name from the network to one that is safe in a path.
 
-    Letters, digits, `_` and `-` stay. Where anything else was, or where the name itself looks as
-    if it had one, it gets a digest, so that two different names do not meet.
+    Letters, digits, `_` and `-` stay. A name that is changed or reserved, or already seems to end
+    in a digest, gets a digest, so that different names remain different.
     """
     plain = re.sub(r"[^A-Za-z0-9_-]", "_", text)[:LONGEST_NAME] or "unnamed"
     looks_made = re.search(r"-[0-9a-f]{8}\Z", text) or RESERVED.match(text)
@@ -68,24 +68,24 @@ def safe_name(text: str) -> str:
 
 
 def known_as(frame: str) -> str:
-    """Return the name under which a calibration remembers a frame: itself, unless it is huge."""
+    """Return the name of a frame in a calibration; a very long frame is cut, with a digest."""
     if len(frame) <= LONGEST_FRAME:
         return frame
     return f"{frame[:LONGEST_FRAME]}…{_digest(frame)}"
 
 
 def _digest(text: str) -> str:
-    # Most names are plain, and a node starts sooner without it.
+    # Most names need no digest, and a node starts sooner without the import.
     import hashlib
 
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
 
 
 def sensor_file(frame: str, namespace: str, node: str) -> Path:
-    """Return where a node keeps a sensor's calibration: `<node>.<frame>.yaml`.
+    """Return the path of a node's calibration of a sensor: `<node>.<frame>.yaml`.
 
-    Two robots may carry the same sensor, and one node may have several. No part of the name has a
-    dot of its own; a sensor that names no frame is called `magnetometer` there.
+    Two robots may carry the same sensor, and one node may have several. Neither part of the name
+    contains a dot. A sensor without a frame is called `magnetometer`.
     """
     folder, inner = own_folder(), namespace.strip("/")
     folder = folder / safe_name(inner) if inner else folder

@@ -1,4 +1,4 @@
-"""Reading and writing files: in one step, and with a time limit for a disk that does not answer."""
+"""Atomic writing, safe reading, and a time limit for a disk that does not answer."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from magcal_ros.core.errors import MagcalError
 
 
 class FileTrouble(MagcalError):
-    """A file cannot be read or written; the text says which, why, and what to do."""
+    """A file cannot be read or written; the text names the file, the reason and a remedy."""
 
 
 UNFINISHED = ".magcal-unfinished"
-"""How the names of files end that are being written; a kill may leave one behind."""
+"""Suffix of files that are being written; a killed process may leave one behind."""
 
-LEFT_BEHIND = 3600.0  # seconds after which it counts as abandoned
+LEFT_BEHIND = 3600.0  # seconds after which an unfinished file counts as abandoned
 
 REMEDY = "Choose a writable place with the parameter calibration_file, or correct its permissions."
 
@@ -31,18 +31,18 @@ REMEDY = "Choose a writable place with the parameter calibration_file, or correc
 def write_atomically(
     path: Path, text: str, remedy: str = REMEDY, when_written: Callable[[], object] | None = None
 ) -> None:
-    """Replace the content of a file in one step; a FileTrouble leaves the old file as it is.
+    """Replace the content of a file in one step; after a FileTrouble the file is unchanged.
 
-    A symbolic link stays one: what it points to is replaced. A file that was there passes on its
-    mode, and its owner as far as that is allowed; a new one has what the umask leaves. The folder
-    is made if it is missing. `remedy` says what the user should do on failure. `when_written` is
-    called once the new content is safely on the disk, right before it takes the old one's place.
+    If the path is a symbolic link, its target is replaced. Mode and, if allowed, owner of an old
+    file are kept; a new file has the mode by the umask. A missing folder is made. `remedy` is the
+    advice to the user on failure. `when_written` is called after the new content is on the disk,
+    immediately before it replaces the old content.
     """
     try:
         target = Path(os.path.realpath(path))
-        before = _looked_at(target)
+        before = _status_of(target)
         target.parent.mkdir(parents=True, exist_ok=True)
-        _sweep(target)
+        _remove_abandoned(target)
         name = target.with_name(f".{target.name}.{os.urandom(4).hex()}{UNFINISHED}")
         mode = 0o666 if before is None else stat.S_IRUSR | stat.S_IWUSR
         descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
@@ -53,7 +53,7 @@ def write_atomically(
             handle.write(text)
             handle.flush()
             if before is not None:
-                _pass_on(before, descriptor)
+                _keep_owner_and_mode(before, descriptor)
             os.fsync(descriptor)
         if when_written is not None:
             when_written()
@@ -67,8 +67,8 @@ def write_atomically(
     _sync_folder(target.parent)
 
 
-def _looked_at(target: Path) -> os.stat_result | None:
-    """Return what is known about the old file; None if there is none."""
+def _status_of(target: Path) -> os.stat_result | None:
+    """Return the status of the old file; None if there is no file."""
     try:
         about = os.stat(target)
     except (FileNotFoundError, NotADirectoryError):
@@ -80,8 +80,8 @@ def _looked_at(target: Path) -> os.stat_result | None:
     return about
 
 
-def _pass_on(before: os.stat_result, descriptor: int) -> None:
-    """Give the new file the old one's owner, group and mode."""
+def _keep_owner_and_mode(before: os.stat_result, descriptor: int) -> None:
+    """Give the new file owner, group and mode of the old file, as far as allowed."""
     mode = stat.S_IMODE(before.st_mode)
     try:
         os.fchown(descriptor, before.st_uid, before.st_gid)
@@ -89,13 +89,13 @@ def _pass_on(before: os.stat_result, descriptor: int) -> None:
         try:
             os.fchown(descriptor, -1, before.st_gid)
         except OSError:
-            # What the old group was allowed, the new one is not.
+            # The new file has another group, which must not get the old group's rights.
             mode &= ~stat.S_IRWXG
     os.fchmod(descriptor, mode)
 
 
-def _sweep(path: Path) -> None:
-    """Remove what writers of this file left behind when they were killed."""
+def _remove_abandoned(path: Path) -> None:
+    """Remove abandoned unfinished files of this path."""
     too_old = time.time() - LEFT_BEHIND
     for left in path.parent.glob(f".{glob.escape(path.name)}.*{UNFINISHED}"):
         with contextlib.suppress(OSError):
@@ -104,7 +104,7 @@ def _sweep(path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the renaming itself durable, where the file system can."""
+    """Make the renaming durable, if the file system supports this."""
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -123,7 +123,7 @@ LONGEST = 200
 def plain(text: str, longest: int = LONGEST) -> str:
     """Return `text` without characters that could control a terminal, and cut to a length.
 
-    Topics and frames of a bag, and texts from the network, may hold anything. Each character that
+    Topics and frames of a bag, and texts from the network, may contain any character. Each one that
     is not printable (control characters, direction marks, line breaks) becomes "?".
     """
     shown = "".join(letter if letter.isprintable() else "?" for letter in text[:longest])
@@ -131,24 +131,24 @@ def plain(text: str, longest: int = LONGEST) -> str:
 
 
 def plain_lines(text: str) -> str:
-    """Return all lines of a text, each as `plain` has it and none cut."""
+    """Return a text with `plain` applied to each line, but none cut."""
     return "\n".join(plain(line, len(line)) for line in text.split("\n"))
 
 
-PATIENCE = 5.0  # seconds within which a disk answers that is there at all
+PATIENCE = 5.0  # seconds within which any working disk answers
 
 Result = TypeVar("Result")
 
 
 class NotOrdinary(ValueError):
-    """What lies there is no regular file, or larger than allowed; the text says which."""
+    """A path is not a regular file, or the file is too large; the text says which."""
 
 
 def read_small(path: Path, largest: int) -> bytes:
     """Return the content of a regular file; NotOrdinary for anything else or a larger one."""
     with open_regular(path) as handle:
         about = os.fstat(handle.fileno())
-        # The size may be wrong where a file is made as it is read (/proc), so both are looked at.
+        # The size of a file that is generated when read (/proc) may be wrong: check both.
         content = b"" if about.st_size > largest else handle.read(largest + 1)
     if about.st_size > largest or len(content) > largest:
         raise NotOrdinary(f"it is too large: more than {largest} bytes")
@@ -170,14 +170,14 @@ def open_regular(path: Path) -> BinaryIO:
 
 @contextlib.contextmanager
 def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Iterator[None]:
-    """Turn whatever a library does with damaged bytes into FileTrouble."""
+    """Raise any error of a library that reads damaged bytes as a FileTrouble."""
     try:
         yield
     except MagcalError:
         raise
     except OSError as error:
         raise FileTrouble(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
-    except Exception as error:  # a damaged file may end in any error of any parser below
+    except Exception as error:  # a damaged file may cause any error in a parser
         reason = plain(" ".join(str(error).split()) or type(error).__name__)
         raise FileTrouble(
             f"{plain(str(path))} is damaged or {damage} ({reason}). {remedy()}"
@@ -185,10 +185,10 @@ def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Itera
 
 
 def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:
-    """Do what touches a disk; a FileTrouble if it takes longer than `patience`, seconds.
+    """Call `work`, which uses a disk; FileTrouble if it takes longer than `patience`, seconds.
 
-    A mount whose server is gone blocks whoever touches it, for hours and beyond every signal: the
-    thread that does so stays behind. `path` is for the message.
+    A network mount without its server blocks a thread for hours, and no signal ends this. So the
+    work is done in a thread that may be left behind. `path` is for the message.
     """
     done: list[Result] = []
     failed: list[BaseException] = []
@@ -196,7 +196,7 @@ def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE)
     def run() -> None:
         try:
             done.append(work())
-        except BaseException as error:  # handed on to the caller's thread, whatever it is
+        except BaseException as error:  # raised again in the caller's thread
             failed.append(error)
 
     thread = threading.Thread(target=run, name="disk", daemon=True)

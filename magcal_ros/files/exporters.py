@@ -1,7 +1,7 @@
 """A calibration in the formats of other programs, one function for each.
 
-Each returns the text that its consumer reads. What the consumer cannot store is said in a comment;
-what would make its heading wrong is refused.
+Each returns the text that the other program reads. A comment describes any part that this program
+cannot store. An export that would make its heading wrong is refused.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from magcal_ros.files.px4 import mounting_of
 
 GAUSS = 1e4  # gauss in a tesla
 MILLIGAUSS = 1e7  # milligauss in a tesla
-DECIMALS = 9  # of a matrix or of gauss. What is cut off changes no field by more than 0.001 nT.
+DECIMALS = 9  # of a matrix or of gauss: rounding changes no field by more than 0.001 nT.
 
 OF_TESLA = 13
 
 LARGEST_LOST_ROTATION = math.radians(5.0)
-"""A rotation beyond this belongs into the consumer's mounting, not into a comment."""
+"""Largest rotation that may be left out; a larger one must be set in the consumer as mounting."""
 
 MENTIONED_ROTATION = math.radians(0.5)
 
 
 class NotExportable(MagcalError):
-    """The consumer cannot hold this calibration; the text says what to do."""
+    """The other program cannot hold this calibration; the text has a remedy."""
 
 
 def in_forward_right_down(correction: Correction) -> Correction:
@@ -76,15 +76,15 @@ def without_rotation(correction: Correction, consumer: str) -> tuple[Correction,
 
 
 def _above(value: float, limit: float) -> str:
-    """Write a value with as many digits as show that it is above the limit."""
+    """Write a value with enough digits to be above the limit."""
     digits = next(n for n in range(1, 16) if float(f"{value:.{n}f}") > limit or n == 15)
     return f"{value:.{digits}f}"
 
 
 def number(value: float, decimals: int = DECIMALS) -> str:
-    """Write a number without the digits that are rounding errors, as a float everywhere."""
+    """Write a number, rounded, in a form that every consumer reads as a float."""
     text = repr(round(float(value), decimals) + 0.0)
-    # YAML 1.1 takes 1e-05 for text: it wants a point in the mantissa.
+    # YAML 1.1 reads 1e-05 as text, and needs a point in the mantissa.
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
 
@@ -95,17 +95,17 @@ def numbers(values: FloatArray, decimals: int = DECIMALS) -> str:
 
 
 def provenance(calibration: Calibration) -> str:
-    """Return where the numbers come from, in one line."""
+    """Return the origin of the numbers in one line."""
     evidence = calibration.evidence
     said = evidence.method, evidence.quality, evidence.confidence
-    # A file edited by hand must not end the comment that this becomes.
+    # Texts of a file edited by hand must not end the comment that they become part of.
     return "Magnetometer calibration by magcal_ros, method {}, quality {}, confidence {}".format(
         *(plain(text.replace("*/", "* /")) for text in said)
     )
 
 
 def commented(calibration: Calibration, *comments: str) -> str:
-    """Return lines as comments, where the numbers come from first."""
+    """Return the origin of the numbers and more lines, as comments."""
     return "".join(f"# {line}\n" for line in (provenance(calibration), *comments))
 
 
@@ -138,9 +138,9 @@ def ctu_vras(calibration: Calibration) -> str:
     `unbiased = M (mag - bias)`, tesla, M row by row
     (docs.ros.org/en/jazzy/p/magnetometer_pipeline). The documentation names the matrix
     `initial_scaling_matrix`; the node reads `initial_mag_scaling_matrix`. Both are written: a node
-    ignores what it does not declare. magnetometer_bias_observer loads `magnetometer_bias_x/y/z`
-    under `load_from_params`; it publishes them without a matrix, and a matrix that the receiver got
-    as a parameter stays in force.
+    ignores parameters that it does not declare. magnetometer_bias_observer loads
+    `magnetometer_bias_x/y/z` under `load_from_params`, and publishes this bias without a matrix. A
+    matrix that the receiver got as a parameter stays in force.
     """
     matrix = f"[{numbers(calibration.correction.matrix)}]"
     formula = "unbiased = scaling_matrix * (mag - bias): tesla; the result is in the IMU's axes."
@@ -153,9 +153,9 @@ def ctu_vras(calibration: Calibration) -> str:
 
 
 def fusioncore(calibration: Calibration) -> str:
-    """Return a parameter file for FusionCore; field_strength is the corrected field's.
+    """Return a parameter file for FusionCore; field_strength is that of the corrected field.
 
-    FusionCore takes the calibrator's yaw. Its own compass is off, and has the numbers all the same.
+    FusionCore uses the calibrator's yaw. Its own compass is disabled, but has the calibration, too.
 
     `corrected = soft_iron (mag - hard_iron)`, tesla, soft iron as a "3x3 scale+rotation matrix in
     row-major order" (docs/configuration.md of github.com/manankharwar/fusioncore).
@@ -183,7 +183,7 @@ UNCHANGED = 1e-9
 
 
 def imu_filter_madgwick(calibration: Calibration) -> str:
-    """Return a parameter file for imu_filter_madgwick, which knows the hard iron alone.
+    """Return a parameter file for imu_filter_madgwick, which corrects the hard iron only.
 
     `compensated = mag - mag_bias`, tesla (wiki.ros.org/imu_filter_madgwick).
     """
@@ -209,9 +209,9 @@ def vectornav(calibration: Calibration) -> str:
     """Return the command that writes register 23, in one line; `$VNWNV` stores it for good.
 
     `X = C (M - B)`, C row by row, B in gauss, forward-right-down axes (VN-100 user manual UM001,
-    6.2.1). The checksum is the exclusive or of the bytes between `$` and `*`. The serial line knows
-    no comments: `NOTES` says what the command assumes. NotExportable if a number does not fit the
-    fixed notation.
+    6.2.1). The checksum is the exclusive or of the bytes between `$` and `*`. A command has no
+    comments, so its assumptions are in `NOTES`. NotExportable if a number is too large for the
+    fixed-point notation.
     """
     held = in_forward_right_down(calibration.correction)
     twelve = np.concatenate([held.matrix.ravel(), GAUSS * held.hard_iron])
@@ -248,7 +248,7 @@ def c_header(calibration: Calibration) -> str:
 
 
 ARDUPILOT_FRAME = "ardupilot_compass"
-"""The frame in a calibration from a log of ArduPilot, with the number of the parameters."""
+"""Prefix of the magnetometer's frame in a calibration from a log of ArduPilot."""
 
 
 def ardupilot(calibration: Calibration, frame: str = "") -> str:
@@ -259,11 +259,11 @@ def ardupilot(calibration: Calibration, frame: str = "") -> str:
     `corrected = D (mag + OFS)` with D = [[DIA_X, ODI_X, ODI_Y], [ODI_X, DIA_Y, ODI_Z],
     [ODI_Y, ODI_Z, DIA_Z]], milligauss, forward-right-down body axes after COMPASS_ORIENT. The full
     parameter list says of COMPASS_OFS_X "Offset to be added to the compass x-axis values": the sign
-    is the opposite of the hard iron's. COMPASS_SCALE multiplies besides and must be 1 for these.
+    is the opposite of the hard iron's. COMPASS_SCALE is a further factor, and must be 1.
 
     The calibration is of fields in the vehicle's forward-left-up axes. `frame` is the
-    magnetometer's: from a log it tells which compass this is. NotExportable if the field is turned
-    by more than 5°.
+    magnetometer's; if it is from a log, it gives the number of the compass. NotExportable if the
+    field is turned by more than 5°.
     """
     held, comments = without_rotation(calibration.correction, "ArduPilot")
     of_log = re.fullmatch(rf"{ARDUPILOT_FRAME}([23]?)", frame)
@@ -299,12 +299,12 @@ def px4(calibration: Calibration, frame: str = "") -> str:
     PX4: offsets that are subtracted, and a symmetric matrix.
 
     `corrected = R S (mag - OFF)` with S = [[XSCALE, XODIAG, YODIAG], [XODIAG, YSCALE, ZODIAG],
-    [YODIAG, ZODIAG, ZSCALE]], gauss, in the sensor's own forward-right-down axes; R is
-    CAL_MAG0_ROT, one of a few rotations, and is left alone (parameter reference, CAL_MAG0_XOFF in
+    [YODIAG, ZODIAG, ZSCALE]], gauss, in the sensor's own forward-right-down axes. R is
+    CAL_MAG0_ROT, one of a few rotations, and is not changed (parameter reference, CAL_MAG0_XOFF in
     gauss, CAL_MAG0_XSCALE, CAL_MAG0_XODIAG). Scales must lie between 0.1 and 3.
 
     The calibration is of fields in the vehicle's forward-left-up axes. `frame` is the
-    magnetometer's: from a log it tells which slot this is, and its rotation. NotExportable if the
+    magnetometer's; if it is from a log, it gives the slot and the rotation. NotExportable if the
     field is turned by more than 5°, or scaled beyond PX4's range.
     """
     held, comments = without_rotation(calibration.correction, "PX4")
@@ -346,13 +346,13 @@ EXPORTERS: dict[str, Callable[..., str]] = {
     "vectornav": vectornav,
     "c-header": c_header,
 }
-"""By the name that users give; each takes the calibration."""
+"""By the name of the format; each takes the calibration."""
 
 OF_LOGS = {"ardupilot", "px4"}
-"""Those that also take the magnetometer's frame, which names the sensor of a log."""
+"""Formats that also take the magnetometer's frame, which identifies the sensor of a log."""
 
 NOTES = {
     "vectornav": "register 23 had to be the identity while the turn was made, and the field in the "
     "sensor's own axes: ROS drivers publish the compensated field, some in axes of their own"
 }
-"""What a format without comments cannot say itself, by the same names."""
+"""Assumptions of the formats without comments, by the name of the format."""

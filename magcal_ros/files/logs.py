@@ -1,4 +1,4 @@
-"""What the logs of autopilots and phones share: limits, axes, the choice among several sensors."""
+"""Common parts of the logs of autopilots and phones: limits, axes, and the choice of sensors."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ from magcal_ros.files.disk import FileTrouble, damage_in_words, open_regular, pl
 from magcal_ros.files.recording import Recording, travel_of
 
 GIGABYTE = LARGEST_LOG = 1 << 30
-"""Bytes: half a day of an autopilot's usual log, of which samples and index are held in memory."""
+"""Bytes: half a day of an autopilot's usual log. Its samples and index are kept in memory."""
 
 LONGEST_READING = 600.0
-"""Seconds. The libraries step through damaged bytes one by one, which may take days."""
+"""Seconds. The libraries skip damaged bytes one by one, which may take days."""
 
 FLU_FROM_FRD = np.array([1.0, -1.0, -1.0])
-"""Forward, right, down to forward, left, up; and the other way."""
+"""Signs between forward-right-down and forward-left-up axes."""
 
 FIX_3D = 3
-"""Kind of a receiver's fix from which it has a place."""
+"""Smallest type of a receiver's fix with a usable place."""
 
-Progress = Callable[[float], None]  # is given the share of a log that has been read, 0 to 1
+Progress = Callable[[float], None]  # is called with the fraction that has been read, 0 to 1
 
 
-EVERY = 1000  # messages, or pieces of a file, between two looks at the clock
+EVERY = 1000  # messages, or pieces of a file, between two checks of the time
 
 
 class Deadline:
-    """Ends a reading that takes too long, and passes on how far it is."""
+    """Ends a reading that takes too long, and reports its progress."""
 
     def __init__(self, path: Path, progress: Progress | None) -> None:
         self._path, self._progress = path, progress
         self._end = time.monotonic() + LONGEST_READING
 
     def report(self, share: float) -> None:
-        """Check the time, and tell the share that has been read, 0 to 1."""
+        """Check the time, and report the fraction that has been read, 0 to 1."""
         self.check()
         if self._progress is not None:
             self._progress(share)
@@ -63,11 +63,11 @@ class Deadline:
 
 @dataclass(frozen=True)
 class Order:
-    """In which order sensors are taken; of those that are not named the first one."""
+    """The order of preference of sensors; those not listed follow by number."""
 
     numbers: Sequence[int] = ()
     reason: str = ""
-    """Why the first one comes first."""
+    """Why the first sensor is preferred."""
 
 
 @dataclass
@@ -80,25 +80,25 @@ class LogTables:
     frames: dict[int, str] = field(default_factory=dict)
     """The name of each magnetometer that is stored in a calibration, for `export`."""
     field_notes: dict[int, list[str]] = field(default_factory=dict)
-    """What is said if the magnetometer is taken."""
+    """Notes for the user if a magnetometer is chosen."""
     imu_order: Order = Order()
     field_order: Order = Order()
     unhealthy_imus: dict[int, int] = field(default_factory=dict)
     unhealthy_fields: dict[int, int] = field(default_factory=dict)
-    """How many samples of a sensor are left out, as the autopilot calls it unhealthy in them."""
+    """Numbers of samples left out because the autopilot calls the sensor unhealthy in them."""
     fixes: list[Fix] = field(default_factory=list)
     velocities: list[VelocitySample] = field(default_factory=list)
     yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    """Stamp and the autopilot's own yaw, ENU, true north. Shape (n, 2)."""
+    """Stamp (s) and the autopilot's yaw (rad, ENU, true north). Shape (n, 2)."""
     notes: list[str] = field(default_factory=list)
 
 
 class Name(NamedTuple):
-    """What a kind of log calls a sensor, and what to do where it is missing."""
+    """The name of a sensor in a kind of log, and the remedy if the sensor is missing."""
 
     name: str
     remedy: str
-    health: str = ""  # how the log says that the autopilot calls it unhealthy
+    health: str = ""  # how the log marks samples of an unhealthy sensor
 
 
 class Names(NamedTuple):
@@ -111,7 +111,7 @@ class Names(NamedTuple):
 def recording_of(
     path: Path, tables: LogTables, names: Names, imu: str = "", mag: str = ""
 ) -> Recording:
-    """Choose the sensors and return what they recorded; a FileTrouble if none gives data."""
+    """Choose the sensors and return their recording; FileTrouble if none gives data."""
     notes = list(tables.notes)
     imus = _Kind(names.imu, tables.imus, tables.unhealthy_imus, tables.imu_order, "--imu")
     one = _chosen(path, imus, imu, notes)
@@ -134,7 +134,7 @@ def recording_of(
 
 @dataclass(frozen=True)
 class _Kind:
-    """The sensors of a kind that a log has, by number."""
+    """All accelerometers or all magnetometers of a log, by number."""
 
     called: Name
     sensors: Mapping[int, FloatArray]
@@ -157,7 +157,7 @@ class _Kind:
         if left_out and not self.count(number):
             return (
                 f"the autopilot calls {self.name(number)} unhealthy in all its {left_out} samples "
-                f"({self.called.health}): it receives no readings from it"
+                f"({self.called.health}): the sensor sends no readings"
             )
         return (
             f"{self.name(number)} holds one value, or none, in all its {self.count(number)} samples"
@@ -209,30 +209,30 @@ def _chosen(path: Path, kind: _Kind, wanted: str, notes: list[str]) -> int:
 
 
 def varies(vectors: FloatArray) -> bool:
-    """Whether the vectors change: a sensor that hangs, or is missing, repeats one value."""
+    """Whether the vectors change: a stuck or missing sensor repeats one value."""
     finite = vectors[np.isfinite(vectors).all(axis=1)]
     return len(finite) > 1 and bool(np.ptp(finite, axis=0).any())
 
 
 def most_common(numbers: FloatArray) -> int:
-    """Return the number that stands most often in an array; zero of none."""
+    """Return the most common number of an array; zero if it is empty."""
     values, counts = np.unique(numbers, return_counts=True)
     return int(values[counts.argmax()]) if len(values) else 0
 
 
 def symmetric(diagonal: Iterable[float], off_diagonal: Iterable[float]) -> FloatArray:
-    """Return the symmetric matrix (3, 3) of its diagonal and of what is above it: xy, xz, yz."""
+    """Return the symmetric matrix (3, 3) with this diagonal and the elements xy, xz and yz."""
     (x, y, z), (xy, xz, yz) = diagonal, off_diagonal
     return np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
 
 
 def _in_order(table: FloatArray) -> FloatArray:
-    """Return the rows by stamp: loggers of several threads mix them up by milliseconds."""
+    """Return the rows sorted by stamp: loggers with several threads do not keep the order."""
     return table[np.argsort(table[:, 0], kind="stable")]
 
 
 def velocity(stamp: float, speed: float, course: float) -> VelocitySample:
-    """Return a speed over ground (m/s) along a course (rad from north, clockwise)."""
+    """Return the velocity for a speed over ground (m/s) and a course (rad, clockwise of north)."""
     east, north = speed * math.sin(course), speed * math.cos(course)
     return VelocitySample(stamp, east, north, RECEIVER_SPEED_SIGMA)
 
@@ -250,7 +250,7 @@ def library(path: Path, module: str, extra: str) -> Any:
         ) from error
 
 
-def begun_with(path: Path, count: int) -> bytes:
+def first_bytes(path: Path, count: int) -> bytes:
     """Return the first bytes of a log; a FileTrouble if it cannot be read or is too large."""
     try:
         with open_regular(path) as handle:
@@ -272,8 +272,8 @@ def begun_with(path: Path, count: int) -> bytes:
 
 @contextlib.contextmanager
 def quietly(path: Path, deadline: Deadline) -> Iterator[None]:
-    """Discard what a library prints, and raise its errors as `FileTrouble`."""
-    heard = _Heard(deadline)
+    """Discard the output of a library, and raise its errors as `FileTrouble`."""
+    heard = _DiscardedOutput(deadline)
     with (
         damage_in_words(path, "no log of its kind", lambda: "Download it again"),
         contextlib.redirect_stdout(heard),
@@ -282,8 +282,8 @@ def quietly(path: Path, deadline: Deadline) -> Iterator[None]:
         yield
 
 
-class _Heard(io.TextIOBase):
-    """Discards what a library prints, and checks the time limit at each write."""
+class _DiscardedOutput(io.TextIOBase):
+    """Discards the output of a library, and checks the time limit at each write."""
 
     def __init__(self, deadline: Deadline) -> None:
         super().__init__()

@@ -1,9 +1,10 @@
 """Folders that a phone's Sensor Logger or phyphox exports, unpacked.
 
-Sensor Logger writes a file a sensor: `time` (ns since 1970), `seconds_elapsed`, z, y, x; fields in
-microtesla. phyphox names the unit in its header: `"Time (s)","Magnetic field x (µT)"`. A phone's x
-points to the right of its screen, y to its upper edge and z out of the screen; here x is the upper
-edge, y the left one. --imu-rpy-deg gives the pose of the phone in the vehicle.
+Sensor Logger writes one file for each sensor: `time` (ns since 1970), `seconds_elapsed`, z, y, x;
+fields in microtesla. phyphox has the unit in the header: `"Time (s)","Magnetic field x (µT)"`. A
+phone's x points to the right of its screen, y to its upper edge and z out of the screen. In the
+recording, x points to the upper edge and y to the left. --imu-rpy-deg gives the pose of the phone
+in the vehicle.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ FORCE, RATE, FIELD = "m/s^2", "rad/s", "T"
 MICRO = re.compile(r"[µμu]T")
 UNIT = re.compile(r"\(([^()]*)\)\s*$")
 LEAST_GRAVITY = 0.5 * STANDARD_GRAVITY
-"""m/s². An accelerometer whose usual reading is less had gravity taken off."""
+"""m/s². If the usual reading of an accelerometer is less, gravity was subtracted."""
 
 
 def is_phone_folder(path: Path) -> bool:
@@ -49,7 +50,7 @@ def is_phone_folder(path: Path) -> bool:
 def read_phone(path: Path) -> Recording:
     """Read a folder of Sensor Logger or phyphox.
 
-    A FileTrouble if a sensor is missing, or gravity was taken off, says what to record.
+    FileTrouble, with the sensors to record, if one is missing or gravity was subtracted.
     """
     headers = _headers(path)
     logger = any(map(_is_logger, headers.values()))
@@ -82,7 +83,7 @@ def read_phone(path: Path) -> Recording:
 
 
 def _headers(path: Path) -> dict[str, list[str]]:
-    """Return the header of each CSV file, by its name."""
+    """Return the header of each CSV file, by the file's name."""
     found = {}
     for file in sorted(path.glob("*.csv")):
         # Other files in the folder do not matter.
@@ -135,7 +136,7 @@ def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str])
 
 
 def _points_down(path: Path, headers: dict[str, list[str]]) -> bool:
-    """Whether the accelerometer has the sign of iOS: -1 g on z where the screen looks up."""
+    """Whether the accelerometer has the sign of iOS: -1 g on z if the screen points up."""
     header = headers.get(METADATA, [])
     if not {"platform", "standardisation"} <= set(header):
         return False
@@ -160,7 +161,7 @@ def _phyphox_sensors(path: Path, headers: dict[str, list[str]], _: list[str]) ->
 
 
 def _add_fixes(path: Path, headers: dict[str, list[str]], tables: logs.LogTables) -> None:
-    """Add fixes and velocities of `Location.csv`, or of whichever file has latitudes."""
+    """Add fixes and velocities of `Location.csv`, or of the first file with latitudes."""
     for name, header in headers.items():
         plain_names = [each.split(" (")[0].lower() for each in header]
         if not {"time", "latitude", "longitude"} <= set(plain_names) or name.startswith("Watch"):
@@ -176,12 +177,12 @@ def _add_fixes(path: Path, headers: dict[str, list[str]], tables: logs.LogTables
             path / name, columns, second
         ).tolist():
             tables.fixes.append(Fix(True, latitude, longitude, math.nan, stamp))
-            if moving and min(motion) >= 0.0:  # negative or NaN: the phone does not know
+            if moving and min(motion) >= 0.0:  # negative or NaN: unknown
                 tables.velocities.append(logs.velocity(stamp, motion[0], math.radians(motion[1])))
         return
 
 
 def _in_order(table: FloatArray) -> FloatArray:
-    """Return the rows by stamp, each stamp once."""
+    """Return the rows sorted by stamp, without duplicate stamps."""
     table = table[np.isfinite(table[:, 0])]
     return table[np.unique(table[:, 0], return_index=True)[1]]

@@ -18,24 +18,24 @@ class Bounds:
 
     smallest_gain: float = 0.05
     largest_gain: float = 20.0
-    """By which the matrix may multiply a field: gains of 0.1 to 10, twice that by soft iron."""
+    """Gains of the matrix: 0.1 to 10 by the sensor, and a factor of two by soft iron."""
     largest_variance: float = 1e8
-    """Of the matrix and in tesla squared: far beyond every doubt, far within the floats."""
+    """Variance of the matrix, and of the hard iron in tesla²: above any real uncertainty."""
     weakest_field: float = 5e-6
-    """Tesla. The Earth's field has 22 to 67 µT, which steel divides or multiplies a few times."""
+    """Tesla. The Earth's field has 22 to 67 µT; steel changes this by a factor of a few."""
     strongest_field: float = 300e-6  # tesla
-    asymmetry: float = 1e-6  # relative to the two sigmas, as from a copy with few digits
+    asymmetry: float = 1e-6  # difference of two correlations that rounded digits can cause
     negative: float = 1e-6
-    """Smallest eigenvalue of the correlations that rounding alone can make negative."""
+    """Magnitude of a negative eigenvalue of the correlations that rounding can cause."""
     most_samples: float = 1e8
-    """More than a day of the fastest sensor: nothing averages the noise further than this."""
+    """Largest number of samples over which noise is averaged: over a day of the fastest sensor."""
 
 
 BOUNDS = Bounds()
 
 
 def require_possible(calibration: Calibration) -> None:
-    """Raise a ValueError that names the entry if no turn can have found these numbers."""
+    """Raise a ValueError that names the entry if no calibration can have these numbers."""
     gains = np.linalg.svd(calibration.correction.matrix, compute_uv=False)
     least, most = float(gains.min()), float(gains.max())
     if not BOUNDS.smallest_gain <= least <= most <= BOUNDS.largest_gain:
@@ -68,7 +68,7 @@ def require_possible(calibration: Calibration) -> None:
 
 
 def _require_sizes(calibration: Calibration, least_gain: float) -> None:
-    # Of a larger hard iron the node would have dropped every sample as too large.
+    # With a larger hard iron, the node would have dropped every sample as too large.
     largest_iron = STREAMS.largest_field + calibration.strength / least_gain
     iron = calibration.correction.hard_iron
     for name, size, limit in (
@@ -82,12 +82,12 @@ def _require_sizes(calibration: Calibration, least_gain: float) -> None:
 
 
 def _require_covariance(covariance: FloatArray) -> None:
-    """Look at correlations: the twelve numbers have units far apart."""
+    """Check the covariance by its correlations, because the variables have different units."""
     sigmas = np.sqrt(np.diag(covariance))
     scale = np.where(sigmas > 0.0, sigmas, 1.0)
     correlations = covariance / np.outer(scale, scale)
     if (np.abs(covariance[sigmas == 0.0]) > 0.0).any():
-        raise ValueError("covariance links a number to others although its variance is zero")
+        raise ValueError("covariance has correlations of a number whose variance is zero")
     if np.abs(correlations - correlations.T).max() > BOUNDS.asymmetry:
         raise ValueError("covariance is not symmetric")
     smallest = float(np.linalg.eigvalsh((correlations + correlations.T) / 2.0)[0])

@@ -1,13 +1,13 @@
 """PX4's logs (.ulg), read by pyulog.
 
-`sensor_mag` is the raw field in gauss, in the sensor's own forward-right-down axes;
+`sensor_mag` is the raw field in gauss, in the sensor's own forward-right-down axes.
 `vehicle_magnetometer` is `L R S (raw + P COMP - OFF) - bias` in the body's, with the parameters
-CAL_MAGn of the device (lib/sensor_calibration, VehicleMagnetometer): L levels the board
-(SENS_BOARD_X_OFF, Y, Z), R is CAL_MAGn_ROT or SENS_BOARD_ROT, P the throttle or current of
-CAL_MAG_COMP_TYP, bias the estimate made while disarmed. By its default profile PX4 logs the raw one
-once a second and the other one twice or more. The other one is taken, less its calibration, where
-it came more often and its calibration stayed the same, or where PX4 compensates for the power: that
-part stays in the field, as PX4 goes on with it.
+CAL_MAGn of the device (lib/sensor_calibration, VehicleMagnetometer). L levels the board
+(SENS_BOARD_X_OFF, Y, Z) and R is CAL_MAGn_ROT or SENS_BOARD_ROT. P is the throttle or current of
+CAL_MAG_COMP_TYP, and bias the estimate made while disarmed. By its default profile, PX4 logs
+`sensor_mag` once a second and `vehicle_magnetometer` twice or more. The latter is used, with its
+calibration removed, if the parameters stayed the same and it has more samples or PX4 compensates
+for the power. This compensation stays in the field, because PX4 continues it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ TOPICS = (
     "magnetometer_bias_estimate",
 )
 SELECTIONS = ("sensor_selection", "estimator_selector_status", "estimator_status")
-"""Topics of which the first that names a magnetometer tells which one is used."""
+"""Topics with the magnetometer that PX4 uses; the first that names one is taken."""
 
 Topic = Mapping[str, FloatArray]
 Topics = Mapping[tuple[str, int], Topic]
@@ -71,18 +71,18 @@ DEFAULT_PRIORITY = 50.0
 def read_px4(
     path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
 ) -> Recording:
-    """Read a ULog; arguments and errors as of `open_recording`."""
-    if logs.begun_with(path, len(MAGIC)) != MAGIC:
+    """Read a ULog; arguments and errors are those of `open_recording`."""
+    if logs.first_bytes(path, len(MAGIC)) != MAGIC:
         raise FileTrouble(f"{plain(str(path))} is not a ULog: its first bytes are not those of one")
     ulog = logs.library(path, "pyulog", "px4").ULog
     deadline = logs.Deadline(path, progress)
-    with logs.quietly(path, deadline), _Watched(path, deadline) as handle:
+    with logs.quietly(path, deadline), _LimitedFile(path, deadline) as handle:
         tables = _tables(ulog(handle, [*TOPICS, *SELECTIONS]))
     return logs.recording_of(path, tables, NAMES, imu, mag)
 
 
-class _Watched(io.BufferedReader):
-    """A file whose reading may end by time, with its progress."""
+class _LimitedFile(io.BufferedReader):
+    """A file whose reading has a time limit and reports its progress."""
 
     def __init__(self, path: Path, deadline: logs.Deadline) -> None:
         super().__init__(io.FileIO(path))
@@ -113,7 +113,7 @@ def _rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
 
 
 def _pose(slot: int | None, parameters: Mapping[str, float]) -> tuple[FloatArray, str]:
-    """Return the rotation from a sensor to the body, and how the sensor's frame names it."""
+    """Return the rotation from a sensor to the body, and its name in the sensor's frame."""
     mounted = int(parameters.get(f"CAL_MAG{slot}_ROT", -1))
     number = int(parameters.get("SENS_BOARD_ROT", 0)) if mounted < 0 else mounted
     level = [parameters.get(f"SENS_BOARD_{axis}_OFF", 0.0) for axis in "XYZ"]
@@ -129,7 +129,7 @@ def _pose(slot: int | None, parameters: Mapping[str, float]) -> tuple[FloatArray
 
 
 def mounting_of(frame: str) -> tuple[int, FloatArray, str] | None:
-    """Return slot, rotation to the body and its name, of the frame of a log's magnetometer."""
+    """Return slot, rotation to the body and its name from a magnetometer's frame, or None."""
     angle = r"(-?[\d.]+)"
     found = re.fullmatch(rf"px4_mag(\d)_(rot(\d+)|rpy{angle}_{angle}_{angle})", frame)
     if found is None:
@@ -181,7 +181,7 @@ def _take_field(
     shift: float,
     is_settled: bool,
 ) -> str:
-    """Add a magnetometer, raw, in the body's forward-left-up axes, or return why it is left out."""
+    """Add a raw field in the body's forward-left-up axes, or return why it is left out."""
     raw = _of_one(data.get(("sensor_mag", number)))
     device = _device(raw) if raw is not None else 0
     corrected = _corrected(data, number, device)
@@ -193,7 +193,7 @@ def _take_field(
     has_power = bool(parameters.get("CAL_MAG_COMP_TYP", 0)) and any(
         parameters.get(f"CAL_MAG{slot}_{axis}COMP", 0.0) for axis in "XYZ"
     )
-    # The parameters must have stayed the same.
+    # The calibration can be removed only if its parameters stayed the same.
     if raw is not None and corrected is not None and is_settled:
         more = len(corrected["timestamp"]) > len(raw["timestamp"])
         topic = corrected if more or has_power else raw
@@ -225,7 +225,7 @@ def _take_field(
 
 
 def _order(data: Topics, parameters: Mapping[str, float]) -> logs.Order:
-    """Return the magnetometers, the one that PX4 selected first, then by CAL_MAGn_PRIO."""
+    """Return the order of the magnetometers: the one PX4 selected, then by CAL_MAGn_PRIO."""
     choices = [data[name, 0] for name in SELECTIONS if (name, 0) in data]
     named = [logs.most_common(each.get("mag_device_id", np.zeros(1))) for each in choices]
     selected = next((device for device in named if device), 0)
@@ -249,7 +249,7 @@ def _order(data: Topics, parameters: Mapping[str, float]) -> logs.Order:
 
 
 def _slot(device: int, parameters: Mapping[str, float]) -> int | None:
-    # The topics write a device unsigned, the parameters signed.
+    # A device is an unsigned number in the topics, and a signed one in the parameters.
     devices = [int(parameters.get(f"CAL_MAG{k}_ID", 0)) % (1 << 32) for k in range(MOST_SENSORS)]
     return devices.index(device) if device and device in devices else None
 
@@ -259,24 +259,24 @@ def _device(topic: Topic) -> int:
 
 
 def _corrected(data: Topics, number: int, device: int) -> Topic | None:
-    """Return the corrected field of a device, of which 0 is not known, or else of this number."""
+    """Return the corrected field of a device; for an unknown device, 0, that of this number."""
     topics = [_of_one(data.get(("vehicle_magnetometer", k))) for k in range(MOST_SENSORS)]
     same = [each for each in topics if each is not None and _device(each) == device]
     return same[0] if same else topics[number] if not device else None
 
 
 def _of_one(topic: Topic | None) -> Topic | None:
-    """Return what is of the last device and the last calibration."""
+    """Return the samples of the last device with its last calibration."""
     if topic is None:
         return None
-    # With SENS_MAG_MODE at 1 the first topic is of the device that is selected at the moment.
+    # With SENS_MAG_MODE at 1, the first topic changes to the device that is selected.
     marks = [topic[name] for name in ("device_id", "calibration_count") if name in topic]
     same = np.all([mark == mark[-1] for mark in marks], axis=0) if marks else ...
     return {name: values[same] for name, values in topic.items()}
 
 
 def _bias(data: Topics, number: int, stamps: FloatArray) -> FloatArray:
-    """Return what the estimate of the bias took off, body axes, gauss. Shape (n, 3)."""
+    """Return the bias that PX4 subtracted, body axes, gauss. Shape (n, 3)."""
     topic = data.get(("magnetometer_bias_estimate", 0))
     if topic is None:
         return np.zeros((len(stamps), 3))
@@ -289,7 +289,7 @@ def _bias(data: Topics, number: int, stamps: FloatArray) -> FloatArray:
 def _calibration(
     slot: int | None, parameters: Mapping[str, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return offset and matrix of a slot; those of a sensor without one change nothing."""
+    """Return offset and matrix of a slot; zero and identity without a slot."""
 
     def of(name: str, default: float) -> list[float]:
         return [parameters.get(f"CAL_MAG{slot}_{axis}{name}", default) for axis in "XYZ"]
@@ -313,7 +313,7 @@ def _take_fixes(tables: logs.LogTables, topic: Topic, stamps: FloatArray) -> Non
 
 
 def _epoch(topic: Topic) -> float:
-    """Return what takes the log's clock to seconds since 1970, by the receiver; else zero."""
+    """Return the offset of the log's clock to seconds since 1970; zero without a receiver."""
     for utc, own in zip(topic.get("time_utc_usec", ()), topic.get("timestamp", ()), strict=False):
         if utc:
             return 1e-6 * (float(utc) - float(own))

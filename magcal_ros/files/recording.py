@@ -1,4 +1,4 @@
-"""Recorded drives in memory, and as CSV folders: `imu.csv` and `mag.csv`, SI units."""
+"""Recordings in memory, and as CSV folders: `imu.csv` and `mag.csv`, SI units."""
 
 from __future__ import annotations
 
@@ -37,31 +37,31 @@ FIELD_COLUMNS = ("t", "mx", "my", "mz")
 
 
 FIRST_STAMP = 1.0
-"""Seconds. A drive whose time begins at zero or before is moved here: a zero stamp is none."""
+"""Seconds. Recordings that begin at zero or before are shifted here: zero means no stamp."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive in memory as it was recorded, nothing cleaned; it is read like a `Bag`."""
+    """A recording in memory, as recorded; it has the same attributes as a `Bag`."""
 
     imu: FloatArray
     """Stamp (s), specific force (m/s²), angular rate (rad/s; NaN without a gyro). Shape (n, 7)."""
     field: FloatArray  # stamp (s), raw field (tesla). Shape (m, 4).
-    travel: tuple[TravelSample, ...] = ()  # the samples of receiver and wheels, by stamp
-    place: Place | None = None  # where the first good fix was
+    travel: tuple[TravelSample, ...] = ()  # samples of receiver and wheels, sorted by stamp
+    place: Place | None = None  # place of the first good fix
     imu_topic: str = "imu.csv"
     field_topic: str = "mag.csv"
     field_frame: str = ""
     """The name of the magnetometer that is stored in a calibration."""
     yaw: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
-    """Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north). Shape (k, 2)."""
+    """Stamp (s) and the autopilot's estimate of yaw (rad, ENU, true north). Shape (k, 2)."""
     notes: tuple[str, ...] = ()
     imu_frame = ""
     currents = ()
 
     @property
     def count(self) -> int:
-        """How many messages both sensors sent."""
+        """Number of messages of both sensors."""
         return len(self.imu) + len(self.field)
 
     @property
@@ -74,9 +74,9 @@ class Recording:
         raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
-        """Yield the samples of both sensors in the order in which they came, the IMU's first.
+        """Yield the samples of both sensors sorted by stamp, at equal stamps the IMU's first.
 
-        That is the order of their stamps, and of each stream that of its rows.
+        Each stream keeps the order of its rows, even if a stamp goes back.
         """
         imu = (
             ImuSample(t, (ax, ay, az), (gx, gy, gz))
@@ -84,15 +84,18 @@ class Recording:
         )
         field = (FieldSample(t, (x, y, z)) for t, x, y, z in self.field.tolist())
         both: list[Iterable[tuple[float, ImuSample | FieldSample]]] = [
-            zip(_never_set_back(self.imu[:, 0]).tolist(), imu, strict=True),
-            zip(_never_set_back(self.field[:, 0]).tolist(), field, strict=True),
+            zip(_monotonic(self.imu[:, 0]).tolist(), imu, strict=True),
+            zip(_monotonic(self.field[:, 0]).tolist(), field, strict=True),
         ]
         return (sample for _, sample in heapq.merge(*both, key=itemgetter(0)))
 
     readings = samples
 
     def cut(self, start: float, stop: float) -> Recording:
-        """Return the span, seconds from the beginning, with every stamp above zero."""
+        """Return the samples from `start` to `stop`, seconds from the beginning.
+
+        A stamp of zero or before is shifted as `FIRST_STAMP` says.
+        """
         stamps = np.concatenate([self.imu[:, 0], self.field[:, 0]])
         stamps = stamps[np.isfinite(stamps)]
         if not len(stamps):
@@ -114,17 +117,18 @@ class Recording:
         return replace(self, imu=imu, field=field, yaw=yaw, travel=heard)
 
     def turned(self, pose: FloatArray) -> Recording:
-        """Return the recording in the vehicle's axes, for a recorder of this pose (3, 3) in it."""
+        """Return the recording in the vehicle's axes; `pose` (3, 3) is that of the sensors."""
         imu, raw = self.imu.copy(), self.field.copy()
         for vectors in (imu[:, 1:4], imu[:, 4:7], raw[:, 1:4]):
             vectors[:] = vectors @ pose.T
         return replace(self, imu=imu, field=raw)
 
 
-def _never_set_back(stamps: FloatArray) -> FloatArray:
-    """Return the stamps (n,) as by a clock that goes on where this one was set back for good.
+def _monotonic(stamps: FloatArray) -> FloatArray:
+    """Return stamps (n,) of a clock that is never set back, for sorting two streams.
 
-    Two streams that one clock stamps stay side by side so, in the order in which they came.
+    Where the clock was set back for good, later stamps are shifted. Streams with stamps of the same
+    clock thus keep their common order.
     """
     moments, newest, shift = stamps.copy(), -math.inf, 0.0
     edges = [0, *(np.flatnonzero(np.diff(stamps) < 0.0) + 1).tolist(), len(stamps)]
@@ -139,7 +143,7 @@ def _never_set_back(stamps: FloatArray) -> FloatArray:
 def read_csv_folder(folder: Path) -> Recording:
     """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder.
 
-    Without the columns of the gyro there is none.
+    Without a gyro, its columns may be missing.
     """
     path = folder / "imu.csv"
     some = set(GYRO) & set(read_header(path))
@@ -151,16 +155,16 @@ def read_csv_folder(folder: Path) -> Recording:
 
 
 LONGEST_LINE = 10_000  # characters
-LATEST_STAMP = 2.0**33  # seconds, whichever sign: the stamps of ROS end at a quarter of that
+LATEST_STAMP = 2.0**33  # seconds, largest magnitude: the stamps of ROS end at a quarter of it
 
 
 def read_columns(
     path: Path, *choices: tuple[str, ...], may_be_empty: bool = False
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the first choice of columns that a file has, and its rows, one column each.
+    """Return the first of the `choices` whose columns a file has, and its table (n, columns).
 
-    The file has a header line; columns may come in any order, with others beside them. The first
-    name of a choice is that of the stamps, seconds.
+    The file has a header line. Its columns may be in any order, and there may be others. The first
+    column of a choice holds the stamps, seconds.
     """
     header = read_header(path)
     columns = next((each for each in choices if set(each) <= set(header)), None)
@@ -185,11 +189,10 @@ def read_header(path: Path) -> list[str]:
 def read_numbers(
     path: Path, columns: Sequence[int], second: float = 1.0, may_be_empty: bool = False
 ) -> FloatArray:
-    """Return some columns below a header line; the first are stamps, returned in seconds.
+    """Return some columns below a header line; the first holds stamps, returned in seconds.
 
-    They are separated by commas, tabs or semicolons; with the last two, numbers may have a decimal
-    comma. `second` is the length of a second in the first column. A last line that was cut short
-    is left out.
+    The separator is a comma, tab or semicolon; with the last two, numbers may have a decimal comma.
+    `second` is one second in the unit of the first column. An incomplete last line is left out.
     """
     with _opened(path) as handle:
         lines = _lines(handle)
@@ -234,7 +237,7 @@ def _separator(header: str) -> str:
 
 
 def _lines(handle: TextIO) -> Iterator[str]:
-    """Yield the lines; one that does not end would fill the memory."""
+    """Yield the lines, with a limit of their length: an endless line would fill the memory."""
     while line := handle.readline(LONGEST_LINE):
         if len(line) == LONGEST_LINE:
             raise ValueError(f"a line has {LONGEST_LINE} characters or more")
@@ -242,7 +245,7 @@ def _lines(handle: TextIO) -> Iterator[str]:
 
 
 def travel_of(heard: Iterable[TravelSample | Fix]) -> tuple[tuple[TravelSample, ...], Place | None]:
-    """Return fixes and other samples by stamp, and the place of the first good fix."""
+    """Return fixes and other samples sorted by stamp, and the place of the first good fix."""
     plane = LocalPlane()
     samples = (plane.position(each) if isinstance(each, Fix) else each for each in heard)
     found = [sample for sample in samples if sample is not None]
@@ -252,8 +255,8 @@ def travel_of(heard: Iterable[TravelSample | Fix]) -> tuple[tuple[TravelSample, 
 def read_travel(folder: Path) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Read `odom.csv` (t,speed) and `gps.csv` (t,latitude,longitude or t,east,north) of a folder.
 
-    Both are optional, each with a header line: seconds, m/s (negative backwards), degrees, metres.
-    A row that is not finite is no sample.
+    Both are optional, each with a header line. Units are seconds, m/s (negative backwards), degrees
+    and metres.
     """
     found = list[TravelSample | Fix]()
     if (folder / "odom.csv").exists():
@@ -289,8 +292,8 @@ REMEDY = "Choose a writable folder, or correct its permissions."
 def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) -> None:
     """Write a window, every number at full precision.
 
-    Without a gyro its columns hold `nan`. `inliers` (n,) are those of the fit; without a
-    fit there are none.
+    Without a gyro, the columns of the rate hold `nan`. `inliers` (n,) are the samples that the fit
+    used; None without a fit.
     """
     n = len(window)
     rate = np.full((n, 3), np.nan) if window.angular_rate is None else window.angular_rate
@@ -304,10 +307,10 @@ def write_samples(path: Path, window: Window, inliers: BoolArray | None = None) 
 
 
 def read_samples(path: Path) -> Window:
-    """Read the window of a turn back, outliers included.
+    """Read the window of a turn, outliers included.
 
     The header has at least t, mx, my, mz, ax, ay and az, in any order, with or without units in
-    brackets; SI units.
+    brackets. The units are SI.
     """
     _, table = read_columns(path, NEEDED + GYRO, NEEDED, may_be_empty=True)
     rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None

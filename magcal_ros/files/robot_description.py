@@ -11,7 +11,7 @@ from magcal_ros.core.geometry.frame_tree import FrameJoint
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.files.default_paths import known_as
 
-LARGEST = 4_000_000  # bytes. The largest humanoid's description has a quarter of that.
+LARGEST = 4_000_000  # characters, four times the description of the largest humanoid
 
 KINDS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 
@@ -21,9 +21,9 @@ class DescriptionTrouble(MagcalError):
 
 
 def joints_of(text: str) -> tuple[FrameJoint, ...]:
-    """Return the joints of a URDF in their order; whatever else it holds is skipped.
+    """Return the joints of a URDF in their order; other elements are skipped.
 
-    A DescriptionTrouble if it is no URDF, is damaged, or declares entities, which no URDF needs.
+    DescriptionTrouble if the text is no URDF, is damaged, or declares a document type.
     """
     if len(text) > LARGEST:
         raise DescriptionTrouble(
@@ -51,7 +51,7 @@ def _refuse_doctype(*_: object) -> None:
 
 
 class _Reader:
-    """Gathers the joints right below the root; those of a transmission are others."""
+    """Collects the joints directly below the root; a transmission only refers to joints."""
 
     def __init__(self) -> None:
         self.joints: list[FrameJoint] = []

@@ -1,4 +1,4 @@
-"""A recording of any kind, opened: a bag, a CSV folder, or a log; and its readings, repaired.
+"""Open a recording of any kind (a bag, a CSV folder or a log), and repair its readings.
 
 Stamps that come in bursts are spread evenly, and a slow IMU is interpolated.
 """
@@ -29,7 +29,7 @@ from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
-Source: TypeAlias = Bag | Recording  # A recording of any kind, opened
+Source: TypeAlias = Bag | Recording  # an open recording of any kind
 
 
 def open_recording(
@@ -44,15 +44,15 @@ def open_recording(
 ) -> AbstractContextManager[Source]:
     """Open a bag, a CSV folder, an autopilot's log or a phone's folder.
 
-    `imu` and `field` are topics of a bag or sensors of a log; empty for the only one of the right
-    type, and of a log for the first that gives data. `start` and `stop` are seconds from the
-    beginning. `imu_pose` (3, 3) is the pose of the sensors in the vehicle, of all but a bag.
-    `progress` takes the share that is read. FileTrouble if it cannot be read, Misuse if the topics
-    are ambiguous.
+    `imu` and `field` are topics of a bag or sensors of a log. If empty, the only topic of the right
+    type is used, or the first sensor with data. `start` and `stop` are seconds from the beginning.
+    `imu_pose` (3, 3) is the pose of the sensors in the vehicle; bags do not take it. `progress` is
+    called with the share that has been read. FileTrouble if the recording cannot be read, Misuse if
+    the topics are ambiguous.
     """
     if not path.exists():
         raise FileTrouble(f"cannot read {path}: there is no such file or folder")
-    recording = _held(path, imu, field, progress)
+    recording = _read_whole(path, imu, field, progress)
     if recording is None:
         if imu_pose is not None:
             raise Misuse(
@@ -64,18 +64,18 @@ def open_recording(
 
 
 PACKED = (".zip", ".gz", ".tgz", ".tar", ".xz", ".7z")
-"""As phones export, and as bags are passed on."""
+"""Suffixes of archives, as phones export and as bags are passed on."""
 
 
-def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Recording | None:
-    """Return a recording that is read whole; None of a bag."""
+def _read_whole(path: Path, imu: str, field: str, progress: Progress | None) -> Recording | None:
+    """Return a recording that is read into memory; None for a bag."""
     kind = path.suffix.lower()
     if path.is_file() and kind in ardupilot.SUFFIXES:
         return ardupilot.read_ardupilot(path, imu, field, progress)
     if path.is_file() and kind == ".ulg":
         return px4.read_px4(path, imu, field, progress)
     if path.is_file() and kind in PACKED:
-        raise FileTrouble(f"{plain(str(path))} is packed: unpack it, and name what was in it")
+        raise FileTrouble(f"{plain(str(path))} is packed: unpack it, and name the result")
     if path.is_file() and kind == ".csv":
         raise FileTrouble(f"{plain(str(path))} is one table of a recording: name its folder")
     is_csv = (path / "imu.csv").exists() or (path / "mag.csv").exists()
@@ -89,19 +89,19 @@ def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Record
     return replace(read_csv_folder(path), travel=travel, place=place)
 
 
-LOOKED_AT = 20_000  # messages from which bursts of stamps and the rate of the IMU are recognised
-SLOWEST = 1.5  # seconds between IMU samples beyond which nothing is known of what lies between
+EXAMINED = 20_000  # messages from which bursts of stamps and the rate of the IMU are recognised
+SLOWEST = 1.5  # seconds, longest usual gap of an IMU that is interpolated
 
 TURN_WITHIN = math.radians(20.0)
-"""Radians within one sample of a slow IMU: its mean of the level field is 0.5% too small then."""
+"""Largest turn between samples of a slow IMU: it makes a mean of the level field 0.5% too small."""
 
 
 class RepairedReadings:
     """The readings of a recording, with even stamps in place of those in bursts.
 
-    A recording is read once, and twice more if its stamps come in bursts. An IMU of 1 to 5 Hz,
-    whose samples are too far apart to be joined, is interpolated where it turns slowly. `notes`
-    says what was repaired, and is complete when everything has been read.
+    A recording is read once, and twice more if its stamps come in bursts. An IMU of 1 to 5 Hz is
+    too slow to be paired with the field, and is interpolated in slow turns. `notes` lists the
+    repairs, and is complete when everything has been read.
     """
 
     def __init__(
@@ -109,12 +109,12 @@ class RepairedReadings:
     ) -> None:
         self._source, self._for_drive, self._known = source, for_drive, known
         self.read = [0, 0]
-        """How many messages of IMU and field were read, those without acceleration included."""
+        """Numbers of messages of IMU and field read so far, also of those without acceleration."""
         self.notes: list[str] = []
 
     @property
     def share(self) -> float:
-        """How much of the recording has been given on, 0 to 1."""
+        """Fraction of the recording that has been read, 0 to 1."""
         return min(1.0, sum(self.read) / max(self._source.count, 1))
 
     def __iter__(self) -> Iterator[Reading]:
@@ -126,7 +126,7 @@ class RepairedReadings:
 
     def _repaired(self) -> Iterator[Reading]:
         readings = self._source.readings()
-        begun = list(islice(readings, LOOKED_AT))
+        begun = list(islice(readings, EXAMINED))
         self.read = [0, 0]
         stamps = _stamps(begun)
         if self._for_drive and (slow := slow_field_words(_usual_gap(stamps[1]))):
@@ -135,7 +135,7 @@ class RepairedReadings:
         slow = slow_words(gap)
         if slow or not any(map(bursts_in_words, stamps)):
             every = self._counted(chain(begun, readings))
-            yield from self._filled_up(every, gap, slow) if slow else every
+            yield from self._interpolated(every, gap, slow) if slow else every
             return
         del readings, begun
         stamps = _stamps(self._source.readings())
@@ -156,8 +156,10 @@ class RepairedReadings:
             self.read[isinstance(reading, FieldSample)] += 1
             yield reading
 
-    def _filled_up(self, readings: Iterable[Reading], gap: float, slow: str) -> Iterator[Reading]:
-        """Yield a slow IMU with samples between its own, and no field of fast turns."""
+    def _interpolated(
+        self, readings: Iterable[Reading], gap: float, slow: str
+    ) -> Iterator[Reading]:
+        """Yield readings with a slow IMU interpolated, and without the field in fast turns."""
         if gap > SLOWEST:
             raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.imu_topic}: {slow}")
         last: ImuSample | None = None
@@ -181,14 +183,14 @@ class RepairedReadings:
         )
 
     def _note(self, stamps: Sequence[FloatArray], even: Sequence[FloatArray | None]) -> None:
-        """Note which topics were repaired; those of one driver in one line."""
+        """Note which topics were repaired; topics with the same fault share a line."""
         topics: dict[str, list[str]] = {}
         names = self._source.imu_topic, self._source.field_topic
         for name, old, new in zip(names, stamps, even, strict=True):
             if new is not None:
                 topics.setdefault(bursts_in_words(old), []).append(name)
         self.notes += [
-            f"{' and '.join(them)}: {words}; here they were spread evenly, which a node cannot do"
+            f"{' and '.join(them)}: {words}; here the stamps were spread evenly (a node cannot)"
             for words, them in topics.items()
         ]
 
@@ -203,12 +205,12 @@ def _stamps(readings: Iterable[Reading]) -> tuple[FloatArray, FloatArray]:
 
 
 def _usual_gap(stamps: FloatArray) -> float:
-    """Return the median gap, seconds; zero of less than two samples."""
+    """Return the median gap, seconds; zero for less than two samples."""
     return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
 
 
 def _between(last: ImuSample, sample: ImuSample, longest: float) -> Iterator[ImuSample]:
-    """Yield samples between two, so close that they are joined; none in a gap of the recording."""
+    """Yield interpolated samples in a gap too long for pairing; none if it is over `longest`."""
     gap = sample.stamp - last.stamp
     if not STREAMS.max_gap < gap <= longest:
         return

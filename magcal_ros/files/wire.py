@@ -1,7 +1,7 @@
-"""Messages of sensors and of travel from their bytes, several times faster than any library.
+"""Parser of the messages of sensors and of travel, several times faster than any library.
 
-Their types have never changed, so their places in CDR (ROS 2) and in ROS 1's format are fixed: a
-header with stamp and frame, and numbers after it.
+The types of these messages have never changed. So the layout in CDR (ROS 2) and in ROS 1's format
+is fixed: a header with stamp and frame, followed by numbers.
 """
 
 from __future__ import annotations
@@ -20,31 +20,32 @@ from magcal_ros.core.samples.streams import (
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4
-"""Bytes of encapsulation, from which CDR counts its alignment; in ROS 1 a sequence number."""
+"""Bytes before the message: in CDR the encapsulation, after which alignment starts; in ROS 1 the
+sequence number."""
 
-# Orientation, rate and force, each with the first of its covariance.
+# Orientation, rate and force, each with the first element of its covariance.
 IMU_BODY = Struct("<5d64x4d64x4d64x")
-# The orientation, and of its covariance the first and the last.
+# The orientation, with the first and the last element of its covariance.
 HEADING = Struct("<5d56xd")
-# Field and its covariance.
+# The field and its covariance.
 FIELD_BODY = Struct("<3d72s")
 LENGTH = Struct("<I")
 STATUS = Struct("<b")
 PLACE = Struct("<3d")
 VELOCITY = Struct("<2d")
-# After the other four numbers of a twist come the variances: of east first, of north as the eighth.
-SURE_VELOCITY = Struct("<2d32xd48xd")
-# An Odometry's pose with its covariance, then the twist with the first of its covariance.
+# The two velocities, four other numbers, then the covariance: elements 1 (east) and 8 (north).
+VELOCITY_COVARIANCE = Struct("<2d32xd48xd")
+# An Odometry's pose with covariance, then the twist with the first element of its covariance.
 ODOMETRY_BODY = Struct("<344x2d32xd")
-# Voltage, temperature and current of a BatteryState of ROS 2.
+# The current of a BatteryState of ROS 2, after voltage and temperature.
 BATTERY = Struct("<8xf")
 
 
 class Format:
-    """Reads messages of one format; it raises `struct.error` for bytes laid out in another way.
+    """Parser of messages in one format; it raises `struct.error` for any other layout.
 
-    `head` is stamp seconds, nanoseconds and the frame's length, `widest` the alignment of doubles,
-    and `zero` how many zero bytes end a text.
+    `head` is the layout of the stamp's seconds and nanoseconds and the frame's length. `widest` is
+    the alignment of doubles, and `zero` the number of zero bytes that end a text.
     """
 
     def __init__(self, head: str, widest: int, zero: int) -> None:
@@ -52,7 +53,7 @@ class Format:
         self._frame_at = CDR_START + Struct(head).size
 
     def header(self, data: bytes, size: int = 8) -> tuple[float, bytes, int]:
-        """Return stamp (s), frame, and the place of the next number of so many bytes."""
+        """Return stamp (s), frame, and the offset of the next number, which has `size` bytes."""
         sec, nanosec, length = self._head(data, CDR_START)
         end = self._frame_at + length
         if self._zero and (not length or data[end - 1 : end] != b"\0"):
@@ -88,7 +89,7 @@ class Format:
         return frame, FieldSample(stamp, (x, y, z)), covariance
 
     def fix(self, data: bytes) -> Fix:
-        """Return what a sensor_msgs/NavSatFix says of its place."""
+        """Return the fix of a sensor_msgs/NavSatFix."""
         stamp, _, at = self.header(data, 1)
         (status,) = STATUS.unpack_from(data, at)
         service = self._aligned(at + 1, 2)
@@ -102,7 +103,7 @@ class Format:
     def sure_velocity(self, data: bytes) -> VelocitySample | str:
         """Return the velocity of a geometry_msgs/TwistWithCovarianceStamped, or why it has none."""
         stamp, _, at = self.header(data)
-        return velocity_from(stamp, *SURE_VELOCITY.unpack_from(data, at))
+        return velocity_from(stamp, *VELOCITY_COVARIANCE.unpack_from(data, at))
 
     def speed(self, data: bytes) -> SpeedSample | str:
         """Return the signed speed of a nav_msgs/Odometry, or why it has none."""
@@ -124,10 +125,10 @@ ROS1 = Format("<III", 1, 0)
 
 
 def is_plain_cdr(data: bytes) -> bool:
-    """Whether a ROS 2 message is little-endian CDR, as all recorders on usual machines write."""
+    """Whether a ROS 2 message is little-endian CDR, as recorders on usual machines write it."""
     return data[:2] == LITTLE_ENDIAN_CDR
 
 
 def frame_of(text: bytes) -> str:
-    """Return a frame as ROS reads it: to its first zero, and what is no text replaced."""
+    """Return a frame as ROS reads it: up to the first zero, with invalid UTF-8 replaced."""
     return bytes(text).partition(b"\0")[0].decode("utf-8", "replace")

@@ -68,7 +68,7 @@ def test_what_a_turn_finds_is_possible(strength, known):
         (uneven, "not symmetric"),
         (flipped_variance, "negative eigenvalue"),
         (smaller_diagonal, "negative eigenvalue"),
-        (exact_but_tied, "links a number"),
+        (exact_but_tied, "variance is zero"),
         (lambda covariance: covariance.fill(0.0), "hard iron known to 0.0e.00"),
         (lambda covariance: covariance.__imul__(1e-12), "no turn shows it better"),
     ],

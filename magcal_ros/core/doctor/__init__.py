@@ -1,4 +1,4 @@
-"""What is wrong with the sensors: each stream by itself, and each against the others."""
+"""Faults of the sensors: of each stream by itself, and of each sensor against the others."""
 
 from magcal_ros.core.lazy_names import lazy_names
 

@@ -1,4 +1,4 @@
-"""Find the sensor with wrong axes (two of three agree), its axes, and whether it is upright."""
+"""Find the sensor whose axes contradict the other two, its axes, and whether the IMU is upright."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import WEIGHED, Explanations
+from magcal_ros.core.doctor.explanations import LIMITS, Explanations
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, INVERTED
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
@@ -30,7 +30,7 @@ NOSE = "lift the nose by 20° while the robot turns"
 LIFT = f"{NOSE}, or drive over a kerb"
 GIVE_DIP = ", and give the place or the field's inclination"
 DRIVE = "; or drive straight, where a receiver's course shows the yaw"
-SIGN = (
+WRONG_SIGN = (
     "gravity has the wrong sign: REP-145 requires +9.81 on z at rest, so negate "
     "linear_acceleration in the driver"
 )
@@ -45,10 +45,10 @@ WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is 
 def upright(
     log: SensorLog, given: Explanations | None, other: Explanations | None, turned_left: bool | None
 ) -> tuple[Finding, bool | None]:
-    """Look at which way gravity points.
+    """Check the direction of gravity.
 
-    Return a line, and whether gravity's sign is what errs; None where that or the IMU's axes do.
-    `turned_left` is what the user says of the turn; None where that was not asked.
+    Return a finding, and whether gravity's sign is wrong; None if either the sign or the IMU's axes
+    are. `turned_left` is whether the user turned the robot to the left; None if unknown.
     """
     name, usual = "accelerometer: up", _usual_up(log)
     if np.linalg.norm(usual) < LEAST_UPRIGHT:
@@ -61,18 +61,18 @@ def upright(
         return wrong("imu_axes", name, evidence, sideways(usual)), False
     flipped = _is_flipped(given, other, turned_left)
     key, words = {
-        None: ("gravity_sign", f"either {SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
-        True: ("gravity_sign", SIGN),
+        None: ("gravity_sign", f"either {WRONG_SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
+        True: ("gravity_sign", WRONG_SIGN),
         False: ("imu_axes", UPSIDE_DOWN),
     }[flipped]
     return wrong(key, name, evidence, words), flipped
 
 
 def _usual_up(log: SensorLog) -> FloatArray:
-    """Return the usual direction of the force, which is short if it has none.
+    """Return the median direction of the force (3,), which is short if the directions vary.
 
-    Only the quarter with the slowest rates counts: in a hand that swings the sensor, what is felt
-    is mostly no gravity.
+    Only the quarter with the slowest rates is used: a sensor that is swung by hand measures mostly
+    other accelerations than gravity.
     """
     force = log.force
     if log.has_gyro:
@@ -83,7 +83,7 @@ def _usual_up(log: SensorLog) -> FloatArray:
 
 
 def sideways(up: FloatArray) -> str:
-    """Say which axis points up and what to do; `up` is a unit vector (3,)."""
+    """Return which axis points up, and the remedy; `up` is a unit vector (3,)."""
     axis = int(np.argmax(np.abs(up)))
     way = DIRECTIONS[2][int(up[axis] < 0.0)]
     return (
@@ -95,15 +95,15 @@ def sideways(up: FloatArray) -> str:
 def _is_flipped(
     given: Explanations | None, other: Explanations | None, turned_left: bool | None
 ) -> bool | None:
-    """Return whether gravity's sign errs rather than the IMU lies upside down."""
+    """Return whether gravity's sign is wrong, or else the IMU is upside down; None if unclear."""
     if given is None or other is None:
         return None
     turned = given.turned(given.best)
-    if turned_left is not None and abs(turned) > WEIGHED.least_turn:
-        # About an up that points down a turn to the left looks like one to the right.
+    if turned_left is not None and abs(turned) > LIMITS.least_turn:
+        # If the vector of up points down, a turn to the left looks like one to the right.
         return (turned > 0.0) is not turned_left
     worse = given.field_right - other.field_right
-    return None if abs(worse) < WEIGHED.doubtful else worse > 0.0
+    return None if abs(worse) < LIMITS.doubtful else worse > 0.0
 
 
 STANDARD = np.eye(3)
@@ -111,7 +111,7 @@ NOTHING_FITS = (
     "no mounting and no swapped or mirrored axes explain gyro, field and gravity together: check "
     "that the gyro responds to turns, check its unit and the stamps, and turn far from iron"
 )
-BOTH = (
+SEVERAL_WRONG = (
     "gyro, magnetometer and gravity contradict each other, and wrong axes of one sensor do not "
     "explain it. Linear acceleration and iron nearby can be the cause, too: stand still, turn on "
     f"the spot away from iron, and {LIFT}"
@@ -125,51 +125,51 @@ TURNED_RIGHT = (
 
 @dataclass(frozen=True, eq=False)
 class AxesFound:
-    """What a movement shows of the magnetometer's axes."""
+    """The possible axes of the magnetometer by a movement."""
 
     candidates: FloatArray
-    """What explains the samples, the likeliest first; rows are the magnetometer's axes, after the
-    mounting that is known, in the body's. Shape (k, 3, 3)."""
-    right: bool  # whether the axes as given are among them, or not excluded beyond doubt
+    """Axes that explain the samples, the likeliest first. Rows are the magnetometer's axes, after
+    the known mounting, in the body's. Shape (k, 3, 3)."""
+    right: bool  # whether the axes as given are possible
     knowledge: Knowledge
 
     @property
     def pose(self) -> FloatArray:
-        """The mounting that is known, shape (3, 3)."""
+        """The known mounting, shape (3, 3)."""
         return self.knowledge.mounting.pose
 
     @property
     def dip_known(self) -> bool:
-        """Whether the reference field separates axes from their opposites."""
+        """Whether the reference inclination distinguishes axes from their opposites."""
         dip = self.knowledge.reference.inclination
-        return not dip.is_unknown and abs(dip.value) > CLEAR * WEIGHED.dip_sigma
+        return not dip.is_unknown and abs(dip.value) > CLEAR * LIMITS.dip_sigma
 
     @property
     def meant(self) -> FloatArray:
-        """The likeliest axes, those as given where they are not excluded."""
+        """The likeliest axes; the axes as given if these are possible."""
         return STANDARD if self.right else np.asarray(self.candidates[0])
 
     @property
     def mount_rpy_deg(self) -> tuple[int, int, int] | None:
-        """What the parameter `mount_rpy_deg` should be; None if no mounting corrects the axes."""
+        """The correct parameter `mount_rpy_deg`; None if no mounting corrects the axes."""
         return None if is_mirrored(self.meant) else mount_of(self.meant, self.pose)
 
     @property
     def words(self) -> str:
-        """What is wrong and the line to change, if gyro and accelerometer are right; else empty."""
+        """The fault and its remedy, if gyro and accelerometer are right; empty without a fault."""
         if self.right:
             return ""
         return f"{self.ways}. To tell which, {self.movement}" if self.movement else self.ways
 
     @property
     def ways(self) -> str:
-        """What is wrong if gyro and accelerometer are right, and not how to show which way."""
+        """As `words`, but without the movement that distinguishes the candidates."""
         ways = named(self.candidates, self._say)
         return f"the magnetometer's axes do not match the IMU's: {ways}"
 
     @property
     def movement(self) -> str:
-        """The movement that separates the remaining candidates; empty if one is left."""
+        """The movement that distinguishes the candidates; empty for a single candidate."""
         if len(self.candidates) < 2:
             return ""
         first = self.candidates[0]
@@ -194,14 +194,14 @@ class AxesFound:
 
 
 def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
-    """Say the likeliest of the candidates (k, 3, 3), and how many more there are."""
-    left = len(candidates) - WEIGHED.most_named
-    words = [say(axes) for axes in candidates[: WEIGHED.most_named]]
+    """Describe the likeliest of the candidates (k, 3, 3), with the number of the others."""
+    left = len(candidates) - LIMITS.most_named
+    words = [say(axes) for axes in candidates[: LIMITS.most_named]]
     return "; or ".join([*words, f"{left} more"] if left > 0 else words)
 
 
 def mount_of(axes: FloatArray, pose: FloatArray) -> tuple[int, int, int]:
-    """Return the mounting's roll, pitch and yaw in degrees of axes found on top of a known pose."""
+    """Return roll, pitch and yaw, degrees, of the mounting for axes found after a known pose."""
     degrees = (round(math.degrees(angle)) for angle in rpy_from_rotation(axes.T @ pose))
     roll, pitch, yaw = ((angle + 179) % 360 - 179 for angle in degrees)
     return roll, pitch, yaw
@@ -216,10 +216,10 @@ class Blame(NamedTuple):
     """Which sensors have wrong axes."""
 
     findings: tuple[Finding, ...]
-    """One for each sensor whose axes are or may be wrong, or one that all agree."""
-    chosen: int | None = None  # the way that is taken; None where none explains the movement
+    """The findings on the axes of all sensors."""
+    chosen: int | None = None  # the chosen hypothesis; None if none explains the movement
     axes: AxesFound | None = None
-    """Of the magnetometer, if its axes are the wrong ones; None where that is not known."""
+    """The possible axes of the magnetometer; None if they are not determined."""
 
 
 def blame(
@@ -228,40 +228,40 @@ def blame(
     turned_left: bool | None,
     gyro_is_half_dead: bool = False,
 ) -> Blame:
-    """Name the sensors whose axes are or may be wrong; with dead axes of the gyro, no others."""
+    """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
     misfit, given = explanations.misfit, explanations.plain
-    if explanations.rms[explanations.best] > WEIGHED.worst_fit:
+    if explanations.rms[explanations.best] > LIMITS.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return Blame((finding,))
-    remains = misfit < WEIGHED.remains
+    remains = misfit < LIMITS.remains
     contrary = np.zeros(len(misfit), dtype=np.bool_)
     if turned_left is not None:
-        # What was asked for and what all sensors saw may differ because a person erred.
+        # The user may have turned the wrong way while all sensors are right.
         turned = np.array([explanations.turned(k) for k in range(len(misfit))])
-        contrary = (np.abs(turned) > WEIGHED.least_turn) & ((turned > 0.0) != turned_left)
-    if misfit[given] < 2.0 * WEIGHED.remains:
+        contrary = (np.abs(turned) > LIMITS.least_turn) & ((turned > 0.0) != turned_left)
+    if misfit[given] < 2.0 * LIMITS.remains:
         return _all_agree(explanations, remains, knowledge, contrary)
     kept = remains & ~contrary
     remains = kept if kept.any() else remains
     remains[given] = False
     left = [int(k) for k in np.flatnonzero(remains)]
-    rank = {k: _erring(explanations, k) for k in left}
+    rank = {k: _wrong_sensors(explanations, k) for k in left}
     least = min(len(rank[k]) for k in left)
     fewest = [k for k in left if len(rank[k]) == least]
-    # The likely ones in the order of what people do.
+    # Likely hypotheses are ordered by how common the mistake is.
     gyro, field = explanations.gyro, explanations.field
-    fewest.sort(key=lambda k: (misfit[k] > WEIGHED.likely, rank_of(gyro[k]), rank_of(field[k])))
+    fewest.sort(key=lambda k: (misfit[k] > LIMITS.likely, rank_of(gyro[k]), rank_of(field[k])))
     if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
         return Blame((not_shown("axes", "axes", DEAD_GYRO),))
-    return _accused(explanations, fewest, rank, knowledge)
+    return _findings_on_axes(explanations, fewest, rank, knowledge)
 
 
-def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:
-    """Return the sensors that are wrong by an explanation."""
+def _wrong_sensors(explanations: Explanations, k: int) -> tuple[str, ...]:
+    """Return the sensors whose axes are wrong by hypothesis `k`."""
     gyro, field = explanations.gyro[k], explanations.field[k]
     axes = {"gyro": gyro, "magnetometer": field}
     wrong = tuple(sensor for sensor, each in axes.items() if not np.array_equal(each, STANDARD))
-    # Both differ from the accelerometer alike: then it is the one that errs.
+    # If both differ from the accelerometer in the same way, the accelerometer's axes are wrong.
     alike = np.array_equal(gyro, field) or np.array_equal(gyro, -field)
     return ("accelerometer",) if len(wrong) > 1 and alike and not is_mirrored(gyro) else wrong
 
@@ -270,7 +270,7 @@ def _all_agree(
     explanations: Explanations, remains: BoolArray, knowledge: Knowledge, contrary: BoolArray
 ) -> Blame:
     given = explanations.plain
-    # The magnetometer's axes that remain while the gyro is right.
+    # The possible axes of the magnetometer if the gyro's are right.
     alike = (explanations.gyro == explanations.gyro[given]).all(axis=(1, 2))
     axes = AxesFound(explanations.field[remains & alike], True, knowledge)
     known = np.array_equal(knowledge.mounting.pose, STANDARD)
@@ -283,25 +283,25 @@ def _all_agree(
         why = f"{evidence} fit, but so would {rest}; to tell them apart, {axes.movement or LIFT}"
         found = [not_shown("axes", "axes", why)]
     if contrary[given]:
-        others = [_erring(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
+        others = [_wrong_sensors(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
         alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
         said = TURNED_RIGHT + "".join(f", or only the {sensor} has wrong axes" for sensor in alone)
         found.append(looked_at("imu_axes", "axes: up", "a turn to the right", said))
     return Blame(tuple(found), given, axes)
 
 
-def _accused(
+def _findings_on_axes(
     explanations: Explanations,
     fewest: list[int],
     rank: dict[int, tuple[str, ...]],
     knowledge: Knowledge,
 ) -> Blame:
-    """Name the sensor with wrong axes; if it may be another one, or is two, ask for a movement."""
+    """Name the sensor with wrong axes; ask for a movement if several are possible or wrong."""
     culprits = list(dict.fromkeys(rank[k] for k in fewest))
     if len(culprits[0]) > 1:
         names = " and ".join(culprits[0])
         evidence = f"other axes of {names} explain the movement better"
-        return Blame((looked_at("axes", "axes", evidence, BOTH),))
+        return Blame((looked_at("axes", "axes", evidence, SEVERAL_WRONG),))
     is_clear = len(culprits) == 1
     said, axes = {}, None
     for (sensor,) in culprits:
@@ -310,9 +310,9 @@ def _accused(
             axes = AxesFound(_distinct(explanations.field[ways]), False, knowledge)
             said[sensor] = axes.words if is_clear else axes.ways
             continue
-        words, slip = SAID[sensor]
+        words, slip = AXES_REMEDIES[sensor]
         candidates = _distinct(explanations.gyro[ways])
-        is_asked = is_clear and len(candidates) > WEIGHED.most_named
+        is_asked = is_clear and len(candidates) > LIMITS.most_named
         which = f". To tell which, {LIFT}" if is_asked else ""
         said[sensor] = words.format(named(candidates, slip)) + which
     names = " or ".join(said)
@@ -338,7 +338,7 @@ def _distinct(axes: FloatArray) -> FloatArray:
 
 
 def gyro_slip(axes: FloatArray) -> str:
-    """Say what was done to a gyro whose axes (3, 3), rows in the body's, are not the body's."""
+    """Describe how the gyro's axes (3, 3), rows in the body's, differ from the body's."""
     if np.array_equal(np.abs(axes), STANDARD):
         flipped = [name for name, sign in zip("xyz", np.diag(axes), strict=True) if sign < 0.0]
         verb = "has" if len(flipped) == 1 else "have"
@@ -348,7 +348,7 @@ def gyro_slip(axes: FloatArray) -> str:
     return spoken(axes, (("x", "-x"), ("y", "-y"), ("z", "-z")), " holds ")
 
 
-SAID: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
+AXES_REMEDIES: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
     "gyro": (
         "the gyro's axes do not match the accelerometer's: {}; correct it in the driver",
         gyro_slip,
@@ -359,4 +359,4 @@ SAID: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
         lambda axes: spoken(axes.T),
     ),
 }
-"""What is said of a sensor with wrong axes, and of one way in which its axes may lie."""
+"""By sensor: the remedy for wrong axes, and a function that describes one candidate."""

@@ -1,4 +1,4 @@
-"""Which of four yaws the magnetometer has, by the course; a turn on the spot cannot show it."""
+"""The yaw of the magnetometer's axes by the course, which a turn on the spot cannot show."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ LONGER = "drive farther: straight, in several directions, and faster than walkin
 
 @dataclass(frozen=True)
 class AxesYawTuning:
-    """When a course decides on the yaw of axes."""
+    """When a course determines the yaw of axes."""
 
-    vague: float = math.radians(12.0)  # radians of sigma beyond which it does not
+    vague: float = math.radians(12.0)  # largest sigma of a yaw that is used
     near: float = math.radians(35.0)
-    """Radians that may be left beside a multiple of 90°, for a declination that is not known."""
+    """Largest difference from a multiple of 90°, which allows for an unknown declination."""
     iron: float = 0.3
-    """Sigma of the hard iron over the level field beyond which there is no compass to compare."""
+    """Largest sigma of the hard iron, relative to the level field, of a usable compass."""
 
 
 TUNING = AxesYawTuning()
@@ -37,15 +37,15 @@ TUNING = AxesYawTuning()
 
 @dataclass(frozen=True, eq=False)
 class AxesInUse:
-    """The magnetometer's axes by which the page goes, and the compass that they make."""
+    """The magnetometer's axes by the chosen hypothesis, and a compass with these axes."""
 
-    axes: FloatArray  # rows in the body's, after the mounting that is known. Shape (3, 3).
-    pose: FloatArray  # the mounting that is known. Shape (3, 3).
+    axes: FloatArray  # rows in body axes, after the known mounting. Shape (3, 3).
+    pose: FloatArray  # the known mounting. Shape (3, 3).
     compass: Calibration  # good enough to be compared with a course
 
 
 def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
-    """Return the compass that a way (in rad/s and body axes) makes; None where it shows none."""
+    """Return axes and compass of a hypothesis in rad/s and body axes; None without a compass."""
     state, size = way.state, way.part.size
     if not np.array_equal(way.gyro, np.eye(3)) or is_mirrored(way.field):
         return None
@@ -70,11 +70,11 @@ def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
 def course_findings(
     used: AxesInUse, gap: Belief, imu_yaw: Belief
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
-    """Return the lines, and the mounting that corrects the yaw where it is wrong.
+    """Return the findings, and the mounting that corrects a wrong yaw.
 
-    `gap` is the yaw of the compass that `used` makes less course, less declination, less the IMU's
-    yaw where it is known. `imu_yaw` is that of the IMU in the vehicle, to the left, by the
-    vehicle's own acceleration. Both are in radians.
+    `gap` is the yaw of the compass in `used` minus course and declination, and minus the IMU's yaw
+    if known. `imu_yaw` is the IMU's yaw in the vehicle, positive to the left, from the vehicle's
+    acceleration. Both are in radians.
     """
     lines = []
     knows_imu = imu_yaw.sigma < TUNING.vague

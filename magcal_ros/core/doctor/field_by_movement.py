@@ -1,4 +1,4 @@
-"""What a movement shows of the field: its unit, strength and inclination, and what motors add."""
+"""Unit, strength and inclination of the field by a movement, and the field of the motors."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, UP
 from magcal_ros.core.samples.units import unit_by_strength
 from magcal_ros.core.samples.window import SensorLog
 
-VAGUE = 0.1  # relative standard deviation of the strength beyond which it is not shown
-WRONG_UNIT = "field_unit"  # key of the line
+VAGUE = 0.1  # largest relative standard deviation of a strength that is used
+WRONG_UNIT = "field_unit"  # `Finding.key`
 
 
 @dataclass(frozen=True)
 class PlaceTuning:
-    """When the field is called another than the reference's, and the motors' one is."""
+    """Limits of the difference from the reference field, and of the motors' field."""
 
     strength: float = 0.2  # relative difference
     inclination: float = math.radians(8.0)  # radians
-    motors: float = 1.5e-6  # tesla that the motors add
-    clear: float = 5.0  # sigmas of that
+    motors: float = 1.5e-6  # tesla, smallest field of the motors
+    clear: float = 5.0  # sigmas of the motors' field
     turned_too_far: float = math.radians(25.0)
-    """Radians of heading of that field from which moving the sensor is the better cure: half the
-    level field, where a tenth of it in the motors' current is three degrees."""
+    """Heading error by the motors' field from which the sensor should be moved. This field is half
+    the level field: a change of the motors' current by a tenth turns the heading by 3°."""
 
 
 TUNING = PlaceTuning()
@@ -53,7 +53,7 @@ ON_THE_SPOT = (
 )
 MOTORS_OFF = "by hand with the motors off (their field hides it)"
 HIDDEN, BY_HAND = f"turn once {MOTORS_OFF}", f"{NOSE} {MOTORS_OFF}"
-"""What shows the rest where the motors change the field, in place of `FULL_TURN` and `LIFT`."""
+"""The movements to ask for, in place of `FULL_TURN` and `LIFT`, if motors change the field."""
 OR_LATE = (
     ". Late stamps of the field look the same: to tell them apart, start and stop several times "
     "while you turn"
@@ -61,18 +61,18 @@ OR_LATE = (
 
 
 def is_vague(strength: Belief) -> bool:
-    """Return whether the movement does not show this strength."""
+    """Return whether the movement does not determine this strength."""
     return not strength.sigma <= VAGUE * strength.value
 
 
 def strength_of(way: Way) -> Belief:
-    """Return the strength without hard iron as published, by one way."""
+    """Return the strength without hard iron, as published, by one hypothesis."""
     size, vector, sigma = way.part.size, way.state[FIELD], way.sigma[FIELD]
     return Belief(float(np.linalg.norm(vector)) * size, float(np.linalg.norm(sigma)) * size)
 
 
 def strength_of_level(way: Way, knowledge: Knowledge) -> Belief:
-    """Return the same by the level field, which a level turn shows, and the known inclination."""
+    """Return the strength by the known inclination and the level field, as for a level turn."""
     dip = knowledge.reference.inclination
     vector, up = way.state[FIELD], unit(way.state[UP])
     level = vector - float(vector @ up) * up
@@ -87,7 +87,7 @@ def strength_of_level(way: Way, knowledge: Knowledge) -> Belief:
 def with_field(
     lines: list[Finding], prepared: CleanLog, found: MotionFound, knowledge: Knowledge
 ) -> list[Finding]:
-    """Return the lines with those on the field, as far as a way explains the movement."""
+    """Return the lines with findings on the field, if a hypothesis explains the movement."""
     if found.way is None or found.body is None:
         return lines
     if any(line.key == WRONG_UNIT and line.is_wrong for line in lines):
@@ -102,14 +102,14 @@ def with_field(
     shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
     motors = motors_finding(found.body, found.way, shown)
     if motors.is_wrong:
-        # A field of the motors hides what another turn would show.
+        # Another turn with the motors on would not determine these quantities either.
         said = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
         lines = [replace(f, evidence=each) for f, each in zip(lines, said, strict=True)]
     return [*lines, motors]
 
 
 def _unit_by_strength(lines: list[Finding], way: Way, knowledge: Knowledge) -> list[Finding]:
-    """Return the lines with the wrong unit judged by the strength, where the movement shows it."""
+    """Return the lines, with the unit identified by the strength if the movement determines it."""
     strength = strength_of(way)
     if is_vague(strength):
         strength = strength_of_level(way, knowledge)
@@ -124,7 +124,7 @@ def _unit_by_strength(lines: list[Finding], way: Way, knowledge: Knowledge) -> l
 
 
 def reference_finding(way: Way, knowledge: Knowledge, up_is_down: bool | None) -> Finding:
-    """Compare strength and inclination with the reference, by one way."""
+    """Compare strength and inclination by one hypothesis with the reference."""
     size, vector = way.part.size, way.state[FIELD]
     up = way.state[UP] * (-1.0 if up_is_down else 1.0)
     whole = strength_of(way)
@@ -161,7 +161,7 @@ def reference_finding(way: Way, knowledge: Knowledge, up_is_down: bool | None) -
 
 
 def _points_up(way: Way, knowledge: Knowledge) -> Finding | None:
-    """Return that the field points up after a level turn, where that takes much less hard iron."""
+    """Return a finding that the field points up, if this needs much less hard iron; else None."""
     believed = knowledge.reference
     if not (way.is_plain and believed.is_complete):
         return None
@@ -188,7 +188,7 @@ def _points_up(way: Way, knowledge: Knowledge) -> Finding | None:
 
 
 def motors_finding(log: SensorLog, way: Way, lag_is_shown: bool) -> Finding:
-    """Look for a field that is there while the robot turns alone; a late one looks like it."""
+    """Check for a field that exists only while the robot turns; a late field looks the same."""
     state = way.state
     found = motors_field(log, way, float(state[LAG]) if lag_is_shown else 0.0)
     if found is None:

@@ -1,8 +1,8 @@
-"""The guided half minute: what the user is asked to do, and how samples show that it was done.
+"""The guided half minute: the steps asked of the user, and their detection in the samples.
 
-A state machine without a clock: samples and the time go in, and what is asked comes out. The
-sensors may be faulty, so each step is seen by whichever of them answers: no unit, sign or axis of
-any is taken for right.
+A state machine without a clock: its inputs are samples and times, its output is the current step.
+The sensors may be faulty: any working one can show that a step is done, and no unit, sign or axis
+is assumed to be right.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 
 class GuideStep(str, Enum):
-    """What is asked for."""
+    """The steps, in order."""
 
     STAND = "stand"
     TURN = "turn"
@@ -31,34 +31,34 @@ ASKED = {
     GuideStep.TURN: "turn left, a full circle or at least a quarter, and stop",
     GuideStep.LIFT: "lift the nose by 20°, or drive over a kerb, and stop",
 }
-"""In words."""
+"""The steps in words for the user."""
 
 
 @dataclass(frozen=True)
 class GuideTuning:
-    """When a stage is seen."""
+    """When a step is done."""
 
     block: float = 0.25  # seconds that are averaged
-    stand: float = 4.0  # seconds of standing still at first
-    rest: float = 1.0  # seconds of standing that end a turn or a lift
+    stand: float = 4.0  # seconds of rest of the first step
+    rest: float = 1.0  # seconds of rest that end a turn or a lift
     still: tuple[float, float] = (math.radians(2.0), 0.06)
-    """Radians by which gravity, and share of its size by which the field, may move at rest."""
-    angle: float = math.radians(75.0)  # radians of turn that the gyro must read
+    """Largest change at rest: of gravity, radians, and of the field, relative to its size."""
+    angle: float = math.radians(75.0)  # smallest turn by the gyro, radians
     swing: float = 0.4
-    """Share of its size by which the field must move where the gyro reads no turn."""
-    stopped: float = 0.25  # share of its fastest that a turn may still have when it has ended
-    lift: float = math.radians(8.0)  # radians by which gravity must lean
-    patience: float = 45.0  # seconds after which a stage is given up
+    """Change of the field, relative to its size, that shows a turn without the gyro."""
+    stopped: float = 0.25  # largest pace at the end of a turn, relative to its fastest
+    lift: float = math.radians(8.0)  # smallest change of gravity's direction, radians
+    patience: float = 45.0  # seconds after which a step is given up
 
 
 TUNING = GuideTuning()
 
 
 class Guide:
-    """Asks for one stage after the other and sees them done.
+    """Asks for one step after the other, and detects when each is done.
 
-    `now` is in seconds, on a clock that does not jump. `ended` tells of each stage that was asked
-    for whether it was seen, or given up.
+    `now` is in seconds, on a monotonic clock. `ended` holds each step that has ended: True if it
+    was done, False if it was given up.
     """
 
     def __init__(self, now: float) -> None:
@@ -68,19 +68,19 @@ class Guide:
         self._field: list[tuple[float, ...]] = []
         self._blocks: list[FloatArray] = []
         """Means of force, rate and field over a short time, NaN without samples. Shape (3, 3)."""
-        self._stage_start = 0  # the first block of what is asked for now
+        self._step_start = 0  # index of the current step's first block
         self._resting: FloatArray | None = None
         self._angle = 0.0
         self._done_moving = False
 
     @property
     def current(self) -> GuideStep | None:
-        """What is asked for now; None at the end."""
-        return next((stage for stage in GuideStep if stage not in self.ended), None)
+        """The current step; None at the end."""
+        return next((step for step in GuideStep if step not in self.ended), None)
 
     @property
     def turned_left(self) -> bool | None:
-        """Whether the robot did what it was asked to; None where that was not seen."""
+        """True if the turn to the left was done, None if it was not detected."""
         return self.ended.get(GuideStep.TURN) or None
 
     def add(self, sample: ImuSample | FieldSample) -> None:
@@ -91,26 +91,26 @@ class Guide:
             self._field.append(sample.field)
 
     def left(self, now: float) -> float:
-        """Return the seconds after which what is asked for is given up."""
+        """Return the seconds until the current step is given up."""
         return max(TUNING.patience - (now - self._since), 0.0)
 
     def skip(self, now: float) -> bool:
-        """Give up what is asked for now; returns whether it was: standing still is needed."""
-        stage = self.current
-        if stage is None or stage is GuideStep.STAND:
+        """Give up the current step; return whether this is possible: the first step is needed."""
+        step = self.current
+        if step is None or step is GuideStep.STAND:
             return False
-        self._end(stage, False, now)
+        self._end(step, False, now)
         return True
 
     def pass_time(self, now: float) -> bool:
-        """Let time pass; returns whether a stage was seen or given up."""
-        stage = self.current
-        if stage is None or now - self._block_began < TUNING.block:
+        """Advance the time to `now`; return whether a step was done or given up."""
+        step = self.current
+        if step is None or now - self._block_began < TUNING.block:
             return False
         self._close_block(now)
-        is_seen = self._seen(stage)
+        is_seen = self._seen(step)
         if is_seen or now - self._since > TUNING.patience:
-            self._end(stage, is_seen, now)
+            self._end(step, is_seen, now)
             return True
         return False
 
@@ -122,32 +122,32 @@ class Guide:
             block[2] = np.mean(self._field, axis=0)
         self._blocks.append(block)
         if self._resting is not None and np.isfinite(block[1]).all():
-            # About the axis that points up at rest, whichever it is.
+            # About the vertical at rest, whichever axis of the sensor this is.
             force, bias, _ = self._resting
             about_up = float(force @ (block[1] - bias)) / max(float(np.linalg.norm(force)), 1e-12)
             self._angle += about_up * (now - self._block_began)
         self._imu, self._field = [], []
         self._block_began = now
 
-    def _seen(self, stage: GuideStep) -> bool:
-        if stage is GuideStep.STAND:
+    def _seen(self, step: GuideStep) -> bool:
+        if step is GuideStep.STAND:
             return self._stands(TUNING.stand)
         assert self._resting is not None
         (force, _, field), (resting, _, first) = self._blocks[-1], self._resting
-        if stage is GuideStep.TURN:
+        if step is GuideStep.TURN:
             swing = float(np.linalg.norm(field - first)) / max(float(np.linalg.norm(first)), 1e-12)
             self._done_moving |= abs(self._angle) > TUNING.angle or swing > TUNING.swing
         else:
             self._done_moving |= angle_between(force, resting) > TUNING.lift
         if not (self._done_moving and self._stands(TUNING.rest)):
             return False
-        return stage is not GuideStep.TURN or self._has_stopped()
+        return step is not GuideStep.TURN or self._has_stopped()
 
     def _has_stopped(self) -> bool:
-        """Return whether the turn has ended by the sensor that showed it, whatever its unit."""
-        # In the second of a rest a slow turn moves the field less than `still` allows.
+        """Return whether the turn has ended, by the sensor that measured it, in any unit."""
+        # Within `rest` seconds, a slow turn changes the field less than `still` allows.
         assert self._resting is not None
-        _, rate, field = np.swapaxes(self._blocks[self._stage_start :], 0, 1)
+        _, rate, field = np.swapaxes(self._blocks[self._step_start :], 0, 1)
         by_gyro = abs(self._angle) > TUNING.angle
         moved = rate - self._resting[1] if by_gyro else np.diff(field, axis=0)
         pace = np.linalg.norm(moved, axis=1)
@@ -155,7 +155,7 @@ class Guide:
         return bool(np.nanmax(pace[-count:]) < TUNING.stopped * np.nanmax(pace))
 
     def _stands(self, seconds: float) -> bool:
-        """Return whether gravity and field have not moved for so long."""
+        """Return whether gravity and field have not changed during the last `seconds`."""
         count = max(2, round(seconds / TUNING.block))
         if len(self._blocks) < count:
             return False
@@ -168,8 +168,8 @@ class Guide:
         is_calm = bool((away < swing * np.linalg.norm(field)).all())
         return is_calm and all(angle_between(each, force) < lean for each in last[:, 0])
 
-    def _end(self, stage: GuideStep, is_seen: bool, now: float) -> None:
-        self.ended[stage] = is_seen
+    def _end(self, step: GuideStep, is_seen: bool, now: float) -> None:
+        self.ended[step] = is_seen
         self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
         self._since, self._angle, self._done_moving = now, 0.0, False
-        self._stage_start = len(self._blocks)
+        self._step_start = len(self._blocks)

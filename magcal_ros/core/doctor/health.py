@@ -1,4 +1,4 @@
-"""The lines of the page, and the faults that single sensor streams show by themselves."""
+"""The findings on a page, and the faults that each sensor stream shows by itself."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from magcal_ros.core.samples.window import SensorLog, living_axes, white_noise
 class Finding:
     """One line of the page."""
 
-    key: str  # for programs: what is wrong, or was looked at
-    name: str  # what was looked at, for people
+    key: str  # identifier of the check or the fault, for programs
+    name: str  # name of the check, for people
     grade: Grade
-    """`EXCELLENT` where nothing is wrong, `GOOD` where the movement did not show it, `WARN` where
-    something is worth a look, `REFUSED` where a heading would be wrong."""
-    evidence: str  # the numbers
-    remedy: str = ""  # what to change; empty where nothing is wrong
+    """`EXCELLENT` if nothing is wrong, `GOOD` if the movement does not show it, `WARN` for a fault
+    worth checking, `REFUSED` for a fault that makes headings wrong."""
+    evidence: str  # the measured values
+    remedy: str = ""  # the change to make; empty if nothing is wrong
 
     @property
     def is_wrong(self) -> bool:
@@ -41,53 +41,53 @@ class Finding:
 
 
 def looked_at(key: str, name: str, evidence: str, remedy: str = "") -> Finding:
-    """Return a line that is worth a look where there is a remedy, and good where there is none."""
+    """Return a finding: a warning if there is a remedy, else excellent."""
     return Finding(key, name, Grade.WARN if remedy else Grade.EXCELLENT, evidence, remedy)
 
 
 def wrong(key: str, name: str, evidence: str, remedy: str) -> Finding:
-    """Return a line of what would make a heading wrong."""
+    """Return a finding on a fault that makes headings wrong."""
     return Finding(key, name, Grade.REFUSED, evidence, remedy)
 
 
 def not_shown(key: str, name: str, why: str) -> Finding:
-    """Return a line of what the movement did not show; `why` says which one would."""
+    """Return a finding on a quantity that is not determined; `why` says what is missing."""
     return Finding(key, name, Grade.GOOD, f"not shown: {why}")
 
 
 @dataclass(frozen=True)
 class HealthTuning:
-    """Where a fault of one stream begins, and when stamps are taken for those of two clocks."""
+    """Limits of the faults of one stream, and of stamps from two clocks."""
 
-    jitter: float = 0.5  # RMS deviation of the gaps over the usual gap that is worth a look
-    repeats: float = 0.05  # share of samples with the values of the one before
-    coarse: float = 0.5e-6  # tesla, step of the field's numbers
-    lattice: float = 0.05  # share of a step by which numbers on a grid may be off it
+    jitter: float = 0.5  # RMS deviation of the gaps, relative to the usual gap, with a warning
+    repeats: float = 0.05  # fraction of samples that repeat the sample before
+    coarse: float = 0.5e-6  # tesla, resolution of the field
+    lattice: float = 0.05  # largest deviation of numbers from a grid, relative to its step
     saturated: tuple[int, float] = (5, 1.5)
-    """Places along the other two axes, in twentieths of the field's size, at which one axis must
-    stand at its extreme; and how many times those just below the extreme."""
-    quiet: float = 10e-9  # tesla of noise that every magnetometer has
-    rounding: float = (
-        0.71  # steps of noise that a number shows which rises by half a step each time
-    )
-    by_chance: float = 1e-6  # probability that an axis stays at one number all the time
-    gravity: float = 0.15  # misfit of the usual acceleration
-    fewest: int = 50  # samples below which nothing is said of a stream
+    """Smallest number of cells, along the other two axes, in which a saturated axis is at its
+    extreme, and its ratio to the cells just below the extreme. A cell has a twentieth of the
+    field's size."""
+    quiet: float = 10e-9  # tesla, smallest noise of any magnetometer
+    rounding: float = 0.71  # apparent noise, in steps, of a number that rises half a step a sample
+    by_chance: float = 1e-6  # probability of a constant axis below which it is called stuck
+    gravity: float = 0.15  # relative difference of the usual specific force from gravity
+    fewest: int = 50  # samples below which a stream is not checked
     field_noise: float = 3e-6
     rate_noise: float = 0.3
-    """Tesla and rad/s per axis (1σ) that are worth a look; an engine shakes a gyro by a tenth."""
-    frozen: float = 1.0  # seconds for which a frozen sensor repeats one value
+    """Noise per axis (1σ) with a warning, tesla and rad/s. Engine vibration gives about 0.1."""
+    frozen: float = 1.0  # seconds from which a repeated value is that of a frozen sensor
     moving_rate: float = 0.09
     moving_field: float = 0.2
-    """rad/s of the gyro beyond its median, and share of the field's swing, that show movement."""
-    overlap: float = 0.5  # share of the shorter stream that the other one on its clock must cover
+    """Deviation of the gyro from its median, rad/s, and change of the field relative to its range,
+    from which the robot moves."""
+    overlap: float = 0.5  # smallest overlap of two streams on one clock, relative to the shorter
     pace_step: float = 0.1
     longest: float = 7200.0
-    """Seconds between the paces of gyro and field that are compared, and of the longest log."""
-    latency: float = 0.6  # seconds of shift below which it is a latency, not another clock
+    """Time step of the correlation of gyro and field, and the longest log for it, seconds."""
+    latency: float = 0.6  # seconds up to which a shift is a latency, not another clock
     alike: float = 0.55
     better: float = 0.2
-    """Correlation at a larger shift that is believed, and its lead over any within a latency."""
+    """Smallest correlation at a larger shift, and its lead over those within a latency."""
 
 
 TUNING = HealthTuning()
@@ -97,7 +97,7 @@ TURN_ON_THE_SPOT = (
 
 
 def numbers_findings(name: str, are_numbers: BoolArray) -> list[Finding]:
-    """Return a line where more than a few samples (n,) are not numbers."""
+    """Return a finding if more than a few samples (n,) are not finite."""
     share = 1.0 - float(are_numbers.mean())
     if share <= DIAGNOSIS.worth_a_word:
         return []
@@ -105,7 +105,7 @@ def numbers_findings(name: str, are_numbers: BoolArray) -> list[Finding]:
 
 
 def stamps_finding(name: str, time: FloatArray) -> Finding:
-    """Look at a stream's stamps, seconds, increasing; at least two."""
+    """Check a stream's stamps: seconds, increasing, at least two."""
     gaps = np.diff(time)
     usual = float(np.median(gaps))
     deviations = np.clip(gaps / usual - 1.0, -1.0, 3.0)
@@ -123,7 +123,7 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
         )
         return looked_at("slow", f"{name}: stamps", evidence, slow)
     if words := bursts_in_words(time):
-        # The usual gap is one within a burst.
+        # The median gap is within a burst and does not give the rate.
         rate = len(gaps) / float(time[-1] - time[0])
         evidence = f"{rate:.1f} Hz in bursts, gaps of at most {gaps.max():.2f} s"
         return wrong("bursts", f"{name}: stamps", evidence, words)
@@ -137,10 +137,10 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
 
 
 def are_samples_lost(deviations: FloatArray) -> bool:
-    """Return whether gaps (n,) deviate from the usual one because samples are lost.
+    """Return whether the gaps' `deviations` (n,) come from lost samples rather than jitter.
 
-    A stamp that is late makes its gap longer and later ones shorter: over many gaps it is gone.
-    What lost samples add stays, as the steps of a random walk do. The nearer of the two counts.
+    A late stamp makes one gap longer and the next shorter: the sum of many gaps does not change.
+    Lost samples add to this sum like the steps of a random walk. Its variance decides.
     """
     own = deviations - np.mean(deviations)
     path = accumulated(own)
@@ -149,9 +149,10 @@ def are_samples_lost(deviations: FloatArray) -> bool:
 
 
 def repeats_finding(name: str, values: FloatArray) -> Finding:
-    """Look for values (n, d) of the sample before.
+    """Check for duplicate samples in values (n, d).
 
-    Coarse numbers repeat by chance, each axis for itself, and a frozen sensor for long.
+    Coarse numbers repeat by chance, independently on each axis. Long runs are of a frozen sensor,
+    and are not counted.
     """
     same = repeats(values)
     long = in_long_runs(same)
@@ -164,7 +165,7 @@ def repeats_finding(name: str, values: FloatArray) -> Finding:
 
 
 def in_long_runs(same: BoolArray) -> BoolArray:
-    """Return which flags (n,) stand in a run of ten or more."""
+    """Return which flags (n,) are in a run of ten or more."""
     out = np.zeros(len(same), dtype=np.bool_)
     for first, end in runs(same):
         out[first:end] = end - first >= 10
@@ -172,19 +173,19 @@ def in_long_runs(same: BoolArray) -> BoolArray:
 
 
 def repeats(values: FloatArray) -> BoolArray:
-    """Return which rows (n, d) are those before them, shape (n,)."""
+    """Return which rows (n, d) equal the row before, shape (n,)."""
     same = np.zeros(len(values), dtype=np.bool_)
     same[1:] = (np.diff(values, axis=0) == 0.0).all(axis=1)
     return same
 
 
 def _in_words(field: float, unit: str) -> str:
-    """Write a field in microtesla, or as it is published if that has the wrong `unit`."""
+    """Write a field in microtesla, or as published if `unit` says that the unit is wrong."""
     return f"{field:.3g} T as published" if unit else f"{field * 1e6:.3g} µT"
 
 
 def field_findings(field: FloatArray) -> list[Finding]:
-    """Look at raw field samples in tesla, shape (n, 3), in the order in which they came."""
+    """Check raw field samples, tesla, shape (n, 3), in the order of arrival."""
     size = usual_size(field)
     unit = likely_field_unit(size)
     line = wrong if unit else looked_at
@@ -208,7 +209,7 @@ def field_findings(field: FloatArray) -> list[Finding]:
 
 
 def gravity_size_finding(force: FloatArray) -> Finding:
-    """Look at the length of specific force (n, 3), m/s² as published."""
+    """Check the size of specific force (n, 3), m/s² as published."""
     size = usual_size(force)
     hint = ""
     if abs(size / STANDARD_GRAVITY - 1.0) > TUNING.gravity:
@@ -221,7 +222,7 @@ def gravity_size_finding(force: FloatArray) -> Finding:
 
 
 def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None) -> Finding:
-    """Look for axes of (n, 3) that never change; `force` (m, 3) shows which one points up."""
+    """Check for axes of values (n, 3) that never change; `force` (m, 3) gives the vertical."""
     still = unchanging(values)
     evidence = f"{3 - len(still)} of 3 axes change"
     if not still:
@@ -239,7 +240,7 @@ def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None
 
 
 def up_axis(force: FloatArray) -> int:
-    """Return the axis that is closest to the vertical by specific force (n, 3)."""
+    """Return the axis closest to the vertical, by specific force (n, 3)."""
     return int(np.argmax(np.abs(force.mean(axis=0))))
 
 
@@ -251,14 +252,15 @@ def unchanging(values: FloatArray) -> list[int]:
 def stuck_axes(field: FloatArray) -> list[int]:
     """Return the axes of a field (n, 3) that never change although noise would change them.
 
-    The other axes show noise and resolution: a coarse number of a quiet sensor may well stay.
+    Noise and resolution are those of the other axes. An axis of a quiet sensor with a coarse
+    resolution may be constant by chance.
     """
     stuck = unchanging(field)
     others = np.delete(field, stuck, axis=1)
     if not 0 < len(stuck) < 3 or len(field) < TUNING.fewest:
         return []
     steps = np.array([_step(axis) for axis in others.T])
-    # What rounding adds is no noise that would change the number: most on a slow rise.
+    # Rounding looks like noise, most on a slow rise, but does not change a constant number.
     own = white_noise(others) ** 2 - (TUNING.rounding * steps) ** 2
     noise = math.sqrt(max(0.0, float(own.min())))
     if noise < TUNING.quiet:
@@ -268,16 +270,17 @@ def stuck_axes(field: FloatArray) -> list[int]:
 
 
 def dead_axes(rate: FloatArray) -> list[int]:
-    """Return the axes of a gyro (n, 3) that its driver does not read; none of an absent one."""
+    """Return the axes of a gyro (n, 3) that its driver does not read; empty without a gyro."""
     living = living_axes(rate)
     return [axis for axis in range(3) if not living[axis]] if any(living) else []
 
 
 def saturated(field: FloatArray, axis: int) -> BoolArray:
-    """Return which samples (n, 3) stand at the end of an axis' range, shape (n,).
+    """Return which samples (n, 3) are at the end of the range of `axis`, shape (n,).
 
-    A range that ends shows in many places of the other two axes; a robot that rests there, or a
-    coarse number at the top of its swing, in few more than just below.
+    A saturated axis is at its extreme for many different values of the other two axes. Without
+    saturation (a robot at rest, or coarse numbers near a maximum), there are hardly more such
+    values than just below the extreme.
     """
     values, others = field[:, axis], np.delete(field, axis, axis=1)
     none = np.zeros(len(values), dtype=np.bool_)
@@ -305,13 +308,13 @@ def _axes(which: list[int]) -> str:
 
 
 def _step(values: FloatArray) -> float:
-    """Return the step of numbers (n,) that lie on a grid; zero where they lie on none."""
+    """Return the step of numbers (n,) on a regular grid; zero if they are on none."""
     gaps = np.diff(np.unique(values))
     gaps = gaps[gaps > 1e-6 * float(np.abs(values).max())]
     if len(gaps) < 3:
         return 0.0
     step = float(gaps.min())
-    # Float32 on the way makes grids a little uneven.
+    # Conversion to float32 makes grids slightly uneven.
     step = float(np.median(gaps[gaps < 1.5 * step]))
     near = gaps[gaps < 9.5 * step] / step
     off = np.abs(near - np.rint(near))
@@ -320,9 +323,9 @@ def _step(values: FloatArray) -> float:
 
 
 def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
-    """Look at the scatter of both sensors; each stream has three samples or more.
+    """Check the noise of both sensors, by clean streams of three samples or more.
 
-    The streams are clean, and `factor` makes rad/s of the gyro's numbers.
+    `factor` converts the gyro's numbers to rad/s.
     """
     field = float(white_noise(log.field).max())
     unit = likely_field_unit(usual_size(log.field))

@@ -1,13 +1,12 @@
 """Latency of field and accelerometer, the field of the motors, and turns on the spot.
 
-A vector that stands still in the world shows when a sensor measured it by how far it has turned.
-What moves it beside that is fitted with the latency: the sensor's own installation, scale and
-offset, the gyro's bias and scale, the gyro's random walk in steps, and for an accelerometer that
-it does not sit on the axis of the turn. What remains sets the sigma, so it is what the rates and
-the noise of this movement allow.
+A vector that is constant in the world shows by its rotation when a sensor measured it. Fitted
+together with the latency are the sensor's installation, scale and offset, the gyro's bias, scale
+and random walk, and the accelerometer's lever arm. The sigma follows from the residuals, so it is
+the one that the rates and the noise of this movement allow.
 
-An IMU that is a metre from the axis of a turn feels the rate squared, in m/s². A vehicle that
-drives through a bend feels more. It comes to another place there, where the field is another one.
+One metre from the axis of a turn, the centripetal acceleration in m/s² is the rate squared. A
+vehicle in a bend measures more, and drives to places where the field is different.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import WEIGHED, Way
+from magcal_ros.core.doctor.explanations import LIMITS, Way
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import skews
@@ -38,31 +37,31 @@ from magcal_ros.core.samples.alignment import (
 )
 from magcal_ros.core.samples.window import SensorLog, stretch_of_log, white_noise
 
-OF_FIELD = replace(WIDE, field_floor=1e-3, freedom=10.0)
-OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
-"""What is believed of both; the accelerometer's offset counts in the changing part of gravity."""
+FIELD_PRIORS = replace(WIDE, field_floor=1e-3, freedom=10.0)
+FORCE_PRIORS = replace(FIELD_PRIORS, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
+"""Priors of both; the accelerometer's offset is relative to the changing part of gravity."""
 
 
 @dataclass(frozen=True)
 class LatencyTuning:
-    """How the latency of a sensor is fitted."""
+    """Priors and settings of the fit of a latency."""
 
     most: int = 1500  # samples; more are averaged
     lever: float = 0.3
-    """Metres, standard deviation of how far the accelerometer sits off the turn's axis."""
+    """Standard deviation of the accelerometer's lever arm from the turn's axis, metres."""
     walk_steps: int = 40  # of the gyro's random walk
-    walk: float = math.radians(0.01)  # radians in a second that a gyro without noise walks
-    shaken: float = 1.5  # seconds over which the noise is taken together
-    least: float = 1e-3  # seconds, standard deviation of the stamps' own habits
+    walk: float = math.radians(0.01)  # radians in a second, random walk of a noise-free gyro
+    shaken: float = 1.5  # seconds over which the noise is averaged
+    least: float = 1e-3  # seconds, standard deviation of the stamps' systematic errors
     steps: int = 4  # of the fit between two estimates of the noise
-    motors: float = 20e-6  # tesla, standard deviation of what motors add while the robot turns
-    turns: float = math.radians(5.0)  # rad/s about up above which motors turn the robot
-    starts: float = 0.2  # seconds over which that rate is averaged
-    in_time: float = 5e-3  # seconds, standard deviation of a latency that is taken for known
+    motors: float = 20e-6  # tesla, standard deviation of the motors' field in a turn
+    turns: float = math.radians(5.0)  # rad/s about the vertical from which motors turn the robot
+    starts: float = 0.2  # seconds over which this rate is averaged
+    in_time: float = 5e-3  # seconds, standard deviation of a known latency
 
 
 class Latency(NamedTuple):
-    """How late a sensor is, in seconds, and the standard deviation of that."""
+    """A sensor's latency and its standard deviation, seconds."""
 
     lag: float
     sigma: float
@@ -72,34 +71,36 @@ TUNING = LatencyTuning()
 
 
 def field_latency(log: SensorLog, way: Way) -> Latency | None:
-    """Return the field's latency by one way, or None. The log is in rad/s and body axes."""
+    """Return the field's latency by a hypothesis, or None. The log is in rad/s and body axes."""
     before = float(way.state[LAG])
-    start = _of_the_field(log, way, before)
+    start = _fit_of_the_field(log, way, before)
     if start is None:
         return None
-    motors, fit, state = _by_motors(*start, log), start[0], _descended(*start)
+    motors, fit, state = _motors_columns(*start, log), start[0], _linearisation_point(*start)
     found, beside = (_latency(before, *_fitted(fit, state, log, m)) for m in (None, motors))
-    # Between rests motors make the same step as a late field: the difference is a doubt of both.
+    # Between rests, a field of the motors looks like a latency: the difference adds to the sigma.
     return found._replace(sigma=math.hypot(found.sigma, found.lag - beside.lag))
 
 
 def motors_field(log: SensorLog, way: Way, lag: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return what the motors add to the field while the robot turns about up, tesla in body axes.
+    """Return the field of the motors while the robot turns about up, tesla in body axes.
 
-    Shape (3,), and the covariance (3, 3), which is that of the prior where it did not both rest and
-    turn. The field is late by `lag`, seconds; the rest is as in `field_latency`.
+    Shape (3,), with the covariance (3, 3); this is the prior's unless the robot both rests and
+    turns. `lag` is the field's latency, seconds; the other arguments are as in `field_latency`.
     """
-    start = _of_the_field(log, way, lag)
+    start = _fit_of_the_field(log, way, lag)
     if start is None:
         return None
     start[0].prior[LAG, LAG] = TUNING.in_time**-2
-    found, covariance = _fitted(start[0], _descended(*start), log, _by_motors(*start, log))
+    found, covariance = _fitted(
+        start[0], _linearisation_point(*start), log, _motors_columns(*start, log)
+    )
     return TUNING.motors * found[-3:], TUNING.motors**2 * covariance[-3:, -3:]
 
 
-def _by_motors(fit: AlignmentFit, state: FloatArray, log: SensorLog) -> FloatArray:
-    """Return what motors add beside turns, and in turns about up, of unit prior, (n, 3, 6)."""
-    # A nose may be lifted by hand or by motors.
+def _motors_columns(fit: AlignmentFit, state: FloatArray, log: SensorLog) -> FloatArray:
+    """Return the columns, of unit prior, of the motors' field outside and in turns, (n, 3, 6)."""
+    # The nose may be lifted by hand or by motors.
     rate = (1.0 + state[0, SCALE]) * fit.rate[0] - state[0, BIAS]
     width = rows_in(TUNING.starts, fit.stretch.time)
     about_up = np.abs(rate @ unit(np.median(log.force, axis=0)))
@@ -113,34 +114,36 @@ def _by_motors(fit: AlignmentFit, state: FloatArray, log: SensorLog) -> FloatArr
 
 
 def rows_in(seconds: float, time: FloatArray) -> int:
-    """Return how many of the rows with these stamps (n,) come in so many seconds; at least one."""
+    """Return the number of rows with stamps `time` (n,) in a span of `seconds`; at least one."""
     return max(1, int(seconds / max(float(np.median(np.diff(time))), 1e-4)))
 
 
-def _of_the_field(log: SensorLog, way: Way, lag: float) -> tuple[AlignmentFit, FloatArray] | None:
-    """Return the fit of the field by each sample, and where it begins."""
+def _fit_of_the_field(
+    log: SensorLog, way: Way, lag: float
+) -> tuple[AlignmentFit, FloatArray] | None:
+    """Return the fit of the field to single samples, and its initial state (1, 23)."""
     part = stretch_of_log(log, lag, TUNING.most, TUNING.most)
     if part is None:
         return None
     state = way.state[None].copy()
     state[:, LAG] = 0.0
     state[:, FIELD.start : IRON.stop] *= way.part.size / part.size
-    return AlignmentFit(part, way.field[None], way.gyro[None], OF_FIELD), state
+    return AlignmentFit(part, way.field[None], way.gyro[None], FIELD_PRIORS), state
 
 
 def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> AlignmentFit | None:
-    """Return the fit of the force to a gyro of these axes (3, 3); None for too few samples."""
+    """Return the fit of the force to a gyro with axes (3, 3); None for too few samples."""
     gravity = replace(log, field_time=log.imu_time, field=log.force)
     part = stretch_of_log(gravity, lag, TUNING.most, TUNING.most)
     if part is None:
         return None
-    return AlignmentFit(part, np.eye(3)[None], gyro[None], OF_FORCE, with_up=False)
+    return AlignmentFit(part, np.eye(3)[None], gyro[None], FORCE_PRIORS, with_up=False)
 
 
 def force_latency(log: SensorLog, way: Way) -> Latency | None:
-    """Return the accelerometer's latency, as `field_latency`; only leaning movements show it."""
+    """Return the accelerometer's latency, as `field_latency`; only a changing tilt shows it."""
     before, found = 0.0, None
-    for _ in range(WEIGHED.looks):
+    for _ in range(LIMITS.looks):
         fit = fit_of_the_force(log, way.gyro, before)
         if fit is None:
             break
@@ -148,15 +151,15 @@ def force_latency(log: SensorLog, way: Way) -> Latency | None:
         turns, part = skews(fit.rate[0]), fit.stretch
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
         lever *= TUNING.lever / part.size
-        found = _latency(before, *_fitted(fit, _descended(fit, state), log, lever))
-        if abs(found.lag - before) < WEIGHED.settled:
+        found = _latency(before, *_fitted(fit, _linearisation_point(fit, state), log, lever))
+        if abs(found.lag - before) < LIMITS.settled:
             break
         before = found.lag
     return found
 
 
-def _descended(fit: AlignmentFit, state: FloatArray) -> FloatArray:
-    """Return the state (1, 23) from which all else is linear."""
+def _linearisation_point(fit: AlignmentFit, state: FloatArray) -> FloatArray:
+    """Return the linearisation point (1, 23) of the final fit."""
     for _ in range(2):
         state = fit.descend(state, fit.noise(state, 0), TUNING.steps)
     return state
@@ -165,7 +168,7 @@ def _descended(fit: AlignmentFit, state: FloatArray) -> FloatArray:
 def _fitted(
     fit: AlignmentFit, state: FloatArray, log: SensorLog, more: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit all parameters, the gyro's walk, and `more` columns (n, 3, m); with the covariance."""
+    """Fit all parameters, the gyro's random walk and `more` columns; return the covariance, too."""
     time = fit.stretch.time
     residual, jacobian = (values[0, 0] for values in fit.linearised(state))
     attitude, _ = fit.propagate(state)
@@ -179,12 +182,12 @@ def _fitted(
     prior[: len(fit.prior), : len(fit.prior)] = fit.prior
     slope = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
     left, nu = residual, fit.tuning.freedom
-    for _ in range(WEIGHED.rounds):
+    for _ in range(LIMITS.rounds):
         variance = _noise_around(left, time)
         weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
         weight /= inefficiency(left / np.sqrt(variance)[:, None])
         root = np.sqrt(weight)[:, None]
-        # The product of one array with itself takes half the time of another.
+        # The product of an array with itself takes half the time of one with another array.
         rows = (root[:, None] * design).reshape(-1, count)
         information = rows.T @ rows + prior
         step = np.linalg.solve(information, rows.T @ (root * residual).ravel() - slope)
@@ -199,7 +202,7 @@ def _latency(before: float, found: FloatArray, covariance: FloatArray) -> Latenc
 
 
 def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:
-    """Return the variance per axis around each moment, shape (n,): who moves is shaken."""
+    """Return the local variance per axis, shape (n,): movement adds vibration."""
     power = np.sum(left**2, axis=1)
     usual = float(np.median(power))
     calm = running_mean(np.minimum(power, 20.0 * usual), rows_in(TUNING.shaken, time))
@@ -207,7 +210,7 @@ def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:
 
 
 def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:
-    """Return what each step of the gyro's random walk turns, of unit prior, (1, n, 3, m)."""
+    """Return the rotation by each step of the gyro's random walk, of unit prior, (1, n, 3, m)."""
     seconds = float(time[-1] - time[0]) / TUNING.walk_steps
     done = np.clip((time[:, None] - time[0]) / seconds - np.arange(TUNING.walk_steps), 0.0, 1.0)
     period = float(np.median(np.diff(log.imu_time)))
@@ -219,17 +222,17 @@ def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:
 
 @dataclass(frozen=True)
 class SpotTuning:
-    """How the felt acceleration of a turn is compared with that at rest."""
+    """How the acceleration in a turn is compared with that at rest."""
 
     mean: float = 0.5  # seconds over which rates and forces are averaged
     at_rest: float = 1.5  # seconds at the ends of a rest that show gravity
-    longest: float = 10.0  # seconds from a rest within which the gyro's attitude is believed
+    longest: float = 10.0  # seconds from a rest within which the gyro's attitude is used
     drift: float = math.radians(0.1)
     lean: float = math.radians(0.2)
-    """rad/s of the bias that is read at rest, and radians of an attitude: standard deviations."""
-    offset: float = 0.3  # m/s², standard deviation of the accelerometer's
-    independent: float = 5.0  # samples that all of a turn count for, as what is felt lasts
-    beyond: float = 2.0  # times what a turn on the spot explains
+    """Standard deviations of the bias measured at rest, rad/s, and of an attitude, radians."""
+    offset: float = 0.3  # m/s², standard deviation of the accelerometer's offset
+    independent: float = 5.0  # effective number of independent samples in all turns
+    beyond: float = 2.0  # times the acceleration that a turn on the spot explains
 
 
 SPOT = SpotTuning()
@@ -238,10 +241,10 @@ SPOT = SpotTuning()
 def drove_while_turning(
     log: SensorLog, gyro: FloatArray = np.eye(3), bias: FloatArray = np.zeros(3)
 ) -> bool:
-    """Return whether the robot felt more than a turn on the spot explains; False if not shown.
+    """Return whether the acceleration is beyond that of a turn on the spot; False if not shown.
 
-    The log has a gyro, whose axes are the rows of `gyro` (3, 3) in the body's; `bias` (3,) is
-    roughly that of its rates, rad/s.
+    The log needs a gyro. Rows of `gyro` (3, 3) are its axes in the body's, and `bias` (3,) is its
+    approximate bias, rad/s.
     """
     fit = fit_of_the_force(log, gyro)
     if fit is None:
@@ -268,7 +271,7 @@ def drove_while_turning(
     to_world = np.array([attitude[rows].mean(axis=0).T for _, rows in rests])
     felt = force[seen] - np.einsum("nij,nj->ni", attitude[seen], gravity[nearest[seen]])
     unsure = STANDARD_GRAVITY * np.hypot(SPOT.drift * since[seen], SPOT.lean)
-    allowed = np.hypot(WEIGHED.lever * about_up[seen] ** 2, unsure)
+    allowed = np.hypot(LIMITS.lever * about_up[seen] ** 2, unsure)
     left = _without_offset(felt, attitude[seen] @ to_world[nearest[seen]], up, allowed)
     return bool(np.median(np.linalg.norm(left, axis=1) / allowed) > SPOT.beyond)
 
@@ -286,8 +289,8 @@ def _ends_of_rests(still: BoolArray, width: int) -> list[tuple[int, slice]]:
 def _without_offset(
     felt: FloatArray, turned: FloatArray, up: FloatArray, sigma: FloatArray
 ) -> FloatArray:
-    """Return what is felt on the level, (n, 3), less what an accelerometer's offset explains."""
-    # The offset was taken for a part of gravity at rest, and turned (n, 3, 3) with it since.
+    """Return the horizontal acceleration (n, 3) minus the part that an offset explains."""
+    # At rest the offset was taken for gravity, and rotated with gravity (n, 3, 3) from then on.
     level = np.eye(3) - np.outer(up, up)
     seen = felt @ level
     design = level @ (np.eye(3) - turned)

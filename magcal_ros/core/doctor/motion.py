@@ -9,8 +9,8 @@ import numpy as np
 
 from magcal_ros.core.doctor.blame import AxesFound, Blame, blame, upright
 from magcal_ros.core.doctor.explanations import (
-    KNOWN,
-    WEIGHED,
+    LIMITS,
+    UNIT_ERRORS,
     Explanations,
     Way,
     explain,
@@ -29,7 +29,7 @@ from magcal_ros.core.samples.units import slow_words
 from magcal_ros.core.samples.window import SensorLog, stretch_of_log
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
-"""The movement that shows everything."""
+"""The movement that determines all quantities of a page."""
 
 FULL_TURN = "stand still, then turn a full circle"
 FASTER = "publish or record the IMU at a higher rate"
@@ -49,22 +49,22 @@ MOVE_THE_SENSOR = (
     "if motors turn the robot, their current adds a field, too large to be subtracted well. Move "
     "the sensor away from motors, motor drivers and battery wires, and twist each pair of wires"
 )
-"""What to do where the field changes as the robot sets off."""
+"""Remedies if the field changes when the robot starts to turn."""
 
 
 @dataclass(frozen=True)
 class MotionTuning:
-    """Where an error between the sensors is worth a word."""
+    """Limits of the errors between the sensors."""
 
     bias: float = math.radians(0.8)  # rad/s of the gyro's bias
     scale: float = 0.03  # relative error of the gyro's scale
-    at_rest: float = math.radians(0.1)  # rad/s, standard deviation of a bias that was read at rest
-    confirmed: float = 0.4  # share of the bias by which the rate at rest may be another
+    at_rest: float = math.radians(0.1)  # rad/s, standard deviation of a bias measured at rest
+    confirmed: float = 0.4  # largest difference from the rate at rest, relative to the bias
     lag: float = 0.015  # seconds between the sensors' stamps
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
     """Largest sigma of bias (rad/s), scale, and lag of field and of force (s) that is reported."""
     largest_noise: float = 0.25
-    """Usual change between neighbours, over the whole changing part, that is no noise at rest."""
+    """Usual difference of successive samples, relative to the changing part, of mere noise."""
 
 
 TUNING = MotionTuning()
@@ -75,17 +75,17 @@ GRAVITY_FIRST = "correct the accelerometer as said below, then check again"
 
 @dataclass(frozen=True, eq=False)
 class MotionFound:
-    """What was found, and by which explanation."""
+    """The findings of the comparison, and the hypothesis behind them."""
 
-    findings: tuple[Finding, ...]  # the lines
+    findings: tuple[Finding, ...]
     axes: AxesFound | None = None
-    """Of the magnetometer, where its axes are the wrong ones; None where nothing was shown."""
-    way: Way | None = None  # that is taken; None where none explains the movement
-    factor: float = 1.0  # what makes rad/s of the gyro's numbers
+    """The possible axes of the magnetometer; None if they are not determined."""
+    way: Way | None = None  # the chosen hypothesis; None if none explains the movement
+    factor: float = 1.0  # converts the gyro's numbers to rad/s
     up_is_down: bool | None = False
-    """Whether gravity's sign is wrong; None where that is not decided."""
+    """Whether gravity's sign is wrong; None if undecided."""
     body: SensorLog | None = None
-    """The log in rad/s and in body axes; None where nothing was compared."""
+    """The log in rad/s and in body axes; None if the sensors were not compared."""
 
 
 def compare(
@@ -108,13 +108,13 @@ def compare(
     factors = rate_factors(part)
     bias = NO_BIAS if rest is None else rest.rate
     beside = replace(part, turn=part.turn - part.seconds[:, None] * bias)
-    turns = most_turned(beside) >= WEIGHED.least_turn
+    turns = most_turned(beside) >= LIMITS.least_turn
     stands_still = rest is not None and rest.is_certain and not turns
     given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge, bias)
     if given is None:
         return _nothing_shown(log, rest if stands_still else None, turned_left)
     body = replace(body, rate=factor * body.rate)
-    # Where gravity points down, its sign may be wrong: then the field seems to point up.
+    # If gravity points down, its sign may be wrong, and then the field seems to point up.
     dip = knowledge.reference.inclination
     other = replace(given, inclination=Belief(-dip.value, dip.sigma))
     dead = bool(dead_axes(log.rate))
@@ -124,7 +124,7 @@ def compare(
         turned_left = not turned_left
     blamed = blame(explanations, knowledge, turned_left, dead)
     if stands.is_wrong and not up_is_down and any(each.is_wrong for each in blamed.findings):
-        # They are named in the axes of the IMU, which may be the ones to be corrected.
+        # Those findings are in the IMU's axes, which may need a correction themselves.
         blamed = Blame((not_shown("axes", "axes", GRAVITY_FIRST),), blamed.chosen)
     findings = [_unit(factor, factors is None), stands, *blamed.findings]
     way = None if blamed.chosen is None else explanations.way(blamed.chosen)
@@ -141,19 +141,19 @@ def compare(
 def _explained(
     log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge, bias: FloatArray
 ) -> tuple[Explanations | None, float]:
-    """Explain the movement with the gyro's unit: a known slip where only that fits well."""
+    """Explain the movement, with a known error of the gyro's unit if only this one fits well."""
     inclination = knowledge.reference.inclination
     slips = [f for f in factors or () if f != 1.0]
     ways = [(explain(replace(log, rate=f * log.rate), inclination, f * bias), f) for f in slips]
     slipped = [(float(w.rms.min()), f, w) for w, f in ways if w is not None]
     found = [each for each in slipped if each[2].shows_the_unit]
-    # Rates that only a slip makes rad/s take the longest to explain as they are.
+    # Rates in a wrong unit take longest to fit as they are, so the known errors come first.
     if not found or 1.0 in (factors or ()):
         given = explain(log, inclination, bias)
         if not found and given is not None and 1.0 not in (factors or (1.0,)):
-            # In a street no unit fits the field well.
+            # Among magnetic objects, as in a street, no unit fits the field well.
             found = [each for each in slipped if each[2].is_better(given)]
-        # A gyro that may be right and turned too little shows nothing.
+        # After too small a turn, a unit that may be right is kept.
         if not found or given is None or given.fits_well:
             return given, 1.0
     _, factor, way = min(found, key=lambda one: one[0])
@@ -163,7 +163,7 @@ def _explained(
 def _nothing_shown(
     log: SensorLog, rest: LongestRest | None, turned_left: bool | None
 ) -> MotionFound:
-    """Return that the sensors were not compared; a rest still shows the gyro's bias."""
+    """Return the findings without a comparison; a rest still shows the gyro's bias."""
     why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
     bias = not_shown("gyro_bias", "gyro: bias", why)
     findings = (
@@ -185,7 +185,7 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
     times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
     words = (
         f"the gyro's rates are {times:.3g} times too {size}, which looks like "
-        f"{dict(KNOWN)[factor]}; multiply them by {factor:.6g} in the driver"
+        f"{dict(UNIT_ERRORS)[factor]}; multiply them by {factor:.6g} in the driver"
     )
     return wrong("rate_unit", "gyro: unit", evidence, words)
 
@@ -193,12 +193,12 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
 def _gyro_errors(
     way: Way, factor: float, rest: LongestRest | None, restamped: bool
 ) -> tuple[Finding, Finding]:
-    """Return the lines on bias and scale."""
+    """Return the findings on the gyro's bias and scale."""
     state, sigma = way.state, way.sigma
     hidden = not_shown("gyro_bias", "gyro: bias", FULL_TURN)
     if not np.isfinite(sigma).all():
         return hidden, not_shown("rate_scale", "gyro: scale", FULL_TURN)
-    # In the gyro's own axes and numbers, so that it can be taken off in the driver.
+    # In the gyro's own axes and scale, so that the driver can subtract it.
     bias = way.gyro @ state[BIAS] / (1.0 + state[SCALE])
     off = math.sqrt(float((way.gyro**2 @ sigma[BIAS] ** 2).max()))
     if rest is not None and rest.is_certain and off > TUNING.vague[0]:
@@ -219,7 +219,7 @@ def _scale(way: Way, factor: float, restamped: bool) -> Finding:
         return not_shown("rate_scale", "gyro: scale", why)
     too_large = abs(scale) > max(TUNING.scale, CLEAR * off)
     evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
-    # Motors and iron that move the field during one turn look like it.
+    # Motors and iron that change the field during one turn look like a scale error.
     remedy = (
         "check again: stand still, turn a full circle on the spot, away from iron, and stand "
         f"still. If the field again turns by so much {'more' if scale > 0.0 else 'less'} than the "
@@ -241,7 +241,7 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
 
 
 def _latencies(log: SensorLog, way: Way) -> list[Finding]:
-    """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
+    """Return the findings on both latencies; if they are equal, the gyro's stamps are early."""
     field, field_lag = _shown(field_latency(log, way), TUNING.vague[2])
     force, force_lag = _shown(force_latency(log, way), TUNING.vague[3])
     if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < TUNING.lag:
@@ -270,7 +270,7 @@ def _latencies(log: SensorLog, way: Way) -> list[Finding]:
 
 
 def _shown(found: Latency | None, vague: float) -> tuple[Latency | None, float]:
-    """Return a latency that the movement shows, and its seconds where they are worth a word."""
+    """Return a latency, None if too uncertain, and its value in seconds, zero if too small."""
     if found is None or not found.sigma < vague:
         return None, 0.0
     is_small = abs(found.lag) < max(TUNING.lag, CLEAR * found.sigma)

@@ -1,6 +1,6 @@
 """The page of the doctor: every fault of the sensors, graded, with its remedy.
 
-And the refusal of a turn where the sensors are behind it, in the words of the page.
+A turn is refused with the same remedies if a fault of the sensors makes it unusable.
 """
 
 from __future__ import annotations
@@ -34,35 +34,36 @@ from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
 
-PAIRED = ("bursts", "stamps", "repeats")  # lines of which paired samples show nothing
+UNPAIRED_ONLY = ("bursts", "stamps", "repeats")  # keys of findings that need unpaired samples
 
 
 @dataclass(frozen=True)
 class Page:
-    """What was found."""
+    """All findings on the sensors of a log."""
 
-    findings: tuple[Finding, ...]  # all lines
+    findings: tuple[Finding, ...]
     mount_rpy_deg: tuple[int, int, int] | None = None
-    """The mounting that corrects the magnetometer's axes; None where none does, or none has to."""
-    used: AxesInUse | None = None  # what a drive's course can be compared with
-    axes: AxesFound | None = None  # what the movement shows of the magnetometer's axes
+    """The mounting that corrects the magnetometer's axes; None if they are right or not known, or
+    if no mounting corrects them."""
+    used: AxesInUse | None = None  # the compass to compare with a drive's course
+    axes: AxesFound | None = None  # the possible axes of the magnetometer
 
     @property
     def misleads(self) -> bool:
-        """Whether something is wrong that would make a heading wrong."""
+        """Whether a fault would make headings wrong."""
         return any(finding.grade is Grade.REFUSED for finding in self.findings)
 
     @property
     def parameters(self) -> str:
-        """The lines of a parameter file that correct what parameters can correct; may be empty."""
+        """The line of a parameter file that corrects the axes; empty if there is none."""
         return "" if self.mount_rpy_deg is None else parameter_line(self.mount_rpy_deg)
 
     def with_more(self, findings: Iterable[Finding]) -> Page:
-        """Return the page with more lines."""
+        """Return the page with more findings."""
         return replace(self, findings=(*self.findings, *findings))
 
     def with_course(self, gap: Belief, imu_yaw: Belief) -> Page:
-        """Return the page with what the course shows of the axes' yaw, which no turn can show."""
+        """Return the page with findings on the axes' yaw, which needs a course."""
         assert self.used is not None
         lines, mount = course_findings(self.used, gap, imu_yaw)
         page = self.with_more(lines)
@@ -72,9 +73,9 @@ class Page:
 def examine(
     log: SensorLog, knowledge: Knowledge = Knowledge(), turned_left: bool | None = None
 ) -> Page:
-    """Look at everything that a log shows of its sensors.
+    """Check the sensors of a log for all known faults.
 
-    `turned_left` is what the user says of the turn; None where that was not asked.
+    `turned_left` is whether the user turned the robot to the left; None if unknown.
     """
     prepared = prepare(log)
     left = prepared.log
@@ -95,37 +96,37 @@ def examine(
     return Page(tuple(lines), mount, used, axes)
 
 
-# A refusal and a report ask the same of the same turn, several times.
+# A refusal and a report examine the same turn several times.
 @lru_cache(maxsize=1)
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
-    """Look at what the samples of a turn show, which are paired and cleaned already."""
+    """Check the sensors by the samples of a turn, which are already paired and cleaned."""
     page = examine(SensorLog.of_window(window), knowledge)
-    kept = [f for f in page.findings if f.key not in PAIRED]
+    kept = [f for f in page.findings if f.key not in UNPAIRED_ONLY]
     return replace(page, findings=tuple(kept))
 
 
 AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")
-"""Lines of the page that say why field, gyro and gravity disagree."""
+"""Keys of the findings that explain why field, gyro and gravity disagree."""
 
 
 def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose axes are certainly wrong; None where they may be right."""
+    """Return a refusal if axes are certainly wrong; None if they may be right."""
     refusal = _wrong_gyro(window, knowledge)
     if refusal is not None or window.angular_rate is None:
         return refusal
-    certain = _by_the_page(window, knowledge, least=Grade.REFUSED)
+    certain = _refusal_from_page(window, knowledge, least=Grade.REFUSED)
     return None if certain is None else wrong_stamps(window) or certain
 
 
 def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of readings that no fit can use, seen before the work; None of others.
+    """Return a refusal of readings that no fit can use; None if a fit can be tried.
 
-    What is cut off at the end of a range looks like a smaller hard iron, and every prior of a fit
-    is in tesla.
+    Saturation makes the hard iron look smaller, and a field in another unit contradicts the priors
+    of a fit, which are in tesla.
     """
     for found in field_findings(window.field) if len(window) >= 3 else ():
         if found.is_wrong and found.key == WRONG_UNIT:
-            return _by_the_page(window, knowledge, (WRONG_UNIT,))
+            return _refusal_from_page(window, knowledge, (WRONG_UNIT,))
         if found.is_wrong and found.key == "saturation":
             words = f"the magnetometer saturates ({found.evidence}); {found.remedy}"
             return Refusal(Reason.NO_SOLUTION, words)
@@ -136,12 +137,12 @@ def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
 
 
 def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose gyro is frozen, dead in z, or in another unit."""
+    """Return a refusal if the gyro is frozen, dead about the vertical, or in a wrong unit."""
     rate = window.angular_rate
     if rate is None or len(window) < 3:
         return None
     if rate.any() and not np.ptp(rate, axis=0).any():
-        return _by_the_page(window, knowledge, ("frozen",))
+        return _refusal_from_page(window, knowledge, ("frozen",))
     if up_axis(window.specific_force) in dead_axes(rate):
         return Refusal(
             Reason.AXES_DISAGREE,
@@ -151,12 +152,12 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
         )
     stretch = stretch_of_log(SensorLog.of_window(window))
     if stretch is not None and set(rate_factors(stretch) or ()) - {1.0}:
-        return _by_the_page(window, knowledge, ("rate_unit",))
+        return _refusal_from_page(window, knowledge, ("rate_unit",))
     return None
 
 
 def wrong_stamps(window: Window) -> Refusal | None:
-    """Return the refusal of a turn with a gyro whose stamps come in bursts; None of others."""
+    """Return a refusal if there is a gyro and the stamps come in bursts; else None."""
     bursts = "" if window.angular_rate is None else bursts_in_words(window.time)
     if not bursts:
         return None
@@ -164,17 +165,17 @@ def wrong_stamps(window: Window) -> Refusal | None:
 
 
 def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
-    """Return a method's refusal, or that of the wrong axes behind it."""
+    """Return the refusal for wrong axes if they caused a method's refusal, else the latter."""
     wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
     return explained(refusal, window) if wrong is None else wrong
 
 
 def blamed_on_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
-    """Return the refusal of a turn that was not seen, or what the page finds of the sensors."""
-    return _wrong_gyro(window, knowledge) or _by_the_page(window, knowledge) or refusal
+    """Return the refusal of a turn that was not detected, or that for the faults behind it."""
+    return _wrong_gyro(window, knowledge) or _refusal_from_page(window, knowledge) or refusal
 
 
-def _by_the_page(
+def _refusal_from_page(
     window: Window, knowledge: Knowledge, lines: tuple[str, ...] = AXES, least: Grade = Grade.WARN
 ) -> Refusal | None:
     findings = examine_window(window, knowledge).findings

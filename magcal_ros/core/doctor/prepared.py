@@ -17,7 +17,7 @@ from magcal_ros.core.samples.window import SensorLog, is_noiseless
 
 
 def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
-    """Return means (k, 3) between edges (k + 1,); not a number where nothing lies between."""
+    """Return the means (k, 3) between neighbouring edges (k + 1,); NaN if there are no values."""
     total = accumulated(values)
     rows = np.searchsorted(time, edges)
     number = np.diff(rows)
@@ -27,17 +27,17 @@ def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> Floa
 
 @dataclass(frozen=True, eq=False)
 class CleanLog:
-    """A log of finite, fresh samples with increasing stamps."""
+    """A log of finite samples with increasing stamps, without duplicates, and its findings."""
 
-    log: SensorLog  # what is left
-    findings: tuple[Finding, ...]  # what the streams show by themselves
+    log: SensorLog  # the remaining samples
+    findings: tuple[Finding, ...]  # faults of each stream by itself, and of the clocks
     restamped: bool  # whether stamps came in bursts and were spread evenly
 
 
 def prepare(log: SensorLog) -> CleanLog:
-    """Look at the streams of a log by themselves, and clean it."""
-    log = _taken(log, np.isfinite(log.imu_time), np.isfinite(log.field_time))
-    # Microseconds since 1970 leave few digits for a gap.
+    """Check each stream of a log by itself, and clean the log."""
+    log = _selected(log, np.isfinite(log.imu_time), np.isfinite(log.field_time))
+    # A double of seconds since 1970 has few digits left for a gap.
     first = np.concatenate([log.imu_time, log.field_time]).min(initial=math.inf)
     log = replace(log, imu_time=log.imu_time - first, field_time=log.field_time - first)
     findings: list[Finding] = []
@@ -56,7 +56,7 @@ def prepare(log: SensorLog) -> CleanLog:
             log = replace(log, **{f"{name}_time": spread_each(time) if even is None else even})
     imu &= np.linalg.norm(log.force, axis=1) > 0.0
     field &= np.linalg.norm(np.where(field[:, None], log.field, 0.0), axis=1) > 0.0
-    log = _taken(log, imu, field)
+    log = _selected(log, imu, field)
     if len(log.field) > TUNING.fewest:
         findings += [*health.field_findings(log.field), health.repeats_finding("field", log.field)]
     if len(log.force) > TUNING.fewest:
@@ -65,7 +65,7 @@ def prepare(log: SensorLog) -> CleanLog:
         findings.append(health.alive_finding("accelerometer", log.force))
         if log.has_gyro and not is_noiseless(log.rate):
             findings.append(health.alive_finding("gyro", log.rate, log.force))
-    log = _fresh(log)
+    log = _without_duplicates(log)
     if min(len(log.force), len(log.field)) > TUNING.fewest:
         log, clocks = on_one_clock(log)
         findings += clocks
@@ -76,50 +76,49 @@ def prepare(log: SensorLog) -> CleanLog:
 
 
 def _numbers(log: SensorLog) -> tuple[BoolArray, BoolArray]:
-    """Return which samples of IMU (n,) and field (m,) are numbers; an absent gyro is no fault."""
+    """Return which samples of IMU (n,) and field (m,) are finite; an absent gyro is no fault."""
     measured = np.column_stack([log.force, log.rate]) if log.has_gyro else log.force
-    # Drivers mark what is void by enormous numbers, whose squares are not finite.
+    # Drivers mark invalid samples by enormous numbers, whose squares overflow.
     with np.errstate(over="ignore", invalid="ignore"):
         field = np.linalg.norm(log.field, axis=1)
     return np.asarray(np.isfinite(measured).all(axis=1)), np.isfinite(field)
 
 
 def _gravity_size(log: SensorLog) -> Finding:
-    """Look at the length of specific force without what a lever arm adds, if a gyro shows that."""
-    log = _taken(log, _increasing(log.imu_time), np.ones(len(log.field), dtype=np.bool_))
+    """Check the size of specific force, without the effect of a lever arm if there is a gyro."""
+    log = _selected(log, _increasing(log.imu_time), np.ones(len(log.field), dtype=np.bool_))
     if not log.has_gyro:
         return health.gravity_size_finding(log.force)
     return health.gravity_size_finding(force_on_the_axis(log.imu_time, log.force, log.rate))
 
 
-def _taken(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
+def _selected(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
     return SensorLog(
         log.imu_time[imu], log.force[imu], log.rate[imu], log.field_time[field], log.field[field]
     )
 
 
-def _fresh(log: SensorLog) -> SensorLog:
-    """Leave out repeated samples, those at the end of a range, and stamps that do not increase."""
+def _without_duplicates(log: SensorLog) -> SensorLog:
+    """Leave out repeated and saturated samples, and those whose stamps do not increase."""
     held = np.zeros(len(log.field), dtype=np.bool_)
     if len(log.field) > TUNING.fewest:
         for axis in range(3):
             held |= health.saturated(log.field, axis)
     imu = _increasing(log.imu_time)
     field = _increasing(log.field_time) & ~held
-    # A short repetition is one of the driver, a long one of a frozen sensor, which is another
-    # fault.
+    # The driver repeats a sample a few times; a frozen sensor, another fault, repeats it for long.
     field &= ~health.repeats(log.field) | health.in_long_runs(health.repeats(log.field))
-    return _taken(log, imu, field)
+    return _selected(log, imu, field)
 
 
 def _increasing(time: FloatArray) -> BoolArray:
-    """Return the rows whose stamp is beyond all before it."""
+    """Return which rows have a later stamp than all rows before."""
     latest = np.maximum.accumulate(np.append(-np.inf, time))
     return np.asarray(time > latest[:-1])
 
 
 def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
-    """Find sensors that say the same while another one moves; keep what is longest without."""
+    """Find sensors that are frozen during a movement; keep the longest part without them."""
     found = []
     streams = [("accelerometer", log.imu_time, log.force), ("field", log.field_time, log.field)]
     if log.has_gyro and not is_noiseless(log.rate):
@@ -142,11 +141,11 @@ def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
     low, high = max(free, key=lambda piece: piece[1] - piece[0], default=(0.0, 0.0))
     imu = (log.imu_time >= low) & (log.imu_time <= high)
     field = (log.field_time >= low) & (log.field_time <= high)
-    return _taken(log, imu, field), found
+    return _selected(log, imu, field), found
 
 
 def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
-    """Return whether another sensor than this one sees the robot move meanwhile."""
+    """Return whether a sensor other than `name` measures a movement in the span, seconds."""
     if name != "gyro" and log.has_gyro:
         size = np.linalg.norm(log.rate - np.median(log.rate[:50], axis=0), axis=1)
         inside = (log.imu_time > span[0]) & (log.imu_time < span[1])
@@ -166,14 +165,14 @@ ONE_CLOCK = (
 
 
 def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
-    """Return the log with the field's stamps on the IMU's clock, and a line where they were not."""
+    """Return the log with the field's stamps on the IMU's clock, and a finding if they changed."""
     starts = log.imu_time[0], log.field_time[0]
     ends = log.imu_time[-1], log.field_time[-1]
     shorter = min(end - start for start, end in zip(starts, ends, strict=True))
     overlap = min(ends) - max(starts) > TUNING.overlap * shorter
-    # What was recorded together began together, roughly.
+    # Streams of one recording begin at about the same time.
     off = 0.0 if overlap else float(starts[1] - starts[0])
-    off += _apart(replace(log, field_time=log.field_time - off))
+    off += _clock_shift(replace(log, field_time=log.field_time - off))
     if not off:
         return log, ()
     size = f"{abs(off):.1f} s" if abs(off) < 1e5 else f"{abs(off):.4g} s"
@@ -182,21 +181,21 @@ def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
     return replace(log, field_time=log.field_time - off), (line,)
 
 
-def _apart(log: SensorLog) -> float:
-    """Return by how many seconds the field turns later than the gyro; zero for a mere latency."""
+def _clock_shift(log: SensorLog) -> float:
+    """Return how much later the field's stamps are than the gyro's, s; zero for a mere latency."""
     first = min(log.imu_time[0], log.field_time[0])
     last = max(log.imu_time[-1], log.field_time[-1])
     if not log.has_gyro or last - first > TUNING.longest:
         return 0.0
     edges = np.arange(first, last + TUNING.pace_step, TUNING.pace_step)
-    # A sensor that is frozen does not show when the robot turned.
+    # A frozen sensor does not show when the robot turned.
     fresh = ~health.in_long_runs(health.repeats(log.rate))
     gyro = np.linalg.norm(block_means(log.imu_time[fresh], log.rate[fresh], edges), axis=1)
     fresh = ~health.in_long_runs(health.repeats(log.field))
     field = block_means(log.field_time[fresh], log.field[fresh], edges)
     moved = np.zeros(len(gyro))
     moved[1:-1] = np.linalg.norm(field[2:] - field[:-2], axis=1)
-    # One jolt of each sensor is alike at some shift by chance.
+    # Peaks are cut: single jolts of both sensors would correlate at some shift by chance.
     gyro, moved = (np.minimum(each, math.sqrt(np.nanmean(each**2))) for each in (gyro, moved))
     one, two = (np.nan_to_num(values - np.nanmean(values)) for values in (gyro, moved))
     power = float(np.linalg.norm(one) * np.linalg.norm(two))

@@ -1,4 +1,4 @@
-"""Known faults of drivers: how they show in a log, and what corrects them."""
+"""Known faults of drivers: how a log shows them, and the remedies."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.units import FIELD_UNITS
 from magcal_ros.core.samples.window import SensorLog
 
-WRAP = 2.0**32 * 1e-6  # seconds after which a clock of 32 bits that counts microseconds begins anew
+WRAP = 2.0**32 * 1e-6  # seconds until a 32-bit counter of microseconds wraps around
 
 AK8963_IN_MPU9250 = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 AK09916_IN_ICM20948 = np.diag([1.0, -1.0, -1.0])
-"""Rows: the magnetometer's axes in those of the same chip's accelerometer."""
+"""Rows are the magnetometer's axes in the axes of the accelerometer on the same chip."""
 
 NO_NORTH = (
     "do not use the yaw of this orientation as a heading: use compass/mag/enu/imu, or let the "
     "sensor publish its rotation vector, which uses the magnetometer"
 )
 
-INVERTED = -np.eye(3)  # as a field that points up looks where the inclination is known
+INVERTED = -np.eye(3)  # axes that look like a field that points up, if the inclination is known
 
 FIELD_POINTS_UP = (
     "the field's inclination has the opposite sign to the reference's. A simulator may publish "
@@ -40,23 +40,23 @@ FIELD_POINTS_UP = (
 class Quirk:
     """A known fault of a driver."""
 
-    driver: str  # which drivers have it
-    habit: str  # what it publishes
-    remedy: str  # what to change
-    line: str = "driver"  # which line of the page names it
+    driver: str  # names of the drivers
+    habit: str  # description of the fault
+    remedy: str
+    line: str = "driver"  # `Finding.name` of the finding on the fault
     shows: Callable[[SensorLog, FloatArray | None], bool] | None = None
-    """Whether a log shows it, given the magnetometer's axes (3, 3) in the IMU's where they alone
-    err; None where the line that finds the fault names the driver itself."""
+    """Whether a log has the fault. The second argument is the magnetometer's axes (3, 3) in the
+    IMU's, if only these are wrong. None if another check finds the fault."""
 
 
-def _every_other_is_void(log: SensorLog, _: FloatArray | None) -> bool:
+def _alternates_with_invalid(log: SensorLog, _: FloatArray | None) -> bool:
     void = np.asarray(~(np.abs(log.field) < 1e100).all(axis=1))
-    # Of random gaps as many, half of the changes would be missing.
+    # If as many were invalid at random, half of the changes would be missing.
     return len(void) > 1 and float(np.mean(void[1:] != void[:-1])) > 0.75
 
 
 def _leads_by(seconds: float, within: float) -> Callable[[SensorLog, FloatArray | None], bool]:
-    """Return whether the field's stamps lead by so much, at the beginning and at the end."""
+    """Return a test that the field's stamps lead by `seconds`, at the beginning and the end."""
 
     def shows(log: SensorLog, _: FloatArray | None) -> bool:
         imu, field = (time[np.isfinite(time)] for time in (log.imu_time, log.field_time))
@@ -68,7 +68,7 @@ def _leads_by(seconds: float, within: float) -> Callable[[SensorLog, FloatArray 
     return shows
 
 
-def _sits_as(habit: FloatArray) -> Callable[[SensorLog, FloatArray | None], bool]:
+def _has_axes(habit: FloatArray) -> Callable[[SensorLog, FloatArray | None], bool]:
     return lambda _, axes: axes is not None and np.array_equal(axes, habit)
 
 
@@ -87,7 +87,7 @@ QUIRKS: tuple[Quirk, ...] = (
         "Phidgets Spatial",
         "publishes NaN or 1e296 in every second message, between two readings of its magnetometer",
         ("lower the driver's data rate to the magnetometer's; until then these are left out"),
-        shows=_every_other_is_void,
+        shows=_alternates_with_invalid,
     ),
     Quirk(
         "SBG Systems",
@@ -105,19 +105,19 @@ QUIRKS: tuple[Quirk, ...] = (
         "MPU-9250",
         "publishes the magnetometer's own axes, which are the accelerometer's y, x, -z",
         "set the mount_rpy_deg that the page names, or turn the axes in the driver",
-        shows=_sits_as(AK8963_IN_MPU9250),
+        shows=_has_axes(AK8963_IN_MPU9250),
     ),
     Quirk(
         "ICM-20948 or a driver in forward-right-down axes",
         "publishes the magnetometer's own axes, which are the accelerometer's x, -y, -z",
         "set the mount_rpy_deg that the page names, or turn the axes in the driver",
-        shows=_sits_as(AK09916_IN_ICM20948),
+        shows=_has_axes(AK09916_IN_ICM20948),
     ),
     Quirk(
         "Gazebo",
         "publishes its world's field in north-east-down axes (NED): it points up",
         "set use_earth_frame_ned to false in the magnetometer's plugin",
-        shows=_sits_as(INVERTED),
+        shows=_has_axes(INVERTED),
     ),
     Quirk(
         "BNO08x",
@@ -129,9 +129,9 @@ QUIRKS: tuple[Quirk, ...] = (
 
 
 def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding]:
-    """Return a line for each driver whose habit a log shows.
+    """Return a finding for each driver whose known fault a log has.
 
-    `axes` (3, 3) are the magnetometer's, rows in the IMU's, where they alone err.
+    Rows of `axes` (3, 3) are the magnetometer's axes in the IMU's, if only these are wrong.
     """
     return [
         looked_at("driver", "driver", f"as {each.driver}: {each.habit}", each.remedy)
@@ -142,23 +142,23 @@ def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding
 
 @dataclass(frozen=True)
 class YawTuning:
-    """How far a driver's yaw may be off the magnetic yaw, and how well a log shows it."""
+    """Limits of the difference between the yaw of a driver's orientation and the magnetic yaw."""
 
-    declination: float = math.radians(25.0)  # largest where people live, where no place is given
+    declination: float = math.radians(25.0)  # largest in inhabited places, if no place is given
     own: float = math.radians(8.0)
-    """Sigma of the mean error, over a turn or a part of it, of a driver's own compass."""
-    sigma: float = math.radians(15.0)  # radians; a log that shows it worse shows nothing
+    """Sigma of the mean error of a driver's own compass during a turn or a part of it."""
+    sigma: float = math.radians(15.0)  # largest sigma of a difference that is reported
 
 
 YAW = YawTuning()
 
 
 def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
-    """Compare the yaw of the driver's orientation with the field; nothing where it has none.
+    """Compare the yaw of the driver's orientation with the field; empty without an orientation.
 
-    In the world of this orientation the field is one vector, and the hard iron one in the
-    magnetometer's axes: both follow from a turn by linear least squares. The direction of the
-    vector is how far this world's north is off.
+    The field is constant in the world frame of this orientation, and the hard iron in body axes.
+    Both follow from a turn by linear least squares. The direction of the field gives the error of
+    this frame's north.
     """
     if log.orientation is None or not len(log.field) or not len(log.imu_time):
         return []
@@ -177,8 +177,8 @@ def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
     axes = np.broadcast_to(np.eye(3), to_world.shape)
     design = np.concatenate([np.swapaxes(to_world, 1, 2), axes], axis=2).reshape(-1, 6)
     found = np.linalg.lstsq(design, field.ravel(), rcond=None)[0]
-    # What is left is soft iron and wrong attitudes, which last: it does not average out. Neither
-    # vector is longer than the readings.
+    # Residuals of soft iron and wrong attitudes are systematic and do not average out. The prior
+    # of both vectors has the size of the largest reading.
     left = float(np.mean((design @ found - field.ravel()) ** 2))
     longest = float((field**2).sum(axis=1).max())
     known = design.T @ design / kept.sum() + left / longest * np.eye(6)
