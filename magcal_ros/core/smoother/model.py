@@ -365,7 +365,9 @@ def prior_at(model: Model, point: Point) -> Prior:
     free = model.free
     information[free, free] = model.scales(point.groups)[free] ** -2.0
     information[EARTH, EARTH] = model.earth.information
-    information[SHARED:, SHARED:] = np.kron(places.information, np.eye(3)) / sizes["street"] ** 2
+    for axis in range(3):
+        of_axis = slice(SHARED + axis, None, 3)
+        information[of_axis, of_axis] = places.information / sizes["street"] ** 2
     offset = np.concatenate([model.priors.mean - state.shared, -state.centres.ravel()])
     offset[EARTH] = model.earth.mean - state.shared[EARTH]
     counted = counted_unknowns(model, places)
