@@ -206,7 +206,7 @@ def test_a_window_that_was_a_drive_is_fitted_as_one(start_node, tmp_path):
     assert answer.success, answer.message
     assert "of movement" in answer.message
     found, _ = read_calibration(path)
-    assert found.evidence.method == "smoother"
+    assert found.evidence.method == "maximum_likelihood"
     apart = 1e6 * (found.correction.hard_iron - VEHICLE.robot.hard_iron)
     assert np.abs(apart[:2]).max() < 4.0
     car.node.destroy_node()

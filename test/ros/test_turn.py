@@ -120,7 +120,7 @@ def test_yaw_keeps_flowing_while_the_next_turn_is_collected_and_fitted(stage):
     actor.run(30.0, 0.5, watch)
     assert future.result().success
     gaps = np.diff(arrivals)
-    # 50 Hz at four times real time: 5 ms apart; a stalled executor would show as a long gap.
-    assert len(gaps) > 300
+    # 12.5 Hz at four times real time: 20 ms apart; a stalled executor would show as a long gap.
+    assert len(gaps) > 100
     assert float(np.max(gaps)) < 0.25
     assert float(np.quantile(gaps, 0.98)) < 0.1
