@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
 from magcal_ros.core.doctor.blame import LIFT, NOSE
 from magcal_ros.core.doctor.explanations import Way
-from magcal_ros.core.doctor.health import Finding, looked_at, not_shown
+from magcal_ros.core.doctor.health import WRONG_UNIT, Finding, looked_at, not_shown
 from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
 from magcal_ros.core.doctor.motion import (
     FULL_TURN,
@@ -27,7 +27,6 @@ from magcal_ros.core.samples.units import unit_by_strength
 from magcal_ros.core.samples.window import SensorLog
 
 VAGUE = 0.1  # largest relative standard deviation of a strength that is used
-WRONG_UNIT = "field_unit"  # `Finding.key`
 
 
 @dataclass(frozen=True)

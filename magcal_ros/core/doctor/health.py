@@ -21,6 +21,8 @@ from magcal_ros.core.samples.units import (
 from magcal_ros.core.samples.units import TUNING as DIAGNOSIS
 from magcal_ros.core.samples.window import SensorLog, living_axes, white_noise
 
+WRONG_UNIT = "field_unit"  # `Finding.key`
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -190,7 +192,7 @@ def field_findings(field: FloatArray) -> list[Finding]:
     unit = likely_field_unit(size)
     line = wrong if unit else looked_at
     words = f"usually {_in_words(size, unit)}, hard iron included"
-    found = [line("field_unit", "field: unit", words, unit)]
+    found = [line(WRONG_UNIT, "field: unit", words, unit)]
     step = max(_step(field[:, axis]) for axis in range(3))
     words = "choose a finer range of the sensor, or average in the driver"
     evidence = f"steps of {_in_words(step, unit)}" if step else "no steps seen"

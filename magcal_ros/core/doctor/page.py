@@ -15,8 +15,9 @@ from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.blame import AxesFound, parameter_line
 from magcal_ros.core.doctor.course import AxesInUse, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import rate_factors
-from magcal_ros.core.doctor.field_by_movement import WRONG_UNIT, with_field
+from magcal_ros.core.doctor.field_by_movement import with_field
 from magcal_ros.core.doctor.health import (
+    WRONG_UNIT,
     Finding,
     alive_finding,
     dead_axes,

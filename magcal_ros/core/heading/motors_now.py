@@ -170,8 +170,8 @@ class MotorsNow:
                 return field, MotorDoubt(np.zeros((3, 3)), self._of_sample)
             return self._by_inputs(field, running, values, doubt)
         unknown = self._gains.T @ doubt @ self._gains
-        level = self._level(running, values)
-        if self._may_hold(running):
+        level, holds = self._level(running, values), self._may_hold(running)
+        if holds:
             # The current that holds a robot is constant, and so is its field.
             level, unknown = level + unknown, np.zeros((3, 3))
         self._predict(stamp, rate, running, values, level)
@@ -183,7 +183,7 @@ class MotorsNow:
         late = self._late(stamp, other.likelihood - one.likelihood)
         if late is None:
             # A lasting change is no start or stop: it is another motor, or at rest the place.
-            is_place = running.moving == 0.0 and not self._may_hold(running)
+            is_place = running.moving == 0.0 and not holds
             self._forget(PLACE if is_place else RESIDUAL, otherwise)
             one, other = self._answers(measured, unknown, unknown)
             late = np.zeros(len(UNSEEN))

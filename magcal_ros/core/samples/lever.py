@@ -39,7 +39,10 @@ def without_lever_arm(window: Window) -> FloatArray:
 
 
 def force_on_the_axis(time: FloatArray, force: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the same of samples at increasing times (n,), of forces and rates (n, 3)."""
+    """Return specific forces (n, 3) without the part due to the lever arm, m/s².
+
+    `time` (n,) increases, seconds. `rate` (n, 3) is in rad/s.
+    """
     if len(time) < TUNING.fewest:
         return force
     spin = skews(rate)

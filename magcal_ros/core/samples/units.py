@@ -68,8 +68,9 @@ def unit_by_strength(strength: float, sigma: float = 0.0) -> str:
         unit of raw samples of this size.
     """
     shares = {unit: _share_within(unit.strengths, strength, sigma) for unit in FIELD_UNITS}
-    if sum(shares.values()) < UNLIKELY or not likely_field_unit(strength):
-        return likely_field_unit(strength)
+    by_size = likely_field_unit(strength)
+    if sum(shares.values()) < UNLIKELY or not by_size:
+        return by_size
     # In each unit every strength is as likely.
     density = {u: share / (u.strengths[1] - u.strengths[0]) for u, share in shares.items()}
     least = UNLIKELY * sum(density.values())

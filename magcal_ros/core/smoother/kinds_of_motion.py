@@ -141,9 +141,7 @@ class _Trials:
         # A drive has no rival: its evidence still improves when its places are computed.
         spot, rival = self.fits.get(ON_THE_SPOT), math.inf
         if spot is not None and name != ON_THE_SPOT:
-            # With this evidence both kinds would have the same weight.
-            odds = self._usual.get(name, 1.0) / self._usual[ON_THE_SPOT]
-            rival = spot.evidence + math.log(odds) / EVIDENCE_WEIGHT
+            rival = self._equal_weight(name, spot)
         try:
             found = fit(*start, tolerances, like, report, rival)
         except np.linalg.LinAlgError:
@@ -155,6 +153,12 @@ class _Trials:
         # A fit that continues the known one replaces it, which had not converged.
         if known is None or like is known or found.evidence < known.evidence:
             self.fits[name] = found
+
+    def _equal_weight(self, name: str, spot: Fit) -> float:
+        """Return the evidence at which a kind of motion has the weight of a turn on the spot."""
+        # With the same weights as in `mixed`.
+        odds = self._usual.get(name, 1.0) / self._usual[ON_THE_SPOT]
+        return spot.evidence + math.log(odds) / EVIDENCE_WEIGHT
 
     def field_late(self) -> Fit:
         """Return the better fit of a turn on the spot, with or without a delayed field.
@@ -192,9 +196,7 @@ class _Trials:
         groups = {**point.groups, **dict.fromkeys(CONFOUNDED, 1.0)}
         self.add(MOVED, replace(usual, point=replace(point, state=state, groups=groups)))
         moved = self.fits.get(MOVED, usual)
-        # With the same weights as in `mixed`.
-        odds = USUAL[MOVED] / USUAL[ON_THE_SPOT]
-        if EVIDENCE_WEIGHT * (usual.evidence - moved.evidence) > -math.log(odds):
+        if moved.evidence < self._equal_weight(MOVED, usual):
             return moved
         self._priors = priors
         return usual
