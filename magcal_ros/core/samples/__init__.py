@@ -15,6 +15,6 @@ __getattr__, __dir__, __all__ = lazy_names(
         StampGuard Streams VelocitySample
     units: Heard complaints explained likely_acceleration_unit likely_field_unit
         unit_by_strength was_turned_over
-    window: SensorLog Steps living_axes stretch_of_log
+    window: SensorLog Steps living_axes spikes_replaced stretch_of_log
     """,
 )

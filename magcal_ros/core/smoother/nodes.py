@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, block_means
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import RestBeside
-from magcal_ros.core.samples.window import Window, white_noise
+from magcal_ros.core.samples.window import NEIGHBOURS, Window, spikes_replaced, white_noise
 from magcal_ros.core.smoother.currents import Clock, Currents
 from magcal_ros.core.smoother.gyro_steps import gyro_steps
 from magcal_ros.core.smoother.rests import rests
@@ -138,7 +138,7 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     """Return the nodes of a window with a gyro; `to_body` (3, 3) is `Mounting.to_body`."""
     rate, time, rested = window.angular_rate, window.time, window.rested
     assert rate is not None
-    field = window.field @ to_body.T * MICROTESLA
+    field = _without_spikes(window, spacing) @ to_body.T * MICROTESLA
     steps, unseen, velocity, intervals = gyro_steps(window)
     attitude = chained(exp_rotations(-steps)[None])[0]
     lost = np.diff(time) > window.longest_step
@@ -175,6 +175,17 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     )
     nodes = _without_lost_links(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
     return _with_rests(nodes, window, attitude, middle, to_body)
+
+
+def _without_spikes(window: Window, spacing: Spacing) -> FloatArray:
+    """Return the field (n, 3) without spikes, which would spoil the mean of a node.
+
+    Slow samples are returned as they are: the field changes between them, and a node of few samples
+    is an outlier itself if one of them is a spike.
+    """
+    step = float(np.median(np.diff(window.time))) if len(window) > 1 else math.inf
+    is_fast = NEIGHBOURS * step <= spacing.longest
+    return spikes_replaced(window.field) if is_fast else window.field
 
 
 def _without_lost_links(nodes: Nodes, lost: BoolArray) -> Nodes:
