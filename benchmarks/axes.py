@@ -15,7 +15,7 @@ import numpy as np
 import shared_cases  # noqa: F401
 from axes_cases import MOTIONS, good_case, wrong_case
 
-from magcal_ros.core.doctor.page import examine_window, wrong_axes
+from magcal_ros.core.doctor.sensor_report import examine_window, wrong_axes
 from magcal_ros.core.geometry.rotations import signed_permutations
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import shared_cases  # noqa: F401
 from imu_faults_cases import FAULTS, MOTIONS, Case, Fault, good_case
 
-from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.doctor.sensor_report import examine
 
 CANNOT_SHOW = {
     "turn": (

@@ -34,9 +34,9 @@ from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.heading.compass import Compass, Moment
-from magcal_ros.core.heading.disturbance import FieldDoubt
-from magcal_ros.core.heading.motion_sense import MotionSense
+from magcal_ros.core.heading.compass import Compass, CompassReading
+from magcal_ros.core.heading.disturbance import FieldDeviation
+from magcal_ros.core.heading.motion_detector import MotionDetector
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.battery import Messages
@@ -150,9 +150,9 @@ def headings(
     """Yield stamp, whether it moves, error (radians) and variance, as the node would tell it."""
     drive = robotic.drive
     calibration = calibration if way != "none" else replace(calibration, motors=None)
-    up, sense, compass = UpFollower(), MotionSense(), Compass(calibration)
+    up, sense, compass = UpFollower(), MotionDetector(), Compass(calibration)
     learning = MotorLearning(calibration) if way == "drive" else None
-    doubt = FieldDoubt(calibration)
+    doubt = FieldDeviation(calibration)
     yaws = dict(zip(drive.time.tolist(), drive.imu_yaw.tolist(), strict=True))
     moves = dict(zip(drive.time.tolist(), _moves(drive.truth).tolist(), strict=True))
     speed = current = math.nan
@@ -176,7 +176,7 @@ def headings(
                     compass.use_motors(learning.motors)
             turning = up.rate if up.is_propagated else None
             above = up.at(sample.stamp, 0.2)
-            seen = Moment.of(compass, sample, above, up.rate, now, turning)
+            seen = CompassReading.of(compass, sample, above, up.rate, now, turning)
             if sample.stamp > robotic.turn_until and seen.heading is not None:
                 error = wrapped(seen.heading.yaw - yaws[sample.stamp])
                 assert seen.up is not None

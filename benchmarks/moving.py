@@ -27,7 +27,7 @@ from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
-from magcal_ros.core.session.recorded import Gathering, fit_gathered
+from magcal_ros.core.session.recorded import SampleCollector, fit_collected
 from magcal_ros.core.simulation import DEGREE, Ride, Robot
 from magcal_ros.core.up.follower import Up, UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
@@ -220,12 +220,12 @@ def car(folder: Path, turned: Path) -> None:
     recording = read_csv_folder(folder)
     truth = np.genfromtxt(folder / "truth.csv", delimiter=",", skip_header=1)
     truth = truth[truth[:, 2] > 2.0]
-    gathering = Gathering(Mounting())
-    gathering.take(read_csv_folder(turned).samples())
+    collector = SampleCollector(Mounting())
+    collector.take(read_csv_folder(turned).samples())
     reference = ReferenceField(
         Belief(51.3e-6, 1.5e-6), Belief(math.radians(66.3), math.radians(1.0))
     )
-    outcome = fit_gathered(gathering, Knowledge(reference))
+    outcome = fit_collected(collector, Knowledge(reference))
     if outcome.calibration is None:
         show((folder.name, f"no calibration: {outcome.verdict.summary}"))
         return

@@ -26,8 +26,8 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.keeping.drive_replay import DriveReplay, replay_drive
 from magcal_ros.core.keeping.jobs import difference
-from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.samples.streams import FieldSample
 
 WORSE = 0.3
@@ -75,18 +75,18 @@ def roughly(known: Calibration, seed: int) -> Calibration:
 
 def told(
     drive: Drive, begun: Calibration | None, first: float = 0.0, last: float = 1.0
-) -> DriveStory:
+) -> DriveReplay:
     time = drive.everything.time
     start, stop = (time[0] + share * (time[-1] - time[0]) for share in (first, last))
     samples = (each for each in drive.recording.samples() if start <= each.stamp <= stop)
-    return replayed(drive.knowledge, begun, samples, ())
+    return replay_drive(drive.knowledge, begun, samples, ())
 
 
 def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
     """Add iron on the way, and say what comes of it: degrees from what is then right."""
     iron = ADDED * np.array([math.cos(way), math.sin(way), 0.0])
     start = drive.everything.time[0] + CHANGE_AT
-    story = replayed(
+    story = replay_drive(
         drive.knowledge,
         begun,
         (
@@ -105,7 +105,7 @@ def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
         left = ""
         if made.calibration is not None:
             left = f" ({math.degrees(difference(made.calibration, right)):.1f}°)"
-        print(f"{made.verb.value} after {at - CHANGE_AT:.0f} s{left}", end=" ")
+        print(f"{made.kind.value} after {at - CHANGE_AT:.0f} s{left}", end=" ")
     print(flush=True)
 
 
@@ -117,11 +117,11 @@ def score(drive: Drive, calibration: Calibration | None) -> float:
     return found.rms if found else math.nan
 
 
-def _tell(name: str, drive: Drive, begun: Calibration | None, story: DriveStory) -> bool:
+def _tell(name: str, drive: Drive, begun: Calibration | None, story: DriveReplay) -> bool:
     before, after = score(drive, begun), score(drive, story.ended)
     said = math.degrees(predicted_heading_sigma(story.ended)) if story.ended else math.nan
     first = next((at for at, made in story.decisions if made.calibration is not None), math.nan)
-    made = " ".join(each.verb.value for _, each in story.decisions)
+    made = " ".join(each.kind.value for _, each in story.decisions)
     is_worse = after > before + WORSE
     print(
         f"{drive.name:28s}{name:32s}{story.moved:5.0f} s moved, changed after {first:4.0f} s, said"

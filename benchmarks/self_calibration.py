@@ -36,9 +36,9 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
+from magcal_ros.core.keeping.drive_replay import DriveReplay, replay_drive
+from magcal_ros.core.keeping.jobs import Decision, DecisionKind, Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
@@ -65,8 +65,8 @@ def some_fence(seed: int) -> Fence:
     return Fence((12e-6 * math.cos(way), 12e-6 * math.sin(way), 0.0), heading)
 
 
-def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveStory:
-    return replayed(BOSTON, begun, drive._sensors(), drive.speeds if speed else ())
+def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveReplay:
+    return replay_drive(BOSTON, begun, drive._sensors(), drive.speeds if speed else ())
 
 
 class Heard(SelfCalibration):
@@ -96,7 +96,7 @@ class Heard(SelfCalibration):
 
 def heard(drive: Drive) -> Heard:
     taken = Heard()
-    replayed(BOSTON, None, drive._sensors(), drive.speeds, taken)
+    replay_drive(BOSTON, None, drive._sensors(), drive.speeds, taken)
     return taken
 
 
@@ -125,7 +125,7 @@ def calibration_of(correction: Correction, sigma: float = math.radians(0.84)) ->
     return Calibration(correction, covariance, 5e-7, 0.01, 51.3e-6, dip, evidence)
 
 
-def changes(story: DriveStory) -> Iterator[tuple[float, Calibration]]:
+def changes(story: DriveReplay) -> Iterator[tuple[float, Calibration]]:
     for seconds, made in story.decisions:
         if made.calibration is not None:
             yield seconds, made.calibration
@@ -220,7 +220,9 @@ def bench_jump(seeds: range) -> None:
         drive = drive_of(seed, 540.0, irons=(Iron(iron, CHANGE_AT),))
         begun = calibration_of(drive.vehicle.robot.true_correction)
         story = told(drive, begun)
-        seen = [at for at, m in story.decisions if m.verb is Verb.NOTICED and at > CHANGE_AT]
+        seen = [
+            at for at, m in story.decisions if m.kind is DecisionKind.NOTICED and at > CHANGE_AT
+        ]
         noticed.append(min(seen, default=math.inf) - CHANGE_AT)
         good = [
             at
@@ -253,7 +255,7 @@ def bench_good(seeds: range) -> None:
             made, ended = taken.decide(calibration_of(begun))
             gains[off].append(error(begun, drive, 0.0) - error(ended.correction, drive, 420.0))
             changed[off] += any(each.calibration is not None for _, each in made)
-            noticed[off] += any(each.verb is Verb.NOTICED for _, each in made)
+            noticed[off] += any(each.kind is DecisionKind.NOTICED for _, each in made)
     for off, gained in gains.items():
         worse = sum(gain < -WORSE for gain in gained)
         print(
@@ -285,7 +287,7 @@ def bench_traps(seeds: range) -> None:
             drive = make(seed)
             story = told(drive, calibration_of(drive.vehicle.robot.true_correction))
             changed += any(True for _ in changes(story))
-            noticed += any(made.verb is Verb.NOTICED for _, made in story.decisions)
+            noticed += any(made.kind is DecisionKind.NOTICED for _, made in story.decisions)
             assert story.ended is not None
             left.append(error(story.ended.correction, drive, float(np.ptp(drive.time))))
             worse += left[-1] > WORSE

@@ -37,8 +37,8 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.heading.compass import Compass, Moment
-from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt
+from magcal_ros.core.heading.compass import Compass, CompassReading
+from magcal_ros.core.heading.disturbance import PATIENCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
@@ -179,7 +179,7 @@ class Listener:
         for number, calibration in self.calibrations.items():
             self.several.put_in_force(number, calibration)
         lead = next(iter(self.calibrations.values()))
-        self.fused, self.doubt = FusedYaw(lead, PATIENCE), FieldDoubt(lead)
+        self.fused, self.doubt = FusedYaw(lead, PATIENCE), FieldDeviation(lead)
 
     def hear(self, drive: Drive, fields: Fields) -> None:
         """Take a whole drive; the second magnetometer is half as fast."""
@@ -209,7 +209,7 @@ class Listener:
         if number == 0 or len(self.compasses) == 1:
             self.follower.add_field(sample.stamp, sample.field)
         up = self.follower.at(sample.stamp, STREAMS.max_gap)
-        moment = Moment.of(self.compasses[number], sample, up, rate)
+        moment = CompassReading.of(self.compasses[number], sample, up, rate)
         if len(self.compasses) > 1:
             joined = self.several.add(number, moment, now, self.fused)
             if joined is None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from magcal_ros.cli import live_view
 from magcal_ros.cli.common import Exit, command, tell
-from magcal_ros.core.errors import MagcalError, Misuse
+from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.files.disk import plain
 
 PATIENCE = 5.0  # longest wait for the discovery of a node, seconds
@@ -59,7 +59,7 @@ def find_calibrator(node: Any, wanted: str | None) -> str:
     if len(seen) == 1:
         return seen[0]
     if seen:
-        raise Misuse(f"{len(seen)} calibrators were found: {listed}; choose one with --node")
+        raise UsageError(f"{len(seen)} calibrators were found: {listed}; choose one with --node")
     raise MagcalError(
         "no calibrator was found: start it with `ros2 run magcal_ros calibrator`. If it runs, "
         "check that ROS_DOMAIN_ID and the discovery range are the same on both sides"

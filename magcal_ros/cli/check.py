@@ -13,11 +13,11 @@ from magcal_ros.core.assessment.grading import Check, shown
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.keeping.story import DriveStory, replayed
+from magcal_ros.core.keeping.drive_replay import DriveReplay, replay_drive
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
-from magcal_ros.core.session.recorded import Gathering, fault_of_drive
+from magcal_ros.core.session.recorded import SampleCollector, fault_of_drive
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.disk import plain, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
@@ -58,13 +58,13 @@ def run_check(options: argparse.Namespace) -> int:
     if made_for and heard and made_for != heard:
         about = f"made for the magnetometer {plain(made_for)}, but this is {plain(heard)}"
         notes.insert(0, f"the calibration was {about}")
-    slow = gathered.gathering.slow_field
+    slow = gathered.collector.slow_field
     notes += [words for words in (slow, elsewhere) if words]
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
     notes += [own] if own else []
     try:
-        window = gathered.gathering.window(gathered.reference.field)
-        result = check(window, calibration, drive=gathered.gathering.drive())
+        window = gathered.collector.window(gathered.reference.field)
+        result = check(window, calibration, drive=gathered.collector.drive())
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{common.bullets('About the recording:', notes)}"
@@ -182,11 +182,13 @@ def run_drive(options: argparse.Namespace) -> int:
         with recorded.at_work(
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it", sys.stderr
         ):
-            story = replayed(knowledge, begun, repaired, travel)
+            story = replay_drive(knowledge, begun, repaired, travel)
             if story.ended is None:
-                gathering = Gathering(knowledge.mounting, source.imu_topic, source.field_topic)
-                gathering.take(repaired, travel)
-                story = replace(story, fault=fault_of_drive(gathering, knowledge))
+                collector = SampleCollector(
+                    knowledge.mounting, source.imu_topic, source.field_topic
+                )
+                collector.take(repaired, travel)
+                story = replace(story, fault=fault_of_drive(collector, knowledge))
         if story.seconds == 0.0:
             raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO)
         frames = source.field_frame, source.imu_frame
@@ -205,20 +207,20 @@ def run_drive(options: argparse.Namespace) -> int:
     return common.Exit.TOO_LITTLE_DATA if story.ended is None else common.Exit.GOOD
 
 
-def _drive_words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
+def _drive_words(story: DriveReplay, notes: list[str], files: list[Path]) -> str:
     lines = [common.with_options(summary_of(story))]
     lines += [f"At the end: {story.course}."] if story.course else []
-    lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
+    lines += [f"{at:6.0f} s  {VERBS[made.kind]}: {made.words}" for at, made in story.decisions]
     lines += common.bullets("About the recording:", notes).strip("\n").splitlines()
     return "\n".join([*lines, *(f"Written: {file}" for file in files)])
 
 
-def _drive_facts(story: DriveStory, notes: list[str], files: list[Path]) -> dict[str, Any]:
+def _drive_facts(story: DriveReplay, notes: list[str], files: list[Path]) -> dict[str, Any]:
     return {
         "summary": summary_of(story),
         "course": story.course or None,
         "decisions": [
-            {"at_s": round(at, 1), "decision": made.verb.value, "why": made.words}
+            {"at_s": round(at, 1), "decision": made.kind.value, "why": made.words}
             for at, made in story.decisions
         ],
         "about": notes,

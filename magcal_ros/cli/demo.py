@@ -26,7 +26,7 @@ from magcal_ros.core.simulation.simulator import (
     trial_attitudes,
 )
 from magcal_ros.files.calibration_file import read_calibration, require_ours
-from magcal_ros.files.disk import FileTrouble, plain, plain_lines
+from magcal_ros.files.disk import FileError, plain, plain_lines
 from magcal_ros.files.recording import Recording, read_csv_folder
 from magcal_ros.processes import start
 
@@ -227,7 +227,7 @@ def _require_stamps(folder: Path, recording: Recording) -> None:
         bad = ~(np.isfinite(stamps) & (np.abs(stamps) < LAST_STAMP))
         if bad.any():
             row = int(np.argmax(bad))
-            raise FileTrouble(
+            raise FileError(
                 f"{plain(str(folder / name))} cannot be replayed: sample {row + 1} has the stamp "
                 f"{stamps[row]:g}"
             )

@@ -20,9 +20,9 @@ from magcal_ros.cli.common import Exit, bullets, command, reference_in_use, tell
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.guide import ASKED, Guide
-from magcal_ros.core.doctor.health import TUNING, Finding, looked_at, not_shown, wrong
-from magcal_ros.core.doctor.page import Page, examine
-from magcal_ros.core.errors import MagcalError, Misuse
+from magcal_ros.core.doctor.health import TUNING, Finding, checked, not_shown, wrong
+from magcal_ros.core.doctor.sensor_report import SensorReport, examine
+from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.frame_tree import pose_in_words
@@ -31,9 +31,9 @@ from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import SensorLog
-from magcal_ros.core.session.recorded import Gathering, Reading
+from magcal_ros.core.session.recorded import Reading, SampleCollector
 from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
-from magcal_ros.files.disk import FileTrouble, plain, write_atomically
+from magcal_ros.files.disk import FileError, plain, write_atomically
 from magcal_ros.files.exporters import parameter_file
 from magcal_ros.files.recording import REMEDY
 
@@ -77,7 +77,7 @@ class Heard:
     described: str = ""  # the pose by the robot's description, in words; empty if not used
     travel: Sequence[TravelSample] = ()
 
-    def page_of(self, log: SensorLog) -> Page:
+    def page_of(self, log: SensorLog) -> SensorReport:
         """Return all findings, also from the comparison with course and description."""
         page = examine(log, self.knowledge, self.turned_left)
         said = [f.remedy for f in page.findings if f.remedy]
@@ -89,7 +89,7 @@ class Heard:
             page = page.with_course(*_course_seen(course, self.knowledge.reference))
         return page.with_more((self._description(page),)) if self.described else page
 
-    def _description(self, page: Page) -> Finding:
+    def _description(self, page: SensorReport) -> Finding:
         """Compare the described pose of the magnetometer with the measured one."""
         described = f"magnetometer at {self.described}"
         if page.mount_rpy_deg is not None:
@@ -103,7 +103,7 @@ class Heard:
         if any(f.key in AXIS_FAULTS and f.is_wrong for f in page.findings):
             words = f"{described}; correct the axes first"
             return not_shown("description", "description", words)
-        return looked_at("description", "description", described)
+        return checked("description", "description", described)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -115,14 +115,14 @@ def run(options: argparse.Namespace) -> int:
     2 usage, 3 too little data, 4 something is wrong, 5 file trouble.
     """
     if options.write is not None and options.write.exists():
-        raise FileTrouble(f"{options.write} exists already: name another --write")
+        raise FileError(f"{options.write} exists already: name another --write")
     if options.recording is not None and options.live:
-        raise Misuse("--live is without a recording: leave out --live, or the recording")
+        raise UsageError("--live is without a recording: leave out --live, or the recording")
     heard = listen(options) if options.recording is None else _recorded(options)
     log = SensorLog.of(heard.samples)
     if min(len(log.imu_time), len(log.field_time)) >= TUNING.fewest:
         return _tell(options, heard.page_of(log), heard.knowledge.mounting.gains)
-    facts = page_as_facts(Page(heard.more), None, Exit.TOO_LITTLE_DATA)
+    facts = page_as_facts(SensorReport(heard.more), None, Exit.TOO_LITTLE_DATA)
     streams = (("IMU", log.imu_time), ("field", log.field_time))
     counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
     words = (
@@ -152,20 +152,20 @@ def _recorded(options: argparse.Namespace) -> Heard:
 
     mounting = recorded.mounting_from(options)
     with recorded.opened(options, options.recording) as source:
-        gathering = Gathering(mounting, source.imu_topic, source.field_topic)
+        collector = SampleCollector(mounting, source.imu_topic, source.field_topic)
         shares = [0.0]
         with recorded.at_work(lambda: f"reading, {100.0 * shares[0]:.0f}%", sys.stderr):
-            gathering.take(kept(source.readings()))
-        newest = gathering.streams.field_stamps.newest
+            collector.take(kept(source.readings()))
+        newest = collector.streams.field_stamps.newest
         reference = reference_in_use(options, source.place, newest)
         travel = source.travel
-    complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
+    complaints = [*source.notes, *collector.complaints(), *reference.complaints]
     fields = [each.field for each in samples if isinstance(each, FieldSample)]
     if fields and likely_field_unit(usual_size(np.array(fields))):
         # The page has a line on the unit, by the usual size of the field instead of the largest.
-        largest = likely_field_unit(gathering.streams.largest_field)
+        largest = likely_field_unit(collector.streams.largest_field)
         complaints = [words for words in complaints if words != largest]
-    more = tuple(looked_at("recording", "recording", words, words) for words in complaints)
+    more = tuple(checked("recording", "recording", words, words) for words in complaints)
     left = None if options.turned is None else options.turned == "left"
     return Heard(samples, Knowledge(reference.field, mounting), left, more, travel=travel)
 
@@ -180,7 +180,7 @@ def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> tuple[
     return Belief(gap, math.hypot(offset.sigma, sigma)), imu_yaw
 
 
-def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
+def _tell(options: argparse.Namespace, page: SensorReport, gains: FloatArray) -> int:
     """Print the page and write the parameters that correct faults."""
     status = Exit.REFUSED if page.misleads else Exit.GOOD
     written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
@@ -199,7 +199,7 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
 GRADE_MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}
 
 
-def page_in_words(page: Page) -> str:
+def page_in_words(page: SensorReport) -> str:
     """Return the page for a terminal: a line for each finding, then the remedies."""
     lines = [
         f"  {GRADE_MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 1000)}" for f in page.findings
@@ -216,7 +216,7 @@ def page_in_words(page: Page) -> str:
     return "\n".join(lines) + bullets("\nWhat to do:", todo).rstrip("\n")
 
 
-def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, Any]:
+def page_as_facts(page: SensorReport, written: str | None, status: Exit) -> dict[str, Any]:
     """Return the page for programs."""
     return {
         "findings": [asdict(finding) for finding in page.findings],
@@ -226,7 +226,7 @@ def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, An
     }
 
 
-def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) -> str | None:
+def write_parameters(path: Path | None, page: SensorReport, gains: FloatArray | None) -> str | None:
     """Write the parameters that correct faults, and the given gains; returns the path.
 
     No file is written if a mounting alone does not correct the axes: faults of a driver must be
@@ -281,7 +281,7 @@ def listen(options: argparse.Namespace) -> Heard:
         executor.add_node(node)
         begin = time.monotonic()
         say(f"Listening to {imu} and {field}. The Enter key skips a step.")
-        asking = Asking()
+        asking = GuidePrompts()
         with interrupts_noted() as interrupted:
             while guide.current is not None and not interrupted.is_set():
                 executor.spin_once(timeout_sec=0.02)
@@ -307,7 +307,7 @@ def say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-class Asking:
+class GuidePrompts:
     """Prints the steps of the guide and the remaining seconds, and reads the Enter key."""
 
     def __init__(self) -> None:
@@ -359,7 +359,7 @@ def gathered(
     # A pose that the user gives takes precedence over the description.
     if pose is not None and not any(options.mount_rpy_deg):
         mounting, described = replace(mounting, pose=pose), pose_in_words(pose)
-    more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
+    more = [checked("reference", "reference", words, words) for words in reference.complaints]
     more += [
         wrong("publishers", "publishers", words, SEVERAL_PUBLISHERS)
         for words in listener.several_publishers

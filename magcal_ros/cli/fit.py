@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 
 from magcal_ros.cli import common, recorded
-from magcal_ros.cli.recorded import Gathered
+from magcal_ros.cli.recorded import CollectedRecording
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma, every_figure
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
+from magcal_ros.core.session.recorded import LITTLE_DATA, fit_collected, fit_several
 from magcal_ros.files.calibration_file import Origin, write_calibration
-from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.disk import FileError, plain
 from magcal_ros.report import Subject, write_report
 
 
@@ -33,10 +33,10 @@ from magcal_ros.report import Subject, write_report
 class Fitted:
     """A recording, or several that were joined, and the result."""
 
-    gathered: Gathered  # of several recordings, the last that was joined
+    gathered: CollectedRecording  # of several recordings, the last that was joined
     knowledge: Knowledge
     outcome: Outcome
-    everything: Sequence[Gathered]
+    everything: Sequence[CollectedRecording]
 
     @property
     def complaints(self) -> list[str]:
@@ -78,9 +78,9 @@ def run(options: argparse.Namespace) -> int:
     folder = common.new_or_named(options.output, "magcal_fit")
     # An existing calibration is never overwritten.
     if (folder / common.CALIBRATION).exists():
-        raise FileTrouble(f"{folder / common.CALIBRATION} exists already: name another --output")
+        raise FileError(f"{folder / common.CALIBRATION} exists already: name another --output")
     _check_use(options)
-    mounting, everything = recorded.mounting_from(options), list[Gathered]()
+    mounting, everything = recorded.mounting_from(options), list[CollectedRecording]()
     for path in options.recordings:
         with recorded.opened(options, path) as source:
             everything.append(recorded.gather(options, mounting, source))
@@ -103,35 +103,37 @@ def _check_use(options: argparse.Namespace) -> None:
     if len(options.recordings) == 1:
         return
     if options.compare:
-        raise Misuse("--compare takes one recording, because not all methods join several")
+        raise UsageError("--compare takes one recording, because not all methods join several")
     if options.start > 0.0 or options.stop < math.inf:
-        raise Misuse("--from and --to take one recording: several recordings are used as a whole")
+        raise UsageError(
+            "--from and --to take one recording: several recordings are used as a whole"
+        )
 
 
 def _fit(
-    everything: Sequence[Gathered],
+    everything: Sequence[CollectedRecording],
     options: argparse.Namespace,
     report_share: Callable[[float], object],
 ) -> Fitted:
     frames = sorted({each.source.field_frame for each in everything if each.source.field_frame})
     if len(frames) > 1:
-        raise Misuse(
+        raise UsageError(
             f"the recordings are of different magnetometers ({', '.join(frames)}); join only "
             "recordings of one sensor"
         )
     # All turns are made at one place, so the first recording with a known field gives the
     # reference.
     known = next((g for g in everything if g.reference.field.is_complete), everything[0])
-    knowledge = Knowledge(known.reference.field, known.gathering.mounting)
+    knowledge = Knowledge(known.reference.field, known.collector.mounting)
     at_headings = recorded.fit_known(options, knowledge)
     if at_headings is not None:
         return Fitted(everything[-1], knowledge, at_headings, everything)
     if len(everything) == 1:
-        outcome = fit_gathered(known.gathering, knowledge, options.method, report_share)
+        outcome = fit_collected(known.collector, knowledge, options.method, report_share)
         return Fitted(known, knowledge, outcome, everything)
     names = names_of([str(path) for path in options.recordings])
-    gatherings = [each.gathering for each in everything]
-    outcome, newest = fit_several(gatherings, names, knowledge, options.method)
+    collectors = [each.collector for each in everything]
+    outcome, newest = fit_several(collectors, names, knowledge, options.method)
     gathered = replace(everything[newest], reference=known.reference)
     return Fitted(gathered, knowledge, outcome, everything)
 
@@ -189,7 +191,7 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     if several is not None:
         lines = [
             f"{fate.name}: {'' if fate.joined else 'left out: '}{fate.words}"
-            for fate in several.fates
+            for fate in several.turns
         ]
         has_yaw = estimate is not None and Figure.INSTALLATION_YAW_SIGMA in estimate.figures
         title = "Turns:" if has_yaw else f"Turns ({APART}):"
@@ -232,11 +234,11 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
 
 def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
     """Return key, name, number and unit of the printed quantities."""
-    gathering, source = fitted.gathered.gathering, fitted.gathered.source
+    collector, source = fitted.gathered.collector, fitted.gathered.source
     imus, fields = fitted.gathered.repaired.read
     window, estimate = fitted.outcome.window, fitted.outcome.estimate
     used = 0 if window is None else len(window)
-    arc = math.degrees(gathering.progress().coverage.arc if estimate is None else estimate.arc)
+    arc = math.degrees(collector.progress().coverage.arc if estimate is None else estimate.arc)
     rows = [
         ("imu_messages", f"messages on {source.imu_topic}", f"{imus}", ""),
         ("mag_messages", f"messages on {source.field_topic}", f"{fields}", ""),

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from magcal_ros.cli.common import bullets
-from magcal_ros.core.errors import MagcalError, Misuse
+from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.files.disk import plain
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
     except Exception as error:
         rclpy.try_shutdown()
         words = plain(" ".join(str(error).split()), LONGEST_ERROR)
-        raise Misuse(
+        raise UsageError(
             f"ROS does not start: {words}. Check --ros-args, ROS_DOMAIN_ID and the other ROS_ and "
             "RMW_ variables"
         ) from error

@@ -18,8 +18,8 @@ from magcal_ros.cli.common import Exit, tell
 from magcal_ros.cli.demo import add_demo, add_replay
 from magcal_ros.cli.doctor import add_doctor
 from magcal_ros.cli.fit import add_fit
-from magcal_ros.core.errors import MagcalError, Misuse, Refusal
-from magcal_ros.files.disk import FileTrouble, plain, plain_lines
+from magcal_ros.core.errors import MagcalError, Refusal, UsageError
+from magcal_ros.files.disk import FileError, plain, plain_lines
 from magcal_ros.processes import leave_out_current_folder
 
 COMMANDS = (
@@ -66,9 +66,9 @@ def _run(options: argparse.Namespace) -> Exit:
         sys.stdout.flush()
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
-    except Misuse as error:
+    except UsageError as error:
         return _said(error, Exit.USAGE)
-    except FileTrouble as error:
+    except FileError as error:
         return _said(error, Exit.FILE_TROUBLE)
     except Refusal as error:
         return _said(error, Exit.TOO_LITTLE_DATA)

@@ -17,16 +17,16 @@ from magcal_ros.cli.common import add_reference_options, number, reference_in_us
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.units import TUNING
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.recorded import (
-    Gathering,
+    SampleCollector,
     fit_at_headings,
     fit_heading_topic,
-    standing_pairs,
+    pairs_at_rest,
 )
 from magcal_ros.files.sources import RepairedReadings, Source, open_recording
 
@@ -36,18 +36,18 @@ LINE_EVERY = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
+class CollectedRecording:
     """A recording that was read."""
 
-    gathering: Gathering
+    collector: SampleCollector
     source: Source  # closed; only its attributes can be used
     reference: Reference
     repaired: RepairedReadings  # read to the end
 
     def complaints(self) -> list[str]:
         """Return the faults of the recording and of the reference field, in words."""
-        found = [*self.source.notes, *self.repaired.notes, *self.gathering.complaints()]
-        repeats, (_, fields) = self.gathering.repeats, self.repaired.read
+        found = [*self.source.notes, *self.repaired.notes, *self.collector.complaints()]
+        repeats, (_, fields) = self.collector.repeats, self.repaired.read
         if repeats > TUNING.worth_a_word * fields:
             words = f"{repeats} of {fields} samples repeat the previous one and are left out"
             found.append(f"{self.source.field_topic}: {words}")
@@ -118,7 +118,7 @@ def mounting_from(options: argparse.Namespace) -> Mounting:
 def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManager[Source]:
     """Open a recording with the topics and the span of the options."""
     if not options.start < options.stop:
-        raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
+        raise UsageError(f"--from {options.start:g} must come before --to {options.stop:g}")
     chosen = {"imu": options.imu, "field": options.mag}
     span = {"start": options.start, "stop": options.stop}
     angles = options.imu_rpy_deg
@@ -133,20 +133,20 @@ def gather(
     mounting: Mounting,
     source: Source,
     known: Calibration | None = None,
-) -> Gathered:
+) -> CollectedRecording:
     """Read a recording, with progress on stderr, and determine its reference field.
 
     The field of the motors in the calibration `known` is subtracted. Raises Refusal if the IMU is
     too slow.
     """
-    gathering = Gathering(mounting, source.imu_topic, source.field_topic)
+    collector = SampleCollector(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
     with at_work(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
         # After the field of the motors is subtracted, the current has no further effect.
-        gathering.take(repaired, source.travel, source.currents if known is None else ())
-    newest = gathering.streams.field_stamps.newest
+        collector.take(repaired, source.travel, source.currents if known is None else ())
+    newest = collector.streams.field_stamps.newest
     reference = reference_in_use(options, source.place, newest)
-    return Gathered(gathering, source, reference, repaired)
+    return CollectedRecording(collector, source, reference, repaired)
 
 
 @contextmanager
@@ -214,23 +214,23 @@ def check_heading_options(options: argparse.Namespace) -> None:
     angles, topic = options.heading_deg or (), options.heading_topic
     if not (angles or topic):
         if options.north:
-            raise Misuse(
+            raise UsageError(
                 "--north is only for headings: give --heading-deg or --heading-topic with it"
             )
         return
     if options.north is None:
-        raise Misuse("give the north of the headings: --north true or --north magnetic")
+        raise UsageError("give the north of the headings: --north true or --north magnetic")
     if angles and topic:
-        raise Misuse("give --heading-deg or --heading-topic, not both")
+        raise UsageError("give --heading-deg or --heading-topic, not both")
     if angles and len(angles) != len(options.recordings):
-        raise Misuse(
+        raise UsageError(
             f"{len(angles)} headings for {len(options.recordings)} recordings: give one "
             "--heading-deg for each recording, in the same order, after the recordings"
         )
     if topic and len(options.recordings) > 1:
-        raise Misuse("--heading-topic takes one recording")
+        raise UsageError("--heading-topic takes one recording")
     if options.compare:
-        raise Misuse("--compare is for turns only: there is one method for known headings")
+        raise UsageError("--compare is for turns only: there is one method for known headings")
 
 
 def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | None:
@@ -245,7 +245,7 @@ def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | No
     pairs = []
     for path in options.recordings:
         with opened(options, path) as source:
-            pairs.append(standing_pairs(RepairedReadings(source)))
+            pairs.append(pairs_at_rest(RepairedReadings(source)))
     sigma = math.radians(options.sigma_deg)
     given = [ExternalHeading(math.radians(yaw), sigma, is_true) for yaw in options.heading_deg]
     outcome, words = fit_at_headings(pairs, given, knowledge)

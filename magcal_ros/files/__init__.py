@@ -9,13 +9,13 @@ __getattr__, __dir__, __all__ = lazy_names(
         write_calibration
     default_paths: LONGEST_FRAME RESERVED chosen_path is_missing known_as own_folder safe_name
         sensor_file
-    disk: FileTrouble LEFT_BEHIND NotOrdinary UNFINISHED plain promptly read_small
+    disk: FileError LEFT_BEHIND NotRegularFile UNFINISHED plain promptly read_small
         write_atomically
     exporters: EXPORTERS NOTES NotExportable OF_TESLA checksum number
     plausibility: BOUNDS require_possible
     px4: RIGHT_ANGLES mounting_of rotation_of
     recording: Recording read_csv_folder read_samples write_samples
-    robot_description: DescriptionTrouble LARGEST joints_of
+    robot_description: LARGEST RobotDescriptionError joints_of
     sources: RepairedReadings open_recording
     wire: CDR
     """,

@@ -27,7 +27,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.files import logs
 from magcal_ros.files.dataflash import BINARY, DataFlash, read_dataflash
-from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.disk import FileError, plain
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
@@ -78,7 +78,7 @@ def read_ardupilot(
     telemetry = path.suffix.lower() == ".tlog"
     is_text = path.suffix.lower() == ".log" and b"FMT," in begun
     if not (telemetry or is_text or begun[:2] == BINARY):
-        raise FileTrouble(
+        raise FileError(
             f"{plain(str(path))} is not a DataFlash log: its first bytes are not those of one"
         )
     deadline = logs.Deadline(path, progress)
@@ -174,7 +174,7 @@ def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
     finally:
         reader.close()
     if not known:
-        raise FileTrouble(f"{plain(str(path))} is not a telemetry log: no MAVLink message is in it")
+        raise FileError(f"{plain(str(path))} is not a telemetry log: no MAVLink message is in it")
     return read.logged()
 
 

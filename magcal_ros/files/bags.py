@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
-from magcal_ros.files.disk import FileTrouble, damage_in_words, plain
+from magcal_ros.files.disk import FileError, damage_in_words, plain
 from magcal_ros.files.recording import travel_of
 from magcal_ros.files.wire import CDR, ROS1, Format, frame_of, is_plain_cdr
 
@@ -77,7 +77,7 @@ class Bag:
         self._path, self._reader = path, reader
         self._format = CDR if reader.is2 else ROS1
         if not reader.message_count:
-            raise FileTrouble(f"{plain(str(path))} holds no messages: record again")
+            raise FileError(f"{plain(str(path))} holds no messages: record again")
         self._imu = _find(path, reader, IMU_TYPE, imu, "--imu")
         self._field = _find(path, reader, FIELD_TYPE, field, "--mag")
         self.imu_topic, self.field_topic = plain(self._imu[0].topic), plain(self._field[0].topic)
@@ -165,7 +165,7 @@ class Bag:
         found = [each for each in read if not isinstance(each, str)]
         if not found:
             why = read[-1] if read else "it is empty"
-            raise FileTrouble(f"{plain(topic)} gives no heading: {why}")
+            raise FileError(f"{plain(topic)} gives no heading: {why}")
         return sorted(found, key=lambda sample: sample.stamp)
 
     def _of(self, *kinds: str) -> list[Connection]:
@@ -253,7 +253,7 @@ class RosReader:
 
     def deserialize(self, _: bytes, msgtype: str) -> NoReturn:
         """Raise a FileTrouble: this reader does not convert big-endian messages."""
-        raise FileTrouble(
+        raise FileError(
             f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
             "Python library rosbags is installed and ROS is not"
         )
@@ -294,7 +294,7 @@ def _library_reader(path: Path) -> AnyReader:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise FileTrouble(
+        raise FileError(
             f"reading {plain(str(path))} needs ROS 2 (source its setup file) or the Python library "
             "rosbags (in a virtual environment: pip install rosbags)"
         ) from error
@@ -305,14 +305,14 @@ def _library_reader(path: Path) -> AnyReader:
 def _refuse_other_files(path: Path) -> None:
     if path.is_dir():
         if not (path / "metadata.yaml").exists():
-            raise FileTrouble(
+            raise FileError(
                 f"{plain(str(path))} is not a recording: a CSV folder has imu.csv and mag.csv, a "
                 "phone's folder accelerometer, gyroscope and magnetometer as CSV, a bag has "
                 "metadata.yaml (`ros2 bag reindex` writes it; a single .mcap or .db3 may be named "
                 "itself)"
             )
     elif path.suffix not in REMEDIES:
-        raise FileTrouble(
+        raise FileError(
             f"{plain(str(path))} is not a recording: name a bag (folder, .mcap, .db3, .bag), a "
             "folder with imu.csv and mag.csv, a log of ArduPilot (.BIN, .log, .tlog) or PX4 "
             "(.ulg), or the unpacked folder of a phone's Sensor Logger or phyphox"
@@ -320,7 +320,7 @@ def _refuse_other_files(path: Path) -> None:
     for file in path.rglob("*") if path.is_dir() else [path]:
         # Opening a pipe would block.
         if file.exists() and not (file.is_file() or file.is_dir()):
-            raise FileTrouble(f"cannot read {plain(str(file))}: it is not a regular file")
+            raise FileError(f"cannot read {plain(str(file))}: it is not a regular file")
 
 
 def _damage_in_words(path: Path) -> contextlib.AbstractContextManager[None]:
@@ -340,13 +340,13 @@ def _find(path: Path, reader: Any, msgtype: str, wanted: str, option: str) -> li
     topics = sorted({connection.topic for connection in fitting})
     kind = msgtype.replace("/msg/", "/")
     if not topics:
-        raise FileTrouble(
+        raise FileError(
             f"{plain(str(path))} has no {kind} messages; it has: {_listed(reader)}. "
             "Record the IMU's and the magnetometer's topics"
         )
     if len(topics) > 1:
         names = f"{len(topics)} topics of {kind}: {', '.join(map(plain, topics))}"
-        raise Misuse(f"{plain(str(path))} has {names}; choose one with {option}")
+        raise UsageError(f"{plain(str(path))} has {names}; choose one with {option}")
     return fitting
 
 
@@ -354,10 +354,10 @@ def _named(path: Path, reader: Any, msgtype: str, wanted: str) -> list[Connectio
     found = [c for c in reader.connections if c.topic == wanted]
     wrong = [f"{plain(c.msgtype)}, not {msgtype}" for c in found if c.msgtype != msgtype]
     if wrong:
-        raise FileTrouble(f"{plain(wanted)} is {wrong[0]}; the bag has: {_listed(reader)}")
+        raise FileError(f"{plain(wanted)} is {wrong[0]}; the bag has: {_listed(reader)}")
     if not found:
         words = f"{plain(str(path))} has no topic {plain(wanted)}"
-        raise FileTrouble(f"{words}; it has: {_listed(reader)}")
+        raise FileError(f"{words}; it has: {_listed(reader)}")
     return found
 
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.disk import FileError
 
 LONGEST_NAME = 80
 
@@ -27,7 +27,7 @@ def chosen_path(text: str) -> Path:
     try:
         return Path(text).expanduser()
     except RuntimeError as error:
-        raise FileTrouble(
+        raise FileError(
             f"there is no home folder for {text!r}: name the whole path, or set ROS_HOME"
         ) from error
 

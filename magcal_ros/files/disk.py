@@ -16,7 +16,7 @@ from typing import BinaryIO, TypeVar
 from magcal_ros.core.errors import MagcalError
 
 
-class FileTrouble(MagcalError):
+class FileError(MagcalError):
     """A file cannot be read or written; the text names the file, the reason and a remedy."""
 
 
@@ -113,8 +113,8 @@ def _sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def _trouble(path: Path, error: OSError, remedy: str) -> FileTrouble:
-    return FileTrouble(f"cannot write {path}: {error.strerror or error}. {remedy}")
+def _trouble(path: Path, error: OSError, remedy: str) -> FileError:
+    return FileError(f"cannot write {path}: {error.strerror or error}. {remedy}")
 
 
 LONGEST = 200
@@ -140,7 +140,7 @@ PATIENCE = 5.0  # seconds within which any working disk answers
 Result = TypeVar("Result")
 
 
-class NotOrdinary(ValueError):
+class NotRegularFile(ValueError):
     """A path is not a regular file, or the file is too large; the text says which."""
 
 
@@ -151,7 +151,7 @@ def read_small(path: Path, largest: int) -> bytes:
         # The size of a file that is generated when read (/proc) may be wrong: check both.
         content = b"" if about.st_size > largest else handle.read(largest + 1)
     if about.st_size > largest or len(content) > largest:
-        raise NotOrdinary(f"it is too large: more than {largest} bytes")
+        raise NotRegularFile(f"it is too large: more than {largest} bytes")
     return content
 
 
@@ -165,7 +165,7 @@ def open_regular(path: Path) -> BinaryIO:
     os.close(descriptor)
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    raise NotOrdinary("it is not a regular file")
+    raise NotRegularFile("it is not a regular file")
 
 
 @contextlib.contextmanager
@@ -176,10 +176,10 @@ def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Itera
     except MagcalError:
         raise
     except OSError as error:
-        raise FileTrouble(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
+        raise FileError(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
     except Exception as error:  # a damaged file may cause any error in a parser
         reason = plain(" ".join(str(error).split()) or type(error).__name__)
-        raise FileTrouble(
+        raise FileError(
             f"{plain(str(path))} is damaged or {damage} ({reason}). {remedy()}"
         ) from error
 
@@ -205,7 +205,7 @@ def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE)
     if failed:
         raise failed[0]
     if not done:
-        raise FileTrouble(
+        raise FileError(
             f"{path} does not answer within {patience:g} s: check its disk or network share, or "
             "name another place with the parameter calibration_file"
         )

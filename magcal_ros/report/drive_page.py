@@ -13,9 +13,9 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import known_sigma, predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.keeping.jobs import Verb, difference
-from magcal_ros.core.keeping.story import DrivePath, DriveStory
-from magcal_ros.files.disk import FileTrouble, write_atomically
+from magcal_ros.core.keeping.drive_replay import DrivePath, DriveReplay
+from magcal_ros.core.keeping.jobs import DecisionKind, difference
+from magcal_ros.files.disk import FileError, write_atomically
 from magcal_ros.files.recording import REMEDY
 from magcal_ros.report.page import page_head, table
 from magcal_ros.report.write import PAGE
@@ -40,28 +40,28 @@ RULES = (
     "the drive, local magnetic disturbances such as streets and cars add to it."
 )
 VERBS = {
-    Verb.NOTICED: "noticed",
-    Verb.PROBATION: "put on probation",
-    Verb.DROPPED: "dropped",
-    Verb.PROPOSED: "proposed",
-    Verb.APPLIED: "put in force",
-    Verb.REFINED: "refined",
-    Verb.ROLLED_BACK: "taken back",
-    Verb.CONFIRMED: "confirmed",
+    DecisionKind.NOTICED: "noticed",
+    DecisionKind.PROBATION: "put on probation",
+    DecisionKind.DROPPED: "dropped",
+    DecisionKind.PROPOSED: "proposed",
+    DecisionKind.APPLIED: "put in force",
+    DecisionKind.REFINED: "refined",
+    DecisionKind.ROLLED_BACK: "taken back",
+    DecisionKind.CONFIRMED: "confirmed",
 }
 
 
-def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
+def write_drive_page(folder: Path, story: DriveReplay, source: str) -> Path:
     """Write `report.html` on a drive into a folder; returns it. A report is never overwritten."""
     page = folder / PAGE
     if page.exists():
-        raise FileTrouble(f"{page} exists already and is not overwritten; choose another folder")
+        raise FileError(f"{page} exists already and is not overwritten; choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(page, render_drive(story, source), REMEDY)
     return page
 
 
-def render_drive(story: DriveStory, source: str) -> str:
+def render_drive(story: DriveReplay, source: str) -> str:
     """Return the whole page, which needs no other files."""
     summary = f'<p id="summary">{escape(summary_of(story))}</p>'
     title = "The compass on a drive"
@@ -77,10 +77,14 @@ def render_drive(story: DriveStory, source: str) -> str:
     )
 
 
-def summary_of(story: DriveStory) -> str:
+def summary_of(story: DriveReplay) -> str:
     """Return the result of a drive in two or three sentences."""
-    changed = [made for _, made in story.decisions if made.verb in (Verb.APPLIED, Verb.REFINED)]
-    back = sum(made.verb is Verb.ROLLED_BACK for _, made in story.decisions)
+    changed = [
+        made
+        for _, made in story.decisions
+        if made.kind in (DecisionKind.APPLIED, DecisionKind.REFINED)
+    ]
+    back = sum(made.kind is DecisionKind.ROLLED_BACK for _, made in story.decisions)
     drove = f"{_duration(story.seconds)} recorded, {_duration(story.moved)} of movement"
     if changed:
         said = "one calibration from driving was put in force"
@@ -94,7 +98,7 @@ def summary_of(story: DriveStory) -> str:
         )
     elif story.begun is None:
         said = "no calibration was in force, and the drive was not sufficient for one"
-        waits = any(made.verb is Verb.PROBATION for _, made in story.decisions)
+        waits = any(made.kind is DecisionKind.PROBATION for _, made in story.decisions)
         said += (
             " (a second calibration that agrees with the first was still missing)"
             if waits
@@ -118,7 +122,7 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.1f} min"
 
 
-def _before_and_after(story: DriveStory) -> str:
+def _before_and_after(story: DriveReplay) -> str:
     title = "<h2>Calibration before and after</h2>"
     if story.begun is None and story.ended is None:
         return f"{title}<p>None.</p>{_course(story)}"
@@ -133,7 +137,7 @@ def _before_and_after(story: DriveStory) -> str:
     return f'{title}<div class="scroll">{table("checks", rows, heads)}</div>{apart}'
 
 
-def _course(story: DriveStory) -> str:
+def _course(story: DriveReplay) -> str:
     return f'<p id="course">After: {escape(story.course)}.</p>' if story.course else ""
 
 
@@ -154,11 +158,11 @@ def _cells(calibration: Calibration | None) -> tuple[str, ...]:
     return made, heading, along, f'<span class="whole">{iron}</span>', reason
 
 
-def _decisions(story: DriveStory) -> str:
+def _decisions(story: DriveReplay) -> str:
     if not story.decisions:
         return "<h2>Decisions</h2><p>None.</p>"
     rows = [
-        (_duration(seconds), VERBS[made.verb], escape(made.words))
+        (_duration(seconds), VERBS[made.kind], escape(made.words))
         for seconds, made in story.decisions
     ]
     shown = table("checks", rows, ("after", "decision", "why"))

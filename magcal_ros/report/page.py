@@ -25,9 +25,9 @@ from magcal_ros.core.calibration.heading_sigma import (
     every_figure,
 )
 from magcal_ros.core.doctor.health import Finding
-from magcal_ros.core.doctor.page import Page
+from magcal_ros.core.doctor.sensor_report import SensorReport
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.multi_turn.result import Several
+from magcal_ros.core.multi_turn.result import MultiTurnReport
 from magcal_ros.report.gallery import Picture
 from magcal_ros.report.turn import MICRO, Subject, Turn
 
@@ -112,11 +112,11 @@ def _key(rows: Iterable[Row]) -> str:
     return f'<dl class="key">{cells}</dl>'
 
 
-def _several(several: Several) -> str:
+def _several(several: MultiTurnReport) -> str:
     """Return the section on several turns: results, determined quantities, and the next turn."""
     rows = [
         (escape(fate.name), "joined" if fate.joined else "left out", escape(fate.words))
-        for fate in several.fates
+        for fate in several.turns
     ]
     return (
         '<section id="several"><h2>Joined turns</h2>'
@@ -149,7 +149,7 @@ def _not_shown(verdict: Verdict, kind: str, found: bool) -> str:
     return f"{title}<ul>{lines}</ul>"
 
 
-def _sensors(page: Page) -> str:
+def _sensors(page: SensorReport) -> str:
     """Return the faults of the sensors, and a folded list of the other checks."""
     wrong = [finding for finding in page.findings if finding.is_wrong]
     rest = [finding for finding in page.findings if not finding.is_wrong]

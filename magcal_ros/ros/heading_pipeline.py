@@ -14,7 +14,7 @@ from rclpy.node import Node
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Fix, Fixes, Reference, made_elsewhere, resolve
 from magcal_ros.core.earth_field.wmm import year_of
-from magcal_ros.core.heading.compass import Compass, Moment
+from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.knowledge import ReferenceField
@@ -25,7 +25,7 @@ from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import FusedOutput, HeadingOutput
 from magcal_ros.ros.parameters import Parameters, Settings
@@ -241,15 +241,15 @@ class HeadingPipeline:
         """The present parameters."""
         return self._table.settings
 
-    def use(self, keepers: Mapping[int, Keeper]) -> None:
+    def use(self, stores: Mapping[int, CalibrationStore]) -> None:
         """Use the calibrations in force; the keys are the numbers of the magnetometers."""
-        for number, keeper in keepers.items():
-            if keeper.calibration is not self._in_force.get(number):
-                self._in_force[number] = keeper.calibration
-                self.several.put_in_force(number, keeper.calibration)
-        in_force = [number for number, keeper in keepers.items() if keeper.calibration is not None]
+        for number, store in stores.items():
+            if store.calibration is not self._in_force.get(number):
+                self._in_force[number] = store.calibration
+                self.several.put_in_force(number, store.calibration)
+        in_force = [number for number, store in stores.items() if store.calibration is not None]
         self.fused.is_needed = any(number > FIRST for number in in_force)
-        leader = keepers[min(in_force)] if in_force else None
+        leader = stores[min(in_force)] if in_force else None
         lead = None if leader is None else leader.calibration
         self._origin = None if leader is None else leader.origin
         if lead is not self.lead:
@@ -259,29 +259,29 @@ class HeadingPipeline:
             self.reference.use(lead)
             self.travel.use(self._origin.vehicle_yaw if self._origin else None)
 
-    def follow(self, keeper: Keeper, turn: TurnState) -> None:
+    def follow(self, store: CalibrationStore, turn: TurnState) -> None:
         """Once a second, take the parameters, and use and store the learnt field of the motors."""
         self.fused.patience = self.settings.patience
-        kept = None if keeper.calibration is None else keeper.calibration.motors
+        kept = None if store.calibration is None else store.calibration.motors
         mode, is_turning = Mode(self.settings.self_calibration), turn is not TurnState.IDLE
         learnt = self.motors.follow(mode, is_turning, kept)
         if learnt is not None:
-            keeper.keep(learnt)
+            store.keep(learnt)
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Propagate the fused yaw to an IMU message that `up` has received already."""
         self.fused.on_imu(seconds, stamp, self.body_frame(), self.reference.field)
 
-    def moment_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> Moment:
+    def reading_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> CompassReading:
         """Return the corrected field, up and heading of a field sample of these streams."""
         up = self.up.at(sample.stamp, streams.max_gap)
-        running = None
+        motor_state = None
         if compass.motors is not None:
-            running = self.motors.running(sample.stamp, compass.motors)
+            motor_state = self.motors.motor_state(sample.stamp, compass.motors)
         turning = self.up.rate if self.up.is_propagated else None
-        return Moment.of(compass, sample, up, streams.newest_rate, running, turning)
+        return CompassReading.of(compass, sample, up, streams.newest_rate, motor_state, turning)
 
-    def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
+    def take(self, number: int, moment: CompassReading, arrived: FieldArrival) -> None:
         """Publish the heading computed from a magnetometer's message."""
         if self.fused.is_needed:  # a calibration of a further magnetometer is in force
             joined = self.several.add(number, moment, self.up.newest_stamp, self.fused.yaw)
@@ -291,7 +291,7 @@ class HeadingPipeline:
         self.headings.publish(moment, arrived.stamp, self.body_frame(), self.reference.field)
         self.fused.on_field(moment)
         if moment.heading is not None:
-            self.travel.travelling.add_yaw(moment.heading.yaw)
+            self.travel.estimator.add_yaw(moment.heading.yaw)
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""

@@ -15,19 +15,19 @@ from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pa
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
+from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
-from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.wire import Unreadable, read_heading
-from magcal_ros.ros.worker_process import Stopped, WorkerProcess
+from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
     from magcal_ros.core.calibrate import Outcome
     from magcal_ros.core.session.at_known_heading import HeadingCollector, HeadingLog, HeadingResult
-    from magcal_ros.core.smoother.standings import Standing
+    from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
 
 TOPIC = "heading"
 VALID_FOR = 1.0
@@ -39,7 +39,7 @@ NO_DECLINATION = (
 )
 
 
-class Antenna:
+class HeadingTopic:
     """Uses the topic `heading` for the fused yaw and for calibration in a drive."""
 
     def __init__(
@@ -95,7 +95,7 @@ class Antenna:
         """Return the part of `~/status` on the topic; None before the first heading."""
         if self._collector is None:
             return None
-        kept = 0 if self._collector.log is None else len(self._collector.log.standings)
+        kept = 0 if self._collector.log is None else len(self._collector.log.measurements)
         return {"topic": self.topic, "speaks": self.is_heard, "kept": kept, "found": self._answer}
 
     def on_imu(self, stamp: float) -> None:
@@ -149,18 +149,18 @@ class Antenna:
 
     def _fit(self, settings: Settings, log: HeadingLog) -> None:
         self._is_fitting = True
-        standings = log.take()
+        measurements = log.take()
 
         def work() -> tuple[Outcome, str]:
             from magcal_ros.core.session.at_known_heading import fit_log
 
-            return self._worker.run_once(fit_log, standings, settings.knowledge)
+            return self._worker.run_once(fit_log, measurements, settings.knowledge)
 
         self._pipeline.fits.run(work, lambda found: self._note(*found, log), self._lost)
 
     def _lost(self, error: Exception) -> None:
         self._is_fitting = False
-        if not isinstance(error, Stopped):
+        if not isinstance(error, WorkerStopped):
             self._answer = f"the fit failed: {error}"
 
     def _note(self, outcome: Outcome, north: str, log: HeadingLog) -> None:
@@ -170,7 +170,7 @@ class Antenna:
         self._answer, self._doubt = outcome.verdict.summary, north
         if outcome.reason is Reason.HEADING_CONTRADICTED:
             self._doubt = self._answer
-        found, before = outcome.calibration, self._magnetometer.keeper.calibration
+        found, before = outcome.calibration, self._magnetometer.store.calibration
         is_wanted = self._pipeline.settled().self_calibration != Mode.OFF.value
         if found is None or not (is_wanted and outcome.verdict.accepted):
             return
@@ -203,8 +203,8 @@ class KnownHeadings:
         self._magnetometer, self._pipeline = magnetometer, pipeline
         self.worker = WorkerProcess()
         """For fits of known headings, which run in the thread of all fits, one at a time."""
-        self.antenna = Antenna(magnetometer, pipeline, self.worker)
-        self._standings: tuple[Standing, ...] = ()
+        self.antenna = HeadingTopic(magnetometer, pipeline, self.worker)
+        self._measurements: tuple[KnownHeadingMeasurement, ...] = ()
         self._epoch = 0
         self._answer = ""
         self._turn: GyroTurn | None = None
@@ -221,7 +221,7 @@ class KnownHeadings:
 
     def forget(self) -> None:
         """Discard all known headings."""
-        self._standings, self._turn, self._answer = (), None, ""
+        self._measurements, self._turn, self._answer = (), None, ""
         self._epoch += 1
         self.antenna.forget()
 
@@ -277,11 +277,11 @@ class KnownHeadings:
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on known headings; None if there are none."""
         topic = self.antenna.facts()
-        if not self._standings and topic is None and not self._answer:
+        if not self._measurements and topic is None and not self._answer:
             return None
         return {
             "collecting": self._is_collecting,
-            "headings": [each.in_words for each in self._standings],
+            "headings": [each.in_words for each in self._measurements],
             "answer": self._answer,
             "topic": topic,
         }
@@ -304,23 +304,23 @@ class KnownHeadings:
         turn = self._turn or GyroTurn()
         known = given, settings.knowledge, view.pose[0], turn, bias
         pairs, self._pairs = tuple(self._pairs), []
-        before, epoch = self._standings, self._epoch
-        in_force = self._magnetometer.keeper.calibration
+        before, epoch = self._measurements, self._epoch
+        in_force = self._magnetometer.store.calibration
 
         def work() -> HeadingResult:
             # Modules that only a fit needs are imported here, in the background thread.
             from magcal_ros.core.session.at_known_heading import (
                 CollectedSamples,
-                calibrate_standing,
+                calibrate_at_known_heading,
             )
 
             collected = CollectedSamples(pairs, *known)
-            return self.worker.run_once(calibrate_standing, before, collected, in_force)
+            return self.worker.run_once(calibrate_at_known_heading, before, collected, in_force)
 
         self._pipeline.fits.run(work, lambda result: self._note(result, epoch), self._lost)
 
     def _lost(self, error: Exception) -> None:
-        why = "the node is shutting down" if isinstance(error, Stopped) else in_words(error)
+        why = "the node is shutting down" if isinstance(error, WorkerStopped) else in_words(error)
         self._conclude(False, f"the fit failed: {why}")
 
     def _note(self, result: HeadingResult, epoch: int) -> None:
@@ -330,7 +330,7 @@ class KnownHeadings:
             return
         calibration = result.outcome.calibration
         if calibration is not None:
-            self._standings, self._turn = result.standings, GyroTurn()
+            self._measurements, self._turn = result.measurements, GyroTurn()
         if not result.applies or calibration is None:
             # It is a success if the heading agrees with a better calibration in force.
             self._conclude(result.outcome.verdict.accepted, result.words)

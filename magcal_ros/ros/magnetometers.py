@@ -16,11 +16,11 @@ from std_srvs.srv import Trigger
 
 from magcal_ros.core.assessment.grading import shown
 from magcal_ros.core.calibration.heading_sigma import known_sigma
-from magcal_ros.core.heading.several_compasses import SeveralCompasses, Share
+from magcal_ros.core.heading.several_compasses import CompassWeight, SeveralCompasses
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.files.disk import plain
-from magcal_ros.ros.keeper import Tell
+from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.wire import diagnostic
@@ -49,12 +49,12 @@ class Magnetometers:
 
     def save(self, tell: Tell) -> None:
         """Save the calibrations in force."""
-        saving = [each for each in self.heard if each.keeper.calibration is not None]
-        ask_all({e.topic: e.keeper.save for e in saving or self.heard[:1]}, tell)
+        saving = [each for each in self.heard if each.store.calibration is not None]
+        ask_all({e.topic: e.store.save for e in saving or self.heard[:1]}, tell)
 
     def load(self, tell: Tell) -> None:
         """Put the calibrations in the files in force."""
-        ask_all({each.topic: each.keeper.load for each in self.heard}, tell)
+        ask_all({each.topic: each.store.load for each in self.heard}, tell)
 
     def accept(self, proposed: Ask | None, tell: Tell, say: Callable[[str], object]) -> None:
         """Put the refused or proposed calibrations in force, first a proposal from driving.
@@ -119,12 +119,12 @@ class Magnetometers:
 
     def facts(self) -> list[dict[str, Any]]:
         """Return the part of `~/status` on the magnetometers; empty if there is only the first."""
-        shares = {each.number: Share(0.0) for each in self.heard} | self._several.shares
+        shares = {each.number: CompassWeight(0.0) for each in self.heard} | self._several.shares
         return [
             {
                 "topic": each.topic,
-                "calibrated": each.keeper.calibration is not None,
-                "created": each.keeper.origin.created if each.keeper.origin else "",
+                "calibrated": each.store.calibration is not None,
+                "created": each.store.origin.created if each.store.origin else "",
                 "weight": round(shares[each.number].weight, 2),
                 "why": shares[each.number].why,
             }
@@ -135,7 +135,7 @@ class Magnetometers:
         """Return the diagnostic of the common heading; empty if there is only one magnetometer."""
         if not self.further:
             return []
-        complaints = [each.keeper.trouble for each in self.further if each.keeper.trouble]
+        complaints = [each.store.problem for each in self.further if each.store.problem]
         complaints += self.complaints()
         words = "all are used for the heading"
         if not self.are_calibrated:
@@ -152,7 +152,7 @@ class Magnetometers:
     @property
     def are_calibrated(self) -> bool:
         """Whether a calibration of a further magnetometer is in force."""
-        return any(each.keeper.calibration is not None for each in self.further)
+        return any(each.store.calibration is not None for each in self.further)
 
     @property
     def _busy(self) -> list[Magnetometer]:
@@ -198,10 +198,10 @@ def _accept_one(
     magnetometer: Magnetometer, ask: Ask, say: Callable[[str], object], tell: Tell
 ) -> None:
     """Put a calibration in force by `ask`, and log it with `say`."""
-    before = magnetometer.keeper.calibration
+    before = magnetometer.store.calibration
 
     def note(conclusion: Conclusion) -> None:
-        now = magnetometer.keeper.calibration
+        now = magnetometer.store.calibration
         if now is not None and now is not before:
             sigma, method = math.degrees(known_sigma(now)), plain(now.evidence.method)
             words = f"a calibration by {method}, predicted heading error {shown(sigma)}° (1σ)"

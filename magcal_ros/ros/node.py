@@ -13,7 +13,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
 from magcal_ros.core.samples.streams import Drop, FieldSample
-from magcal_ros.core.session.self_turn import Around, SelfTurn
+from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors
@@ -51,7 +51,7 @@ class Calibrator(Node):
         self._robot = SelfTurn(pipeline.imu.topic, field, commands)
         self._first = first = Magnetometer(self, pipeline, FIRST, self._robot)
         self._inputs = first.inputs
-        self._control, self._keeper = first.control, first.keeper
+        self._control, self._store = first.control, first.store
         self._keeping = SelfKeeping(self, first)
         self._known = KnownHeadings(first, pipeline)
         self._magnetometers = Magnetometers(first, pipeline.several)
@@ -76,7 +76,7 @@ class Calibrator(Node):
         for timer in (self._tick, self._look):
             timer.cancel()
         self.create_timer(HEARTBEAT, self._on_heartbeat, clock=steady)
-        self._keeper.begin()
+        self._store.begin()
         self._publish_status()
 
     def _offer_services(self) -> None:
@@ -129,7 +129,7 @@ class Calibrator(Node):
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
-            own = self._travel.travelling.add_imu(sample, self._up.gyro_bias.rate)
+            own = self._travel.estimator.add_imu(sample, self._up.gyro_bias.rate)
             self._up.add(sample, own)
             if self._robot.is_under_way:
                 self._robot.hear(sample.rate, monotonic())
@@ -173,13 +173,13 @@ class Calibrator(Node):
     def calibration_changed(self, magnetometer: Magnetometer) -> None:
         """Use the new calibration in force for the heading."""
         if magnetometer is self._first:
-            self._keeping.machine.put_in_force(self._keeper.calibration)
-        self._pipeline.use({each.number: each.keeper for each in self._magnetometers.heard})
+            self._keeping.machine.put_in_force(self._store.calibration)
+        self._pipeline.use({each.number: each.store for each in self._magnetometers.heard})
         self._publish_status()
 
     def _reset(self) -> Conclusion:
         self._known.forget()
-        were_in_force = [each.keeper.calibration for each in self._magnetometers.heard]
+        were_in_force = [each.store.calibration for each in self._magnetometers.heard]
         for each in self._magnetometers.heard:
             each.reset()
         if not any(were_in_force):
@@ -202,7 +202,9 @@ class Calibrator(Node):
     def _on_look(self) -> None:
         base, is_allowed = self.rotator, self._table.settings.rotation.enabled
         ages = self._inputs.imu.age(), self._inputs.field.age()
-        if not self._control.look(Around(*ages, base.listeners, is_allowed, base.is_guarded)):
+        if not self._control.look(
+            TurnConditions(*ages, base.listeners, is_allowed, base.is_guarded)
+        ):
             self.rotator.rest()
             self._look.cancel()
 
@@ -225,13 +227,13 @@ class Calibrator(Node):
         self._deliver()
         settings = self._table.settings
         self._magnetometers.look(self.count_publishers, settings)
-        self._pipeline.follow(self._keeper, self._control.turn.state)
+        self._pipeline.follow(self._store, self._control.turn.state)
         self._reference.refresh()
         self._known.look()
         self._keeping.follow(settings.self_calibration, settings.report_folder)
         news = self._travel.follow(self._reference.field, self._announcer)
         if news is not None:
-            self._keeper.keep(news)
+            self._store.keep(news)
         self._frames.follow(self._up, self._control.turn.last_outcome, self._travel.yaw)
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
         complaints += [

@@ -25,8 +25,8 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw, unit
 from magcal_ros.core.geometry.shapes import Circle, fit_circle_in_space
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.compass import Compass, Heading, Moment
-from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt, Trust
+from magcal_ros.core.heading.compass import Compass, CompassReading, Heading
+from magcal_ros.core.heading.disturbance import PATIENCE, FieldDeviation, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.coverage import Coverage
@@ -128,8 +128,8 @@ class HeadingOutput:
             if self._azimuth is not None:
                 out = node.create_publisher(self._azimuth, f"{topic}/rad", RELIABLE)
                 self._azimuths[north] = out
-        self._doubt: FieldDoubt | None = None
-        self.moment: Moment | None = None
+        self._doubt: FieldDeviation | None = None
+        self.moment: CompassReading | None = None
         """Result of the newest field message with the calibration in force, None before it."""
 
     def complaints(self, reference: ReferenceField) -> list[str]:
@@ -156,10 +156,12 @@ class HeadingOutput:
 
     def begin_anew(self, calibration: Calibration | None) -> None:
         """Start again with another calibration, or with none."""
-        self._doubt = None if calibration is None else FieldDoubt(calibration)
+        self._doubt = None if calibration is None else FieldDeviation(calibration)
         self.moment = None
 
-    def publish(self, moment: Moment, stamp: bytes, frame: str, reference: ReferenceField) -> None:
+    def publish(
+        self, moment: CompassReading, stamp: bytes, frame: str, reference: ReferenceField
+    ) -> None:
         """Publish the heading of one field message on all its topics."""
         moment, declination = self._with_doubt(moment), reference.declination
         self.moment = moment
@@ -177,7 +179,7 @@ class HeadingOutput:
             if out is not None and _is_wanted(out):
                 out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
-    def _with_doubt(self, moment: Moment) -> Moment:
+    def _with_doubt(self, moment: CompassReading) -> CompassReading:
         """Return the moment with a larger yaw variance if its field is disturbed."""
         heading, up = moment.heading, moment.up
         if heading is None or up is None or self._doubt is None:
@@ -247,7 +249,7 @@ class FusedOutput:
             seen, frame = view.heading(heading), self._frames.frame(frame)
             self._out.publish(stamp, frame, seen, reference)
 
-    def on_field(self, moment: Moment) -> None:
+    def on_field(self, moment: CompassReading) -> None:
         """Correct the yaw by a field message."""
         if self.yaw is None or not self._follower.is_propagated:
             return

@@ -15,17 +15,17 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, MagneticField
 
-from magcal_ros.core.errors import MagcalError, Misuse
+from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.frame_tree import FrameTrouble
+from magcal_ros.core.geometry.frame_tree import FrameTreeError
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.disk import plain
-from magcal_ros.ros.sensor_frames import Description
+from magcal_ros.ros.sensor_frames import DescriptionListener
 from magcal_ros.ros.wire import read_field, read_imu
 
 MOST_FRAMES = 5
@@ -201,7 +201,7 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
         time.sleep(0.1)
     if found:
         listed = ", ".join(plain(topic) for topic in sorted(found))
-        raise Misuse(f"{len(found)} topics carry {kind}: {listed}; choose one with {option}")
+        raise UsageError(f"{len(found)} topics carry {kind}: {listed}; choose one with {option}")
     raise MagcalError(
         f"no topic carries {kind}: check that the driver runs, and that ROS_DOMAIN_ID and the "
         "discovery range are the same on both sides"
@@ -231,7 +231,7 @@ class Listener:
         self.sensors = Heard(imu_topic, IMU_TYPE, take), Heard(field_topic, FIELD_TYPE, take)
         for heard in self.sensors:
             heard.listen(node)
-        self._description = Description(node, lambda: None)
+        self._description = DescriptionListener(node, lambda: None)
         self._description.listen()
 
     @property
@@ -254,5 +254,5 @@ class Listener:
             return None
         try:
             return tree.pose(field, imu)
-        except FrameTrouble:
+        except FrameTreeError:
             return None

@@ -16,7 +16,7 @@ from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import BackgroundThread
 from magcal_ros.ros.travel import Travel
-from magcal_ros.ros.worker_process import Stopped, WorkerProcess
+from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
     from magcal_ros.report import Subject
@@ -105,7 +105,7 @@ class Reporter:
         watchdog.start()
         try:
             self._worker.run_once(write_to_the_end, folder, subject)
-        except Stopped:
+        except WorkerStopped:
             raise MagcalError(
                 f"its process took more than {LONGEST:g} s and was ended: check that the disk of "
                 "report_folder works, and end other programs that keep the machine busy"

@@ -14,19 +14,19 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.keeping.jobs import DriveJob, Findings, Mode, Verb
+from magcal_ros.core.keeping.jobs import DecisionKind, DriveJob, DriveResult, Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.samples.streams import FieldSample, Pairer
 from magcal_ros.core.samples.window import Window
-from magcal_ros.ros.keeper import Tell
+from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.threads import BackgroundThread
 from magcal_ros.ros.travel import Travel
-from magcal_ros.ros.worker_process import Stopped, WorkerProcess
+from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
-    from magcal_ros.core.keeping.story import DriveStory
+    from magcal_ros.core.keeping.drive_replay import DriveReplay
 
 NICENESS = 10  # of the worker process, so that other processes have priority
 IDLE_HEARTBEATS = 300  # heartbeats without a job after which the worker process is ended
@@ -43,7 +43,7 @@ class SelfKeeping:
         self.worker = WorkerProcess()
         self._idle = 0
         self.lost = 0  # number of fits that failed
-        self.trouble = ""  # the failure of the last fit; empty if it succeeded
+        self.problem = ""  # the failure of the last fit; empty if it succeeded
         self._reports = NO_REPORTS
 
     def on_field(self, sample: FieldSample, travel: Travel) -> None:
@@ -52,7 +52,7 @@ class SelfKeeping:
             return
         self._pairer.offer(sample)
         for pair in self._pairer.take():
-            if self.machine.add(pair, travel.travelling.speed):
+            if self.machine.add(pair, travel.estimator.speed):
                 self._look()
 
     def follow(self, mode: str, reports: str) -> None:
@@ -88,7 +88,7 @@ class SelfKeeping:
                 "why": " ".join(proposal.evidence.reasons),
             },
             "decisions": [
-                {"decision": made.verb.value, "at_s": round(made.clock, 1), "why": made.words}
+                {"decision": made.kind.value, "at_s": round(made.clock, 1), "why": made.words}
                 for made in list(machine.decisions)[-5:]
             ],
         }
@@ -103,24 +103,24 @@ class SelfKeeping:
 
     def _lost(self, error: Exception) -> None:
         self.machine.fail()
-        if not isinstance(error, Stopped):
+        if not isinstance(error, WorkerStopped):
             self.lost += 1
-            self.trouble = f"self-calibration: the last fit has failed: {in_words(error)}"
-            self._say(f"{self.trouble}; the next fit follows after a drive twice as long")
+            self.problem = f"self-calibration: the last fit has failed: {in_words(error)}"
+            self._say(f"{self.problem}; the next fit follows after a drive twice as long")
 
-    def _note(self, findings: Findings) -> None:
-        self.trouble = ""
+    def _note(self, findings: DriveResult) -> None:
+        self.problem = ""
         for decision in self.machine.note(findings):
-            verb, calibration = decision.verb, decision.calibration
-            self._tell(f"{verb.value.replace('_', ' ')}: {decision.words}")
+            kind, calibration = decision.kind, decision.calibration
+            self._tell(f"{kind.value.replace('_', ' ')}: {decision.words}")
             if calibration is None:
                 continue
             self._leave_page(calibration)
-            if verb is Verb.PROPOSED:
+            if kind is DecisionKind.PROPOSED:
                 self._tell("call ~/accept to put it in force")
                 continue
             # A refined calibration needs no backup: the backup of the one before it is kept.
-            is_another = verb is not Verb.REFINED
+            is_another = kind is not DecisionKind.REFINED
             self._magnetometer.use(calibration, lambda done: self._tell(done.message), is_another)
 
     def _tell(self, words: str) -> None:
@@ -130,12 +130,12 @@ class SelfKeeping:
         """Start to write a page on the drive, its samples and the decisions."""
         if self._reports == NO_REPORTS:
             return
-        from magcal_ros.core.keeping.story import DriveStory
+        from magcal_ros.core.keeping.drive_replay import DriveReplay
 
         machine, moved = self.machine, self.machine.recorder.seconds
         decisions = tuple((made.clock, made) for made in machine.decisions)
-        before = self._magnetometer.keeper.calibration
-        story = DriveStory(decisions, before, calibration, moved, moved, machine.in_words, None)
+        before = self._magnetometer.store.calibration
+        story = DriveReplay(decisions, before, calibration, moved, moved, machine.in_words, None)
         log, reports = machine.recorder.log(), self._reports
         self._jobs.run(
             lambda: self.worker.run(write_page, reports_of(reports), story, log),
@@ -144,7 +144,7 @@ class SelfKeeping:
         )
 
 
-def run_with_low_priority(job: DriveJob) -> Findings:
+def run_with_low_priority(job: DriveJob) -> DriveResult:
     """Do a job in the worker process at low priority; its modules are imported only there."""
     from magcal_ros.core.keeping.worker import answer
 
@@ -152,9 +152,9 @@ def run_with_low_priority(job: DriveJob) -> Findings:
     return answer(job)
 
 
-def write_page(parent: Path, story: DriveStory, log: Window) -> Path:
+def write_page(parent: Path, story: DriveReplay, log: Window) -> Path:
     """Write the page on a decision, with a map of the recorded drive; returns its path."""
-    from magcal_ros.core.keeping.story import path_of_log
+    from magcal_ros.core.keeping.drive_replay import path_of_log
     from magcal_ros.report import new_folder
     from magcal_ros.report.drive_page import write_drive_page
 

@@ -16,9 +16,9 @@ from sensor_msgs.msg import NavSatFix
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource
 from magcal_ros.core.driving.mounting_yaw import fault_words
-from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.driving.travel_estimator import TravelEstimator
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
-from magcal_ros.core.heading.base_view import FRONT, Front, VehicleYaw, vehicle_front
+from magcal_ros.core.heading.base_heading import VEHICLE_YAW, Front, VehicleYaw, driven_yaw
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
 from magcal_ros.core.samples.streams import SpeedSample, VelocitySample
@@ -51,7 +51,7 @@ class Travel:
         self._plane = LocalPlane()
         self._unusable: dict[str, str] = {}
         self._topics: dict[SpeedSource | None, str] = {}
-        self.travelling = Travelling(run=self._run)
+        self.estimator = TravelEstimator(run=self._run)
         self.front = Front()
         self.kept: VehicleYaw | None = None
         """The yaw that is stored with the calibration in force."""
@@ -80,24 +80,24 @@ class Travel:
 
     def use(self, kept: VehicleYaw | None) -> None:
         """Take the yaw that is stored with a new calibration in force."""
-        self.travelling.forget_compass()
+        self.estimator.forget_compass()
         if kept is not None:
             self.kept = kept
-            self.travelling.believe(kept.offset, kept.sigma)
+            self.estimator.believe(kept.offset, kept.sigma)
 
     def follow(self, reference: ReferenceField, announcer: Announcer) -> VehicleYaw | None:
         """Estimate the front, once a second, and log changes; returns a yaw to store, if any."""
-        travelling, verdict = self.travelling, self.verdict
-        if not travelling.is_heard:
+        estimator, verdict = self.estimator, self.verdict
+        if not estimator.is_heard:
             return None
         north = reference.declination, reference.declination_sigma
-        self.front = vehicle_front(travelling.known_mounting, travelling.course, *north)
+        self.front = driven_yaw(estimator.known_mounting, estimator.course, *north)
         if verdict:
             announcer.tell("course", verdict, wrong=True)
         found = self.front.yaw
         if (
             found is None
-            or found.sigma > FRONT.useful
+            or found.sigma > VEHICLE_YAW.useful
             or not self._is_better(found, BETTER_SIGMA_RATIO)
         ):
             return None
@@ -108,7 +108,7 @@ class Travel:
     @property
     def complaints(self) -> list[str]:
         """Faults of speeds, compass or declination, in words."""
-        watch = self.travelling.mounting
+        watch = self.estimator.mounting
         words = [
             fault_words(self._topics[source], fault, watch.seen[source])
             for source, fault in watch.faults.items()
@@ -122,10 +122,10 @@ class Travel:
     @property
     def verdict(self) -> str:
         """Why the course contradicts the calibration in force; empty if it does not."""
-        if self.travelling.known_mounting is None:
+        if self.estimator.known_mounting is None:
             # If the vehicle may move sideways, its course says nothing about the compass.
             return ""
-        return course_fault(check_by_course(self.travelling.course))
+        return course_fault(check_by_course(self.estimator.course))
 
     def yaw_facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the yaw of the IMU in the vehicle; None if unknown."""
@@ -137,15 +137,15 @@ class Travel:
 
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the drive; None without speeds and fixes."""
-        travelling, yaw = self.travelling, self.yaw
-        if not travelling.is_heard and yaw is None:
+        estimator, yaw = self.estimator, self.yaw
+        if not estimator.is_heard and yaw is None:
             return None
-        course = travelling.course
+        course = estimator.course
         return {
-            "speed_from": self._topics.get(travelling.source),
-            "own_acceleration_taken_off": travelling.own.is_used,
-            "metres": round(travelling.metres, -1),
-            "drifts": travelling.drift.is_drifting,
+            "speed_from": self._topics.get(estimator.source),
+            "own_acceleration_taken_off": estimator.own.is_used,
+            "metres": round(estimator.metres, -1),
+            "drifts": estimator.drift.is_drifting,
             "course_gap_deg": _degrees(self.front.compass_gap),
             "course_gap_sigma_deg": _degrees(self.front.compass_sigma),
             "course_metres": None if course is None else round(course.metres, -1),
@@ -155,7 +155,7 @@ class Travel:
 
     def diagnostics(self) -> list[DiagnosticStatus]:
         """Return the diagnostic of the drive; empty without speeds and fixes."""
-        if not self.travelling.is_heard:
+        if not self.estimator.is_heard:
             return []
         yaw, verdict = self.yaw, self.verdict
         front = "the vehicle's front is not known yet" if yaw is None else yaw.words
@@ -166,7 +166,7 @@ class Travel:
 
     def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         def fail(error: Exception) -> None:
-            self.travelling.give_up_fit()
+            self.estimator.give_up_fit()
             self._node.get_logger().error(f"a fit of the drive has failed: {error!r}")
 
         self._thread.run(work, then, fail)
@@ -176,7 +176,7 @@ class Travel:
     ) -> None:
         """Take a message; if it has no usable sample, the reason becomes a complaint."""
         is_by_wheels = source is SpeedSource.ODOMETRY
-        if is_by_wheels and not self.travelling.wants_speed(wire.read_stamp(data)):
+        if is_by_wheels and not self.estimator.wants_speed(wire.read_stamp(data)):
             return
         try:
             found = read(data)
@@ -187,13 +187,13 @@ class Travel:
             return
         self._unusable.pop(self._topics[source], None)
         if not isinstance(found, Fix):
-            self.travelling.add_travel(found)
+            self.estimator.add_travel(found)
             return
         # The reference field reports the faults of fixes.
         self._tell_fix(found)
         position = self._plane.position(found)
         if position is not None:
-            self.travelling.add_travel(position)
+            self.estimator.add_travel(position)
 
 
 def _degrees(angle: float) -> float | None:

@@ -5,7 +5,7 @@ import sys
 import pytest
 from remembered import remembered
 
-from magcal_ros.core.doctor import Page
+from magcal_ros.core.doctor import SensorReport
 from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.session import recorded
 from magcal_ros.report import turn
@@ -18,7 +18,7 @@ CALIBRATE_TURNS = remembered(recorded.calibrate_turns)
 def plain_reports(monkeypatch):
     """Draw no pictures in this process, and do not look at the sensors: it is half of a fit."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setattr(turn, "examine_window", lambda *_: Page(()))
+    monkeypatch.setattr(turn, "examine_window", lambda *_: SensorReport(()))
     monkeypatch.setattr(joined, "wrong_axes", lambda *_: None)
 
 

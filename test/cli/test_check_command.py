@@ -7,15 +7,15 @@ import pytest
 from drives import ROBOT, drive, write_bag, write_csv
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.session import Gathering, fit_gathered
+from magcal_ros.core.session import SampleCollector, fit_collected
 from magcal_ros.files import Origin, write_calibration
 
 
 @pytest.fixture(scope="module")
 def calibration_file(tmp_path_factory):
-    gathering = Gathering(ROBOT.mounting)
-    gathering.take(drive(400.0))
-    outcome = fit_gathered(gathering, ROBOT.knowledge(1.5e-6, math.radians(1.0)))
+    collector = SampleCollector(ROBOT.mounting)
+    collector.take(drive(400.0))
+    outcome = fit_collected(collector, ROBOT.knowledge(1.5e-6, math.radians(1.0)))
     path = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
     write_calibration(path, outcome.calibration, Origin.now("mag_link", "imu_link"))
     return path

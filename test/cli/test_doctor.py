@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from magcal_ros.cli.doctor import write_parameters
 from magcal_ros.cli.main import main
-from magcal_ros.core.doctor import Page
+from magcal_ros.core.doctor import SensorReport
 from magcal_ros.core.geometry import signed_permutations
 from magcal_ros.core.samples import FieldSample, ImuSample
 
@@ -109,12 +109,12 @@ def test_how_the_robot_turned_is_heard(tmp_path, capsys):
 
 
 def test_known_gains_are_written_beside_the_mounting(tmp_path):
-    page = Page((), (180, 0, 0))
+    page = SensorReport((), (180, 0, 0))
     file = tmp_path / "params.yaml"
     assert write_parameters(file, page, np.array([1.0, 1.05, 0.98])) == str(file)
     content = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
     assert content == {"mount_rpy_deg": [180.0, 0.0, 0.0], "soft_iron_gains": [1.0, 1.05, 0.98]}
-    assert write_parameters(tmp_path / "other.yaml", Page(()), None) is None
+    assert write_parameters(tmp_path / "other.yaml", SensorReport(()), None) is None
     assert not (tmp_path / "other.yaml").exists()
 
 

@@ -13,7 +13,7 @@ from simulated.travel import travel
 from magcal_ros.cli.main import main
 from magcal_ros.core import Mounting
 from magcal_ros.core.calibration import known_sigma, predicted_heading_sigma
-from magcal_ros.core.session import Gathering
+from magcal_ros.core.session import SampleCollector
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import open_recording, read_calibration
 
@@ -63,7 +63,7 @@ def test_a_speed_beside_the_sensors_goes_into_the_log(tmp_path):
     folder = write_csv(tmp_path / "csv", list(drive.samples()))
     assert {each.name for each in folder.iterdir()} >= {"odom.csv", "gps.csv"}
     with open_recording(folder) as source:
-        gathered = Gathering(Mounting())
+        gathered = SampleCollector(Mounting())
         gathered.take(source.readings(), source.travel)
     driven = 0.1 * np.nansum(np.abs(gathered.drive().speed))
     assert driven == pytest.approx(drive.truth.metres[-1], rel=0.1)

@@ -30,7 +30,7 @@ def fit(tmp_path, capsys):
 
 
 @pytest.fixture(scope="module")
-def standings(tmp_path_factory):
+def recordings(tmp_path_factory):
     """Recordings of five seconds, one at each heading."""
     folder, found = tmp_path_factory.mktemp("standings"), []
     for k, yaw in enumerate(YAWS):
@@ -45,17 +45,17 @@ def iron(tmp_path):
     return read_calibration(tmp_path / "found" / "calibration.yaml")[0].correction.hard_iron
 
 
-def test_three_standings_make_a_calibration(fit, standings, tmp_path):
+def test_three_standings_make_a_calibration(fit, recordings, tmp_path):
     known = "--heading-deg", *YAWS, "--north", "magnetic", "--sigma-deg", 1
-    status, words = fit(*standings, *known)
+    status, words = fit(*recordings, *known)
     assert status == 0, words
     assert "One more known heading" in words
     assert np.linalg.norm(iron(tmp_path)[:2] - ROBOT.hard_iron[:2]) < 1.5e-6
 
 
-def test_a_bearing_in_place_of_a_yaw_is_named(fit, standings):
+def test_a_bearing_in_place_of_a_yaw_is_named(fit, recordings):
     told = [90.0 - yaw for yaw in YAWS]
-    status, words = fit(*standings, "--heading-deg", *told, "--north", "magnetic")
+    status, words = fit(*recordings, "--heading-deg", *told, "--north", "magnetic")
     assert status == 4
     assert "as a compass bearing does" in words
 
@@ -69,8 +69,8 @@ def test_a_bearing_in_place_of_a_yaw_is_named(fit, standings):
         (["--heading-topic", "/heading", "--north", "true"], "takes one recording"),
     ],
 )
-def test_headings_that_are_not_said_fully_are_refused(fit, standings, arguments, words):
-    status, said = fit(*standings, *arguments)
+def test_headings_that_are_not_said_fully_are_refused(fit, recordings, arguments, words):
+    status, said = fit(*recordings, *arguments)
     assert status == 2
     assert words in said
 

@@ -9,7 +9,7 @@ import numpy as np
 from magcal_ros.core import Calibration
 from magcal_ros.core.calibration import Evidence
 from magcal_ros.core.geometry import STANDARD_GRAVITY, exp_rotations, yaw_from_up_and_field
-from magcal_ros.core.heading import Heading, Moment
+from magcal_ros.core.heading import CompassReading, Heading
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up import Up
 
@@ -34,7 +34,7 @@ def promise(robot=ROBOT, heading_sigma=math.radians(0.3)):
 
 
 @dataclass(frozen=True)
-class Way:
+class Route:
     """How the robot drives.
 
     `turns` are the sides it may turn to, `headings` where it may go (None: anywhere), `parked` the
@@ -79,7 +79,7 @@ def smooth(rng, moments, seconds):
     return lfilter([1.0], [1.0, -share], kicks, axis=0)
 
 
-def drive(watch, calibration, robots, minutes, way=Way(), seed=1, start=1000.0, gyro=True):
+def drive(watch, calibration, robots, minutes, way=Route(), seed=1, start=1000.0, gyro=True):
     """Drive one robot after the other, each for so many minutes, under the same calibration.
 
     Returns what the watch said, a (stamp, Watched) each half minute.
@@ -117,7 +117,7 @@ def feed(watch, *columns):
     for k, (stamp, field, force, heading, turning) in enumerate(zip(*columns, strict=True)):
         up = Up(tuple(np.array(force) / np.linalg.norm(force)), 0.0)
         seen = Heading(0.0, 0.0, heading, 0.0, 0.0, 0.0, 0.0)
-        watch.take(Moment(stamp, tuple(field), up, seen, tuple(turning)))
+        watch.take(CompassReading(stamp, tuple(field), up, seen, tuple(turning)))
         if k % 300 == 299:
             said.append((stamp, watch.watched))
     return said

@@ -21,7 +21,7 @@ from slope_turns import (
 
 from magcal_ros.core import Reason, calibrate, calibrate_turns
 from magcal_ros.core.calibrate import pooled
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.simulation import heading_errors
 
@@ -34,7 +34,7 @@ def absolute_rms_deg(outcome, robot=ROBOT):
 
 
 def fates_of(outcome):
-    return [fate.joined for fate in outcome.several.fates]
+    return [fate.joined for fate in outcome.several.turns]
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -136,7 +136,7 @@ def test_the_yaw_of_the_installation_is_not_claimed_before_it_is_shown():
     assert flat.estimate.installation.yaw == 0.0
     assert "installation_yaw_sigma" not in flat.estimate.figures
     assert any("yaw of the installation" in words for words in flat.verdict.not_shown)
-    assert "the same tilt as before" in flat.several.fates[1].words
+    assert "the same tilt as before" in flat.several.turns[1].words
 
 
 def test_the_yaw_of_the_installation_is_claimed_where_a_slope_has_shown_it(mixed):
@@ -148,7 +148,7 @@ def test_the_yaw_of_the_installation_is_claimed_where_a_slope_has_shown_it(mixed
 class TestTurnsThatDoNotBelong:
     def test_each_is_left_out_with_its_reason(self, mixed):
         assert fates_of(mixed) == [True, False, True, False, False]
-        words = [fate.words for fate in mixed.several.fates]
+        words = [fate.words for fate in mixed.several.turns]
         assert "contradicts the other turns" in words[1]
         assert words[3] == "it holds the same samples as turn 3"
         assert "did not turn" in words[4]
@@ -166,7 +166,7 @@ class TestTurnsThatDoNotBelong:
         windows.insert(place, window_on(NORTH, rng, FOREIGN))
         outcome = calibrate_turns(windows, KNOWN)
         assert fates_of(outcome) == [k != place for k in range(3)]
-        assert "contradicts the other turns" in outcome.several.fates[place].words
+        assert "contradicts the other turns" in outcome.several.turns[place].words
         assert absolute_rms_deg(outcome) < 1.0
 
     @pytest.mark.nightly
@@ -185,7 +185,7 @@ class TestTurnsThatDoNotBelong:
         part = windows[1].take(np.arange(100, 400))
         outcome = calibrate_turns([*windows, part, windows[0]], KNOWN)
         assert fates_of(outcome) == [True, True, False, False]
-        assert outcome.several.fates[2].words == "it holds the same samples as turn 2"
+        assert outcome.several.turns[2].words == "it holds the same samples as turn 2"
 
     @pytest.mark.nightly
     def test_a_robot_that_stood_is_left_out(self):
@@ -195,7 +195,7 @@ class TestTurnsThatDoNotBelong:
         ]
         outcome = calibrate_turns(windows, KNOWN)
         assert fates_of(outcome) == [True, True, False]
-        assert "did not turn" in outcome.several.fates[2].words
+        assert "did not turn" in outcome.several.turns[2].words
 
     def test_nothing_but_bad_turns_is_refused_with_all_reasons(self):
         rng = np.random.default_rng(12)
@@ -245,7 +245,7 @@ def test_other_methods_pool_or_say_that_they_do_not_join():
     together = pooled(windows)
     assert len(together) == len(windows[0]) + len(windows[1])
     assert calibrate_turns(windows, KNOWN, "ellipsoid").several is None
-    with pytest.raises(Misuse, match="takes one turn; maximum_likelihood joins"):
+    with pytest.raises(UsageError, match="takes one turn; maximum_likelihood joins"):
         calibrate_turns(windows, KNOWN, "design_tip")
 
 

@@ -11,10 +11,10 @@ from realistic_robots import collected, heading_error
 
 from magcal_ros.core import Compass, Correction, calibrate, calibrate_turns
 from magcal_ros.core.calibration import MotorInput, calibration_sigma
-from magcal_ros.core.heading import MotionSense
+from magcal_ros.core.heading import MotionDetector
 from magcal_ros.core.keeping import MotorLearning
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.session import Gathering
+from magcal_ros.core.session import SampleCollector
 
 SIZE = 10e-6
 
@@ -109,9 +109,9 @@ def test_a_recording_gives_its_currents_to_the_fit():
     readings = []
     for stamp, field, force, rate in zip(*(each.tolist() for each in sensors), strict=True):
         readings += [ImuSample(stamp, force, rate), FieldSample(stamp, field)]
-    gathering = Gathering(known.mounting)
-    gathering.take(readings, (), messages)
-    found, live = gathering.window().battery, collected(window, messages).battery
+    collector = SampleCollector(known.mounting)
+    collector.take(readings, (), messages)
+    found, live = collector.window().battery, collected(window, messages).battery
     assert np.array_equal(found.current, live.current)
     assert found.reference == live.reference
 
@@ -119,7 +119,7 @@ def test_a_recording_gives_its_currents_to_the_fit():
 def test_a_hold_current_is_subtracted_at_rest():
     scene, outcome = fitted("hold", 3)
     found = outcome.calibration
-    compass, sense, motors = Compass(found), MotionSense(), found.motors
+    compass, sense, motors = Compass(found), MotionDetector(), found.motors
     rng, gain = np.random.default_rng(4), motors.gain[motors.inputs.index(MotorInput.CURRENT)]
     seen = []
     for k in range(600):
@@ -127,9 +127,9 @@ def test_a_hold_current_is_subtracted_at_rest():
         current = -ELECTRONICS + holding
         raw = scene.robot.hard_iron + scene.robot.field_enu + rng.normal(0.0, 0.3e-6, 3)
         raw += (current - motors.reference) * gain
-        running = sense.at(stamp, (0.0, 0.0, 0.0), True, math.nan, current, motors.reference)
-        assert running.moving == 0.0 or k == 0
-        field, doubt = compass.at_rest(stamp, tuple(raw), (0.0, 0.0, 0.0), running)
+        motor_state = sense.at(stamp, (0.0, 0.0, 0.0), True, math.nan, current, motors.reference)
+        assert motor_state.moving == 0.0 or k == 0
+        field, doubt = compass.at_rest(stamp, tuple(raw), (0.0, 0.0, 0.0), motor_state)
         seen.append(field)
         # A tenth of the field follows no input.
         assert 0.0 <= np.trace(doubt.lasting) < SIZE**2 / 4.0

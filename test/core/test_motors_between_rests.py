@@ -10,7 +10,7 @@ from realistic_robots import heading_error, with_motors
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core import Figure, calibrate
-from magcal_ros.core.calibration import Running, predicted_heading_sigma
+from magcal_ros.core.calibration import MotorState, predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 
@@ -59,7 +59,7 @@ def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
     knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     motors = calibrate(collected(replace(window, field=field)), knowledge).calibration.motors
     for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 0.2e-6, 6e-6)):
-        inputs, _ = motors.known(Running(1.0, turn_rate, side=1.0))
+        inputs, _ = motors.known(MotorState(1.0, turn_rate, side=1.0))
         u = np.kron(inputs, np.eye(3))
         found = u @ motors.gain.ravel()
         sigma = np.sqrt(np.diag(u @ motors.covariance @ u.T))

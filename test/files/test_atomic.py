@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from long_form import rounds
 
-from magcal_ros.files import LEFT_BEHIND, UNFINISHED, FileTrouble, write_atomically
+from magcal_ros.files import LEFT_BEHIND, UNFINISHED, FileError, write_atomically
 
 pytestmark = pytest.mark.faults
 
@@ -114,7 +114,7 @@ def test_what_killed_writers_left_is_swept_away_when_nobody_writes_it_any_more(t
 def test_a_folder_that_cannot_be_is_trouble_in_words(tmp_path):
     blocker = tmp_path / "file"
     blocker.write_text("here")
-    with pytest.raises(FileTrouble, match="Choose a writable place") as caught:
+    with pytest.raises(FileError, match="Choose a writable place") as caught:
         write_atomically(blocker / "sub" / "cal.yaml", "x")
     assert str(blocker / "sub" / "cal.yaml") in str(caught.value)
     assert blocker.read_text() == "here"
@@ -122,7 +122,7 @@ def test_a_folder_that_cannot_be_is_trouble_in_words(tmp_path):
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs /proc")
 def test_a_folder_that_takes_no_files_is_trouble():
-    with pytest.raises(FileTrouble, match="cannot write"):
+    with pytest.raises(FileError, match="cannot write"):
         write_atomically(Path("/proc/self/cal.yaml"), "x")
 
 
@@ -139,7 +139,7 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path):
 
 
 def test_a_name_too_long_is_trouble(tmp_path):
-    with pytest.raises(FileTrouble, match="too long"):
+    with pytest.raises(FileError, match="too long"):
         write_atomically(tmp_path / ("x" * 300), "x")
     assert os.listdir(tmp_path) == []
 
@@ -152,7 +152,7 @@ def test_whichever_step_fails_no_temporary_file_stays(tmp_path, monkeypatch, fai
     path = tmp_path / "file.yaml"
     path.write_text("old")
     monkeypatch.setattr(os, failing, fail)
-    with pytest.raises(FileTrouble, match="No space left on device"):
+    with pytest.raises(FileError, match="No space left on device"):
         write_atomically(path, "new")
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["file.yaml"]
@@ -225,13 +225,13 @@ def test_a_symbolic_link_stays_one_and_its_target_is_replaced(tmp_path):
 def test_a_link_to_itself_is_trouble(tmp_path):
     link = tmp_path / "link.yaml"
     link.symlink_to(link)
-    with pytest.raises(FileTrouble, match="cannot write"):
+    with pytest.raises(FileError, match="cannot write"):
         write_atomically(link, "new")
 
 
 def test_a_pipe_stays_a_pipe(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(FileTrouble, match="a device or a pipe"):
+    with pytest.raises(FileError, match="a device or a pipe"):
         write_atomically(pipe, "new")
     assert pipe.is_fifo()

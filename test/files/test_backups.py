@@ -11,7 +11,7 @@ from simulated.turns import measure, turn
 from magcal_ros.core import calibrate
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import (
-    FileTrouble,
+    FileError,
     Origin,
     backup_files,
     keep_backup,
@@ -88,7 +88,7 @@ def test_what_is_kept_last_is_not_kept_twice(path, irons, monkeypatch):
 
     monkeypatch.setattr(os, "replace", refuse)
     for _ in range(4):
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             irons(2)
     assert (iron_of(path), kept(path)) == (1, [1, None, None])
 
@@ -98,7 +98,7 @@ def test_a_full_disk_moves_nothing(path, irons, monkeypatch):
         irons(number)
     monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left")))
     for number in (4, 5, 6):
-        with pytest.raises(FileTrouble, match="No space left"):
+        with pytest.raises(FileError, match="No space left"):
             irons(number)
     assert (iron_of(path), kept(path)) == (3, [2, 1, None])
 
@@ -127,7 +127,7 @@ def test_that_there_is_no_name_left_is_said(path, irons, found):
     irons(1)
     for file in backup_files(path):
         file.mkdir()
-    with pytest.raises(FileTrouble, match="not ours"):
+    with pytest.raises(FileError, match="not ours"):
         keep_backup(path, found)
 
 

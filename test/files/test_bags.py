@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from drives import STORE2, drive, message, text, write_bag, write_csv
 
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.files import FileTrouble, open_recording, plain
+from magcal_ros.files import FileError, open_recording, plain
 
 pytestmark = pytest.mark.faults
 
@@ -74,7 +74,7 @@ class TestTopics:
     def test_several_are_listed_and_not_guessed(self, tmp_path, samples):
         other = ("/camera/imu", message(STORE2, samples[0]))
         path = write_bag(tmp_path / "bag", [*samples, other])
-        with pytest.raises(Misuse, match=r"2 topics .*/camera/imu, /imu/data_raw.*--imu"):
+        with pytest.raises(UsageError, match=r"2 topics .*/camera/imu, /imu/data_raw.*--imu"):
             read(path)
         readings, _ = read(path, imu="/camera/imu")
         assert sum(isinstance(r, ImuSample) for r in readings) == 1
@@ -83,24 +83,24 @@ class TestTopics:
     def test_a_missing_one_is_named_with_what_there_is(self, tmp_path, samples, missing, word):
         left = [s for s in samples if not isinstance(s, missing)]
         path = write_bag(tmp_path / "bag", [*left, ("/words", text(STORE2, "hello"))])
-        with pytest.raises(FileTrouble, match=rf"no sensor_msgs/{word}.*/words \(std_msgs"):
+        with pytest.raises(FileError, match=rf"no sensor_msgs/{word}.*/words \(std_msgs"):
             read(path)
 
     def test_one_that_is_asked_for_must_exist_and_fit(self, tmp_path, samples):
         path = write_bag(tmp_path / "bag", [*samples, ("/words", text(STORE2, "hello"))])
-        with pytest.raises(FileTrouble, match=r"no topic /nowhere; it has: .*/imu/mag"):
+        with pytest.raises(FileError, match=r"no topic /nowhere; it has: .*/imu/mag"):
             read(path, field="/nowhere")
-        with pytest.raises(FileTrouble, match="/words is std_msgs/msg/String, not sensor_msgs"):
+        with pytest.raises(FileError, match="/words is std_msgs/msg/String, not sensor_msgs"):
             read(path, imu="/words")
 
     def test_a_csv_folder_has_none_to_choose(self, tmp_path, samples):
-        with pytest.raises(Misuse, match="without topics"):
+        with pytest.raises(UsageError, match="without topics"):
             read(write_csv(tmp_path / "csv", samples), imu="/imu")
 
     @pytest.mark.parametrize("evil", ["/\x1b[2J\x1b]0;owned\x07", "/a\r\nb", "/\u202eimu"])
     def test_hostile_names_reach_no_terminal(self, tmp_path, samples, evil):
         other = (evil, message(STORE2, samples[0], frame=evil))
-        with pytest.raises(Misuse) as caught:
+        with pytest.raises(UsageError) as caught:
             read(write_bag(tmp_path / "bag", [*samples, other]))
         assert str(caught.value).isprintable()
         left = [s for s in samples if not isinstance(s, ImuSample)]
@@ -122,7 +122,7 @@ class TestDamage:
         file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
         content = file.read_bytes()
         file.write_bytes(content[: int(share * len(content))])
-        with pytest.raises(FileTrouble, match=r"Record again; .* saves the intact part") as caught:
+        with pytest.raises(FileError, match=r"Record again; .* saves the intact part") as caught:
             read(path)
         assert str(caught.value).isprintable()
 
@@ -139,29 +139,29 @@ class TestDamage:
             file.write_bytes(broken.tobytes())
             try:
                 read(path)
-            except (FileTrouble, Misuse) as error:
+            except (FileError, UsageError) as error:
                 said.append(str(error))
         assert len(said) > 5
         assert all(words.isprintable() for words in said)
 
     @pytest.mark.parametrize("kind", KINDS)
     def test_an_empty_bag(self, tmp_path, kind):
-        with pytest.raises(FileTrouble, match=r"holds no messages|damaged"):
+        with pytest.raises(FileError, match=r"holds no messages|damaged"):
             read(write_bag(tmp_path / "bag", [], kind))
 
     def test_metadata_that_is_no_metadata(self, tmp_path, samples):
         path = write_bag(tmp_path / "bag", samples)
         (path / "metadata.yaml").write_text("rosbag2_bagfile_information: 7\n")
-        with pytest.raises(FileTrouble, match="damaged"):
+        with pytest.raises(FileError, match="damaged"):
             read(path)
 
     def test_other_files_and_folders_are_no_recording(self, tmp_path):
-        with pytest.raises(FileTrouble, match="no such file"):
+        with pytest.raises(FileError, match="no such file"):
             read(tmp_path / "nothing.mcap")
-        with pytest.raises(FileTrouble, match=r"is not a recording.*metadata\.yaml"):
+        with pytest.raises(FileError, match=r"is not a recording.*metadata\.yaml"):
             read(tmp_path)
         (tmp_path / "notes.txt").write_text("hello")
-        with pytest.raises(FileTrouble, match="is not a recording: name a bag"):
+        with pytest.raises(FileError, match="is not a recording: name a bag"):
             read(tmp_path / "notes.txt")
 
 
@@ -174,7 +174,7 @@ def test_without_the_library_it_says_how_to_get_it(tmp_path, samples, monkeypatc
         return importing(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", lacking)
-    with pytest.raises(FileTrouble, match="source its setup file"):
+    with pytest.raises(FileError, match="source its setup file"):
         read(path)
 
 

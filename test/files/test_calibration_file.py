@@ -18,7 +18,7 @@ from magcal_ros.core.heading import VehicleYaw
 from magcal_ros.files import (
     BOUNDS,
     LARGEST_FILE,
-    FileTrouble,
+    FileError,
     Origin,
     read_calibration,
     write_calibration,
@@ -189,7 +189,7 @@ class TestRoundTrip:
     def test_impossible_motors_are_refused(self, tmp_path, change):
         write_calibration(tmp_path / "a", with_motors(), ORIGIN)
         with_change(tmp_path / "a", lambda document: change(document["motors"]))
-        with pytest.raises(FileTrouble, match="not a usable calibration"):
+        with pytest.raises(FileError, match="not a usable calibration"):
             read_calibration(tmp_path / "a")
 
     def test_a_missing_folder_is_made(self, tmp_path):
@@ -231,7 +231,7 @@ class TestDamage:
         cuts = [*range(0, outside, step), *range(outside - 20, outside)]
         for length in cuts:
             path.write_bytes(whole[:length])
-            with pytest.raises(FileTrouble):
+            with pytest.raises(FileError):
                 read_calibration(path)
         path.write_bytes(whole[:outside])
         assert everything(read_calibration(path)[0]) == everything(one)
@@ -245,7 +245,7 @@ class TestDamage:
         damaged.write_bytes(whole[:at] + junk + whole[at + len(junk) :])
         try:
             found, _ = read_calibration(damaged)
-        except FileTrouble:
+        except FileError:
             return
         assert np.isfinite(found.correction.parameters).all()
 
@@ -265,7 +265,7 @@ class TestDamage:
         changed.write_text(yaml.safe_dump(document))
         try:
             found, _ = read_calibration(changed)
-        except FileTrouble:
+        except FileError:
             return
         assert np.isfinite(found.correction.parameters).all()
 
@@ -279,7 +279,7 @@ class TestDamage:
     )  # fmt: skip
     def test_an_entry_that_is_missing_is_trouble(self, written, key):
         with_change(written, lambda document: document.pop(key))
-        with pytest.raises(FileTrouble, match=key):
+        with pytest.raises(FileError, match=key):
             read_calibration(written)
 
     @pytest.mark.parametrize(
@@ -293,25 +293,25 @@ class TestDamage:
     def test_something_else_is_not_taken_for_a_calibration(self, tmp_path, text):
         path = tmp_path / "mag.yaml"
         path.write_text(text)
-        with pytest.raises(FileTrouble, match="is not a usable calibration"):
+        with pytest.raises(FileError, match="is not a usable calibration"):
             read_calibration(path)
 
     def test_bytes_that_are_no_text_are_trouble(self, tmp_path):
         path = tmp_path / "mag.yaml"
         path.write_bytes(bytes(range(256)))
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             read_calibration(path)
 
     @pytest.mark.parametrize("version", [0, 2, "1", None, "one"])
     def test_another_version_is_named(self, written, version):
         with_change(written, lambda document: document.update(format_version=version))
-        with pytest.raises(FileTrouble, match=re.escape(f"its format version is {version!r}")):
+        with pytest.raises(FileError, match=re.escape(f"its format version is {version!r}")):
             read_calibration(written)
 
     def test_the_trouble_names_the_file_and_the_remedy(self, tmp_path):
         path = tmp_path / "mag.yaml"
         path.write_text("a: 1")
-        with pytest.raises(FileTrouble, match="Calibrate again to replace it") as caught:
+        with pytest.raises(FileError, match="Calibrate again to replace it") as caught:
             read_calibration(path)
         assert str(path) in str(caught.value)
 
@@ -321,7 +321,7 @@ class TestHostileYaml:
         rows = ["bomb0: &b0 [1, 1]"]
         rows += [f"bomb{k}: &b{k} [{', '.join([f'*b{k - 1}'] * 9)}]" for k in range(1, 12)]
         written.write_text(written.read_text() + "\n".join(rows))
-        with pytest.raises(FileTrouble, match="aliases do not belong"):
+        with pytest.raises(FileError, match="aliases do not belong"):
             read_calibration(written)
 
     @pytest.mark.parametrize(
@@ -335,28 +335,28 @@ class TestHostileYaml:
     def test_python_tags_do_nothing(self, written, tag):
         with written.open("a") as handle:
             handle.write("extra: " + tag.format(folder=written.parent) + "\n")
-        with pytest.raises(FileTrouble, match="could not determine a constructor"):
+        with pytest.raises(FileError, match="could not determine a constructor"):
             read_calibration(written)
         assert not (written.parent / "made").exists()
 
     def test_a_huge_file_is_not_read(self, written):
         with written.open("a") as handle:
             handle.write("#" * LARGEST_FILE)
-        with pytest.raises(FileTrouble, match="too large"):
+        with pytest.raises(FileError, match="too large"):
             read_calibration(written)
 
 
 class TestInTheWay:
     def test_a_missing_file_is_trouble(self, tmp_path):
-        with pytest.raises(FileTrouble, match="No such file"):
+        with pytest.raises(FileError, match="No such file"):
             read_calibration(tmp_path / "none.yaml")
 
     def test_a_directory_in_its_place_is_trouble_and_stays(self, tmp_path):
         folder = tmp_path / "mag.yaml"
         (folder / "inside").mkdir(parents=True)
-        with pytest.raises(FileTrouble, match="Is a directory"):
+        with pytest.raises(FileError, match="Is a directory"):
             read_calibration(folder)
-        with pytest.raises(FileTrouble, match="is not a calibration of magcal_ros"):
+        with pytest.raises(FileError, match="is not a calibration of magcal_ros"):
             write_calibration(folder, example(), ORIGIN)
         assert os.listdir(tmp_path) == ["mag.yaml"]
         assert (folder / "inside").is_dir()
@@ -366,7 +366,7 @@ class TestInTheWay:
         pipe = tmp_path / "pipe"
         os.mkfifo(pipe)
         for path in (pipe, Path("/dev/zero")):
-            with pytest.raises(FileTrouble, match="not a regular file"):
+            with pytest.raises(FileError, match="not a regular file"):
                 read_calibration(path)
 
 
@@ -397,14 +397,14 @@ class TestHandEdited:
                               written.read_text())  # fmt: skip
         assert count >= 1
         written.write_text(text)
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             read_calibration(written)
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf, "x", None])
     @pytest.mark.parametrize("entry", ["correction_matrix", "covariance"])
     def test_a_matrix_with_a_hole_is_trouble(self, written, entry, bad):
         with_change(written, lambda document: document[entry][1].__setitem__(2, bad))
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             read_calibration(written)
 
     @pytest.mark.parametrize(
@@ -424,7 +424,7 @@ class TestHandEdited:
     )
     def test_numbers_that_make_no_calibration_are_trouble(self, written, change, words):
         with_change(written, change)
-        with pytest.raises(FileTrouble, match=words):
+        with pytest.raises(FileError, match=words):
             read_calibration(written)
 
 
@@ -444,7 +444,7 @@ class TestWhatBelongsToOthers:
     def test_it_is_never_replaced(self, tmp_path, content):
         path = tmp_path / "robot_params.yaml"
         path.write_text(content)
-        with pytest.raises(FileTrouble, match="is not a calibration of magcal_ros") as caught:
+        with pytest.raises(FileError, match="is not a calibration of magcal_ros") as caught:
             write_calibration(path, example(), ORIGIN)
         assert "choose another name" in str(caught.value)
         assert path.read_text() == content
@@ -452,9 +452,9 @@ class TestWhatBelongsToOthers:
     def test_a_pipe_is_neither_opened_nor_replaced(self, tmp_path):
         pipe = tmp_path / "pipe"
         os.mkfifo(pipe)
-        with pytest.raises(FileTrouble, match="is not a calibration of magcal_ros"):
+        with pytest.raises(FileError, match="is not a calibration of magcal_ros"):
             write_calibration(pipe, example(), ORIGIN)
-        with pytest.raises(FileTrouble, match="not a regular file"):
+        with pytest.raises(FileError, match="not a regular file"):
             read_calibration(pipe)
         assert pipe.is_fifo()
 
@@ -483,7 +483,7 @@ class TestBombs:
     def test_nesting_is_refused_and_not_followed_for_ever(self, tmp_path, bomb):
         path = tmp_path / "mag.yaml"
         path.write_text("format: magcal_ros/calibration\nx: " + bomb)
-        with pytest.raises(FileTrouble, match="is not a usable calibration"):
+        with pytest.raises(FileError, match="is not a usable calibration"):
             read_calibration(path)
 
 
@@ -497,7 +497,7 @@ def test_a_large_file_of_somebody_else_is_not_parsed(tmp_path, monkeypatch):
     path = tmp_path / "params.yaml"
     path.write_text("x: [" + "1.0, " * ((LARGEST_FILE - 100) // 5) + "1.0]\n")
     monkeypatch.setattr(yaml, "load", None)
-    with pytest.raises(FileTrouble, match="does not say 'format: magcal_ros/calibration'"):
+    with pytest.raises(FileError, match="does not say 'format: magcal_ros/calibration'"):
         read_calibration(path)
 
 
@@ -524,5 +524,5 @@ class TestVehicleYaw:
     )  # fmt: skip
     def test_nonsense_is_trouble(self, written, entry):
         written.write_text(written.read_text() + f"vehicle_yaw_offset: {entry}\n")
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             read_calibration(written)

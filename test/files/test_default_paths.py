@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from magcal_ros.files import (
     LONGEST_FRAME,
     RESERVED,
-    FileTrouble,
+    FileError,
     chosen_path,
     is_missing,
     known_as,
@@ -93,10 +93,10 @@ def test_names_that_are_devices_elsewhere_are_no_files(frame):
 
 
 def test_a_home_that_does_not_exist_is_trouble_in_words(monkeypatch):
-    with pytest.raises(FileTrouble, match="no home folder for '~nobody_of_this_name/x'"):
+    with pytest.raises(FileError, match="no home folder for '~nobody_of_this_name/x'"):
         chosen_path("~nobody_of_this_name/x")
     monkeypatch.setenv("ROS_HOME", "~nobody_of_this_name")
-    with pytest.raises(FileTrouble, match="set ROS_HOME"):
+    with pytest.raises(FileError, match="set ROS_HOME"):
         sensor_file("mag", "/", "calibrator")
 
 

@@ -12,7 +12,7 @@ from simulated.turns import measure, turn
 from magcal_ros.core import Correction, Knowledge, calibrate
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import (
-    FileTrouble,
+    FileError,
     Origin,
     read_calibration,
     require_possible,
@@ -128,5 +128,5 @@ def test_a_file_that_was_edited_is_refused_by_name(found, tmp_path):
     document = yaml.safe_load(path.read_text())
     document["covariance"][9][9] = 0.0
     path.write_text(yaml.safe_dump(document))
-    with pytest.raises(FileTrouble, match=f"{path} is not a usable calibration: covariance"):
+    with pytest.raises(FileError, match=f"{path} is not a usable calibration: covariance"):
         read_calibration(path)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_ros.files import FileTrouble, NotOrdinary, promptly, read_small
+from magcal_ros.files import FileError, NotRegularFile, promptly, read_small
 
 pytestmark = pytest.mark.faults
 
@@ -14,27 +14,27 @@ def test_a_file_of_the_allowed_size_is_read_and_a_larger_one_is_not(tmp_path):
     path = tmp_path / "file"
     path.write_bytes(b"x" * 100)
     assert read_small(path, 100) == b"x" * 100
-    with pytest.raises(NotOrdinary, match="more than 99 bytes"):
+    with pytest.raises(NotRegularFile, match="more than 99 bytes"):
         read_small(path, 99)
 
 
 @pytest.mark.parametrize("path", ["/dev/zero", "/dev/null", "/dev/tty"])
 def test_devices_are_not_read(path):
-    with pytest.raises((NotOrdinary, OSError)):
+    with pytest.raises((NotRegularFile, OSError)):
         read_small(Path(path), 100)
 
 
 def test_a_pipe_without_a_writer_is_not_waited_for(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(NotOrdinary, match="not a regular file"):
+    with pytest.raises(NotRegularFile, match="not a regular file"):
         read_small(pipe, 100)
 
 
 def test_a_socket_and_a_folder_are_said(tmp_path):
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(tmp_path / "socket"))
-        with pytest.raises((NotOrdinary, OSError)):
+        with pytest.raises((NotRegularFile, OSError)):
             read_small(tmp_path / "socket", 100)
     with pytest.raises(IsADirectoryError):
         read_small(tmp_path, 100)
@@ -42,7 +42,7 @@ def test_a_socket_and_a_folder_are_said(tmp_path):
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
 def test_a_file_that_lies_about_its_size_is_limited_all_the_same():
-    with pytest.raises(NotOrdinary, match="more than 5 bytes"):
+    with pytest.raises(NotRegularFile, match="more than 5 bytes"):
         read_small(Path("/proc/self/environ"), 5)
 
 
@@ -54,6 +54,6 @@ class TestPromptly:
 
     def test_a_disk_that_does_not_answer_is_given_up(self):
         answer = threading.Event()
-        with pytest.raises(FileTrouble, match=r"/gone/mag\.yaml does not answer within 0\.2 s"):
+        with pytest.raises(FileError, match=r"/gone/mag\.yaml does not answer within 0\.2 s"):
             promptly(answer.wait, Path("/gone/mag.yaml"), 0.2)
         answer.set()

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.files import FileTrouble, Recording, open_recording, read_csv_folder
+from magcal_ros.files import FileError, Recording, open_recording, read_csv_folder
 
 IMU = "t,ax,ay,az,gx,gy,gz\n1.0,0.1,0.2,9.8,0.01,0.02,0.03\n1.1,0.4,0.5,9.7,nan,nan,nan\n"
 MAG = "t,mx,my,mz\n1.05,1e-5,2e-5,-3e-5\n"
@@ -71,7 +71,7 @@ def test_samples_carry_force_rate_and_field(folder):
 @pytest.mark.parametrize("name", ["imu.csv", "mag.csv"])
 def test_a_missing_file_is_trouble(folder, name):
     (folder / name).unlink()
-    with pytest.raises(FileTrouble, match=f"cannot read .*{name}: No such file"):
+    with pytest.raises(FileError, match=f"cannot read .*{name}: No such file"):
         read_csv_folder(folder)
 
 
@@ -92,27 +92,27 @@ def test_a_table_whose_last_line_was_cut_short_is_read_up_to_it(folder, end):
 )
 def test_a_damaged_table_is_trouble(folder, text, words):
     (folder / "mag.csv").write_text(text)
-    with pytest.raises(FileTrouble, match=words):
+    with pytest.raises(FileError, match=words):
         read_csv_folder(folder)
 
 
 @pytest.mark.filterwarnings("ignore:loadtxt")
 def test_a_table_without_samples_is_trouble(folder):
     (folder / "mag.csv").write_text("t,mx,my,mz\n")
-    with pytest.raises(FileTrouble, match="holds no samples"):
+    with pytest.raises(FileError, match="holds no samples"):
         read_csv_folder(folder)
 
 
 def test_bytes_that_are_no_text_are_trouble(folder):
     (folder / "mag.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FileTrouble, match="is damaged"):
+    with pytest.raises(FileError, match="is damaged"):
         read_csv_folder(folder)
 
 
 @pytest.mark.parametrize(("name", "words"), [("a.zip", "unpack it"), ("imu.csv", "its folder")])
 def test_what_only_holds_a_recording_is_named(tmp_path, name, words):
     (tmp_path / name).write_bytes(b"t,ax")
-    with pytest.raises(FileTrouble, match=words):
+    with pytest.raises(FileError, match=words):
         open_recording(tmp_path / name)
 
 

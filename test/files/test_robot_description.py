@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.geometry import FrameTree, rpy_from_rotation
-from magcal_ros.files import LARGEST, DescriptionTrouble, joints_of
+from magcal_ros.files import LARGEST, RobotDescriptionError, joints_of
 
 ROBOT = """<?xml version="1.0"?>
 <robot name="mule">
@@ -58,7 +58,7 @@ def test_the_joints_of_a_robot_are_read_and_nothing_else():
     ],
 )
 def test_what_is_damaged_is_refused_in_words(text, words):
-    with pytest.raises(DescriptionTrouble, match=words):
+    with pytest.raises(RobotDescriptionError, match=words):
         joints_of(text)
 
 
@@ -68,11 +68,11 @@ def test_an_entity_bomb_is_refused_before_it_goes_off():
         for k in range(9)
     )
     bomb = f'<!DOCTYPE robot [<!ENTITY l0 "ha">{layers}]><robot name="&l9;"/>'
-    with pytest.raises(DescriptionTrouble, match="document type"):
+    with pytest.raises(RobotDescriptionError, match="document type"):
         joints_of(bomb)
 
 
 @given(st.text(alphabet=st.sampled_from("<>/='\" robotjinlkepac\0\x01é"), max_size=80))
 def test_any_text_is_read_or_refused(text):
-    with contextlib.suppress(DescriptionTrouble):
+    with contextlib.suppress(RobotDescriptionError):
         assert isinstance(joints_of(text), tuple)

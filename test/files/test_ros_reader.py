@@ -10,8 +10,8 @@ from drives import STORE2, drive, header, message, write_bag
 from ros_bags import rosbag2_py
 
 from magcal_ros.core.earth_field.reference import Place
-from magcal_ros.core.errors import Misuse
-from magcal_ros.files import CDR, FileTrouble, open_recording
+from magcal_ros.core.errors import UsageError
+from magcal_ros.files import CDR, FileError, open_recording
 
 FIX = "sensor_msgs/msg/NavSatFix"
 IMU = "sensor_msgs/msg/Imu"
@@ -116,9 +116,9 @@ def test_topics_are_not_guessed_and_missing_ones_listed(tmp_path, samples, with_
     other = ("/camera/imu", message(STORE2, samples[0]))
     path = write_bag(tmp_path / "bag", [*samples, other])
     with_ros()
-    with pytest.raises(Misuse, match=r"2 topics .*/camera/imu, /imu/data_raw.*--imu"):
+    with pytest.raises(UsageError, match=r"2 topics .*/camera/imu, /imu/data_raw.*--imu"):
         read(path)
-    with pytest.raises(FileTrouble, match=r"has no topic /nothing; it has: .*/imu/mag"):
+    with pytest.raises(FileError, match=r"has no topic /nothing; it has: .*/imu/mag"):
         read(path, imu="/nothing")
 
 
@@ -127,12 +127,12 @@ def test_damage_is_said_with_its_remedy(tmp_path, samples, with_ros):
     (file,) = folder.glob("*.mcap")
     file.write_bytes(file.read_bytes()[:100])
     with_ros()
-    with pytest.raises(FileTrouble, match=r"is damaged or cut short .*mcap recover"):
+    with pytest.raises(FileError, match=r"is damaged or cut short .*mcap recover"):
         read(folder)
 
 
 def test_bags_of_ros_1_are_left_to_the_library(tmp_path, samples, with_ros):
     path = write_bag(tmp_path / "bag", samples, "ros1")
     with_ros()
-    with pytest.raises(FileTrouble, match="rosbags"):
+    with pytest.raises(FileError, match="rosbags"):
         read(path)

@@ -6,7 +6,7 @@ import pytest
 from drives import drive, write_csv
 
 from magcal_ros.core.samples import PositionSample, SpeedSample
-from magcal_ros.files import FileTrouble, open_recording
+from magcal_ros.files import FileError, open_recording
 
 
 @pytest.fixture
@@ -47,5 +47,5 @@ def test_a_folder_of_the_sensors_alone_tells_no_travel(folder):
 @pytest.mark.parametrize("name", ["odom.csv", "gps.csv"])
 def test_columns_that_are_missing_are_named(folder, name):
     (folder / name).write_text("t,way\n1,2\n")
-    with pytest.raises(FileTrouble, match=f"{name} has no column .*its first line should be t,"):
+    with pytest.raises(FileError, match=f"{name} has no column .*its first line should be t,"):
         open_recording(folder)

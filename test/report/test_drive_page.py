@@ -9,7 +9,7 @@ import pytest
 
 from magcal_ros.core import Calibration, Correction
 from magcal_ros.core.calibration import Evidence
-from magcal_ros.core.keeping import DrivePath, DriveStory, path_along
+from magcal_ros.core.keeping import DrivePath, DriveReplay, path_along
 from magcal_ros.report.drive_page import render_drive
 
 ERRORS = np.radians([0.5, 3.0, 7.0, 15.0, 40.0])
@@ -17,7 +17,7 @@ ERRORS = np.radians([0.5, 3.0, 7.0, 15.0, 40.0])
 
 def story(place):
     path = DrivePath(np.array(place, dtype=float), ERRORS, True, True)
-    return DriveStory((), None, None, 60.0, 50.0, "nothing", path)
+    return DriveReplay((), None, None, 60.0, 50.0, "nothing", path)
 
 
 def test_the_map_shows_degrees():

@@ -10,7 +10,7 @@ from simulated.turns import measure, turn
 
 from magcal_ros.core import METHODS, Figure, Knowledge, Window, calibrate
 from magcal_ros.core.assessment import TURN_BOUNDS
-from magcal_ros.core.doctor import Page
+from magcal_ros.core.doctor import SensorReport
 from magcal_ros.report import turn as turn_module
 from magcal_ros.report.gallery import caption_of_gyro, deviations
 from magcal_ros.report.turn import Subject, Turn
@@ -19,7 +19,7 @@ from magcal_ros.report.turn import Subject, Turn
 @pytest.fixture(autouse=True)
 def no_look(monkeypatch):
     """Nothing is read here of what the page says of the sensors."""
-    monkeypatch.setattr(turn_module, "examine_window", lambda *_: Page(()))
+    monkeypatch.setattr(turn_module, "examine_window", lambda *_: SensorReport(()))
 
 
 def shown(window, knowledge):

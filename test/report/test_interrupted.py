@@ -9,9 +9,9 @@ import pytest
 from long_form import rounds
 from subjects import good
 
-from magcal_ros.files import FileTrouble, read_samples
+from magcal_ros.files import FileError, read_samples
 from magcal_ros.report.write import write_to_the_end
-from magcal_ros.ros.worker_process import Lost, WorkerProcess
+from magcal_ros.ros.worker_process import WorkerLost, WorkerProcess
 
 pytestmark = pytest.mark.faults
 
@@ -23,7 +23,7 @@ def test_killed_at_any_moment(tmp_path, attempt):
     process = worker.start()
 
     def draw():
-        with contextlib.suppress(Lost):
+        with contextlib.suppress(WorkerLost):
             worker.run(write_to_the_end, tmp_path, subject)
 
     drawing = threading.Thread(target=draw)
@@ -42,7 +42,7 @@ def test_killed_at_any_moment(tmp_path, attempt):
 def test_a_page_that_cannot_be_written_is_said(tmp_path):
     (tmp_path / "report.html").write_text("mine")
     worker = WorkerProcess()
-    with pytest.raises(FileTrouble, match="is not overwritten; choose another folder"):
+    with pytest.raises(FileError, match="is not overwritten; choose another folder"):
         worker.run(write_to_the_end, tmp_path, good())
     worker.end()
     assert (tmp_path / "report.html").read_text() == "mine"

@@ -6,13 +6,13 @@ import numpy as np
 from subjects import good
 
 from magcal_ros.core.calibration import MotorField, MotorInput
-from magcal_ros.core.doctor import Page
+from magcal_ros.core.doctor import SensorReport
 from magcal_ros.report import turn
 
 
 def test_the_field_of_the_motors_is_subtracted_as_the_node_does(monkeypatch):
     """A turn with 7 µT of motors looked 17 degrees off the line, at a calibration of .3 degrees."""
-    monkeypatch.setattr(turn, "examine_window", lambda *_: Page(()))
+    monkeypatch.setattr(turn, "examine_window", lambda *_: SensorReport(()))
     subject = good()
     gain, zeros = np.array([[5e-6, 4e-6, 0.0]]), np.zeros((12, 3))
     motors = MotorField((MotorInput.MOVING,), gain, 1e-14 * np.eye(3), zeros, 1e-7, (1.0,))

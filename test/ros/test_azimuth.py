@@ -9,7 +9,7 @@ import pytest
 from std_msgs.msg import Header
 
 from magcal_ros.core import Belief, ReferenceField
-from magcal_ros.core.heading import Heading, Moment
+from magcal_ros.core.heading import CompassReading, Heading
 from magcal_ros.ros.outputs import HeadingOutput
 from magcal_ros.ros.wire import azimuth_message
 
@@ -56,7 +56,7 @@ def topics_of_outputs():
 
 
 def arrived(outputs, reference):
-    moment = Moment(12.0, (0.0, 0.0, 0.0), None, HEADING, None)
+    moment = CompassReading(12.0, (0.0, 0.0, 0.0), None, HEADING, None)
     outputs.publish(moment, struct.pack("<iI", 12, 34), "imu_link", reference)
 
 

@@ -7,9 +7,9 @@ import pytest
 from support import PATIENCE, REFERENCE, store_calibration
 
 from magcal_ros.files import read_calibration
-from magcal_ros.ros import keeper as keeper_module
+from magcal_ros.ros import store as keeper_module
+from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.heading_pipeline import Sensor
-from magcal_ros.ros.keeper import Keeper
 
 pytestmark = pytest.mark.faults
 
@@ -60,15 +60,15 @@ def met(ros_home, reads):
     """Return keeper, its runner and log; the file of left is there, no other."""
     store_calibration(ros_home / "magcal" / "calibrator.left.yaml", frame="left")
     files, log = Elsewhere(), Lines()
-    return Keeper(("/", "calibrator"), files, log, lambda *_: None), files, log
+    return CalibrationStore(("/", "calibrator"), files, log, lambda *_: None), files, log
 
 
 def test_what_is_met_is_loaded_from_its_file_and_said(met):
-    keeper, files, log = met
-    keeper.note_sensor("left")
-    assert keeper.calibration is None
+    store, files, log = met
+    store.note_sensor("left")
+    assert store.calibration is None
     files.go()
-    assert keeper.origin.magnetometer_frame == "left"
+    assert store.origin.magnetometer_frame == "left"
     # The log must not delay the messages.
     assert not log
     files.go()
@@ -76,123 +76,127 @@ def test_what_is_met_is_loaded_from_its_file_and_said(met):
 
 
 def test_alternating_names_read_each_file_once(met, reads):
-    keeper, files, _ = met
+    store, files, _ = met
     for _ in range(20):
         for frame in ("right", "left", ""):
-            keeper.note_sensor(frame)
+            store.note_sensor(frame)
         while files.waiting:
             files.go()
     assert reads == ["calibrator.left.yaml"]
-    assert keeper.origin.magnetometer_frame == "left"
+    assert store.origin.magnetometer_frame == "left"
 
 
 def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
-    keeper, files, _ = met
+    store, files, _ = met
     for k in range(200):
-        keeper.note_sensor(f"name_{k}")
-    keeper.note_sensor("left")
+        store.note_sensor(f"name_{k}")
+    store.note_sensor("left")
     assert len(files.waiting) == 1
     while files.waiting:
         files.go()
     assert reads == ["calibrator.left.yaml"]
-    assert keeper.calibration is not None
+    assert store.calibration is not None
 
 
 def test_what_was_found_under_a_name_that_has_gone_is_used_when_it_returns(met, reads):
-    keeper, files, _ = met
-    keeper.note_sensor("left")
-    keeper.note_sensor("right")
+    store, files, _ = met
+    store.note_sensor("left")
+    store.note_sensor("right")
     while files.waiting:
         files.go()
-    assert keeper.calibration is None
-    keeper.note_sensor("left")
-    assert keeper.calibration is not None
+    assert store.calibration is None
+    store.note_sensor("left")
+    assert store.calibration is not None
     assert reads == ["calibrator.left.yaml"]
 
 
 def test_what_the_user_has_reset_does_not_come_back_by_itself(met):
-    keeper, files, _ = met
-    keeper.note_sensor("left")
+    store, files, _ = met
+    store.note_sensor("left")
     files.go()
-    keeper.forget()
-    keeper.reset()
-    keeper.note_sensor("right")
+    store.forget()
+    store.reset()
+    store.note_sensor("right")
     while files.waiting:
         files.go()
-    keeper.note_sensor("left")
-    assert keeper.calibration is None
+    store.note_sensor("left")
+    assert store.calibration is None
 
 
 def test_what_is_reset_while_it_is_read_is_not_used(met):
-    keeper, files, _ = met
-    keeper.note_sensor("left")
-    keeper.forget()
+    store, files, _ = met
+    store.note_sensor("left")
+    store.forget()
     files.go()
-    assert keeper.calibration is None
-    keeper.note_sensor("")
-    keeper.note_sensor("left")
-    assert keeper.calibration is None
+    assert store.calibration is None
+    store.note_sensor("")
+    store.note_sensor("left")
+    assert store.calibration is None
 
 
 def test_a_chosen_file_that_was_reset_does_not_come_back_with_the_first_message(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     files = Elsewhere()
-    keeper = Keeper(("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen))
-    keeper.begin()
+    store = CalibrationStore(
+        ("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen)
+    )
+    store.begin()
     files.go()
-    keeper.forget()
-    keeper.reset()
-    keeper.note_sensor("left")
+    store.forget()
+    store.reset()
+    store.note_sensor("left")
     while files.waiting:
         files.go()
-    assert keeper.calibration is None
+    assert store.calibration is None
 
 
 def test_a_turn_that_is_faster_than_the_disk_wins(met):
-    keeper, files, _ = met
-    keeper.note_sensor("left")
-    loaded = keeper.read("", "left")
-    keeper.use(loaded)
-    before = keeper.calibration
+    store, files, _ = met
+    store.note_sensor("left")
+    loaded = store.read("", "left")
+    store.use(loaded)
+    before = store.calibration
     files.go()
-    assert keeper.calibration is before
+    assert store.calibration is before
 
 
 def test_a_file_that_has_changed_is_read_again(met, reads, ros_home):
-    keeper, *_ = met
+    store, *_ = met
     path = ros_home / "magcal" / "calibrator.left.yaml"
-    keeper.read("", "left")
-    keeper.read("", "left")
+    store.read("", "left")
+    store.read("", "left")
     store_calibration(path, pull=0.25, frame="left")
-    assert keeper.read("", "left").calibration.evidence.figures["steady_pull"] == 0.25
+    assert store.read("", "left").calibration.evidence.figures["steady_pull"] == 0.25
     assert len(reads) == 2
 
 
 def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
-    keeper, files, log = met
+    store, files, log = met
     (ros_home / "magcal" / "calibrator.bad.yaml").write_text("format: [")
-    keeper.note_sensor("bad")
+    store.note_sensor("bad")
     files.go()
     assert "Running uncalibrated" in log[0]
-    assert "bad.yaml" in keeper.trouble
+    assert "bad.yaml" in store.problem
 
 
 def test_a_chosen_file_is_in_force_though_a_sensor_is_met_while_it_is_read(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     files = Elsewhere()
-    keeper = Keeper(("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen))
-    keeper.begin()
-    keeper.note_sensor("left")
+    store = CalibrationStore(
+        ("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen)
+    )
+    store.begin()
+    store.note_sensor("left")
     files.go()
-    assert keeper.calibration is not None
+    assert store.calibration is not None
 
 
 def test_a_chosen_file_that_is_not_there_is_said_once(ros_home):
     chosen, files, log = ros_home / "chosen.yaml", Elsewhere(), Lines()
-    keeper = Keeper(("/", "calibrator"), files, log, lambda *_: None, lambda: str(chosen))
-    keeper.begin()
+    store = CalibrationStore(("/", "calibrator"), files, log, lambda *_: None, lambda: str(chosen))
+    store.begin()
     files.go()
-    keeper.note_sensor("left")
+    store.note_sensor("left")
     files.go()
     assert len(log) == 1
     assert f"{chosen} does not exist: no calibration is in force" in log[0]
@@ -201,13 +205,15 @@ def test_a_chosen_file_that_is_not_there_is_said_once(ros_home):
 def test_a_chosen_file_of_another_sensor_goes_out_of_force_when_that_is_met(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     files = Elsewhere()
-    keeper = Keeper(("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen))
-    keeper.begin()
+    store = CalibrationStore(
+        ("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen)
+    )
+    store.begin()
     files.go()
-    assert keeper.calibration is not None
-    keeper.note_sensor("right")
-    assert keeper.calibration is None
-    assert "made for the magnetometer 'left'" in keeper.trouble
+    assert store.calibration is not None
+    store.note_sensor("right")
+    assert store.calibration is None
+    assert "made for the magnetometer 'left'" in store.problem
 
 
 class TestSensor:

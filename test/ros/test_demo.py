@@ -17,7 +17,7 @@ from magcal_ros.ros.rehearsal import set_time
 DEMO = ["demo", "--speed", "8"]
 
 
-class Brief(rehearsal.Rehearsal):
+class ShortRehearsal(rehearsal.Rehearsal):
     """Stands at three headings instead of twenty-four, and has fewer samples: most of the demo."""
 
     def __init__(self, *arguments, **options):
@@ -63,7 +63,7 @@ def test_the_demo_ends_with_a_right_heading_and_leaves_the_calibration(
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr(rehearsal, "Rehearsal", Brief)
+    monkeypatch.setattr(rehearsal, "Rehearsal", ShortRehearsal)
     assert main(DEMO) == 0
     check(capsys.readouterr().out, tmp_path)
 

@@ -7,8 +7,8 @@ import pytest
 import yaml
 from support import PATIENCE, REFERENCE, store_calibration
 
-from magcal_ros.files import FileTrouble
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.files import FileError
+from magcal_ros.ros.calibration_store import CalibrationStore
 
 pytestmark = pytest.mark.faults
 
@@ -87,7 +87,9 @@ def test_a_file_with_numbers_beyond_every_sensor_is_not_put_in_force(tmp_path, e
     path.write_text(yaml.safe_dump(document))
     applied = []
     chosen = str(path)
-    keeper = Keeper(("/", "c"), None, None, lambda *what: applied.append(what), lambda: chosen)
-    with pytest.raises(FileTrouble, match=f"{entry} .*1e\\+300"):
-        keeper.read(str(path), "mag_link")
+    store = CalibrationStore(
+        ("/", "c"), None, None, lambda *what: applied.append(what), lambda: chosen
+    )
+    with pytest.raises(FileError, match=f"{entry} .*1e\\+300"):
+        store.read(str(path), "mag_link")
     assert not applied

@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from support import PATIENCE, ROBOT, wait_until
 
 from magcal_ros.cli import doctor
-from magcal_ros.cli.doctor import Asking, gathered
+from magcal_ros.cli.doctor import GuidePrompts, gathered
 from magcal_ros.core import Mounting
 from magcal_ros.core.doctor import Guide
 from magcal_ros.core.samples import ImuSample, SensorLog
@@ -171,7 +171,7 @@ def test_the_enter_key_skips_a_step(monkeypatch):
     keyboard, terminal = pty.openpty()
     with os.fdopen(terminal) as there:
         monkeypatch.setattr(sys, "stdin", there)
-        asking = Asking()
+        asking = GuidePrompts()
         assert not asking.is_skipped()
         os.write(keyboard, b"\n")
         wait_until(asking.is_skipped)
@@ -181,7 +181,7 @@ def test_the_enter_key_skips_a_step(monkeypatch):
 
 def test_the_seconds_that_are_left_are_shown_where_a_person_sits(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    asking, guide = Asking(), Guide(0.0)
+    asking, guide = GuidePrompts(), Guide(0.0)
     asking.count_down(guide, 0.0)
     asking.count_down(guide, 0.1)
     asking.count_down(guide, 5.0)

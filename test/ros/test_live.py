@@ -95,7 +95,7 @@ def test_ctrl_c_cancels_the_turn(stage, run_beside):
     assert "cancelled" in actor.status["answer"]["message"]
 
 
-def looked_at(actor, seconds):
+def published_for(actor, seconds):
     """What the look at the sensors finds while the robot lives."""
     looker = rclpy.create_node("looker")
     found = []
@@ -109,7 +109,7 @@ def looked_at(actor, seconds):
 def test_a_sensor_that_does_not_arrive_is_explained(stage):
     actor = stage()
     actor.mangle = lambda sample: [sample] if hasattr(sample, "force") else []
-    found = looked_at(actor, 0.5)
+    found = published_for(actor, 0.5)
     assert not found.ready
     assert "/imu/mag: nothing arrives (1 publishers)" in found.lines
 
@@ -118,7 +118,7 @@ def test_a_sensor_under_another_name_is_found_among_what_the_node_publishes(stag
     actor = stage()
     actor.mangle = lambda _: []
     driver = actor.node.create_publisher(Imu, "vendor/imu", 1)
-    found = looked_at(actor, 0.5)
+    found = published_for(actor, 0.5)
     actor.node.destroy_publisher(driver)
     told = [line for line in found.lines if "the same type is published" in line]
     assert told == ["  the same type is published on /vendor/imu: remap to it with -r"]
@@ -127,7 +127,7 @@ def test_a_sensor_under_another_name_is_found_among_what_the_node_publishes(stag
 def test_stamps_in_bursts_are_said_before_the_turn(stage):
     actor = stage()
     actor.mangle = lambda sample: [sample._replace(stamp=math.ceil(sample.stamp / 0.4) * 0.4)]
-    found = looked_at(actor, 2.0)
+    found = published_for(actor, 2.0)
     assert sum("the stamps come in bursts, 0.40 s apart" in line for line in found.lines) == 2
 
 

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from magcal_ros.core.geometry import rotation_from_rpy
-from magcal_ros.ros.parameter_table import PARAMETERS, Spec
+from magcal_ros.ros.parameter_table import PARAMETERS, ParameterSpec
 from magcal_ros.ros.parameters import Settings
 
 NUMBERS = [s for s in PARAMETERS if isinstance(s.default, float)]
@@ -45,7 +45,7 @@ def test_names_are_unique_and_every_row_is_of_a_known_kind():
 
 
 def test_a_switch_is_true_or_false_and_nothing_that_looks_like_it():
-    spec = Spec("moves", False)
+    spec = ParameterSpec("moves", False)
     assert [spec.parse(True), spec.parse(False), spec.yaml_default] == [True, False, "false"]
     for wrong in (1, 0.0, "true", None):
         with pytest.raises(ValueError, match="moves must be true or false"):
@@ -135,7 +135,7 @@ class TestWholeNumbers:
 
 
 def test_a_list_is_shown_as_it_is_typed():
-    spec = Spec("mount_rpy_deg", (0.0, 0.0, 0.0))
+    spec = ParameterSpec("mount_rpy_deg", (0.0, 0.0, 0.0))
     for wrong in (array.array("q", [1, 1]), [1, 1], (1, 1)):
         with pytest.raises(ValueError, match=r"must be 3 numbers, .* not \[1, 1\]$"):
             spec.parse(wrong)
@@ -146,7 +146,7 @@ def test_a_list_is_shown_as_it_is_typed():
 
 
 def test_a_list_of_mixed_numbers_comes_as_text_and_is_one():
-    spec = Spec("mount_rpy_deg", (0.0, 0.0, 0.0))
+    spec = ParameterSpec("mount_rpy_deg", (0.0, 0.0, 0.0))
     assert spec.parse("[0, 0.5, -1e-3]") == (0.0, 0.5, -0.001)
 
 
@@ -198,7 +198,7 @@ class TestTexts:
 
 
 def test_a_spec_without_a_range_takes_any_number():
-    assert Spec("x", 0.0).parse(-1e300) == -1e300
+    assert ParameterSpec("x", 0.0).parse(-1e300) == -1e300
 
 
 def settings(**changes):

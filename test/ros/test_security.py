@@ -93,7 +93,7 @@ def test_a_file_that_cannot_be_loaded_is_told_alike_whatever_is_there(stage, gra
         refused = actor.answer(actor.call("load"))
         assert not refused.success
         answers.add(refused.message.replace(chosen, "X"))
-        assert node._keeper.trouble == refused.message
+        assert node._store.problem == refused.message
     assert len(answers) == 1
     chosen = str(folder / "link_to.yaml")
     assert node.set_parameters([Parameter("calibration_file", value=chosen)])[0].successful

@@ -15,11 +15,11 @@ from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 from test_travel import Car
 
 from magcal_ros.core import calibrate
-from magcal_ros.core.keeping import Decision, Findings, Verb
+from magcal_ros.core.keeping import Decision, DecisionKind, DriveResult
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import backup_files, read_calibration
 from magcal_ros.ros.status import watch_diagnostic
-from magcal_ros.ros.worker_process import Stopped
+from magcal_ros.ros.worker_process import WorkerStopped
 
 
 def no_space(_):
@@ -55,7 +55,7 @@ class TestInTheNode:
         proposed = replace(calibration, correction=replace(calibration.correction, hard_iron=iron))
         machine = house._keeping.machine
         machine.proposal = proposed
-        machine.decisions.append(Decision(90.0, Verb.PROPOSED, "it was better", proposed))
+        machine.decisions.append(Decision(90.0, DecisionKind.PROPOSED, "it was better", proposed))
         stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"])
         assert stage.status["self_calibration"]["decisions"][-1]["why"] == "it was better"
         answer = stage.answer(stage.call("accept"))
@@ -101,14 +101,14 @@ class TestInTheNode:
         assert status.level == DiagnosticStatus.WARN
         assert "no memory" in status.message
         keeping.machine.job(house._first.drive_knowledge())
-        keeping._note(Findings(0.0, (), None, None, {}))
+        keeping._note(DriveResult(0.0, (), None, None, {}))
         assert watch_diagnostic(None, keeping).level == DiagnosticStatus.OK
         assert keeping.facts()["fits_lost"] == 1
 
     def test_what_the_node_ends_itself_is_not_said(self, house):
         keeping, said = house._keeping, []
         keeping._say = said.append
-        keeping._lost(Stopped())
+        keeping._lost(WorkerStopped())
         assert not said
         assert keeping.facts()["fits_lost"] == 0
 

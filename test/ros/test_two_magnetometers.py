@@ -38,10 +38,10 @@ def test_each_finds_its_own_calibration_and_none_its_neighbours(start_node, acto
     right = start_node(arguments=named("right"))
     robot.run(PATIENCE, stop=lambda: right._inputs.field.messages)
     robot.run(0.5)
-    assert right._keeper.calibration is None
+    assert right._store.calibration is None
     again = start_node(arguments=named("left"))
-    robot.run(PATIENCE, stop=lambda: again._keeper.calibration is not None)
-    assert again._keeper.origin.node == "/left"
+    robot.run(PATIENCE, stop=lambda: again._store.calibration is not None)
+    assert again._store.origin.node == "/left"
 
 
 SECOND = replace(
@@ -79,7 +79,7 @@ def entries(actor):
     return {entry["topic"]: entry for entry in actor.status["magnetometers"]}
 
 
-def looked_at(robot):
+def status_after_look(robot):
     """What the look at the sensors finds while the robot lives."""
     looker = rclpy.create_node("looker")
     found = []
@@ -98,7 +98,7 @@ def test_a_silent_one_is_warned_of_and_the_topic_of_the_other_is_not_offered(
     robot = actor()
     pair = Pair(robot)
     pair.silent = {silent}
-    found = looked_at(robot)
+    found = status_after_look(robot)
     assert found.ready
     assert f"/{silent}: nothing arrives (1 publishers)" in found.lines
     assert f"  /{silent} is silent and is not calibrated" in found.lines
@@ -110,7 +110,7 @@ def test_one_turn_calibrates_both_and_one_heading_outlives_either(start_node, ac
     robot = actor(speed=8.0)
     pair = Pair(robot)
     robot.run(PATIENCE, stop=lambda: len(robot.status["magnetometers"]) == 2)
-    found = looked_at(robot)
+    found = status_after_look(robot)
     assert found.ready
     assert [line.partition(":")[0] for line in found.lines] == [
         "/imu/data_raw",

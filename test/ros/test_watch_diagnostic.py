@@ -6,7 +6,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 
-from magcal_ros.core.monitoring import Watched
+from magcal_ros.core.monitoring import MonitorResult
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_it_is_told_and_cleared_by_a_new_calibration(scene, ros_home):
     assert said().level == DiagnosticStatus.OK
     robot.run(PATIENCE, 0.5, lambda: len(node._first.watch._records) > 3)
     assert len(node._first.watch._records) > 3, "field messages reach the watch"
-    node._first.watch.watched = dataclasses.replace(Watched(), is_stale=True, minutes=4.0)
+    node._first.watch.result = dataclasses.replace(MonitorResult(), is_stale=True, minutes=4.0)
     wait_for("has not held for about 4 min")
     assert said().level == DiagnosticStatus.WARN
     robot.run(PATIENCE, stop=lambda: robot.status["watch"]["stale"])

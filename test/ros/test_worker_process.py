@@ -16,7 +16,7 @@ from support import PATIENCE, wait_until
 
 from magcal_ros.core import Reason, Refusal
 from magcal_ros.core.geometry import centred
-from magcal_ros.ros.worker_process import Lost, Stopped, WorkerProcess
+from magcal_ros.ros.worker_process import WorkerLost, WorkerProcess, WorkerStopped
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_ended_for_good_it_is_not_started_again(worker):
     pid = worker.run(os.getpid)
     worker.end()
     assert is_gone(pid)
-    with pytest.raises(Stopped):
+    with pytest.raises(WorkerStopped):
         worker.run(os.getpid)
 
 
@@ -66,7 +66,7 @@ def test_stopping_ends_a_call_at_once_and_the_next_starts_anew(worker):
     ends = []
 
     def wait():
-        with pytest.raises(Stopped):
+        with pytest.raises(WorkerStopped):
             worker.run(time.sleep, 600.0)
         ends.append(True)
 
@@ -97,7 +97,7 @@ def test_a_process_that_dies_is_replaced(worker):
 )
 def test_what_happens_to_it_in_a_call_is_said_in_words(worker, how, words):
     pid = worker.run(os.getpid)
-    with pytest.raises(Lost) as caught:
+    with pytest.raises(WorkerLost) as caught:
         worker.run(os.kill, pid, how)
     assert words in str(caught.value)
     assert is_gone(pid)
@@ -107,7 +107,7 @@ def test_what_happens_to_it_in_a_call_is_said_in_words(worker, how, words):
 def test_a_stopped_process_is_noticed_while_it_is_given_its_work(worker):
     pid = worker.run(os.getpid)
     os.kill(pid, signal.SIGSTOP)
-    with pytest.raises(Lost, match="SIGSTOP"):
+    with pytest.raises(WorkerLost, match="SIGSTOP"):
         worker.run(len, bytes(10**6))
 
 
@@ -117,7 +117,7 @@ def test_without_room_for_a_process_the_caller_is_told_why(worker, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(subprocess, "Popen", fail)
-        with pytest.raises(Lost, match="cannot be started: Too many open files"):
+        with pytest.raises(WorkerLost, match="cannot be started: Too many open files"):
             worker.run(os.getpid)
         worker.stop()
     assert worker.run(os.getpid)

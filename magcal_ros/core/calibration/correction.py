@@ -74,7 +74,7 @@ class Correction:
 
 
 class MotorInput(str, Enum):
-    """Inputs that the field of motors may be proportional to, in the order of `Running.values`."""
+    """Inputs that the motors' field may be proportional to, in the order of `MotorState.values`."""
 
     MOVING = "moving"
     TURN_RATE = "turn_rate"
@@ -95,7 +95,7 @@ class MotorInput(str, Enum):
 INPUTS = tuple(MotorInput)
 
 
-class Running(NamedTuple):
+class MotorState(NamedTuple):
     """Values of the motors' inputs at a moment."""
 
     moving: float = 0.0  # probability that the robot moves
@@ -115,7 +115,7 @@ class Running(NamedTuple):
         return (*self, abs(self.turn_rate), abs(self.speed))
 
 
-AT_REST = Running()
+AT_REST = MotorState()
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,30 +142,30 @@ class MotorField:
         if len(self.usual) != count or len(set(self.inputs)) != count:
             raise ValueError("the motors' inputs must differ, and each has one usual size")
 
-    def may_hold(self, running: Running) -> bool:
+    def may_hold(self, motor_state: MotorState) -> bool:
         """Whether motors may hold the robot with an unmeasured current."""
-        return math.isnan(running.current) and not math.isnan(self.reference)
+        return math.isnan(motor_state.current) and not math.isnan(self.reference)
 
-    def known(self, running: Running) -> tuple[FloatArray, FloatArray]:
+    def known(self, motor_state: MotorState) -> tuple[FloatArray, FloatArray]:
         """Return the inputs (n,) and their covariance (n, n).
 
         An unknown input is zero, with its usual variance while the robot moves. A current beyond a
         reference, which may hold the robot, has this variance at rest as well. If motion or side of
         a turn are uncertain, so are the inputs that depend on them.
         """
-        inputs = running.values
+        inputs = motor_state.values
         values = np.array([inputs[INPUTS.index(each)] for each in self.inputs])
         unknown = np.isnan(values)
-        runs = 1.0 if self.may_hold(running) else running.moving
-        share = [runs if each is MotorInput.CURRENT else running.moving for each in self.inputs]
+        runs = 1.0 if self.may_hold(motor_state) else motor_state.moving
+        share = [runs if each is MotorInput.CURRENT else motor_state.moving for each in self.inputs]
         covariance = np.diag(np.where(unknown, share * np.square(self.usual), 0.0))
-        side = 0.0 if math.isnan(running.side) else running.side
+        side = 0.0 if math.isnan(motor_state.side) else motor_state.side
         step = {MotorInput.MOVING: 1.0, MotorInput.SIDE: side}
         steps = np.array([step.get(each, 0.0) for each in self.inputs])
-        covariance += running.moving * (1.0 - running.moving) * np.outer(steps, steps)
+        covariance += motor_state.moving * (1.0 - motor_state.moving) * np.outer(steps, steps)
         if MotorInput.SIDE in self.inputs:
             at = self.inputs.index(MotorInput.SIDE)
-            covariance[at, at] += running.moving * abs(side) * (1.0 - abs(side))
+            covariance[at, at] += motor_state.moving * abs(side) * (1.0 - abs(side))
         return np.where(unknown, 0.0, values), covariance
 
     def joint(self, covariance: FloatArray) -> FloatArray:

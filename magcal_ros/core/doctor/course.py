@@ -9,11 +9,11 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
-from magcal_ros.core.doctor.blame import mount_of, parameter_line
-from magcal_ros.core.doctor.explanations import Way
-from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.axes_diagnosis import mount_of, parameter_line
+from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
+from magcal_ros.core.doctor.health import Finding, checked, not_shown, wrong
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import is_mirrored, rotation_from_rpy, spoken
+from magcal_ros.core.geometry.rotations import axes_in_words, is_mirrored, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import FIELD, IRON, SOFT
 
@@ -44,15 +44,15 @@ class AxesInUse:
     compass: Calibration  # good enough to be compared with a course
 
 
-def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
+def axes_in_use(hypothesis: AxesHypothesis, knowledge: Knowledge) -> AxesInUse | None:
     """Return axes and compass of a hypothesis in rad/s and body axes; None without a compass."""
-    state, size = way.state, way.part.size
-    if not np.array_equal(way.gyro, np.eye(3)) or is_mirrored(way.field):
+    state, size = hypothesis.state, hypothesis.part.size
+    if not np.array_equal(hypothesis.gyro, np.eye(3)) or is_mirrored(hypothesis.field):
         return None
-    level = float(np.linalg.norm(np.cross(state[FIELD], way.part.up[0])))
-    if not float(way.sigma[IRON].max()) < TUNING.iron * level:
+    level = float(np.linalg.norm(np.cross(state[FIELD], hypothesis.part.up[0])))
+    if not float(hypothesis.sigma[IRON].max()) < TUNING.iron * level:
         return None
-    to_axes = way.field.T @ knowledge.mounting.to_body
+    to_axes = hypothesis.field.T @ knowledge.mounting.to_body
     soft = np.eye(3) + state[SOFT].reshape(3, 3)
     hard_iron = np.asarray(np.linalg.solve(to_axes, size * state[IRON]), dtype=np.float64)
     compass = Calibration(
@@ -64,7 +64,7 @@ def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
         0.0,
         Evidence("doctor", "", "", ""),
     )
-    return AxesInUse(way.field, knowledge.mounting.pose, compass)
+    return AxesInUse(hypothesis.field, knowledge.mounting.pose, compass)
 
 
 def course_findings(
@@ -88,10 +88,10 @@ def course_findings(
         "course"
     )
     if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > TUNING.near:
-        return [*lines, looked_at("field_yaw", NAME, evidence)], None
+        return [*lines, checked("field_yaw", NAME, evidence)], None
     axes = np.rint(used.axes @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
     mount = mount_of(axes, used.pose)
-    turned = f"the magnetometer's axes are {spoken(axes)}: set `{parameter_line(mount)}`"
+    turned = f"the magnetometer's axes are {axes_in_words(axes)}: set `{parameter_line(mount)}`"
     if knows_imu:
         return [*lines, wrong("field_yaw", NAME, evidence, turned)], mount
     either = (
@@ -113,4 +113,4 @@ def _imu_yaw(seen: Belief) -> Finding:
         f"set `vehicle_yaw_deg: {degrees:.0f}.0`"
     )
     is_off = abs(seen.value) > TUNING.near
-    return looked_at("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)
+    return checked("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)

@@ -42,7 +42,7 @@ class SpeedTuning:
 
 
 @dataclass(frozen=True)
-class OwnAccelerationTuning:
+class VehicleAccelerationTuning:
     """When the vehicle's acceleration is subtracted, and how the direction of travel is found."""
 
     seconds: float = 0.25  # duration of a tick: short compared with a start or a curve
@@ -148,5 +148,5 @@ class CourseTuning:
     fewest: int = 5  # cells before the first fit
 
 
-SPEED, OWN = SpeedTuning(), OwnAccelerationTuning()
+SPEED, OWN = SpeedTuning(), VehicleAccelerationTuning()
 MOUNTING, COURSE = MountingYawTuning(), CourseTuning()

@@ -97,7 +97,7 @@ class TickTable(NamedTuple):
         return self._replace(**{n: getattr(self, n)[-count:] for n in self._fields[:-1]})
 
 
-class Judged(NamedTuple):
+class SpeedCheck(NamedTuple):
     """The result of a fit for one source of speed: yaw, fault and latency."""
 
     source: SpeedSource
@@ -108,7 +108,7 @@ class Judged(NamedTuple):
 
 def _judge(
     source: SpeedSource, table: TickTable, record: SpeedRecord, measures_delay: bool
-) -> Judged:
+) -> SpeedCheck:
     delay = _delay(table, record) if measures_delay else record.delay
     met = _at_delay(table, record, delay)
     is_rough = source is not SpeedSource.ODOMETRY
@@ -117,7 +117,7 @@ def _judge(
         stuck = fit_mounting_yaw(newest, delay, is_rough)
         is_moved = stuck is not None and stuck.force_energy > MOUNTING.first_energy
         if stuck is not None and is_moved and stuck.explained < MOUNTING.explained:
-            return Judged(source, stuck, SpeedFault.FROZEN, delay)
+            return SpeedCheck(source, stuck, SpeedFault.FROZEN, delay)
     # Wheels are also tested over the last minute, in which a new fault is clear. A receiver is
     # temporarily worse between houses.
     for ticks in (met,) if is_rough else (met.last(MOUNTING.recent), met):
@@ -125,7 +125,7 @@ def _judge(
         fault = None if found is None else _fault(record, found)
         if fault is not None:
             break
-    return Judged(source, found, fault, delay)
+    return SpeedCheck(source, found, fault, delay)
 
 
 def _at_delay(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
@@ -272,7 +272,7 @@ def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> Mounting
     )
 
 
-class MountingWatch:
+class MountingYawEstimator:
     """Keeps the ticks of some minutes, and fits them periodically.
 
     `found` is the newest fit of the source in use, `seen` that of each source, and `faults` are the
@@ -300,7 +300,7 @@ class MountingWatch:
         self._ticks.clear()
         self._fitted_at = -math.inf
 
-    def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
+    def begin_fit(self, stamp: float) -> Callable[[], tuple[SpeedCheck, ...]]:
         """Return a function that fits the drive, for any thread; `take` uses its result.
 
         Every eighth fit tests all sources and measures their latencies; the others end at the first
@@ -315,12 +315,12 @@ class MountingWatch:
             if stamp - track.newest <= 2.0 * MOUNTING.reuse
         ]
 
-        def work() -> tuple[Judged, ...]:
+        def work() -> tuple[SpeedCheck, ...]:
             rows = [(t.stamp, t.seconds, t.yaw, t.turn_rate, math.nan) for t in ticks]
             stamps, seconds, yaw, rate, speed = np.array(rows, dtype=float).reshape(-1, 5).T
             force = np.array([tick.level_force for tick in ticks], dtype=np.complex128)
             table = TickTable(stamps, seconds, force, yaw, rate, speed, True)
-            judged: list[Judged] = []
+            judged: list[SpeedCheck] = []
             for source, record in recent:
                 judged.append(_judge(source, table, record, is_thorough))
                 is_good = judged[-1].fitted is not None and judged[-1].fault is None
@@ -330,7 +330,7 @@ class MountingWatch:
 
         return work
 
-    def take(self, judged: tuple[Judged, ...]) -> None:
+    def take(self, judged: tuple[SpeedCheck, ...]) -> None:
         """Use the results of a fit: the best source without a fault is used."""
         self.found = None
         for source, fitted, fault, delay in judged:

@@ -203,7 +203,7 @@ class _Trip(NamedTuple):
     is_clear: bool = False
 
 
-class OwnAcceleration:
+class VehicleAcceleration:
     """Subtracts the vehicle's acceleration from the force.
 
     Over the last half second with a known speed, the mean force minus the change of velocity is

@@ -189,7 +189,7 @@ def _own_variance(calibration: Calibration) -> float:
     return noise**2 + field_variance(calibration)
 
 
-class FieldDoubt:
+class FieldDeviation:
     """The additional variance of the yaw, if the field contradicts the calibration.
 
     Strength and dip show two components of the field's error. The third component, across north,

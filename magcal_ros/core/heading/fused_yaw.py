@@ -30,7 +30,7 @@ from magcal_ros.core.geometry.vec3 import (
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_ahead
 from magcal_ros.core.heading.dispute import Dispute, Scene
 from magcal_ros.core.heading.disturbance import DISTURBANCE, DisturbanceDetector, Trust
-from magcal_ros.core.heading.yaw_filter import FUSION, GyroLoss, YawFilter
+from magcal_ros.core.heading.yaw_filter import FUSION, GyroDrift, YawFilter
 from magcal_ros.core.samples.streams import STREAMS, enclosing
 from magcal_ros.core.up.follower import Up
 from magcal_ros.core.up.propagation import GyroBias
@@ -39,7 +39,7 @@ HISTORY = 512  # IMU messages that are kept to find the moment of a field messag
 UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)  # of a gyro whose bias is already subtracted
 
 
-class _Moment(NamedTuple):
+class _YawRecord(NamedTuple):
     """North as propagated to a stamp, and the sum of the yaw's corrections until then."""
 
     stamp: float
@@ -51,8 +51,8 @@ class FusedYaw:
     """The gyro-aided yaw of one calibration; a field that deviates for `patience` s is accepted."""
 
     def __init__(self, calibration: Calibration, patience: float) -> None:
-        self._path: deque[_Moment] = deque(maxlen=HISTORY)
-        self._filter, self._loss = YawFilter(), GyroLoss()
+        self._path: deque[_YawRecord] = deque(maxlen=HISTORY)
+        self._filter, self._loss = YawFilter(), GyroDrift()
         self._measure_by(calibration, patience)
         self.restart()
 
@@ -124,7 +124,7 @@ class FusedYaw:
             self.restart()
             return
         self._north = level
-        self._path.append(_Moment(stamp, level, self._shift))
+        self._path.append(_YawRecord(stamp, level, self._shift))
         lost = FUSION.lost(length(rate)) * seconds
         self._filter.propagate(seconds, self._loss.share * lost, self._loss.walked * seconds)
         self._drift += (bias + dot(self._known.rate, up.direction)) * seconds
@@ -313,7 +313,7 @@ class FusedYaw:
         self._filter.begin(variance, min(bias, 1.0), bent, _errors_of(heading))
         self._loss.begin(dot(self._known.rate, self._up.direction), min(bias, 1.0))
         self._start_stamp = self._stamp
-        self._path.append(_Moment(self._stamp, level, self._shift))
+        self._path.append(_YawRecord(self._stamp, level, self._shift))
 
     def _move_on(self, seconds: float, innovation: float, heading: Heading) -> None:
         """Let the disturbance change with the place, and learn its size."""
@@ -328,7 +328,7 @@ class FusedYaw:
         own = heading.noise_variance + heading.lasting_variance
         return max(0.0, heading.yaw_variance - own)
 
-    def _scene(self, stamp: float, field: Triple, up: Up, then: _Moment) -> Scene:
+    def _scene(self, stamp: float, field: Triple, up: Up, then: _YawRecord) -> Scene:
         """Return the level field, and the Earth's by the disputed yaw."""
         axis, since = up.direction, then.shift - self._disputed_shift
         north = propagated(then.north, scaled(axis, -since))
@@ -377,7 +377,7 @@ class FusedYaw:
         self._north = propagated(self._north, scaled(self._up.direction, angle))
         self._shift += angle
 
-    def _at(self, stamp: float) -> _Moment | None:
+    def _at(self, stamp: float) -> _YawRecord | None:
         """Return north at a stamp; after the newest message the turn rate is constant."""
         found = enclosing(self._path, stamp)
         if found is None:

@@ -14,8 +14,8 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, between, minus, plus, propagated, scaled
-from magcal_ros.core.heading.compass import Compass, Heading, Moment, levelled, yaw_ahead
-from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDoubt
+from magcal_ros.core.heading.compass import Compass, CompassReading, Heading, levelled, yaw_ahead
+from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up.follower import Up
@@ -40,7 +40,7 @@ class CompassYaw(NamedTuple):
     variance: float  # of the yaw, rad²
 
 
-class Share(NamedTuple):
+class CompassWeight(NamedTuple):
     """The part of one magnetometer in the heading."""
 
     weight: float  # 0 to 1
@@ -87,23 +87,23 @@ class _Member:
     """A magnetometer with its calibration and its last message."""
 
     compass: Compass
-    doubt: FieldDoubt
-    moment: Moment | None = None
+    doubt: FieldDeviation
+    moment: CompassReading | None = None
     arrived: float = -math.inf  # stamp of the IMU at the last message
     changed: float = -math.inf  # the same for the last message with other values
-    doubt_variance: float = 0.0  # variance of the yaw by a disturbed field, rad²
+    deviation_variance: float = 0.0  # variance of the yaw by a disturbed field, rad²
     off: float = math.nan  # smoothed yaw relative to the common origin, radians
     offset: Triple = (0.0, 0.0, 0.0)  # its field minus the mean of all, body axes, tesla
     learnt: float = 0.0  # seconds over which the offset was learnt
-    share: Share = field(default_factory=lambda: Share(0.0))
+    share: CompassWeight = field(default_factory=lambda: CompassWeight(0.0))
 
-    def take(self, moment: Moment, now: float) -> None:
+    def take(self, moment: CompassReading, now: float) -> None:
         """Add a message of this magnetometer."""
         if self.moment is None or moment.field != self.moment.field:
             self.changed = now
         self.moment, self.arrived = moment, now
 
-    def learn_doubt(self, stamp: float, turned: tuple[float, float]) -> None:
+    def learn_deviation(self, stamp: float, turned: tuple[float, float]) -> None:
         """Learn the deviation of its field from calibration and gyro.
 
         `turned` is its yaw minus that of the gyro, radians, and the variance of the gyro's yaw,
@@ -112,7 +112,7 @@ class _Member:
         assert self.moment is not None
         assert self.moment.up is not None
         field, up = self.moment.field, self.moment.up
-        self.doubt_variance = self.doubt.add(stamp, field, up.direction, up.variance, turned)
+        self.deviation_variance = self.doubt.add(stamp, field, up.direction, up.variance, turned)
 
     @property
     def heading(self) -> Heading:
@@ -128,9 +128,9 @@ class _Member:
         return max(own, SMALLEST_VARIANCE)
 
     @property
-    def is_doubted(self) -> bool:
+    def deviates(self) -> bool:
         """Whether its field deviates from the calibrated one by more than its sigma."""
-        return self.doubt_variance > self.own_variance
+        return self.deviation_variance > self.own_variance
 
 
 class SeveralCompasses:
@@ -145,7 +145,7 @@ class SeveralCompasses:
         """Use another calibration for a magnetometer; None leaves it out."""
         self._members.pop(number, None)
         if calibration is not None:
-            self._members[number] = _Member(Compass(calibration), FieldDoubt(calibration))
+            self._members[number] = _Member(Compass(calibration), FieldDeviation(calibration))
         self._forget()
 
     @property
@@ -154,13 +154,13 @@ class SeveralCompasses:
         return self._members[min(self._members)].compass if self._members else None
 
     @property
-    def shares(self) -> dict[int, Share]:
+    def shares(self) -> dict[int, CompassWeight]:
         """The part of each calibrated magnetometer, by its number."""
         return {number: self._members[number].share for number in sorted(self._members)}
 
     def add(
-        self, number: int, moment: Moment, now: float, fused: FusedYaw | None = None
-    ) -> Moment | None:
+        self, number: int, moment: CompassReading, now: float, fused: FusedYaw | None = None
+    ) -> CompassReading | None:
         """Add a moment of a magnetometer; return that of all if it is the first that sends.
 
         The heading has the rate of this sensor. `moment` is a message of magnetometer `number`,
@@ -199,7 +199,7 @@ class SeveralCompasses:
         newest = max(each.changed for each in self._members.values())
         return newest - member.changed > STREAMS.longest_gyro_step
 
-    def _joined(self, moment: Moment, up: Up, fused: FusedYaw | None) -> Moment:
+    def _joined(self, moment: CompassReading, up: Up, fused: FusedYaw | None) -> CompassReading:
         seconds, self._stamp = moment.stamp - self._stamp, moment.stamp
         yaws = self._compass_yaws(moment, up.direction, fused, seconds)
         if not yaws:
@@ -214,7 +214,7 @@ class SeveralCompasses:
         return self._with_heading(moment._replace(field=joined), up, kept, shares)
 
     def _compass_yaws(
-        self, moment: Moment, up: Triple, fused: FusedYaw | None, seconds: float
+        self, moment: CompassReading, up: Triple, fused: FusedYaw | None, seconds: float
     ) -> list[CompassYaw]:
         """Return the yaws of magnetometers that send, and do not repeat one value."""
         turned: dict[int, Triple] = {}
@@ -222,7 +222,7 @@ class SeveralCompasses:
             is_heard = self._is_new(member.arrived) and not self._is_frozen(member)
             seen = self._seen(member, moment, up) if is_heard else None
             if seen is None:
-                member.share = Share(0.0, self._silence(member))
+                member.share = CompassWeight(0.0, self._silence(member))
                 member.off = math.nan
             else:
                 turned[number] = seen
@@ -245,7 +245,7 @@ class SeveralCompasses:
         }
         return [self._compass_yaw(number, seen, ahead, known) for number, seen in turned.items()]
 
-    def _seen(self, member: _Member, moment: Moment, up: Triple) -> Triple | None:
+    def _seen(self, member: _Member, moment: CompassReading, up: Triple) -> Triple | None:
         """Return a member's field at a moment, in the lead's terms; None if it has none."""
         then, lead = member.moment, self.lead
         if then is None or then.heading is None or lead is None:
@@ -282,10 +282,10 @@ class SeveralCompasses:
         member, own = self._members[number], ahead[number]
         # A single compass, or one that agrees with another, may be right and the gyro's yaw wrong.
         others = [wrapped(own - each) for other, each in ahead.items() if other != number]
-        member.learn_doubt(
+        member.learn_deviation(
             self._stamp, (min([own, *others], key=abs), known if others else math.inf)
         )
-        return CompassYaw(number, seen, own, member.own_variance + member.doubt_variance)
+        return CompassYaw(number, seen, own, member.own_variance + member.deviation_variance)
 
     def _silence(self, member: _Member) -> str:
         if not self._is_new(member.arrived):
@@ -310,7 +310,7 @@ class SeveralCompasses:
         A difference of hard iron is constant in body axes. With the offsets subtracted, the mean
         does not jump when a compass is left out.
         """
-        is_bent = any(self._members[each.number].is_doubted for each in kept)
+        is_bent = any(self._members[each.number].deviates for each in kept)
         if len(kept) < 2 or self.disagreement or is_bent or seconds <= 0.0:
             return
         mean = _mean([each.field for each in kept], shares)
@@ -328,16 +328,16 @@ class SeveralCompasses:
         first = 0.0 if self._is_by_gyro else kept[0].ahead
         for each in yaws:
             member, why = self._members[each.number], ""
-            if each not in kept or (member.is_doubted and member.doubt.is_turned):
+            if each not in kept or (member.deviates and member.doubt.is_turned):
                 off = math.degrees(wrapped(each.ahead - first))
                 why = f"its yaw differs by {off:+.0f}° from the others and the gyro"
-            elif member.is_doubted:
+            elif member.deviates:
                 why = "its field is not the calibrated one"
-            member.share = Share(weights.get(each.number, 0.0), why)
+            member.share = CompassWeight(weights.get(each.number, 0.0), why)
 
     def _with_heading(
-        self, moment: Moment, up: Up, kept: list[CompassYaw], shares: list[float]
-    ) -> Moment:
+        self, moment: CompassReading, up: Up, kept: list[CompassYaw], shares: list[float]
+    ) -> CompassReading:
         """Return the moment with the heading of its joined field, and the variances.
 
         All calibration errors are assumed to depend on the attitude like those of the lead. The
@@ -355,7 +355,7 @@ class SeveralCompasses:
             between += share**2 * self._apart.variance
             noise += share**2 * own.noise_variance
             # If all fields are disturbed differently, their mean may look undisturbed.
-            bent += share**2 * self._members[each.number].doubt_variance * (len(kept) > 1)
+            bent += share**2 * self._members[each.number].deviation_variance * (len(kept) > 1)
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return moment._replace(
             heading=heading._replace(

@@ -240,7 +240,7 @@ KINDS = 3
 WANDERS = 1
 
 
-class GyroLoss:
+class GyroDrift:
     """The random walks of a gyro's angle and bias, from headings of another device and from rests.
 
     There is a Kalman filter for each set of sizes on a grid. Its states are the yaw minus that of

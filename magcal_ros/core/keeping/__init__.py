@@ -5,10 +5,11 @@ from magcal_ros.core.lazy_names import lazy_names
 __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     """
-    jobs: Decision DriveCandidate DriveJob Findings KEEPING Kind Mode Proof Step Verb difference
+    drive_replay: DrivePath DriveReplay path_along replay_drive
+    jobs: Decision DecisionKind DriveCandidate DriveJob DriveResult HeldOutComparison Kind Mode
+        SELF_CALIBRATION Step difference
     motor_learning: MotorLearning
     self_calibration: SelfCalibration TRIAL
-    story: DrivePath DriveStory path_along replayed
-    worker: answer prove
+    worker: answer compare_held_out
     """,
 )

@@ -21,7 +21,7 @@ from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True)
-class KeepingTuning:
+class SelfCalibrationTuning:
     """Thresholds of self-calibration; seconds are of movement."""
 
     look_every: float = 20.0  # seconds between two jobs
@@ -59,7 +59,7 @@ class KeepingTuning:
     remembered: int = 20  # decisions that are kept
 
 
-KEEPING = KeepingTuning()
+SELF_CALIBRATION = SelfCalibrationTuning()
 
 
 METHOD = "smoother"
@@ -102,12 +102,14 @@ class DriveCandidate:
 def is_another(candidate: DriveCandidate, in_force: Calibration) -> bool:
     """Whether a candidate differs significantly from the calibration in force."""
     apart = difference(in_force, candidate.calibration)
-    return apart > KEEPING.differs * math.hypot(candidate.sigma, calibration_sigma(in_force))
+    return apart > SELF_CALIBRATION.differs * math.hypot(
+        candidate.sigma, calibration_sigma(in_force)
+    )
 
 
 def is_finer(candidate: DriveCandidate, in_force: Calibration) -> bool:
     """Whether a candidate agrees with the calibration in force, and has a much smaller sigma."""
-    is_better = candidate.sigma < KEEPING.much_better * known_sigma(in_force)
+    is_better = candidate.sigma < SELF_CALIBRATION.much_better * known_sigma(in_force)
     return is_better and not is_another(candidate, in_force)
 
 
@@ -120,7 +122,7 @@ def difference(old: Calibration, new: Calibration) -> float:
     return math.sqrt(float(np.mean(wrap_angle(apart - mean_angle(apart)) ** 2)))
 
 
-class Verb(str, Enum):
+class DecisionKind(str, Enum):
     """The kinds of decision."""
 
     NOTICED = "noticed"
@@ -138,7 +140,7 @@ class Decision:
     """One decision."""
 
     clock: float  # seconds of movement since the drive began
-    verb: Verb
+    kind: DecisionKind
     words: str  # the decision with its reason, one sentence
     calibration: Calibration | None = None  # the one to be put in force, if any
 
@@ -174,7 +176,7 @@ def is_same(one: Calibration | None, other: Calibration | None) -> bool:
 
 
 @dataclass(frozen=True)
-class Proof:
+class HeldOutComparison:
     """Comparison of a new and an old calibration on held-out data, driven after the fit."""
 
     seconds: float = 0.0  # of driving
@@ -189,9 +191,11 @@ class Proof:
 
     def stands(self, kind: Kind | None = None) -> str:
         """Return in words why the new calibration is better; empty if that is not proved."""
-        enough = KEEPING.iron_proof if kind is Kind.IRON else KEEPING.likelihood_proof
-        is_elsewhere = kind is not Kind.ALL or self.elsewhere >= KEEPING.elsewhere_proof
-        is_unopposed = kind is not Kind.IRON or self.against <= KEEPING.most_against
+        enough = (
+            SELF_CALIBRATION.iron_proof if kind is Kind.IRON else SELF_CALIBRATION.likelihood_proof
+        )
+        is_elsewhere = kind is not Kind.ALL or self.elsewhere >= SELF_CALIBRATION.elsewhere_proof
+        is_unopposed = kind is not Kind.IRON or self.against <= SELF_CALIBRATION.most_against
         is_clear = self.likelihood > enough and min(self.halves) > 0.0
         if not (is_clear and is_elsewhere and is_unopposed):
             return ""
@@ -225,7 +229,7 @@ class DriveJob:
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class DriveResult:
     """The results of a job."""
 
     clock: float  # of the newest data, seconds
@@ -233,4 +237,4 @@ class Findings:
     since_change: DriveCandidate | None
     finer: DriveCandidate | None
     """The hard iron since a suspected change, and since the last proved one."""
-    proofs: dict[str, Proof]  # by the contests' names
+    comparisons: dict[str, HeldOutComparison]  # by the contests' names

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInput, Running
+from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInput, MotorState
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.motors_now import PLACE_FIELD
+from magcal_ros.core.heading.motor_field_filter import PLACE_FIELD
 
 MICROTESLA = 1e6
 PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -98,11 +98,11 @@ class MotorLearning:
         self._stamp = -math.inf
         self._forget_place()
 
-    def add(self, stamp: float, raw: Triple, rate: Triple, running: Running) -> bool:
+    def add(self, stamp: float, raw: Triple, rate: Triple, motor_state: MotorState) -> bool:
         """Add a raw field sample; return whether a block is complete.
 
         The stamp is in seconds, `raw` in tesla in the magnetometer's axes, `rate` in rad/s in body
-        axes without the gyro's bias, and `running` are the inputs of the motors' field.
+        axes without the gyro's bias, and `motor_state` are the inputs of the motors' field.
         """
         seconds, self._stamp = stamp - self._stamp, stamp
         if not 0.0 < seconds < PLACE_FIELD.longest:
@@ -111,17 +111,17 @@ class MotorLearning:
             return False
         if self._block is None:
             self._block = _Interval(stamp, np.zeros(3), np.zeros(3))
-        block, moves = self._block, running.moving > 0.0
+        block, moves = self._block, motor_state.moving > 0.0
         if moves:
             # A robot at rest has a gyro's noise, and no turn.
             block.turned = block.turned + seconds * np.array(rate)
-        block.way += seconds * moves * PLACE_FIELD.way(running.speed, rate)
+        block.way += seconds * moves * PLACE_FIELD.way(motor_state.speed, rate)
         block.seconds += seconds
         block.count += 1
         block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
         block.field = block.field + np.array(raw)
-        block.inputs = block.inputs + np.array(running.values)
-        block.clear = block.clear and running.moving in (0.0, 1.0)
+        block.inputs = block.inputs + np.array(motor_state.values)
+        block.clear = block.clear and motor_state.moving in (0.0, 1.0)
         if stamp - block.begin < TUNING.block:
             return False
         # Sensors and motors have latency: next to a start or stop no block is clear.

@@ -13,18 +13,18 @@ from dataclasses import replace
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma, known_sigma
 from magcal_ros.core.keeping.jobs import (
-    KEEPING,
     METHOD,
+    SELF_CALIBRATION,
     Decision,
+    DecisionKind,
     DriveCandidate,
     DriveJob,
-    Findings,
+    DriveResult,
+    HeldOutComparison,
     Kind,
     Mode,
     Probation,
-    Proof,
     Step,
-    Verb,
     difference,
     is_another,
     is_finer,
@@ -43,13 +43,15 @@ class SelfCalibration:
     def __init__(self, mode: Mode = Mode.PROPOSE) -> None:
         self.mode = mode
         self.proposal: Calibration | None = None  # waits for the user
-        self.recorder = DriveRecorder(KEEPING.memory)
+        self.recorder = DriveRecorder(SELF_CALIBRATION.memory)
         self._in_force: Calibration | None = None
-        self.before: deque[Calibration] = deque(maxlen=KEEPING.kept)  # the newest last
+        self.before: deque[Calibration] = deque(maxlen=SELF_CALIBRATION.kept)  # the newest last
         self._on_probation: dict[Kind, Probation] = {}
         self._first: DriveCandidate | None = None
         self._trial: Step | None = None  # the previous calibration, while it is still compared
-        self.decisions: deque[Decision] = deque(maxlen=KEEPING.remembered)  # the oldest first
+        self.decisions: deque[Decision] = deque(
+            maxlen=SELF_CALIBRATION.remembered
+        )  # the oldest first
         self._not_before = self._changed = -math.inf
         self._looked = -math.inf
         self._round = 0
@@ -103,8 +105,8 @@ class SelfCalibration:
         self._is_outdated = True
         if old is not None:
             self.before.append(old)
-        rolled = last is not None and last.verb is Verb.ROLLED_BACK
-        if last is not None and last.verb is Verb.REFINED and decided:
+        rolled = last is not None and last.kind is DecisionKind.ROLLED_BACK
+        if last is not None and last.kind is DecisionKind.REFINED and decided:
             self.before.pop()
             return
         self._trial = None
@@ -124,9 +126,13 @@ class SelfCalibration:
             return False
         if not self.recorder.add(pair, speed):
             return False
-        if self._is_pending or self.recorder.seconds < KEEPING.look_every:
+        if self._is_pending or self.recorder.seconds < SELF_CALIBRATION.look_every:
             return False
-        wait = KEEPING.look_again if Kind.IRON in self._on_probation else KEEPING.look_every
+        wait = (
+            SELF_CALIBRATION.look_again
+            if Kind.IRON in self._on_probation
+            else SELF_CALIBRATION.look_every
+        )
         # The cause of a failed job may last: the wait doubles after each failure.
         return self.recorder.clock - self._looked >= wait * 2.0**self.lost
 
@@ -135,7 +141,7 @@ class SelfCalibration:
         self._is_pending, self._is_outdated = True, False
         self._looked = self.recorder.clock
         self._round += 1
-        in_force, windows = self._compared, KEEPING.windows
+        in_force, windows = self._compared, SELF_CALIBRATION.windows
         contests = {kind.value: each.steps for kind, each in self._on_probation.items()}
         if self._trial is not None:
             contests[TRIAL] = (self._trial,)
@@ -150,7 +156,7 @@ class SelfCalibration:
         self._is_pending = False
         self.lost += 1
 
-    def note(self, findings: Findings) -> list[Decision]:
+    def note(self, findings: DriveResult) -> list[Decision]:
         """Return the decisions that follow from a job's findings.
 
         The calibration of a decision must be put in force, or offered if it is `PROPOSED`.
@@ -165,7 +171,7 @@ class SelfCalibration:
         self.decisions.extend(made)
         return made
 
-    def _weigh(self, findings: Findings) -> list[Decision]:
+    def _weigh(self, findings: DriveResult) -> list[Decision]:
         in_force = self._compared
         if in_force is None:
             return self._begin(findings)
@@ -176,7 +182,7 @@ class SelfCalibration:
             made += self._take_up(findings, in_force) + self._notice(findings, in_force)
         return made
 
-    def _begin(self, findings: Findings) -> list[Decision]:
+    def _begin(self, findings: DriveResult) -> list[Decision]:
         """Accept the first calibration if two windows agree."""
         clock = findings.clock
         good = [each for each in findings.candidates if self._is_believable(each)]
@@ -185,11 +191,11 @@ class SelfCalibration:
             if first is None:
                 self._first = candidate
                 words = f"{candidate.in_words}; a second one that agrees confirms it"
-                return [Decision(clock, Verb.PROBATION, words)]
-            if candidate.end - first.end < 0.5 * KEEPING.look_every:
+                return [Decision(clock, DecisionKind.PROBATION, words)]
+            if candidate.end - first.end < 0.5 * SELF_CALIBRATION.look_every:
                 continue
             apart = difference(first.calibration, candidate.calibration)
-            allowed = KEEPING.differs * math.hypot(first.sigma, candidate.sigma)
+            allowed = SELF_CALIBRATION.differs * math.hypot(first.sigma, candidate.sigma)
             self._first = candidate
             if apart <= allowed:
                 words = (
@@ -199,9 +205,9 @@ class SelfCalibration:
                 return [self._change(clock, candidate.calibration, words)]
         return []
 
-    def _tried(self, findings: Findings) -> list[Decision]:
+    def _tried(self, findings: DriveResult) -> list[Decision]:
         """Compare the calibration in force with the previous one."""
-        trial, proof = self._trial, findings.proofs.get(TRIAL)
+        trial, proof = self._trial, findings.comparisons.get(TRIAL)
         if trial is None or proof is None:
             return []
         why = proof.stands()
@@ -210,19 +216,21 @@ class SelfCalibration:
             if self.proposal is not None and is_same(trial.calibration, self._in_force):
                 self.proposal = None
                 words = f"the proposal is withdrawn, as what is in force is better: {why}"
-                return [Decision(findings.clock, Verb.DROPPED, words)]
+                return [Decision(findings.clock, DecisionKind.DROPPED, words)]
             words = f"the earlier calibration was better after all: {why}"
-            return [self._change(findings.clock, trial.calibration, words, Verb.ROLLED_BACK)]
-        if proof.seconds > KEEPING.longest_trial:
+            return [
+                self._change(findings.clock, trial.calibration, words, DecisionKind.ROLLED_BACK)
+            ]
+        if proof.seconds > SELF_CALIBRATION.longest_trial:
             self._trial = None
             words = f"{proof.seconds:.0f} s of road show that no earlier calibration was better"
-            return [Decision(findings.clock, Verb.CONFIRMED, words)]
+            return [Decision(findings.clock, DecisionKind.CONFIRMED, words)]
         return []
 
-    def _proved(self, findings: Findings, in_force: Calibration) -> list[Decision]:
+    def _proved(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         made: list[Decision] = []
         for kind, probation in list(self._on_probation.items()):
-            proof = findings.proofs.get(kind.value, Proof())
+            proof = findings.comparisons.get(kind.value, HeldOutComparison())
             since = findings.since_change
             if kind is Kind.IRON and since is not None and is_another(since, in_force):
                 # The newest fit of the hard iron since the change.
@@ -234,13 +242,13 @@ class SelfCalibration:
                     self._changed = self._not_before = candidate.start
                 words = f"{candidate.in_words}: {why}"
                 return [*made, self._change(findings.clock, candidate.calibration, words)]
-            if findings.clock - probation.steps[0].since > KEEPING.longest_probation:
+            if findings.clock - probation.steps[0].since > SELF_CALIBRATION.longest_probation:
                 del self._on_probation[kind]
                 words = f"{candidate.in_words}: not proved better on the road since"
-                made.append(Decision(findings.clock, Verb.DROPPED, words))
+                made.append(Decision(findings.clock, DecisionKind.DROPPED, words))
         return made
 
-    def _refined(self, findings: Findings, in_force: Calibration) -> list[Decision]:
+    def _refined(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Replace a calibration from driving by a fit to more data of the same drive."""
         if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
             return []
@@ -250,10 +258,10 @@ class SelfCalibration:
                 known = math.degrees(known_sigma(in_force))
                 words = f"{each.in_words}, compared with ±{known:.1f}° before"
                 self._on_probation.clear()
-                return [Decision(findings.clock, Verb.REFINED, words, each.calibration)]
+                return [Decision(findings.clock, DecisionKind.REFINED, words, each.calibration)]
         return []
 
-    def _take_up(self, findings: Findings, in_force: Calibration) -> list[Decision]:
+    def _take_up(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Put a plausible candidate that differs from the calibration in force on probation."""
         good = [
             each
@@ -264,7 +272,7 @@ class SelfCalibration:
         if not good:
             return []
         best = min(good, key=lambda each: each.sigma)
-        if known_sigma(in_force) > KEEPING.largest_sigma and is_finer(best, in_force):
+        if known_sigma(in_force) > SELF_CALIBRATION.largest_sigma and is_finer(best, in_force):
             # Both are about as likely on held-out data: their sigmas are the proof.
             known = math.degrees(known_sigma(in_force))
             words = (
@@ -277,16 +285,16 @@ class SelfCalibration:
         self._on_probation[Kind.ALL] = Probation.of(best)
         apart = math.degrees(difference(in_force, best.calibration))
         words = f"{best.in_words} differs by {apart:.1f}° from what is {self._which}"
-        return [Decision(findings.clock, Verb.PROBATION, words)]
+        return [Decision(findings.clock, DecisionKind.PROBATION, words)]
 
-    def _notice(self, findings: Findings, in_force: Calibration) -> list[Decision]:
+    def _notice(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Report a change of hard iron, and put the new hard iron on probation."""
         since = findings.since_change
         if since is None or Kind.IRON in self._on_probation:
             return []
         sigma = math.hypot(since.sigma, calibration_sigma(in_force))
         apart = difference(in_force, since.calibration)
-        if apart < KEEPING.notice_differs * sigma:
+        if apart < SELF_CALIBRATION.notice_differs * sigma:
             return []
         self._on_probation[Kind.IRON] = Probation.of(since)
         if self.before:
@@ -296,15 +304,15 @@ class SelfCalibration:
             f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
             f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"
         )
-        return [Decision(findings.clock, Verb.NOTICED, words)]
+        return [Decision(findings.clock, DecisionKind.NOTICED, words)]
 
     def _is_believable(self, candidate: DriveCandidate) -> bool:
-        largest, few = KEEPING.largest_sigma, KEEPING.fewest_sectors
+        largest, few = SELF_CALIBRATION.largest_sigma, SELF_CALIBRATION.fewest_sectors
         if candidate.kind is Kind.IRON and self._compared is not None:
-            few = KEEPING.fewest_for_iron
+            few = SELF_CALIBRATION.fewest_for_iron
             # A calibration that is clearly wrong may be replaced by a rough one.
             apart = difference(self._compared, candidate.calibration)
-            largest = max(largest, KEEPING.plainly * apart)
+            largest = max(largest, SELF_CALIBRATION.plainly * apart)
         return candidate.sigma <= largest and candidate.sectors >= few
 
     @property
@@ -313,16 +321,20 @@ class SelfCalibration:
         return "in force" if self.proposal is None else "proposed"
 
     def _change(
-        self, clock: float, calibration: Calibration, words: str, verb: Verb = Verb.APPLIED
+        self,
+        clock: float,
+        calibration: Calibration,
+        words: str,
+        kind: DecisionKind = DecisionKind.APPLIED,
     ) -> Decision:
         self._on_probation.clear()
         evidence = replace(calibration.evidence, reasons=(words,))
         calibration = replace(calibration, evidence=evidence)
         if self.mode is Mode.PROPOSE:
-            self.proposal, verb = calibration, Verb.PROPOSED
+            self.proposal, kind = calibration, DecisionKind.PROPOSED
             if self._in_force is not None:
                 self._trial = Step(clock, self._in_force)
-        return Decision(clock, verb, words, calibration)
+        return Decision(clock, kind, words, calibration)
 
 
 def _changes(made: list[Decision]) -> bool:

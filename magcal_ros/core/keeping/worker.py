@@ -15,13 +15,13 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import local_sigma
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.keeping.jobs import (
-    KEEPING,
     METHOD,
+    SELF_CALIBRATION,
     DriveCandidate,
     DriveJob,
-    Findings,
+    DriveResult,
+    HeldOutComparison,
     Kind,
-    Proof,
     Step,
 )
 from magcal_ros.core.knowledge import Knowledge
@@ -30,7 +30,7 @@ from magcal_ros.core.smoother.iron_added import find_change
 from magcal_ros.core.smoother.nodes import Nodes
 
 
-def answer(job: DriveJob) -> Findings:
+def answer(job: DriveJob) -> DriveResult:
     """Return the findings of a job."""
     nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
@@ -44,31 +44,33 @@ def answer(job: DriveJob) -> Findings:
         if clock - seconds >= first
     ]
     whole = tuple(each for each in found if each is not None)
-    proofs = {
-        name: prove(nodes, job.in_force.correction, steps, job.knowledge)
+    comparisons = {
+        name: compare_held_out(nodes, job.in_force.correction, steps, job.knowledge)
         for name, steps in job.contests.items()
         if job.in_force is not None
     }
-    return Findings(clock, whole, since_change, _iron_since_known(nodes, job, clock), proofs)
+    return DriveResult(
+        clock, whole, since_change, _iron_since_known(nodes, job, clock), comparisons
+    )
 
 
 def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
     """Return the hard iron since the most likely change; None if no change is likely."""
     if job.in_force is None:
         return None
-    first = max(clock - KEEPING.look_back, job.not_before)
+    first = max(clock - SELF_CALIBRATION.look_back, job.not_before)
     change = find_change(nodes.between(first), job.in_force, job.knowledge)
-    if change is None or change.gain < KEEPING.notice_proof:
+    if change is None or change.gain < SELF_CALIBRATION.notice_proof:
         return None
     return candidate_of(change.fit, Kind.IRON, job, change.since, clock)
 
 
 def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
     """Return the hard iron since the last proved change; None without one."""
-    is_long = KEEPING.shortest_since <= clock - job.changed < math.inf
+    is_long = SELF_CALIBRATION.shortest_since <= clock - job.changed < math.inf
     if job.in_force is None or not is_long:
         return None
-    start = max(job.changed, clock - KEEPING.look_back)
+    start = max(job.changed, clock - SELF_CALIBRATION.look_back)
     fitted = drives.fit_iron(nodes.between(start), job.in_force.correction, job.knowledge)
     return None if fitted is None else candidate_of(fitted, Kind.IRON, job, start, clock)
 
@@ -81,7 +83,9 @@ def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveC
     return candidate_of(fitted, Kind.ALL, job, start, end)
 
 
-def prove(nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowledge) -> Proof:
+def compare_held_out(
+    nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowledge
+) -> HeldOutComparison:
     """Compare two calibrations on held-out data.
 
     If the new calibration is refitted, each stretch is predicted by the fit before it (prequential;
@@ -89,11 +93,11 @@ def prove(nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowl
     """
     road = nodes.between(new[0].since)
     if len(road) < 4:
-        return Proof()
+        return HeldOutComparison()
     before = drives.corrected(road, old, knowledge.mounting.matrix)
     ratio = drives.likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
     seconds = float(np.ptp(road.time))
-    return Proof(seconds, ratio.gain, ratio.halves, ratio.elsewhere, ratio.against)
+    return HeldOutComparison(seconds, ratio.gain, ratio.halves, ratio.elsewhere, ratio.against)
 
 
 def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:

@@ -19,19 +19,19 @@ from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.correction import PARAMETERS
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import CHECKED_TILT, heading_jacobian, rms_sigma
-from magcal_ros.core.doctor.page import blamed_on_axes, wrong_axes
+from magcal_ros.core.doctor.sensor_report import refusal_by_axes, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother import check, estimate_of, smoothed
-from magcal_ros.core.multi_turn.result import Advice, Several, Shown, TurnFate
+from magcal_ros.core.multi_turn.result import MultiTurnReport, TurnAccuracy, TurnAdvice, TurnResult
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.joint_fit import JointFit, fit_jointly, imagined_information
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed
 from magcal_ros.core.smoother.posterior import Posterior, posterior, posterior_at
-from magcal_ros.core.smoother.several import Together, fit_together, imagined_information
 from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
@@ -119,7 +119,7 @@ def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
         estimate = estimate_of(found, window, knowledge)
         check(found, estimate, window, knowledge)
     except Refusal as refusal:
-        why = blamed_on_axes(refusal, window, knowledge)
+        why = refusal_by_axes(refusal, window, knowledge)
         reference = knowledge.reference
         guessed = reference.strength.is_unknown and reference.inclination.is_unknown
         mended = estimate is not None and refusal.reason in JOINABLE + ALSO_JOINABLE * guessed
@@ -142,7 +142,7 @@ def _is_copy(window: Window, other: Window) -> bool:
     return len(one & two) > COPY_SHARE * min(len(one), len(two))
 
 
-def agreement(alone: Sequence[Fit], together: Together, sigma: float) -> tuple[float, int | None]:
+def agreement(alone: Sequence[Fit], together: JointFit, sigma: float) -> tuple[float, int | None]:
     """Compare each turn with all others.
 
     Returns the largest normalised difference of a turn's hard iron from that of all turns, and the
@@ -159,10 +159,10 @@ def agreement(alone: Sequence[Fit], together: Together, sigma: float) -> tuple[f
     return misfit, odd if gains[odd] > 0.0 else None
 
 
-def _gain(alone: Sequence[Fit], odd: int, together: Together, yaw_sigma: float) -> float:
+def _gain(alone: Sequence[Fit], odd: int, together: JointFit, yaw_sigma: float) -> float:
     """Return twice the log likelihood ratio of a separate calibration for one turn."""
-    rest = fit_together([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
-    own = fit_together([alone[odd]], yaw_sigma)
+    rest = fit_jointly([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
+    own = fit_jointly([alone[odd]], yaw_sigma)
     return together.evidence - rest.evidence - own.evidence
 
 
@@ -182,7 +182,7 @@ def _misfit(alone: Fit, joint: Fit) -> float:
 
 def agreeing_turns(
     surveyed: Sequence[Turn], knowledge: Knowledge
-) -> tuple[list[Turn], Together | None, float]:
+) -> tuple[list[Turn], JointFit | None, float]:
     """Leave out one turn after another until the rest agrees on one calibration.
 
     Returns all turns, those left out with the reason; the joint fit of the others with the yaw of
@@ -192,7 +192,7 @@ def agreeing_turns(
     while members := [turn for turn in turns if not turn.unfit]:
         alone = [turn.fit for turn in members]
         try:
-            together = fit_together(alone, sigma)
+            together = fit_jointly(alone, sigma)
             misfit, odd = agreement(alone, together, sigma)
         except np.linalg.LinAlgError:
             left_out, words = members[-1], "it has no solution together with the others"
@@ -206,7 +206,7 @@ def agreeing_turns(
 
 
 def joint_estimate(
-    together: Together, misfit: float, turns: Sequence[Turn], knowledge: Knowledge
+    together: JointFit, misfit: float, turns: Sequence[Turn], knowledge: Knowledge
 ) -> Estimate:
     """Return the estimate of a joint fit.
 
@@ -218,7 +218,7 @@ def joint_estimate(
     prior_sigma = knowledge.mounting.yaw_sigma
     is_shown = yaw_sigma(together.fits[-1].covariance) < SHOWN_YAW * prior_sigma
     if not is_shown:
-        together = fit_together([turn.fit for turn in turns], 0.0)
+        together = fit_jointly([turn.fit for turn in turns], 0.0)
     fit, (_, own) = together.fits[-1], turns[-1].found
     found = posterior(fit, knowledge.mounting.matrix)
     offset = rms_sigma(found.heading_jacobian, found.by_offset)
@@ -287,7 +287,7 @@ def yaw_sigma(covariance: FloatArray) -> float:
     return math.sqrt(float(covariance[np.ix_(rows, rows)].sum()))
 
 
-def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> Shown:
+def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> TurnAccuracy:
     """Return the standard deviations that an information matrix (SHARED, SHARED) implies at a fit.
 
     It includes the priors. `mounting` (3, 3) is from nominal body axes to sensor axes.
@@ -304,7 +304,7 @@ def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> Shown:
     strength = math.hypot(north, down)
     along, across = np.array([north, down]) / strength, np.array([-down, north]) / strength**2
     earth = covariance[EARTH, EARTH]
-    return Shown(
+    return TurnAccuracy(
         installation_yaw=yaw_sigma(covariance),
         soft_iron=tuple(float(v) for v in np.sqrt(np.diag(iron @ covariance @ iron.T))),
         axial_hard_iron=math.sqrt(max(float(axial @ found.covariance @ axial), 0.0)),
@@ -326,7 +326,7 @@ def _inverse(information: FloatArray) -> FloatArray:
     return out
 
 
-def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Advice, ...]:
+def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[TurnAdvice, ...]:
     """Return further turns, in order of the expected absolute heading error.
 
     Each repeats the turn of `fit` about another axis; its expected information is added to
@@ -336,23 +336,23 @@ def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Adv
     inside, _, outside = np.linalg.svd(fit.state.attitude.mean(axis=0))
     axis, up = (math.copysign(1.0, outside[0, 2]) * each for each in (inside[:, 0], outside[0]))
 
-    def after(body: FloatArray, world: FloatArray) -> Shown:
+    def after(body: FloatArray, world: FloatArray) -> TurnAccuracy:
         turned = minimal_rotation(axis, body), minimal_rotation(world, up)
         return shown_by(information + imagined_information(fit, *turned), fit, mounting)
 
-    imagined = [Advice("on level ground once more", after(Z, Z))]
+    imagined = [TurnAdvice("on level ground once more", after(Z, Z))]
     for slope, leaning, (roll, pitch) in SIDES:
         axis_there = rotation_from_rpy(roll, pitch).T @ Z
         imagined += [
-            Advice(f"on a slope of 10° that rises to the {slope}", after(Z, axis_there)),
-            Advice(f"about the vertical with {leaning}", after(axis_there, Z)),
+            TurnAdvice(f"on a slope of 10° that rises to the {slope}", after(Z, axis_there)),
+            TurnAdvice(f"about the vertical with {leaning}", after(axis_there, Z)),
         ]
     return tuple(sorted(imagined, key=lambda advice: advice.after.absolute_tilted))
 
 
 def join(
     surveyed: Sequence[Turn], knowledge: Knowledge
-) -> tuple[list[Turn], Estimate | None, Several | None]:
+) -> tuple[list[Turn], Estimate | None, MultiTurnReport | None]:
     """Join the turns that agree.
 
     Returns all turns, the joint estimate (None for less than two turns), and the report; None if
@@ -368,12 +368,12 @@ def join(
     # The advice repeats the turn with the longest arc at other tilts.
     whole = int(np.argmax([turn.found[0].arc for turn in members]))
     advice = advise(known[-1], together.fits[whole], mounting)
-    several = Several(_fates(turns, shown), shown[-1], advice)
+    several = MultiTurnReport(_turn_results(turns, shown), shown[-1], advice)
     joint = joint_estimate(together, misfit, members, knowledge) if count > 1 else None
     return turns, joint, several
 
 
-def _known(together: Together, count: int) -> FloatArray:
+def _known(together: JointFit, count: int) -> FloatArray:
     """Return the information on the common unknowns, by the priors and the first turns.
 
     After one turn, the yaw of the installation is zero by convention, whatever sway shows of it.
@@ -385,13 +385,16 @@ def _known(together: Together, count: int) -> FloatArray:
     return known
 
 
-def _fates(turns: list[Turn], shown: Sequence[Shown]) -> tuple[TurnFate, ...]:
-    fates: list[TurnFate] = []
+def _turn_results(turns: list[Turn], shown: Sequence[TurnAccuracy]) -> tuple[TurnResult, ...]:
+    results: list[TurnResult] = []
     coming, before = iter(shown), None
     for turn in turns:
         now = None if turn.unfit else next(coming)
         words = turn.unfit
         if now is not None:
-            words, before = now.in_words if before is None else now.brought(before), now
-        fates.append(TurnFate(turn.name, now is not None, words, now))
-    return tuple(fates)
+            words, before = (
+                now.in_words if before is None else now.improvement_in_words(before),
+                now,
+            )
+        results.append(TurnResult(turn.name, now is not None, words, now))
+    return tuple(results)

@@ -41,7 +41,7 @@ TUNING = KnownHeadingTuning()
 
 
 @dataclass(frozen=True)
-class LogTuning:
+class HeadingLogTuning:
     """The means that are kept of a drive with external headings."""
 
     sectors: int = 12  # sectors of headings
@@ -59,7 +59,7 @@ class LogTuning:
     first: int = 8  # new means needed for a fit
 
 
-LOG = LogTuning()
+LOG = HeadingLogTuning()
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ class Fault(str, Enum):
 
 
 @dataclass(frozen=True)
-class Seen:
+class MeasuredTurn:
     """The turn as measured by the sensors."""
 
     turned: float  # radians since the start, left positive
@@ -124,7 +124,7 @@ class RotationPlan:
         """Whether the time limit of the turn is exceeded."""
         return now > self._deadline
 
-    def note(self, now: float, command: float, seen: Seen) -> None:
+    def note(self, now: float, command: float, seen: MeasuredTurn) -> None:
         """Take the command (rad/s) that was in force until `now`, and the measured turn."""
         step, self._noted = (now - self._noted) * command, now
         self._commanded += step
@@ -147,7 +147,7 @@ class RotationPlan:
         """+1 for the turn to the left, -1 for the turn back."""
         return -1.0 if self.phase is Phase.BACK else 1.0
 
-    def step(self, now: float, seen: Seen) -> float:
+    def step(self, now: float, seen: MeasuredTurn) -> float:
         """Return the yaw rate to command at `now`, rad/s, left positive."""
         elapsed, self._last = min(now - self._last, TUNING.longest_step), now
         if self.phase is not Phase.ENDED:
@@ -160,13 +160,13 @@ class RotationPlan:
             self._drive(now, elapsed, seen)
         return self.command
 
-    def _wait(self, now: float, seen: Seen) -> None:
+    def _wait(self, now: float, seen: MeasuredTurn) -> None:
         if now - self._paused_at >= TUNING.pause:
             self._target = abs(seen.turned - self._from)
             self.phase, self._from, self._brakes = Phase.BACK, seen.turned, False
             self._suspected.clear()
 
-    def _drive(self, now: float, elapsed: float, seen: Seen) -> None:
+    def _drive(self, now: float, elapsed: float, seen: MeasuredTurn) -> None:
         size = abs(self.command)
         covered = self.direction * (seen.turned - self._from)
         braking_arc = size * size / (2.0 * TUNING.acceleration)
@@ -179,7 +179,7 @@ class RotationPlan:
             self.phase = Phase.PAUSE if self.phase is Phase.OUT else Phase.ENDED
             self._paused_at = now
 
-    def _find_fault(self, now: float, seen: Seen) -> Fault | None:
+    def _find_fault(self, now: float, seen: MeasuredTurn) -> Fault | None:
         """Return a fault that has lasted longer than `patience`."""
         along = self.direction * seen.rate
         commanded = 0.0 if self._brakes else abs(self.command)
@@ -267,7 +267,7 @@ def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
     return np.unique(rows.round().astype(int))
 
 
-class RotationProof:
+class TurnMonitor:
     """Integrates the gyro over one turn and tests it by the field.
 
     `to_body` (3, 3) rotates the raw field to nominal body axes.
@@ -298,12 +298,12 @@ class RotationProof:
         row = (self._turned, *pair.field.field, *force, stamp, self._commanded)
         self._rows.append(row)
 
-    def seen(self, progress: Progress) -> Seen:
+    def seen(self, progress: Progress) -> MeasuredTurn:
         """Return the turn by the gyro, or without a gyro by the session's compass."""
         coverage = progress.coverage
         if self._has_gyro:
-            return Seen(self._turned, self._rate(), True, coverage.is_complete)
-        return Seen(coverage.turned, progress.turn_rate, False, coverage.is_complete)
+            return MeasuredTurn(self._turned, self._rate(), True, coverage.is_complete)
+        return MeasuredTurn(coverage.turned, progress.turn_rate, False, coverage.is_complete)
 
     def objection(self, now: float) -> str:
         """Return how the field contradicts the gyro, if so; tests at most every `asked_every`."""
@@ -314,7 +314,7 @@ class RotationProof:
         why = "the gyro is frozen, or the robot turns faster than the gyro's range"
         return f"{found}: {why}" if found else ""
 
-    def explain(self, fault: Fault, seen: Seen, command: float) -> str:
+    def explain(self, fault: Fault, seen: MeasuredTurn, command: float) -> str:
         """Describe a fault at a command in rad/s, with what to check."""
         shown, commanded = math.degrees(seen.rate), math.degrees(command)
         sensor = "gyro" if seen.by_gyro else "compass"
@@ -329,7 +329,7 @@ class RotationProof:
         remedy = "check the emergency stop, and that the base obeys cmd_vel"
         return f"the robot does not turn: {rates}; {remedy}"
 
-    def _blame(self, seen: Seen) -> str:
+    def _blame(self, seen: MeasuredTurn) -> str:
         base = "the base turns the wrong way (angular.z is positive to the left)"
         if not seen.by_gyro:
             return f"{base}, or the magnetometer's axes are mirrored"

@@ -24,7 +24,7 @@ from magcal_ros.core.samples.rest import (
     SPAN,
     SPEED,
     GyroAtRest,
-    apart_from_rests,
+    without_rests,
 )
 from magcal_ros.core.samples.streams import STREAMS, Pair
 from magcal_ros.core.samples.window import Window, steps_of
@@ -74,7 +74,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Brief:
+class TurnRequest:
     """The request for a turn."""
 
     limits: Limits
@@ -226,12 +226,12 @@ class Session:
             )
         rows = np.array(self._buffer[: self._size])
         if _rate_if_any(rows) is None:
-            rows, rests, _ = apart_from_rests(rows)
+            rows, rests, _ = without_rests(rows)
             rows = rows[self._kept(rows)]
             window = Window(rows[:, 0], rows[:, FIELD], rows[:, FORCE], rests=rests)
             return window.with_battery(self._currents)
         rows = rows[np.isfinite(rows[:, RATE]).all(axis=1)]
-        rows, rests, sigma = apart_from_rests(rows, self._gyro)
+        rows, rests, sigma = without_rests(rows, self._gyro)
         steps, kept = steps_of(rows), self._kept(rows)
         gaps = [np.diff(rows[each, 0]).max(initial=0.0) for each in (kept, slice(None))]
         if gaps[0] > max(STREAMS.longest_gyro_step, 2.0 * gaps[1]):

@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window, living_axes
+from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
@@ -108,7 +108,7 @@ class _Trials:
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
         self.nodes = nodes_of(samples, knowledge.mounting.to_body, spacing)
-        lives = living_axes(samples.angular_rate)
+        lives = working_axes(samples.angular_rate)
         priors = with_dead_axes(priors_of(knowledge, samples.bias_sigma), lives)
         self._state, self._priors = start(self.nodes, priors)
         self.fits = {}
@@ -294,7 +294,7 @@ def smooth(
     return trials.mixed()
 
 
-def promised_sigma(window: Window, knowledge: Knowledge) -> float:
+def expected_sigma(window: Window, knowledge: Knowledge) -> float:
     """Return an approximate sigma of the heading on the level by `smooth`, radians.
 
     Parameters and errors as for `smooth`. It takes less time (two fifths for a drive): only two

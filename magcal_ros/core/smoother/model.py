@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.smoother import factors, factors_by_field
-from magcal_ros.core.smoother.earth import EarthPrior
+from magcal_ros.core.smoother.earth import GaussianEarthPrior
 from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Linear
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
@@ -53,7 +53,7 @@ class Model:
     axes: FloatArray  # the body's level axes (`level_axes`). Shape (3, 3).
     priors: Priors
     kind: KindOfMotion
-    earth: EarthPrior  # the Gaussian of the iterations
+    earth: GaussianEarthPrior  # the Gaussian of the iterations
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -72,7 +72,7 @@ class Model:
             scale[CURRENT_LATE] = UNKNOWNS["current_late"].sigma[0]
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         # On wheels the velocity changes less sideways than ahead.
-        begun = zip(CHANGES, (1.0, math.sqrt(kind.aside)), strict=True)
+        begun = zip(CHANGES, (1.0, math.sqrt(kind.sideways)), strict=True)
         begins = {n: priors.sizes[n]._replace(start=kind.begins * by) for n, by in begun}
         spread = {**priors.spread, **dict.fromkeys(MOTORS, kind.motors)}
         return cls(

@@ -118,8 +118,8 @@ class Levelling:
 
         It includes the scatter of up. An acceleration of p g across up lengthens the force by p²/2.
         """
-        stretch = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.smallest)
-        return FILTER.floor**2 + self._scatter + stretch
+        segment = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.smallest)
+        return FILTER.floor**2 + self._scatter + segment
 
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0

@@ -28,7 +28,7 @@ from magcal_ros.core.up.stillness import (
     FieldStillness,
     GyroCheck,
     ShakenRest,
-    SteadySpell,
+    SteadyInterval,
 )
 
 
@@ -82,7 +82,7 @@ class GyroPropagation:
         self._stamp, self._force, self._rate, self._is_given = stamp, force, rate, is_given
         self.mean_rate = ZERO
         self._block = Block()
-        self._spell = SteadySpell()
+        self._steady = SteadyInterval()
         self.field.begin()
         self._shaken.forget()
         self._is_still = self.is_settled = False
@@ -139,7 +139,7 @@ class GyroPropagation:
         self._at_rest = None
         turn_variance = self._rate_noise * block.seconds**2 / block.messages
         self.check.add(means.force, block.turn, block.seconds, turn_variance)
-        goes_on = self._spell.add(means, noise, math.sqrt(self._rate_noise))
+        goes_on = self._steady.add(means, noise, math.sqrt(self._rate_noise))
         if not goes_on:
             self.field.begin()
             self._is_still = False
@@ -162,14 +162,14 @@ class GyroPropagation:
             following.observe_length(self._rest, self._rest_sigma**2 + tilt**2)
         if not self.is_settled:
             self._settle(doubt, noise)
-        elif self._spell.seconds > REST.undecided:
+        elif self._steady.seconds > REST.undecided:
             self._learn(means, doubt, noise)
         self._look_for_shaken_rest(means)
         self._take_over()
 
     def _turn_doubt(self) -> float | None:
         """Return the rate (rad/s) that may be turn or bias: zero at rest, None in a turn."""
-        spell = self._spell
+        spell = self._steady
         if length(spell.rate) > FILTER.largest_bias:
             return None
         excess = minus(spell.rate, self.bias)
@@ -188,7 +188,7 @@ class GyroPropagation:
 
     def _learn(self, means: BlockMeans, doubt: float | None, noise: float) -> None:
         """Learn the bias and the accelerometer's length from a robot at rest."""
-        spell = self._spell
+        spell = self._steady
         axis = None if doubt == 0.0 else np.array(unit_triple(spell.force))
         white = self._rate_noise / means.messages
         # A rolling robot sways more slowly than a block: the mean of a block still contains sway.
@@ -218,7 +218,7 @@ class GyroPropagation:
 
     def _settle(self, doubt: float | None, noise: float) -> None:
         """Use the accelerometer once it is steady for long enough, or its length shows a rest."""
-        spell, following, motion = self._spell, self._filter, self._motion(True)
+        spell, following, motion = self._steady, self._filter, self._motion(True)
         if doubt is None:
             return
         is_short = spell.seconds <= REST.undecided
@@ -253,7 +253,7 @@ class GyroPropagation:
         if self._is_given:
             speed, acceleration = FILTER.given_speed, FILTER.given_acceleration
         if is_steady:
-            acceleration = max(FILTER.floor, math.sqrt(self._spell.shake))
+            acceleration = max(FILTER.floor, math.sqrt(self._steady.shake))
         return MotionPrior(speed / STANDARD_GRAVITY, acceleration)
 
     def _take_over(self) -> None:

@@ -97,7 +97,7 @@ class BlockMeans(NamedTuple):
     seconds: float
 
 
-class SteadySpell:
+class SteadyInterval:
     """Detects a spell of blocks in which force and rate are constant.
 
     `sway` and `shake` are the variances per axis of the rates, (rad/s)², and forces, g².
@@ -143,12 +143,12 @@ class SteadySpell:
         if self.seconds >= REST.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
             return self.seconds >= REST.lasting
         cosine = min(1.0, dot(self.force, up) / (size * up_size))
-        stretch = rest / max(cosine, 0.1) - rest
+        segment = rest / max(cosine, 0.1) - rest
         excess = size - rest
         clear = CLEAR * math.sqrt(REST.length_floor**2 + rest_sigma**2 + noise**2 / self.count)
-        if stretch - excess > abs(excess) + clear:
+        if segment - excess > abs(excess) + clear:
             return self.seconds >= REST.shortest
-        if excess > 0.5 * stretch + 0.5 * clear:
+        if excess > 0.5 * segment + 0.5 * clear:
             return False
         return self.seconds >= (REST.agreeing if cosine > math.cos(REST.agrees) else REST.undecided)
 

@@ -13,15 +13,15 @@ from uneven_turns import ROBOT, driven, evenly
 
 from magcal_ros.core import Grade, Knowledge
 from magcal_ros.core.doctor import (
+    compare_axes,
     examine,
     examine_window,
-    explain,
     force_latency,
     gravity_misfit,
     prepare,
 )
 from magcal_ros.core.geometry import chained, exp_rotations, signed_permutations
-from magcal_ros.core.samples import SensorLog, stretch_of_log
+from magcal_ros.core.samples import SensorLog, segment_of_log
 from magcal_ros.core.simulation import DEGREE, Robot
 
 MOST_SEEN = "half minute"
@@ -175,8 +175,8 @@ def test_the_sigma_of_a_latency_is_what_it_errs_by():
     for seed in range(60):
         case = good_case(np.random.default_rng([8, seed]), MOST_SEEN)
         log = prepare(case.log).log
-        explanations = explain(log, case.knowledge.reference.inclination)
-        latency = force_latency(log, explanations.way(explanations.best))
+        explanations = compare_axes(log, case.knowledge.reference.inclination)
+        latency = force_latency(log, explanations.hypothesis(explanations.best))
         errors.append(latency.lag / latency.sigma)
     assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
@@ -333,7 +333,7 @@ def test_a_lever_arm_is_no_turned_accelerometer(seed):
     force = 9.81 * turns[:, :, 2] + swung + 0.05 * rng.normal(size=rate.shape)
     field = 45e-6 * (turns @ np.array([0.0, 0.4, -0.9])) + 0.3e-6 * rng.normal(size=rate.shape)
     noisy = rate + 0.003 * rng.normal(size=rate.shape)
-    part = stretch_of_log(SensorLog(time, force, noisy, time, field))
+    part = segment_of_log(SensorLog(time, force, noisy, time, field))
     misfit, _ = gravity_misfit(part, signed_permutations())
     assert misfit[0] < 5.0
 

@@ -13,7 +13,13 @@ from simulated.travel import travel
 from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core import Grade, Knowledge, Reason, Refusal, Window, calibrate
-from magcal_ros.core.doctor import alive_finding, blamed_on_sensors, explain, motion, wrong_axes
+from magcal_ros.core.doctor import (
+    alive_finding,
+    compare_axes,
+    motion,
+    refusal_by_sensors,
+    wrong_axes,
+)
 from magcal_ros.core.simulation import Robot
 
 
@@ -51,7 +57,7 @@ def test_a_dead_z_axis_is_named_with_the_way_out(window, axes, words):
     assert words in str(found)
     assert "calibrated without a gyro" in str(found)
     unseen = Refusal(Reason.ARC_TOO_SHORT, "nothing was seen of a turn")
-    assert words in str(blamed_on_sensors(unseen, turned, Knowledge()))
+    assert words in str(refusal_by_sensors(unseen, turned, Knowledge()))
 
 
 def test_a_simulator_without_noise_may_turn_about_one_axis_alone():
@@ -109,7 +115,7 @@ def test_a_gyro_that_is_stuck_is_said(window, since):
     assert "the gyro is frozen" in outcome.verdict.summary
     unseen = Refusal(Reason.ARC_TOO_SHORT, "nothing was seen of a turn")
     assert "the gyro is frozen" in str(
-        blamed_on_sensors(unseen, replace(window, angular_rate=rate), Knowledge())
+        refusal_by_sensors(unseen, replace(window, angular_rate=rate), Knowledge())
     )
 
 
@@ -124,7 +130,7 @@ def test_rates_in_another_unit_are_not_explained_as_they_are(window, monkeypatch
 
     def explained(log, *others):
         fastest.append(np.abs(log.rate).max())
-        return explain(log, *others)
+        return compare_axes(log, *others)
 
     monkeypatch.setattr(motion, "explain", explained)
     outcome = calibrate(replace(window, angular_rate=57.3 * window.angular_rate), Knowledge())

@@ -7,7 +7,7 @@ from magcal_ros.core import Knowledge, Mounting
 from magcal_ros.core.doctor import examine, wrong_axes
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import SensorLog
-from magcal_ros.core.session import Gathering, fit_gathered
+from magcal_ros.core.session import SampleCollector, fit_collected
 from magcal_ros.files import open_recording
 
 GOOD = (
@@ -33,10 +33,10 @@ def page_of(folder):
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", first_of([*GOOD, BURSTS]))
 def test_the_axes_of_recordings_are_not_called_wrong(recording, name):
-    gathering = Gathering(Mounting())
+    collector = SampleCollector(Mounting())
     with open_recording(recording(name)) as source:
-        gathering.take(source.readings())
-    assert wrong_axes(gathering.window(), Knowledge()) is None
+        collector.take(source.readings())
+    assert wrong_axes(collector.window(), Knowledge()) is None
 
 
 @pytest.mark.parametrize("name", first_of([name for name in GOOD if name != BIASED]))
@@ -54,10 +54,10 @@ def test_stamps_in_bursts_are_named(recording):
 @pytest.mark.nightly
 def test_a_turn_that_they_spoil_is_refused_for_them(recording):
     """As a node would hear it, which cannot wait for a recording's end to spread them."""
-    gathering = Gathering(Mounting())
+    collector = SampleCollector(Mounting())
     with open_recording(recording(BURSTS), start=30.0, stop=80.0) as source:
-        gathering.take(source.readings())
-    outcome = fit_gathered(gathering, knowledge_of(51.3, inclination_deg=66.3))
+        collector.take(source.readings())
+    outcome = fit_collected(collector, knowledge_of(51.3, inclination_deg=66.3))
     assert not outcome.verdict.accepted
     assert "gyro and field do not match: the stamps come in bursts" in outcome.verdict.summary
 
@@ -73,10 +73,10 @@ def test_the_bias_of_a_gyro_is_read_at_rest(recording):
 @pytest.mark.parametrize("seconds", first_of([29.0, 28.0, 31.0]))
 def test_a_car_that_leans_shows_no_inclination(recording, seconds):
     """Its gyro tilts by no more than the bends lean what the accelerometer shows as up."""
-    gathering = Gathering(Mounting())
+    collector = SampleCollector(Mounting())
     with open_recording(recording("car_neu2023_ampomah")) as source:
-        gathering.take(source.readings())
-    window = gathering.window()
+        collector.take(source.readings())
+    window = collector.window()
     part = window.take(window.time >= window.time[-1] - seconds)
     assert wrong_axes(part, knowledge_of(51.2, inclination_deg=66.2)) is None
 

@@ -183,17 +183,17 @@ def test_a_boat_that_drifts_about_is_refused(seed):
     rng = np.random.default_rng(seed)
     legs = [Leg(float(rng.uniform(4.0, 8.0)), 0.0, 0.0, rng.normal(0.0, 0.04)) for _ in range(40)]
     drive = driven(legs, seed, current=(2.5, 0.5), wheels=None)
-    travelling = follow(drive)
-    assert travelling.drift.is_drifting
-    assert travelling.fit_course() is None
+    estimator = follow(drive)
+    assert estimator.drift.is_drifting
+    assert estimator.fit_course() is None
 
 
 @pytest.mark.parametrize("noise", first_of([0.6, 0.3]))
 def test_the_noise_of_a_receiver_is_no_drift(noise):
     drive = driven(city(np.random.default_rng(9), 150.0), 9, receiver=Receiver(noise=noise))
-    travelling = follow(drive)
-    assert travelling.drift.judged > 20
-    assert not travelling.drift.is_drifting
+    estimator = follow(drive)
+    assert estimator.drift.judged > 20
+    assert not estimator.drift.is_drifting
 
 
 @pytest.mark.nightly

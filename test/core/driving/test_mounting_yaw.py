@@ -94,12 +94,12 @@ def test_a_motorway_without_starts_says_little():
 )
 def test_wrong_odometry_is_found_named_and_replaced_by_the_receiver(wheels, fault, words):
     vehicle = Vehicle(ROBOT, imu_yaw=0.3)
-    travelling = follow(driven(city_legs(6), 6, vehicle, wheels=wheels))
-    watch = travelling.mounting
+    estimator = follow(driven(city_legs(6), 6, vehicle, wheels=wheels))
+    watch = estimator.mounting
     assert watch.faults[ODOMETRY] is fault
     assert words in fault_words("/odom", fault, watch.seen[ODOMETRY])
-    assert travelling.source is FIXES
-    found = travelling.known_mounting
+    assert estimator.source is FIXES
+    found = estimator.known_mounting
     assert abs(error(found, 0.3)) < 3.0 * math.degrees(found.sigma)
 
 
@@ -108,8 +108,8 @@ def test_odometry_that_freezes_on_the_way_is_given_up_at_once(seed):
     drive = driven(city_legs(seed, 100.0), seed, wheels=Wheels(frozen_from=80.0))
     named = []
 
-    def watch(travelling, stamp):
-        if not named and travelling.mounting.faults.get(ODOMETRY) is SpeedFault.FROZEN:
+    def watch(estimator, stamp):
+        if not named and estimator.mounting.faults.get(ODOMETRY) is SpeedFault.FROZEN:
             named.append(stamp - drive.time[0])
 
     follow(drive, watch=watch)
@@ -126,8 +126,8 @@ def test_a_speed_that_rests_on_zero_or_at_a_pace_is_not_called_stuck():
 @pytest.mark.parametrize("delay", first_of([0.6, 2.0, 0.0]))
 def test_the_latency_of_a_speed_is_measured(delay):
     wheels = Wheels(delay=delay)
-    travelling = follow(driven(city_legs(8), 8, wheels=wheels, receiver=None))
-    assert travelling.speedometer.tracks[ODOMETRY].delay == pytest.approx(delay, abs=0.2)
+    estimator = follow(driven(city_legs(8), 8, wheels=wheels, receiver=None))
+    assert estimator.speedometer.tracks[ODOMETRY].delay == pytest.approx(delay, abs=0.2)
 
 
 def directions(drive, after):
@@ -139,12 +139,12 @@ def directions(drive, after):
     true, taken = [], []
     moment = next(moments)
 
-    def watch(travelling, stamp):
+    def watch(estimator, stamp):
         nonlocal moment
         if stamp >= moment:
             true.append(np.sign(np.interp(moment - 0.3, drive.time, drive.truth.speed)))
             # Slow parking is left open, and counts as forwards meanwhile.
-            taken.append(travelling.own.sign if travelling.own.is_clear else 0.0)
+            taken.append(estimator.own.sign if estimator.own.is_clear else 0.0)
             moment = next(moments, math.inf)
 
     follow(drive, watch=watch)

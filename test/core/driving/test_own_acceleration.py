@@ -9,7 +9,7 @@ from follow_drive import ROBOT, driven, tilts
 from long_form import first_of
 from simulated import Receiver, Vehicle, Wheels, circles, city
 
-from magcal_ros.core.driving import Travelling
+from magcal_ros.core.driving import TravelEstimator
 from magcal_ros.core.samples import ImuSample, PositionSample, SpeedSample, VelocitySample
 
 VEHICLE = Vehicle(ROBOT, imu_yaw=0.1, imu_roll=0.05)
@@ -35,7 +35,7 @@ def tilts_without(seed):
 def test_stop_and_go_does_not_tilt_it(case):
     kind, bound = case
     drive = driven(city_legs(1), 1, VEHICLE, **KINDS[kind])
-    with_it, without = tilts(drive, Travelling()), tilts_without(1)
+    with_it, without = tilts(drive, TravelEstimator()), tilts_without(1)
     assert np.percentile(with_it, 90) < bound
     assert np.percentile(with_it, 90) < np.percentile(without, 90) + 0.2
 
@@ -55,7 +55,7 @@ def test_stop_and_go_does_not_tilt_it(case):
 )
 def test_wrong_odometry_makes_it_no_worse(wheels):
     drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)
-    with_it, without = tilts(drive, Travelling()), tilts_without(2)
+    with_it, without = tilts(drive, TravelEstimator()), tilts_without(2)
     rms = [math.sqrt(np.mean(np.square(each))) for each in (with_it, without)]
     assert rms[0] < 1.1 * rms[1]
 
@@ -64,57 +64,57 @@ def test_wrong_odometry_makes_it_no_worse(wheels):
 @pytest.mark.parametrize("wheels", first_of([Wheels(rate=1.0), Wheels(jumps=0.01)]))
 def test_wheels_that_speak_seldom_or_glitch_now_and_then_do_no_harm(wheels):
     drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)
-    with_it = np.percentile(tilts(drive, Travelling()), 90)
+    with_it = np.percentile(tilts(drive, TravelEstimator()), 90)
     assert with_it < 1.3
     assert with_it < np.percentile(tilts_without(2), 90) + 0.2
 
 
 def test_an_imu_that_sits_backwards_is_found_out_before_harm_is_done():
     drive = driven(city_legs(3), 3, Vehicle(ROBOT, imu_yaw=3.0), receiver=None)
-    with_it, without = tilts(drive, Travelling()), tilts(drive)
+    with_it, without = tilts(drive, TravelEstimator()), tilts(drive)
     assert np.percentile(with_it, 90) < np.percentile(without, 90)
 
 
 def test_a_circle_by_fixes_alone_is_left_to_the_gyro():
     drive = driven(circles(60.0), 4, VEHICLE, **KINDS["fixes"])
-    with_it, without = tilts(drive, Travelling()), tilts(drive)
+    with_it, without = tilts(drive, TravelEstimator()), tilts(drive)
     assert np.percentile(with_it, 90) < np.percentile(without, 90) + 0.3
 
 
 def test_nothing_is_done_where_nobody_tells_a_speed():
-    travelling = Travelling()
-    assert travelling.add_imu(ImuSample(1.0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.1)), (0.0,) * 3) is None
-    assert not travelling.is_heard
+    estimator = TravelEstimator()
+    assert estimator.add_imu(ImuSample(1.0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.1)), (0.0,) * 3) is None
+    assert not estimator.is_heard
 
 
 @pytest.mark.parametrize("wild", [math.nan, math.inf, -math.inf, 1e300])
 def test_nonsense_is_left_out(wild):
-    travelling = Travelling()
+    estimator = TravelEstimator()
     drive = driven(city_legs(5, 20.0), 5, VEHICLE)
     for count, sample in enumerate(drive.samples()):
         if isinstance(sample, ImuSample):
-            own = travelling.add_imu(sample, (0.0,) * 3)
+            own = estimator.add_imu(sample, (0.0,) * 3)
             assert own is None or math.isfinite(sum(own))
         if count % 50 == 0:
-            travelling.add_travel(SpeedSample(sample.stamp, wild))
-            travelling.add_travel(VelocitySample(sample.stamp, wild, 0.0, 0.1))
-            travelling.add_travel(PositionSample(sample.stamp, 0.0, wild))
-            travelling.add_travel(SpeedSample(wild, 3.0))
+            estimator.add_travel(SpeedSample(sample.stamp, wild))
+            estimator.add_travel(VelocitySample(sample.stamp, wild, 0.0, 0.1))
+            estimator.add_travel(PositionSample(sample.stamp, 0.0, wild))
+            estimator.add_travel(SpeedSample(wild, 3.0))
         if isinstance(sample, SpeedSample):
-            travelling.add_travel(sample)
+            estimator.add_travel(sample)
             # A stamp that goes back says nothing new.
-            travelling.add_travel(sample._replace(stamp=sample.stamp - 1.0, speed=50.0))
-    assert travelling.speedometer.track is not None
+            estimator.add_travel(sample._replace(stamp=sample.stamp - 1.0, speed=50.0))
+    assert estimator.speedometer.track is not None
 
 
 def test_time_that_is_set_back_starts_anew():
-    travelling = Travelling()
+    estimator = TravelEstimator()
     drive = driven(city_legs(6, 40.0), 6, VEHICLE)
     for _ in range(2):
         for sample in drive.samples():
             if isinstance(sample, ImuSample):
-                own = travelling.add_imu(sample, (0.0,) * 3)
+                own = estimator.add_imu(sample, (0.0,) * 3)
                 assert own is None or max(map(abs, own)) < 20.0
             elif isinstance(sample, SpeedSample):
-                travelling.add_travel(sample)
-    assert travelling.own.is_used
+                estimator.add_travel(sample)
+    assert estimator.own.is_used

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from simulated.turns import measure, turn
 
 from magcal_ros.core import Belief, Knowledge, ReferenceField, calibrate
-from magcal_ros.core.earth_field import Local, made_elsewhere, model_field, resolve
+from magcal_ros.core.earth_field import LocalField, made_elsewhere, model_field, resolve
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.simulation import Robot
 
 MUNICH, SYDNEY = Place(48.14, 11.58, 520.0), Place(-33.87, 151.21)
 YEAR = 2026.9
-NOTHING, LOCAL = ReferenceField(), Local()
+NOTHING, LOCAL = ReferenceField(), LocalField()
 MODEL = model_field(MUNICH, YEAR)
 
 
@@ -46,13 +46,13 @@ def test_a_place_and_a_date_give_everything():
 
 
 def test_the_sigma_is_the_models_and_the_places_own_in_quadrature():
-    local = Local(7e-6, math.radians(5.0), math.radians(4.0))
+    local = LocalField(7e-6, math.radians(5.0), math.radians(4.0))
     field = resolve(NOTHING, local, MUNICH, YEAR).field
     assert field.strength.sigma == pytest.approx(math.hypot(7e-6, 138e-9))
     assert math.degrees(field.inclination.sigma) == pytest.approx(math.hypot(5.0, 0.2))
     expected = math.hypot(MODEL.declination.sigma, math.radians(4.0))
     assert field.declination_sigma == pytest.approx(expected)
-    bare = resolve(NOTHING, Local(0.0, 0.0, 0.0), MUNICH, YEAR).field
+    bare = resolve(NOTHING, LocalField(0.0, 0.0, 0.0), MUNICH, YEAR).field
     assert bare.declination_belief == MODEL.declination
 
 
@@ -93,7 +93,7 @@ def test_a_declination_of_the_wrong_sign_is_said_and_used_all_the_same():
 def test_numbers_of_another_place_are_said():
     mine = by_hand(strength_ut=30.0, inclination_deg=-60.0)
     assert len(resolve(mine, LOCAL, MUNICH, YEAR).complaints) == 2
-    wide = Local(20e-6, math.radians(60.0), 1.0)
+    wide = LocalField(20e-6, math.radians(60.0), 1.0)
     assert not resolve(mine, wide, MUNICH, YEAR).complaints
 
 
@@ -117,7 +117,7 @@ def test_near_a_pole_there_is_no_true_north_unless_it_is_given():
     assert found.field.declination is None
     assert "a compass is of no use here, and no true north" in found.complaints[0]
     mine = by_hand(declination_deg=-99.0)
-    found = resolve(mine, Local(1.0, 1.0, 2.0), Place(88.9, -121.0), 2025.0)
+    found = resolve(mine, LocalField(1.0, 1.0, 2.0), Place(88.9, -121.0), 2025.0)
     assert found.field.declination == mine.declination
     assert found.complaints[0].endswith("a compass is of no use here")
 

@@ -181,8 +181,8 @@ def test_seconds_become_decimal_years(stamp, year):
 
 
 def test_the_date_is_the_earliest_that_can_be_one():
-    now, replayed, simulated, wrong = 1.795e9, 1.6e9, 12.5, 2.1e9
-    assert year_of([replayed, now], now) == decimal_year(replayed)
+    now, replay_drive, simulated, wrong = 1.795e9, 1.6e9, 12.5, 2.1e9
+    assert year_of([replay_drive, now], now) == decimal_year(replay_drive)
     assert year_of([wrong, now], now) == decimal_year(now)
     assert year_of([simulated, simulated], now) == decimal_year(now)
     assert year_of([0.0, -math.inf], 0.0) == 1970.0

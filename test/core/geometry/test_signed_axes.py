@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry import is_mirrored, likely_slip, signed_permutations, spoken
+from magcal_ros.core.geometry import axes_in_words, is_mirrored, likely_slip, signed_permutations
 
 EVERY = signed_permutations()
 
@@ -19,7 +19,7 @@ def test_what_changes_least_comes_first():
 
 def test_upside_down_about_x_is_the_usual_way_to_be_upside_down():
     half_turns = [axes for axes in EVERY[:24] if np.array_equal(np.abs(axes), np.eye(3))][1:]
-    assert spoken(half_turns[0]) == "x forward, y right, z down"
+    assert axes_in_words(half_turns[0]) == "x forward, y right, z down"
 
 
 @pytest.mark.parametrize(

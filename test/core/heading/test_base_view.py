@@ -10,7 +10,7 @@ from sample_results import calibration as sample_calibration
 from magcal_ros.core import Compass, Correction
 from magcal_ros.core.calibration import PARAMETERS
 from magcal_ros.core.geometry import exp_rotation, rotation_from_rpy
-from magcal_ros.core.heading import BaseView, Heading
+from magcal_ros.core.heading import BaseHeading, Heading
 
 angles = st.floats(-3.1, 3.1)
 tilts = st.floats(-1.2, 1.2)
@@ -40,7 +40,7 @@ def test_the_view_is_what_a_compass_in_base_axes_sees(roll, pitch, yaw, pose):
     seen = Compass(calibration).heading(tuple(field), tuple(up), 1e-4)
     compass = Compass(in_base_axes(calibration, pose))
     expected = compass.heading(tuple(pose @ field), tuple(pose @ up), 1e-4)
-    found = BaseView(pose).heading(seen)
+    found = BaseHeading(pose).heading(seen)
     for name in ("roll", "pitch", "yaw"):
         difference = getattr(found, name) - getattr(expected, name)
         assert math.remainder(difference, math.tau) == pytest.approx(0.0, abs=1e-9)
@@ -49,7 +49,7 @@ def test_the_view_is_what_a_compass_in_base_axes_sees(roll, pitch, yaw, pose):
 
 def test_a_base_that_is_the_imu_sees_the_same():
     heading = Heading(0.1, 0.2, 0.3, 1e-4, 2e-4, 1e-5, 1e-5)
-    assert BaseView(np.eye(3)).heading(heading) is heading
+    assert BaseHeading(np.eye(3)).heading(heading) is heading
 
 
 @given(angles, tilts, angles, poses)
@@ -57,14 +57,14 @@ def test_a_heading_whose_yaw_shares_nothing_with_its_tilt_keeps_its_variance(
     roll, pitch, yaw, pose
 ):
     heading = Heading(roll, pitch, yaw, 1e-4, 2e-4, 0.0, 0.0)
-    found = BaseView(pose).heading(heading)
+    found = BaseHeading(pose).heading(heading)
     assert found.yaw_variance == pytest.approx(2e-4)
     assert (found.roll_yaw, found.pitch_yaw) == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
 def test_an_imu_that_sits_sideways_yaws_by_a_right_angle_more():
     sideways = exp_rotation(np.array([0.0, 0.0, math.pi / 2]))
-    found = BaseView(sideways).heading(Heading(0.05, 0.0, 1.0, 1e-4, 2e-4, 0.0, 0.0))
+    found = BaseHeading(sideways).heading(Heading(0.05, 0.0, 1.0, 1e-4, 2e-4, 0.0, 0.0))
     assert found.yaw == pytest.approx(1.0 - math.pi / 2)
     assert found.pitch == pytest.approx(0.05)
     assert found.roll == pytest.approx(0.0, abs=1e-12)

@@ -9,7 +9,7 @@ from sample_results import SKEWED, calibration, small_covariance
 from scipy.spatial.transform import Rotation
 
 from magcal_ros.core import Compass, Correction, Figure
-from magcal_ros.core.calibration import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.calibration import AT_REST, MotorField, MotorInput, MotorState
 from magcal_ros.core.geometry import (
     body_from_enu,
     field_in_enu,
@@ -227,7 +227,7 @@ UNSEEN_SIGMA = math.sqrt(float(ODDS @ UNSEEN**2))
 
 
 class TestMotors:
-    RUNNING = Running(1.0, 0.4, 0.7, 3.0)
+    MOTION = MotorState(1.0, 0.4, 0.7, 3.0)
 
     @staticmethod
     def numbers(seed):
@@ -245,7 +245,7 @@ class TestMotors:
         found, _ = self.numbers(0)
         field = np.array([1e-5, 2e-5, -4e-5])
         added = found.motors.gain[0] + 0.7 * found.motors.gain[1]
-        back = Compass(found).without_motors(tuple(field + added), self.RUNNING)
+        back = Compass(found).without_motors(tuple(field + added), self.MOTION)
         assert back == pytest.approx(field, abs=1e-15)
         assert Compass(found).without_motors(tuple(field), AT_REST) == tuple(field)
 
@@ -263,19 +263,19 @@ class TestMotors:
         yaws = yaw_from_up_and_field(up, fields)
         args = tuple(field.tolist()), tuple(up.tolist())
         added = raw + u @ found.motors.gain
-        heading = self.heading(found, added, up, self.RUNNING)
+        heading = self.heading(found, added, up, self.MOTION)
         assert heading.yaw_variance - heading.noise_variance == pytest.approx(np.var(yaws), rel=0.1)
         without = Compass(replace(found, motors=None)).heading(*args, 0.0)
         assert self.heading(found, raw, up, AT_REST)[:9] == pytest.approx(without[:9])
 
     @staticmethod
-    def heading(known, raw, up, running):
+    def heading(known, raw, up, motor_state):
         """The heading of a robot without a gyro."""
         compass = Compass(known)
-        field, motors = compass.at_rest(0.0, tuple(raw.tolist()), None, running)
+        field, motors = compass.at_rest(0.0, tuple(raw.tolist()), None, motor_state)
         return compass.heading(field, tuple(up.tolist()), 0.0, motors)
 
-    @pytest.mark.parametrize("doubt", [Running(0.5, 0.0, 0.7), Running(1.0, 0.0, math.nan)])
+    @pytest.mark.parametrize("doubt", [MotorState(0.5, 0.0, 0.7), MotorState(1.0, 0.0, math.nan)])
     def test_what_nobody_tells_is_in_the_variance(self, doubt):
         found, _ = self.numbers(3)
         up, field = seen(0.0, 0.0, 0.9, 1.0)

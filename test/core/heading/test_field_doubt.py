@@ -9,7 +9,7 @@ from sample_results import calibration
 
 from magcal_ros.core import Compass, Correction
 from magcal_ros.core.geometry import field_in_enu, rotation_from_rpy
-from magcal_ros.core.heading import FieldDoubt
+from magcal_ros.core.heading import FieldDeviation
 from magcal_ros.core.heading.disturbance import UNKNOWN_YAW
 
 STRENGTH, DIP = 50e-6, 1.1
@@ -20,7 +20,7 @@ def drive(matrix, iron, noise=0.0, turns=3):
     """Return errors and added variances of the yaw under an edited calibration, over turns."""
     rng = np.random.default_rng(1)
     edited = replace(RIGHT, correction=Correction(np.array(matrix), np.array(iron)))
-    compass, doubt = Compass(edited), FieldDoubt(edited)
+    compass, doubt = Compass(edited), FieldDeviation(edited)
     found = []
     for k in range(turns * 360):
         yaw = math.radians(k)
@@ -58,7 +58,7 @@ def test_a_calibration_that_was_edited_keeps_no_small_sigma(matrix, iron):
 
 
 def test_a_bent_place_is_forgotten_and_no_variance_is_beyond_not_knowing():
-    doubt, up = FieldDoubt(RIGHT), (0.0, 0.0, 1.0)
+    doubt, up = FieldDeviation(RIGHT), (0.0, 0.0, 1.0)
     x, y, z = field_in_enu(STRENGTH, DIP)
     assert doubt.add(1.0, (x, 0.001 * y, 10.0 * z), up, 1e-5) == UNKNOWN_YAW
     for k in range(1000):
@@ -67,7 +67,7 @@ def test_a_bent_place_is_forgotten_and_no_variance_is_beyond_not_knowing():
 
 
 def test_time_that_jumps_does_no_harm():
-    doubt, up = FieldDoubt(RIGHT), (0.0, 0.0, 1.0)
+    doubt, up = FieldDeviation(RIGHT), (0.0, 0.0, 1.0)
     field = tuple(field_in_enu(STRENGTH, DIP).tolist())
     for stamp in (5.0, 18005.0, 6.0, 6.0, 1e300, 7.0):
         assert doubt.add(stamp, field, up, 1e-5) == 0.0

@@ -14,7 +14,7 @@ from sample_results import EVIDENCE
 from simulated import Vehicle, city, simulated_drive, travel
 
 from magcal_ros.core import Calibration, Compass, Correction
-from magcal_ros.core.driving import Travelling
+from magcal_ros.core.driving import TravelEstimator
 from magcal_ros.core.geometry import wrap_angle
 from magcal_ros.core.heading import FUSION, PATIENCE, FusedYaw, Trust
 from magcal_ros.core.samples import ImuSample, SpeedSample, Streams
@@ -43,7 +43,7 @@ class Fusing:
         self.follower = UpFollower()
         self.fused = FusedYaw(calibration, patience)
         self.raw, self.found, self.truth = [], [], []
-        self.travelling = Travelling()
+        self.estimator = TravelEstimator()
 
     def __call__(self, sample, ride=None):
         if isinstance(sample, ImuSample):
@@ -60,7 +60,7 @@ class Fusing:
     def on_imu(self, sample, ride):
         if not self.streams.add_imu(sample):
             return
-        own = self.travelling.add_imu(sample, self.follower.gyro_bias.rate)
+        own = self.estimator.add_imu(sample, self.follower.gyro_bias.rate)
         self.follower.add(sample, own)
         up = self.follower.at(sample.stamp, 0.0)
         if up is None or not self.follower.is_propagated:
@@ -197,7 +197,7 @@ def test_in_streets_it_is_better_than_the_compass_and_says_how_good():
         fusing = Fusing()
         for sample in drive.samples():
             if isinstance(sample, SpeedSample):
-                fusing.travelling.add_travel(sample)
+                fusing.estimator.add_travel(sample)
             else:
                 fusing(sample)
         stamps, yaws, _ = np.array(fusing.found).T

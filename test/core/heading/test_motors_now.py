@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.calibration import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.calibration import AT_REST, MotorField, MotorInput, MotorState
 from magcal_ros.core.geometry import exp_rotation
-from magcal_ros.core.heading import UNSEEN, MotorsNow
+from magcal_ros.core.heading import UNSEEN, MotorFieldFilter
 
 PERIOD, NOISE, RATE = 0.04, 0.2e-6, (0.0, 0.0, 0.4)
 EARTH = np.array([18e-6, 5e-6, -42e-6])
@@ -24,18 +24,18 @@ def motors(ripple=0.2e-6):
 
 
 def follower(known, iron=(0.2e-6) ** 2 * np.eye(3)):
-    return MotorsNow(known, np.eye(3), iron, NOISE**2 * np.eye(3))
+    return MotorFieldFilter(known, np.eye(3), iron, NOISE**2 * np.eye(3))
 
 
 def errors(known, told, added, turns, seed=0, now=None):
     """Errors of the field of the place, and its sigmas, shape (n, 3)."""
     rng, now = np.random.default_rng(seed), now or follower(known)
     field, off, sigma = EARTH, [], []
-    for k, (running, more, is_turning) in enumerate(zip(told, added, turns, strict=True)):
+    for k, (motor_state, more, is_turning) in enumerate(zip(told, added, turns, strict=True)):
         rate = np.array(RATE) * is_turning
         field = exp_rotation(-rate * PERIOD) @ field
         noise = NOISE * rng.standard_normal(3)
-        found, doubt = now.add(k * PERIOD, tuple(field + more + noise), tuple(rate), running)
+        found, doubt = now.add(k * PERIOD, tuple(field + more + noise), tuple(rate), motor_state)
         off.append(np.array(found) - field)
         sigma.append(np.sqrt(np.diag(doubt.lasting + doubt.noise)))
     return np.array(off), np.array(sigma)
@@ -46,7 +46,7 @@ def test_a_start_and_a_stop_may_be_seen_late_or_early(late):
     stamps = np.arange(300) * PERIOD
     runs = (stamps > 4.0) & (stamps < 8.0)
     shows = (stamps > 4.0 + late) & (stamps < 8.0 + late)
-    told = [Running(1.0, 0.4, 0.0, 0.0, 1.0) if each else AT_REST for each in shows]
+    told = [MotorState(1.0, 0.4, 0.0, 0.0, 1.0) if each else AT_REST for each in shows]
     off, sigma = errors(motors(), told, np.outer(runs, STEP), runs)
     assert np.linalg.norm(off, axis=1).max() < 0.2 * np.linalg.norm(STEP)
     assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
@@ -58,7 +58,7 @@ def test_a_current_that_ripples_and_comes_late_is_made_up_for():
     ripple = np.convolve(rng.standard_normal(520), np.ones(10) / np.sqrt(10.0))[:500]
     current = np.where(stamps > 2.0, 3.0 + ripple, 0.0)
     late = np.concatenate([np.zeros(5), current[:-5]])
-    told = [Running(float(t > 2.0), 0.4, 0.0, c, 1.0) for t, c in zip(stamps, late, strict=True)]
+    told = [MotorState(float(t > 2.0), 0.4, 0.0, c, 1.0) for t, c in zip(stamps, late, strict=True)]
     added = np.outer(stamps > 2.0, STEP) + np.outer(current, BY_CURRENT)
     off, sigma = errors(motors(1e-6), told, added, stamps > 2.0)
     plain = np.outer(current - late, BY_CURRENT)
@@ -71,7 +71,9 @@ def test_a_start_that_is_seen_before_its_current_is_told_is_not_taken_for_the_pl
     stamps = np.arange(150) * PERIOD
     flows = np.where(stamps > 4.0, 2.0, 0.0)
     told = [
-        Running(float(np.interp(t, [4.04, 4.06, 4.14, 4.16], [0.0, 0.5, 0.5, 1.0])), 0.02, 0.0, c)
+        MotorState(
+            float(np.interp(t, [4.04, 4.06, 4.14, 4.16], [0.0, 0.5, 0.5, 1.0])), 0.02, 0.0, c
+        )
         for t, c in zip(stamps, np.where(stamps > 4.2, 2.0, 0.0), strict=True)
     ]
     known = replace(motors(), gain=np.array([np.zeros(3), BY_CURRENT]))
@@ -84,7 +86,7 @@ def test_a_start_that_is_seen_before_its_current_is_told_is_not_taken_for_the_pl
 @pytest.mark.parametrize("holding", [0.0, 2.0, 4.0])
 def test_a_battery_that_is_silent_at_rest_leaves_the_hold_current_in_doubt(holding):
     known = replace(motors(), reference=-0.5)
-    told = [Running(0.0, 0.0, 0.0, np.nan, 0.0)] * 400
+    told = [MotorState(0.0, 0.0, 0.0, np.nan, 0.0)] * 400
     added = np.tile(holding * BY_CURRENT, (400, 1))
     off, sigma = errors(known, told, added, np.zeros(400))
     assert (sigma > 0.9 * known.usual[1] * np.abs(BY_CURRENT)).all()
@@ -98,7 +100,7 @@ def test_a_battery_that_is_silent_at_rest_leaves_the_hold_current_in_doubt(holdi
 def test_a_battery_that_falls_silent_at_rest_leaves_the_place_known(later):
     """Also if the motors hold the robot by another current later on."""
     known = replace(motors(), reference=-0.5)
-    told = [Running(0.0, 0.0, 0.0, 2.0 if k < 200 else np.nan, 0.0) for k in range(600)]
+    told = [MotorState(0.0, 0.0, 0.0, 2.0 if k < 200 else np.nan, 0.0) for k in range(600)]
     current = np.where(np.arange(600) < 400, 2.0, later)
     off, sigma = errors(known, told, np.outer(current, BY_CURRENT), np.zeros(600))
     after = np.r_[200:400, 420:600]
@@ -114,7 +116,7 @@ def test_a_current_that_nobody_reports_differs_from_what_the_speed_shows(seed):
     stamps = np.arange(1000) * PERIOD
     speed = np.where(stamps > 2.0, 1.0 + 0.3 * np.sin(stamps), 0.0)
     varies = np.convolve(rng.standard_normal(1020), np.ones(12) / np.sqrt(12.0))[:1000]
-    told = [Running(float(each > 0.0), 0.4, each, np.nan, 1.0) for each in speed]
+    told = [MotorState(float(each > 0.0), 0.4, each, np.nan, 1.0) for each in speed]
     off, sigma = errors(
         known, told, np.outer((1.0 + 0.2 * varies) * speed, gain), stamps > 2.0, seed
     )
@@ -127,7 +129,7 @@ def turning(seconds):
     """A robot that stands for two seconds and then turns."""
     stamps = np.arange(int(seconds / PERIOD)) * PERIOD
     runs = stamps > 2.0
-    told = [Running(1.0, 0.4, 0.0, 0.0, 1.0) if each else AT_REST for each in runs]
+    told = [MotorState(1.0, 0.4, 0.0, 0.0, 1.0) if each else AT_REST for each in runs]
     return stamps, runs, told
 
 

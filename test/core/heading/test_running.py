@@ -2,14 +2,14 @@ import math
 
 import pytest
 
-from magcal_ros.core.heading import MotionSense
+from magcal_ros.core.heading import MotionDetector
 
 STILL = (0.001, -0.002, 0.001)
 TURNS = (0.0, 0.0, 0.3)
 
 
 def shares(rates, speed=math.nan, is_at_rest=False):
-    sense = MotionSense()
+    sense = MotionDetector()
     return [
         sense.at(0.04 * k, rate, is_at_rest, speed, math.nan).moving for k, rate in enumerate(rates)
     ]
@@ -33,7 +33,7 @@ def test_without_wheels_a_straight_drive_and_a_rest_are_in_doubt_until_a_rest_is
 
 
 def test_a_jump_of_time_does_not_last():
-    sense = MotionSense()
+    sense = MotionDetector()
     sense.at(100.0, TURNS, False, 0.0, 2.0)
     sense.at(100.1, STILL, False, 0.0, 2.0)
     found = sense.at(5.0, STILL, False, 0.0, 2.0)
@@ -41,7 +41,7 @@ def test_a_jump_of_time_does_not_last():
 
 
 def test_only_the_current_beyond_that_at_rest_counts():
-    sense = MotionSense()
+    sense = MotionDetector()
     plan = [(STILL, -0.5)] * 40 + [(TURNS, -3.5)] * 20 + [(STILL, -3.5)] * 3 + [(STILL, -0.5)] * 30
     found = [
         sense.at(0.04 * k, rate, True, 0.0, amps).current for k, (rate, amps) in enumerate(plan)
@@ -53,14 +53,14 @@ def test_only_the_current_beyond_that_at_rest_counts():
 
 
 def test_calibrations_at_one_stamp_have_each_its_own_reference():
-    sense = MotionSense()
+    sense = MotionDetector()
     asked = -0.5, math.nan, -2.0
     found = [sense.at(1.0, STILL, True, 0.0, -3.0, each).current for each in asked]
     assert found == [-2.5, 0.0, -1.0]
 
 
 def test_beyond_a_reference_a_current_at_rest_counts_too():
-    sense = MotionSense()
+    sense = MotionDetector()
     for k, (rate, amps) in enumerate([(STILL, -0.5), (STILL, -2.5), (TURNS, -3.5)]):
         found = sense.at(k, rate, True, 0.0, amps, -0.5)
         assert found.current == amps + 0.5
@@ -72,7 +72,7 @@ def test_beyond_a_reference_a_current_at_rest_counts_too():
 
 
 def test_a_robot_about_to_stop_is_in_doubt():
-    sense = MotionSense()
+    sense = MotionDetector()
     speeds = [0.5] * 5 + [0.04] * 5 + [0.0] * 5
     found = [sense.at(0.04 * k, STILL, False, v, math.nan).moving for k, v in enumerate(speeds)]
     assert found == [1.0] * 5 + [0.5] * 8 + [0.0] * 2
@@ -80,7 +80,7 @@ def test_a_robot_about_to_stop_is_in_doubt():
 
 @pytest.mark.parametrize("rate", [0.5, -0.5])
 def test_a_turn_keeps_its_side_until_its_end_is_sure(rate):
-    sense = MotionSense()
+    sense = MotionDetector()
     rates = [rate] * 10 + [0.1 * rate] * 2 + [0.0] * 10
     plan = [sense.at(0.04 * k, (0.0, 0.0, r), False, 0.0, math.nan) for k, r in enumerate(rates)]
     side = math.copysign(1.0, rate)
@@ -89,6 +89,6 @@ def test_a_turn_keeps_its_side_until_its_end_is_sure(rate):
 
 
 def test_a_current_that_nobody_reports_is_not_zero_at_rest():
-    sense = MotionSense()
+    sense = MotionDetector()
     assert math.isnan(sense.at(0.0, STILL, True, 0.0, math.nan).current)
     assert sense.at(1.0, STILL, True, 0.0, 2.0).current == 0.0

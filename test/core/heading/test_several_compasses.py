@@ -10,7 +10,7 @@ from sample_results import EVIDENCE
 
 from magcal_ros.core import Calibration, Compass, Correction
 from magcal_ros.core.geometry import wrapped
-from magcal_ros.core.heading import PATIENCE, FusedYaw, Moment, SeveralCompasses
+from magcal_ros.core.heading import PATIENCE, CompassReading, FusedYaw, SeveralCompasses
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.core.up import UpFollower
@@ -83,7 +83,7 @@ class Scene:
 
     def take(self, number, sample):
         up = self.up.at(sample.stamp, 0.2)
-        moment = Moment.of(self.compasses[number], sample, up, self.imu.rate)
+        moment = CompassReading.of(self.compasses[number], sample, up, self.imu.rate)
         joined = self.several.add(number, moment, self.imu.stamp, self.fused)
         if joined is not None and joined.heading is not None:
             if self.fused is not None:
@@ -139,7 +139,7 @@ def test_one_alone_is_what_it_was_before():
     scene = Scene({1: calibration(ROBOTS[1])})
     compass = Compass(calibration(ROBOTS[1]))
     scene.run(1.0)
-    moment = Moment.of(
+    moment = CompassReading.of(
         compass,
         FieldSample(scene.imu.stamp, (2e-5, 1e-5, 3e-5)),
         scene.up.at(scene.imu.stamp, 0.2),

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.heading import PERFECT, GyroLoss, YawFilter
+from magcal_ros.core.heading import PERFECT, GyroDrift, YawFilter
 
 
 @pytest.mark.parametrize(
@@ -13,7 +13,7 @@ from magcal_ros.core.heading import PERFECT, GyroLoss, YawFilter
     [(1e-4, 0.0), (1e-5, 1e-3), pytest.param(1e-5, 0.0, marks=pytest.mark.nightly)],
 )
 def test_rests_show_how_a_bias_walks_and_whether_the_robot_stands(walk, turn):
-    rng, loss, bias, noise = np.random.default_rng(2), GyroLoss(), 0.003, 1.5e-4
+    rng, loss, bias, noise = np.random.default_rng(2), GyroDrift(), 0.003, 1.5e-4
     loss.begin(bias, 1e-6)
     for k in range(100):
         bias += walk * math.sqrt(30.0) * rng.standard_normal()
@@ -26,7 +26,7 @@ def test_rests_show_how_a_bias_walks_and_whether_the_robot_stands(walk, turn):
 
 @pytest.mark.parametrize("lasts", [0.0, 20.0])
 def test_headings_show_for_how_long_they_are_wrong_by_the_same(lasts):
-    rng, loss, sigma, wrong = np.random.default_rng(4), GyroLoss(), math.radians(1.0), 0.0
+    rng, loss, sigma, wrong = np.random.default_rng(4), GyroDrift(), math.radians(1.0), 0.0
     loss.begin(0.0, 1e-6)
     kept = math.exp(-2.0 / lasts) if lasts else 0.0
     # Of ten headings with errors of their own the mean is taken.

@@ -7,9 +7,9 @@ import pytest
 from long_form import first_of
 
 from magcal_ros.core import Calibration, Correction
-from magcal_ros.core.calibration import INPUTS, Evidence, MotorInput, Running
+from magcal_ros.core.calibration import INPUTS, Evidence, MotorInput, MotorState
 from magcal_ros.core.geometry import exp_rotation, field_in_enu
-from magcal_ros.core.heading import MotionSense
+from magcal_ros.core.heading import MotionDetector
 from magcal_ros.core.keeping import MotorLearning
 
 STEP = 0.05
@@ -40,7 +40,7 @@ def driven(rng, gains, seconds=120.0, current=True):
         moves = float(speed > 0.0 or rate != 0.0)
         ampere = moves * (1.0 + 2.0 * speed) * (1.0 + 0.3 * math.sin(2.0 * k * STEP))
         side = math.copysign(1.0, rate) if rate else 0.0
-        now = Running(moves, rate, speed, ampere if current else math.nan, side)
+        now = MotorState(moves, rate, speed, ampere if current else math.nan, side)
         added = sum(np.array(g) * now.values[INPUTS.index(name)] for name, g in gains.items())
         raw = np.linalg.solve(MATRIX, attitude @ (earth + place)) + IRON + added
         raw = raw + 0.3e-6 * rng.standard_normal(3)
@@ -69,9 +69,9 @@ CASES = {
 def test_what_they_add_is_found_for_every_motion(name):
     motors = learnt(CASES[name])
     for now in (
-        Running(1.0, 0.0, 0.6, 2.2),
-        Running(1.0, 0.5, 0.0, 1.0, 1.0),
-        Running(1.0, -0.5, 0.0, 1.0, -1.0),
+        MotorState(1.0, 0.0, 0.6, 2.2),
+        MotorState(1.0, 0.5, 0.0, 1.0, 1.0),
+        MotorState(1.0, -0.5, 0.0, 1.0, -1.0),
     ):
         u, _ = motors.known(now)
         wide = np.kron(u, np.eye(3))
@@ -96,7 +96,7 @@ def test_only_what_was_told_is_named():
 
 @pytest.mark.parametrize("is_silent_at_rest", [False, True])
 def test_it_is_learnt_without_a_battery(is_silent_at_rest):
-    learning, sense = MotorLearning(known()), MotionSense()
+    learning, sense = MotorLearning(known()), MotionDetector()
     for stamp, raw, rate, now in driven(np.random.default_rng(3), CASES["speed"]):
         rests = now.moving == 0.0
         speed = math.nan if rests and is_silent_at_rest else now.speed
@@ -115,7 +115,7 @@ def test_before_the_first_start_an_input_may_be_anything():
     learning = MotorLearning(known())
     for k in range(200):
         raw = tuple(np.linalg.solve(MATRIX, field_in_enu(48e-6, 1.1)) + IRON)
-        learning.add(k * STEP, raw, (0.0, 0.0, 0.0), Running())
+        learning.add(k * STEP, raw, (0.0, 0.0, 0.0), MotorState())
     motors = learning.motors
     at = motors.inputs.index(MotorInput.SPEED)
     assert motors.sigma(at) * motors.usual[at] > 1.5e-6
@@ -126,7 +126,7 @@ def test_a_jump_of_time_is_survived():
     for sample in driven(np.random.default_rng(1), CASES["step"], seconds=60.0):
         learning.add(*sample)
     before = learning.motors.gain
-    learning.add(5.0, (0.0, 0.0, 5e-5), (0.0, 0.0, 0.0), Running())
+    learning.add(5.0, (0.0, 0.0, 5e-5), (0.0, 0.0, 0.0), MotorState())
     assert np.allclose(learning.motors.gain, before)
 
 

@@ -14,13 +14,13 @@ from magcal_ros.core.calibration import Evidence, predicted_heading_sigma
 from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
 from magcal_ros.core.keeping import (
     TRIAL,
+    DecisionKind,
     DriveCandidate,
-    Findings,
+    DriveResult,
+    HeldOutComparison,
     Kind,
     Mode,
-    Proof,
     SelfCalibration,
-    Verb,
     answer,
     difference,
 )
@@ -37,7 +37,7 @@ ROBOT = Robot(
     noise_field=0.3e-6,
 )
 LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
-PROVED = Proof(60.0, 20.0, (9.0, 11.0), 5.0)
+PROVED = HeldOutComparison(60.0, 20.0, (9.0, 11.0), 5.0)
 
 
 def calibration(iron=(0.0, 0.0, 0.0), sigma=math.radians(0.8), method="maximum_likelihood"):
@@ -56,11 +56,11 @@ def candidate(iron, end, kind=Kind.ALL, sigma=math.radians(2.0), sectors=9):
     return DriveCandidate(kind, found, sigma, sectors, end - 120.0, end)
 
 
-def findings(clock, *candidates, since=None, finer=None, **proofs):
-    return Findings(clock, candidates, since, finer, proofs)
+def findings(clock, *candidates, since=None, finer=None, **comparisons):
+    return DriveResult(clock, candidates, since, finer, comparisons)
 
 
-class Keeper:
+class CalibrationStore:
     """A machine that is told findings as if it had asked for them."""
 
     def __init__(self, in_force=None, mode=Mode.APPLY):
@@ -71,9 +71,13 @@ class Keeper:
         self.machine.job(BOSTON)
         made = self.machine.note(found)
         for decision in made:
-            if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
+            if decision.kind in (
+                DecisionKind.APPLIED,
+                DecisionKind.ROLLED_BACK,
+                DecisionKind.REFINED,
+            ):
                 self.machine.put_in_force(decision.calibration)
-        return [decision.verb for decision in made]
+        return [decision.kind for decision in made]
 
 
 FAR = (6e-6, 0.0, 0.0)
@@ -87,13 +91,17 @@ def test_headings_differ_by_the_iron_over_the_level_field():
 
 
 def test_two_windows_that_agree_begin_where_nothing_was_in_force():
-    keeper = Keeper()
-    assert keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0))) == [Verb.PROBATION]
-    assert keeper.note(findings(140.0, candidate((0.4e-6, 0.0, 0.0), 140.0))) == [Verb.APPLIED]
+    keeper = CalibrationStore()
+    assert keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0))) == [
+        DecisionKind.PROBATION
+    ]
+    assert keeper.note(findings(140.0, candidate((0.4e-6, 0.0, 0.0), 140.0))) == [
+        DecisionKind.APPLIED
+    ]
 
 
 def test_a_second_window_confirms_the_first_in_these_words():
-    keeper = Keeper()
+    keeper = CalibrationStore()
     machine = keeper.machine
     keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0)))
     assert machine.decisions[-1].words.endswith("; a second one that agrees confirms it")
@@ -104,113 +112,115 @@ def test_a_second_window_confirms_the_first_in_these_words():
 
 
 def test_two_windows_that_disagree_begin_nothing():
-    keeper = Keeper()
+    keeper = CalibrationStore()
     keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0)))
     assert keeper.note(findings(140.0, candidate(FAR, 140.0))) == []
-    assert keeper.note(findings(160.0, candidate(FAR, 160.0))) == [Verb.APPLIED]
+    assert keeper.note(findings(160.0, candidate(FAR, 160.0))) == [DecisionKind.APPLIED]
 
 
 @pytest.mark.parametrize("bad", [{"sigma": math.radians(4.0)}, {"sectors": 5}])
 def test_a_candidate_that_saw_too_little_is_not_believed(bad):
-    keeper = Keeper()
+    keeper = CalibrationStore()
     for clock in (120.0, 140.0, 160.0):
         assert keeper.note(findings(clock, candidate(FAR, clock, **bad))) == []
 
 
 def test_a_candidate_that_differs_is_proved_first():
-    keeper = Keeper(calibration())
-    assert keeper.note(findings(120.0, candidate(FAR, 120.0))) == [Verb.PROBATION]
-    assert keeper.note(findings(140.0, all=Proof(20.0))) == []
-    assert keeper.note(findings(180.0, all=PROVED)) == [Verb.APPLIED]
+    keeper = CalibrationStore(calibration())
+    assert keeper.note(findings(120.0, candidate(FAR, 120.0))) == [DecisionKind.PROBATION]
+    assert keeper.note(findings(140.0, all=HeldOutComparison(20.0))) == []
+    assert keeper.note(findings(180.0, all=PROVED)) == [DecisionKind.APPLIED]
     assert keeper.machine.before[-1].correction is not None
 
 
 def test_what_is_not_proved_within_its_time_is_dropped():
-    keeper = Keeper(calibration())
+    keeper = CalibrationStore(calibration())
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
-    assert keeper.note(findings(310.0, all=Proof(190.0))) == [Verb.DROPPED]
+    assert keeper.note(findings(310.0, all=HeldOutComparison(190.0))) == [DecisionKind.DROPPED]
 
 
 def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
-    keeper = Keeper(calibration())
+    keeper = CalibrationStore(calibration())
     first, last = (
         candidate(iron, clock, Kind.IRON, math.radians(sigma))
         for iron, clock, sigma in ((FAR, 120.0, 2.5), ((8e-6, 0.0, 0.0), 140.0, 2.0))
     )
-    assert keeper.note(findings(120.0, since=first)) == [Verb.NOTICED]
+    assert keeper.note(findings(120.0, since=first)) == [DecisionKind.NOTICED]
     assert keeper.note(findings(140.0, since=last)) == []
     (steps,) = keeper.machine.job(BOSTON).contests.values()
     assert [step.since for step in steps] == [120.0, 140.0]
     keeper.machine.fail()
-    assert keeper.note(findings(160.0, iron=PROVED)) == [Verb.APPLIED]
+    assert keeper.note(findings(160.0, iron=PROVED)) == [DecisionKind.APPLIED]
     assert keeper.machine.decisions[-1].calibration.correction is last.calibration.correction
 
 
 def test_iron_that_is_proved_to_have_changed_waits_until_it_is_known():
-    keeper = Keeper(calibration())
+    keeper = CalibrationStore(calibration())
     vague = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON, math.radians(4.5))
     keeper.note(findings(120.0, since=vague))
     assert keeper.note(findings(140.0, iron=PROVED)) == []
     clear = candidate((10e-6, 0.0, 0.0), 160.0, Kind.IRON, math.radians(3.5))
-    assert keeper.note(findings(160.0, since=clear, iron=PROVED)) == [Verb.APPLIED]
+    assert keeper.note(findings(160.0, since=clear, iron=PROVED)) == [DecisionKind.APPLIED]
 
 
 def test_iron_that_goes_again_brings_back_what_was_in_force_before_it_came():
     old = calibration()
-    keeper = Keeper(old)
+    keeper = CalibrationStore(old)
     came = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON)
     keeper.note(findings(120.0, since=came))
     keeper.note(findings(140.0, since=came, iron=PROVED))
-    keeper.note(findings(460.0, **{TRIAL: Proof(310.0)}))
+    keeper.note(findings(460.0, **{TRIAL: HeldOutComparison(310.0)}))
     went = candidate((0.5e-6, 0.0, 0.0), 900.0, Kind.IRON)
-    assert keeper.note(findings(900.0, since=went)) == [Verb.NOTICED]
+    assert keeper.note(findings(900.0, since=went)) == [DecisionKind.NOTICED]
     assert keeper.machine.job(BOSTON).contests[TRIAL][0].since == went.start
     keeper.machine.fail()
-    assert keeper.note(findings(910.0, **{TRIAL: PROVED})) == [Verb.ROLLED_BACK]
+    assert keeper.note(findings(910.0, **{TRIAL: PROVED})) == [DecisionKind.ROLLED_BACK]
     assert keeper.machine.decisions[-1].calibration.correction is old.correction
     assert keeper.machine.job(BOSTON).not_before == went.start
 
 
 def test_what_waits_for_a_word_is_offered_once():
-    keeper = Keeper(calibration(), Mode.PROPOSE)
+    keeper = CalibrationStore(calibration(), Mode.PROPOSE)
     came = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON)
     came.calibration.evidence.figures["heading_sigma"] = came.sigma
     keeper.note(findings(120.0, since=came))
-    assert keeper.note(findings(140.0, since=came, iron=PROVED)) == [Verb.PROPOSED]
+    assert keeper.note(findings(140.0, since=came, iron=PROVED)) == [DecisionKind.PROPOSED]
     assert keeper.note(findings(160.0, since=came)) == []
 
 
 def test_with_nothing_in_force_it_is_proposed_once():
-    keeper = Keeper(mode=Mode.PROPOSE)
+    keeper = CalibrationStore(mode=Mode.PROPOSE)
     keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 2.0)))
-    assert keeper.note(findings(140.0, sized(SLIGHT, 140.0, 2.0))) == [Verb.PROPOSED]
+    assert keeper.note(findings(140.0, sized(SLIGHT, 140.0, 2.0))) == [DecisionKind.PROPOSED]
     for clock in (160.0, 180.0, 200.0):
         assert keeper.note(findings(clock, sized(SLIGHT, clock, 1.8))) == []
     assert keeper.machine.proposal is not None
 
 
 def test_the_next_proposal_has_to_be_better_than_the_one_that_waits():
-    keeper = Keeper(calibration(FAR), Mode.PROPOSE)
+    keeper = CalibrationStore(calibration(FAR), Mode.PROPOSE)
     keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 2.0)))
-    assert keeper.note(findings(180.0, all=PROVED)) == [Verb.PROPOSED]
+    assert keeper.note(findings(180.0, all=PROVED)) == [DecisionKind.PROPOSED]
     machine = keeper.machine
     # Fits and proofs are against the proposal from now on, not against what is in force.
     assert machine.job(BOSTON).in_force is machine.proposal
     machine.fail()
     assert keeper.note(findings(200.0, sized(SLIGHT, 200.0, 1.9))) == []
-    assert keeper.note(findings(220.0, sized((-6e-6, 0.0, 0.0), 220.0, 1.9))) == [Verb.PROBATION]
+    assert keeper.note(findings(220.0, sized((-6e-6, 0.0, 0.0), 220.0, 1.9))) == [
+        DecisionKind.PROBATION
+    ]
     assert "from what is proposed" in machine.decisions[-1].words
 
 
 def test_a_proposal_is_withdrawn_if_what_is_in_force_is_better_after_all():
     old = calibration()
-    keeper = Keeper(old, Mode.PROPOSE)
+    keeper = CalibrationStore(old, Mode.PROPOSE)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     keeper.note(findings(180.0, all=PROVED))
     (step,) = keeper.machine.job(BOSTON).contests[TRIAL]
     assert step.calibration is old
     keeper.machine.fail()
-    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [Verb.DROPPED]
+    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [DecisionKind.DROPPED]
     assert keeper.machine.proposal is None
     assert keeper.machine.decisions[-1].calibration is None
 
@@ -223,70 +233,76 @@ def sized(iron, end, sigma_deg, seconds=120.0):
 
 
 def test_what_is_known_much_better_replaces_what_is_known_roughly_and_agrees():
-    keeper = Keeper(calibration(sigma=math.radians(10.7)))
-    assert keeper.note(findings(120.0, sized(FAR, 120.0, 2.9))) == [Verb.APPLIED]
+    keeper = CalibrationStore(calibration(sigma=math.radians(10.7)))
+    assert keeper.note(findings(120.0, sized(FAR, 120.0, 2.9))) == [DecisionKind.APPLIED]
     longer = sized((4e-6, 0.0, 0.0), 420.0, 1.3, 420.0)
-    assert keeper.note(findings(420.0, longer)) == [Verb.REFINED]
+    assert keeper.note(findings(420.0, longer)) == [DecisionKind.REFINED]
 
 
 def test_a_calibration_on_probation_keeps_no_rough_one_in_force():
-    keeper = Keeper(calibration((20e-6, 0.0, 0.0), sigma=math.radians(4.0)))
-    assert keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 2.9))) == [Verb.PROBATION]
+    keeper = CalibrationStore(calibration((20e-6, 0.0, 0.0), sigma=math.radians(4.0)))
+    assert keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 2.9))) == [
+        DecisionKind.PROBATION
+    ]
     near = sized((17e-6, 0.0, 0.0), 140.0, 2.0)
-    assert keeper.note(findings(140.0, near)) == [Verb.APPLIED]
+    assert keeper.note(findings(140.0, near)) == [DecisionKind.APPLIED]
 
 
 def test_what_is_known_roughly_and_contradicted_is_proved_first():
-    keeper = Keeper(calibration(sigma=math.radians(5.0)))
-    assert keeper.note(findings(120.0, sized((12e-6, 0.0, 0.0), 120.0, 2.0))) == [Verb.PROBATION]
+    keeper = CalibrationStore(calibration(sigma=math.radians(5.0)))
+    assert keeper.note(findings(120.0, sized((12e-6, 0.0, 0.0), 120.0, 2.0))) == [
+        DecisionKind.PROBATION
+    ]
 
 
-@pytest.mark.parametrize(("sigma", "made"), [(1.3, []), (0.8, [Verb.REFINED])])
+@pytest.mark.parametrize(("sigma", "made"), [(1.3, []), (0.8, [DecisionKind.REFINED])])
 def test_a_good_calibration_is_refined_by_what_is_known_much_better_alone(sigma, made):
-    keeper = Keeper()
+    keeper = CalibrationStore()
     keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 1.5)))
     keeper.note(findings(140.0, sized((0.0, 0.0, 0.0), 140.0, 1.5)))
     assert keeper.note(findings(420.0, sized((0.3e-6, 0.0, 0.0), 420.0, sigma, 400.0))) == made
 
 
 def test_what_agrees_mends_nothing():
-    keeper = Keeper(calibration())
+    keeper = CalibrationStore(calibration())
     assert keeper.note(findings(120.0, candidate((0.3e-6, 0.0, 0.0), 120.0))) == []
 
 
 def test_the_old_one_comes_back_when_it_was_better():
     old = calibration()
-    keeper = Keeper(old)
+    keeper = CalibrationStore(old)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     keeper.note(findings(180.0, all=PROVED))
-    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [Verb.ROLLED_BACK]
+    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [DecisionKind.ROLLED_BACK]
     assert keeper.machine.decisions[-1].calibration.correction is old.correction
     assert keeper.note(findings(280.0, **{TRIAL: PROVED})) == []
 
 
 def test_a_trial_ends():
-    keeper = Keeper(calibration())
+    keeper = CalibrationStore(calibration())
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     keeper.note(findings(180.0, all=PROVED))
-    assert keeper.note(findings(500.0, **{TRIAL: Proof(310.0)})) == [Verb.CONFIRMED]
+    assert keeper.note(findings(500.0, **{TRIAL: HeldOutComparison(310.0)})) == [
+        DecisionKind.CONFIRMED
+    ]
 
 
 def test_a_proposal_waits_for_a_word():
     old = calibration()
-    keeper = Keeper(old, Mode.PROPOSE)
+    keeper = CalibrationStore(old, Mode.PROPOSE)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
-    assert keeper.note(findings(180.0, all=PROVED)) == [Verb.PROPOSED]
+    assert keeper.note(findings(180.0, all=PROVED)) == [DecisionKind.PROPOSED]
     machine = keeper.machine
     assert machine.proposal is machine.decisions[-1].calibration
     assert "accept" in machine.in_words
     machine.put_in_force(machine.proposal.accepted_by_person())
     assert machine.proposal is None
-    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [Verb.PROPOSED]
+    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [DecisionKind.PROPOSED]
     assert machine.proposal.correction is old.correction
 
 
 def test_findings_of_another_calibration_do_not_count():
-    keeper = Keeper()
+    keeper = CalibrationStore()
     machine = keeper.machine
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     machine.job(BOSTON)
@@ -295,7 +311,7 @@ def test_findings_of_another_calibration_do_not_count():
 
 
 def test_only_so_many_are_kept():
-    keeper = Keeper(calibration())
+    keeper = CalibrationStore(calibration())
     for number in range(6):
         keeper.machine.put_in_force(calibration((number * 1e-6, 0.0, 0.0)))
     assert len(keeper.machine.before) == 3
@@ -340,7 +356,7 @@ def test_what_one_quarter_of_headings_says_proves_nothing_of_all_twelve():
 @pytest.mark.parametrize(
     ("proof", "stands"),
     [
-        (Proof(), False),
+        (HeldOutComparison(), False),
         (PROVED, True),
         (dataclasses.replace(PROVED, halves=(21.0, -1.0)), False),
         (dataclasses.replace(PROVED, likelihood=11.0), False),
@@ -367,7 +383,11 @@ def follow(drive, machine, told=lambda stamp: stamp):
         if machine.add(Pair(FieldSample(told(stamp), field), imu)):
             for decision in machine.note(answer(machine.job(BOSTON))):
                 made.append((stamp - drive.time[0], decision))
-                if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
+                if decision.kind in (
+                    DecisionKind.APPLIED,
+                    DecisionKind.ROLLED_BACK,
+                    DecisionKind.REFINED,
+                ):
                     machine.put_in_force(decision.calibration)
     return made
 
@@ -385,7 +405,7 @@ def test_an_ordinary_drive_calibrates_from_nothing():
     machine = SelfCalibration(Mode.APPLY)
     drive = driven(5, city(np.random.default_rng(5), 200.0))
     made = follow(drive, machine)
-    applied = [decision for _, decision in made if decision.verb is Verb.APPLIED]
+    applied = [decision for _, decision in made if decision.kind is DecisionKind.APPLIED]
     assert len(applied) == 1
     assert all(0.0 < decision.clock <= seconds for seconds, decision in made)
     assert heading_error(applied[0].calibration.correction, ROBOT) < 5.0
@@ -411,7 +431,7 @@ def test_stamps_that_jump_cost_self_calibration_no_more_than_a_minute(jump):
     undisturbed = follow(drive, machines[0])
     made = follow(drive, machines[1], lambda stamp: stamp + JUMPS[jump](stamp - begun))
     first, usual = (
-        next(seconds for seconds, decision in each if decision.verb is Verb.APPLIED)
+        next(seconds for seconds, decision in each if decision.kind is DecisionKind.APPLIED)
         for each in (made, undisturbed)
     )
     assert first < usual + 75.0
@@ -423,7 +443,7 @@ def test_a_magnet_that_stays_less_than_a_minute_is_told():
     drive = driven(2, city(np.random.default_rng(4), 75.0), irons=(magnet,))
     machine = SelfCalibration(Mode.APPLY)
     machine.put_in_force(calibration())
-    told = [at for at, made in follow(drive, machine) if made.verb is Verb.NOTICED]
+    told = [at for at, made in follow(drive, machine) if made.kind is DecisionKind.NOTICED]
     assert 30.0 < told[0] < 70.0
 
 
@@ -433,8 +453,8 @@ def test_iron_that_was_added_is_noticed_and_mended():
     machine = SelfCalibration(Mode.APPLY)
     machine.put_in_force(calibration())
     made = follow(drive, machine)
-    noticed = [seconds for seconds, decision in made if decision.verb is Verb.NOTICED]
-    applied = [(at, found) for at, found in made if found.verb is Verb.APPLIED]
+    noticed = [seconds for seconds, decision in made if decision.kind is DecisionKind.NOTICED]
+    applied = [(at, found) for at, found in made if found.kind is DecisionKind.APPLIED]
     assert 150.0 < noticed[0] < 260.0
     assert applied[0][0] < 390.0
     robot = Vehicle(ROBOT).with_iron(np.array([0.0, 9e-6, 0.0])).robot

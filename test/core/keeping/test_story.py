@@ -7,7 +7,7 @@ from simulated.legs import Leg
 from simulated.travel import travel
 
 from magcal_ros.core import Knowledge
-from magcal_ros.core.keeping import Mode, SelfCalibration, replayed
+from magcal_ros.core.keeping import Mode, SelfCalibration, replay_drive
 from magcal_ros.core.samples import DriveRecorder
 from magcal_ros.core.simulation import Robot
 
@@ -23,7 +23,7 @@ def test_movement_that_is_forgotten_counts_as_well():
     readings = (each for each in drive.samples() if hasattr(each, "field") or hasattr(each, "rate"))
     machine = SelfCalibration(Mode.APPLY)
     machine.recorder = DriveRecorder(20.0)
-    story = replayed(Knowledge(), None, readings, (), machine)
+    story = replay_drive(Knowledge(), None, readings, (), machine)
     assert machine.recorder.seconds < 25.0
     assert story.seconds == pytest.approx(2.0 * (STANDS + GOES), abs=1.0)
     # Of each rest a few seconds at both ends are kept.
@@ -46,7 +46,7 @@ def test_what_came_while_the_imu_was_silent_is_no_part_of_the_drive():
         if hasattr(each, "field") or (hasattr(each, "rate") and not _within(each.stamp, silent))
     )
     machine = SelfCalibration(Mode.APPLY)
-    replayed(Knowledge(), None, readings, (), machine)
+    replay_drive(Knowledge(), None, readings, (), machine)
     log = machine.recorder.log()
     steps = log.steps
     assert np.isfinite(steps.angle).all()

@@ -14,7 +14,7 @@ from simulated.travel import travel
 from magcal_ros.core import Belief, Figure, Knowledge, Window
 from magcal_ros.core.assessment import LEVEL_ONLY, NO_REFERENCE
 from magcal_ros.core.earth_field import made_elsewhere
-from magcal_ros.core.keeping import DriveJob, Kind, Step, answer, prove
+from magcal_ros.core.keeping import DriveJob, Kind, Step, answer, compare_held_out
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import log_of
 from magcal_ros.core.simulation import Robot
@@ -43,7 +43,7 @@ def step(since, correction):
 
 
 def proved(road, *steps, old=OLD):
-    return prove(road, old, steps, BOSTON)
+    return compare_held_out(road, old, steps, BOSTON)
 
 
 @pytest.fixture(scope="module")

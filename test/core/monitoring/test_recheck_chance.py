@@ -10,8 +10,8 @@ from magcal_ros.core.monitoring import (
     RECHECK_BOUNDS,
     Record,
     check_beside_chance,
-    compass_less_gyro,
-    fit_waves,
+    compass_minus_gyro,
+    fit_harmonics,
     harmonics,
 )
 from magcal_ros.core.monitoring.recheck import _figures
@@ -53,7 +53,7 @@ def test_chance_is_as_large_as_few_stretches_may_make_it(turns):
     misses = 0
     for _ in range(200):
         values = 0.05 * (rng.normal(0.0, 1.0, (turns, 4)) @ waves).ravel()
-        size, chance = fit_waves(harmonics(heading), values, stamp, 2.0).spread
+        size, chance = fit_harmonics(harmonics(heading), values, stamp, 2.0).spread
         misses += bool(size > chance)
     assert misses <= 0.12 * 200
 
@@ -61,7 +61,7 @@ def test_chance_is_as_large_as_few_stretches_may_make_it(turns):
 def test_a_turn_in_one_place_is_uncertain_by_its_noise_alone():
     heading, rng = np.linspace(0.0, math.tau, 36), np.random.default_rng(3)
     values = 0.1 * np.cos(heading) + 0.002 * rng.standard_normal(36)
-    size, chance = fit_waves(harmonics(heading), values, np.linspace(0.0, 14.0, 36), 2.0).spread
+    size, chance = fit_harmonics(harmonics(heading), values, np.linspace(0.0, 14.0, 36), 2.0).spread
     assert size == pytest.approx(0.1 / math.sqrt(2.0), rel=0.05)
     assert chance < 0.003
 
@@ -98,7 +98,7 @@ def test_what_one_place_alone_adds_is_not_the_calibrations(places, explained):
     yaw = heading + 0.3 * np.where(is_aside, np.cos(heading), 0.0)
     turned = np.unwrap(heading)
     rows = [Record(3.0 * k, yaw[k], 1.0, 0.0, turned[k], 0, 0.0) for k in range(240)]
-    gyro = compass_less_gyro(np.array(rows), heading, 2.0)
+    gyro = compass_minus_gyro(np.array(rows), heading, 2.0)
     swing, chance = gyro.waves.spread
     assert gyro.rms > 0.05
     assert (math.sqrt(max(swing**2 - chance**2, 0.0)) < 0.03) is explained

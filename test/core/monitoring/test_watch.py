@@ -4,62 +4,62 @@ import math
 
 import numpy as np
 import pytest
-from driving import PERIOD, ROBOT, Way, changed, drive, promise
+from driving import PERIOD, ROBOT, Route, changed, drive, promise
 from long_form import first_of
 
 from magcal_ros.core import Compass, Grade, Knowledge, Window, calibrate
-from magcal_ros.core.heading import Moment
-from magcal_ros.core.monitoring import Watch, WatchTuning
+from magcal_ros.core.heading import CompassReading
+from magcal_ros.core.monitoring import CalibrationMonitor, MonitorTuning
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.up import UpFollower
 
 PROMISE = promise()
 
 
-def watched(robots, minutes, way=Way(), **options):
+def monitored(robots, minutes, way=Route(), **options):
     """The watch after the drive, and all that it has said in the course of it."""
-    watch = Watch(PROMISE)
+    watch = CalibrationMonitor(PROMISE)
     return watch, drive(watch, PROMISE, robots, minutes, way, **options)
 
 
 def doubts(watch):
-    return {f.figure.value: f for f in watch.watched.findings if f.grade.rank >= Grade.WARN.rank}
+    return {f.figure.value: f for f in watch.result.findings if f.grade.rank >= Grade.WARN.rank}
 
 
 @pytest.mark.parametrize(
     "way",
     first_of(
         [
-            Way(turns=(1.0,), slope=math.radians(3.0)),
-            Way(steel=0.05 * ROBOT.strength),
-            Way(headings=(0.0, math.pi)),
-            Way(),
+            Route(turns=(1.0,), slope=math.radians(3.0)),
+            Route(steel=0.05 * ROBOT.strength),
+            Route(headings=(0.0, math.pi)),
+            Route(),
         ]
     ),
     ids=["left turns on slopes", "steel", "corridor", "plain"],
 )
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_an_honest_drive_raises_no_alarm(way, seed):
-    watch, said = watched([ROBOT], [15 if seed > 1 else 8], way, seed=seed)
+    watch, said = monitored([ROBOT], [15 if seed > 1 else 8], way, seed=seed)
     assert not any(word.is_stale for _, word in said)
     assert said[-1][1].was_judged
-    assert "holds" in watch.watched.summary or "held" in watch.watched.summary
+    assert "holds" in watch.result.summary or "held" in watch.result.summary
 
 
 @pytest.mark.parametrize("gyro", first_of([False, True]))
 @pytest.mark.parametrize("shift", first_of([(2.5, 0.0), (-1.8, 1.8)]))
 def test_hard_iron_of_a_twentieth_of_the_field_is_found_and_its_size_said(shift, gyro):
-    watch, said = watched([ROBOT, changed(*shift)], [6, 9], gyro=gyro, seed=3)
+    watch, said = monitored([ROBOT, changed(*shift)], [6, 9], gyro=gyro, seed=3)
     assert not any(word.is_stale for stamp, word in said if stamp < 1000.0 + 6 * 60.0)
-    assert watch.watched.is_stale
+    assert watch.result.is_stale
     assert "hard_iron_change" in doubts(watch)
-    assert np.array(watch.watched.hard_iron) * 1e6 == pytest.approx(shift, abs=0.5)
-    assert watch.watched.minutes == pytest.approx(9.0, abs=2.0)
-    assert "calibrate again" in watch.watched.summary
+    assert np.array(watch.result.hard_iron) * 1e6 == pytest.approx(shift, abs=0.5)
+    assert watch.result.minutes == pytest.approx(9.0, abs=2.0)
+    assert "calibrate again" in watch.result.summary
 
 
 def test_a_small_change_is_not_worth_a_word():
-    _, said = watched([ROBOT, changed(1.0)], [5, 10])
+    _, said = monitored([ROBOT, changed(1.0)], [5, 10])
     assert not any(word.is_stale for _, word in said)
 
 
@@ -80,71 +80,71 @@ def test_a_small_change_is_not_worth_a_word():
 )
 def test_each_change_is_called_by_its_name(case):
     robot, figure, size = case
-    watch, _ = watched([ROBOT, robot], [4, 9])
-    assert watch.watched.is_stale
+    watch, _ = monitored([ROBOT, robot], [4, 9])
+    assert watch.result.is_stale
     found = doubts(watch)
     assert found[figure].value == pytest.approx(size, rel=0.2)
     if figure in ("strength_shift", "dip_shift"):
-        assert "another place" in watch.watched.summary
+        assert "another place" in watch.result.summary
         assert not {"hard_iron_change", "mounting_change", "soft_iron_change"} & set(found)
 
 
 def test_a_magnet_that_hides_the_headings_is_found_by_the_gyro():
-    watch, _ = watched([ROBOT, changed(40.0)], [4, 7])
+    watch, _ = monitored([ROBOT, changed(40.0)], [4, 7])
     assert "gyro_compass_harmonic" in doubts(watch)
 
 
 def test_it_comes_back_when_the_field_does():
-    watch, said = watched([ROBOT, changed(5.0), ROBOT], [4, 8, 12])
+    watch, said = monitored([ROBOT, changed(5.0), ROBOT], [4, 8, 12])
     assert any(word.is_stale for _, word in said)
-    assert not watch.watched.is_stale
+    assert not watch.result.is_stale
 
 
 def test_parked_beside_a_car_is_no_change_and_later_cannot_be_judged():
-    watch = Watch(PROMISE)
-    way = Way(parked=(300.0, 1500.0))
+    watch = CalibrationMonitor(PROMISE)
+    way = Route(parked=(300.0, 1500.0))
     said = drive(watch, PROMISE, [ROBOT, changed(8.0, 5.0), ROBOT], [5, 20, 6], way)
     assert not any(word.is_stale for _, word in said)
     parked = [word for stamp, word in said if 2200.0 < stamp < 2490.0]
-    assert all("not enough" in word.lacking for word in parked)
+    assert all("not enough" in word.missing_data for word in parked)
     assert "held when it was last judged" in parked[0].summary
 
 
 def test_nothing_is_said_before_enough_was_seen():
-    watch, _ = watched([changed(20.0)], [1])
-    assert not watch.watched.is_stale
-    assert watch.watched.summary.startswith("Not judged yet: ")
+    watch, _ = monitored([changed(20.0)], [1])
+    assert not watch.result.is_stale
+    assert watch.result.summary.startswith("Not judged yet: ")
 
 
 def test_a_calibration_that_promised_little_is_not_blamed_for_it():
     poor = promise(heading_sigma=math.radians(4.0))
-    watch = Watch(poor)
+    watch = CalibrationMonitor(poor)
     drive(watch, poor, [changed(2.5)], [10])
-    assert watch.watched.was_judged
-    assert not watch.watched.is_stale
+    assert watch.result.was_judged
+    assert not watch.result.is_stale
 
 
 def test_memory_stays_bounded_and_time_that_goes_back_starts_all_over():
-    watch, _ = watched([ROBOT], [12])
-    assert len(watch._records) <= WatchTuning.most_records
+    watch, _ = monitored([ROBOT], [12])
+    assert len(watch._records) <= MonitorTuning.most_records
     drive(watch, PROMISE, [ROBOT], [1], start=10.0)
     assert len(watch._records) < 100
-    assert not watch.watched.is_stale
+    assert not watch.result.is_stale
 
 
 @pytest.mark.parametrize("hours", [5.0, -0.2])
 def test_a_jump_of_time_makes_no_warning_older(hours):
-    watch, _ = watched([changed(4.0)], [9], seed=3)
-    minutes = watch.watched.minutes
-    assert watch.watched.is_stale
+    watch, _ = monitored([changed(4.0)], [9], seed=3)
+    minutes = watch.result.minutes
+    assert watch.result.is_stale
     drive(watch, PROMISE, [changed(4.0)], [6], start=1540.0 + hours * 3600.0, seed=3)
-    assert watch.watched.is_stale
-    assert minutes <= watch.watched.minutes < minutes + 7.0
+    assert watch.result.is_stale
+    assert minutes <= watch.result.minutes < minutes + 7.0
 
 
 @pytest.mark.nightly
 def test_gaps_and_repeats_do_no_harm():
-    class Holed(Watch):
+    class Holed(CalibrationMonitor):
         def take(self, moment):
             if moment.stamp % 20.0 > 3.0:
                 super().take(moment)
@@ -159,7 +159,7 @@ def test_gaps_and_repeats_do_no_harm():
 
 def ride_along(recording, calibration, shift, repeats):
     """Watch a recording over and over, with a hard iron added from half-way on."""
-    watch, compass, carried = Watch(calibration), Compass(calibration), UpFollower()
+    watch, compass, carried = CalibrationMonitor(calibration), Compass(calibration), UpFollower()
     imu, mag, length = recording
     for lap in range(repeats):
         extra = shift if 2 * lap >= repeats else np.zeros(3)
@@ -168,7 +168,7 @@ def ride_along(recording, calibration, shift, repeats):
             carried.add(sample)
             added = FieldSample(sample.stamp, tuple(raw + extra))
             up = carried.at(sample.stamp, 0.0)
-            watch.take(Moment.of(compass, added, up, sample.rate))
+            watch.take(CompassReading.of(compass, added, up, sample.rate))
     return watch
 
 
@@ -183,5 +183,5 @@ def test_a_recorded_drive_holds_until_iron_is_added(recording, added):
     imu, mag = imu[::4], mag[::4]
     length = float(imu[-1, 0] - imu[0, 0]) + 0.05
     watch = ride_along((imu, mag, length), calibration, np.array([added, 0.0, 0.0]), 6)
-    print(watch.watched)
-    assert watch.watched.is_stale == bool(added)
+    print(watch.result)
+    assert watch.result.is_stale == bool(added)

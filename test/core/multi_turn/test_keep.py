@@ -7,7 +7,14 @@ from slope_turns import EAST, KNOWN, LEVEL, ROBOT, window_on
 
 from magcal_ros.core import Reason
 from magcal_ros.core.calibrate import take_turn
-from magcal_ros.core.multi_turn import Kept, Several, Shown, TurnFate, joined, names_of
+from magcal_ros.core.multi_turn import (
+    KeptTurns,
+    MultiTurnReport,
+    TurnAccuracy,
+    TurnResult,
+    joined,
+    names_of,
+)
 from magcal_ros.core.multi_turn.result import TUNING
 
 METHOD = "maximum_likelihood"
@@ -35,7 +42,7 @@ def windows():
 
 @pytest.fixture(scope="module")
 def first(windows):
-    return take_turn(Kept(), windows["level"], KNOWN, METHOD, accumulate=True)
+    return take_turn(KeptTurns(), windows["level"], KNOWN, METHOD, accumulate=True)
 
 
 @pytest.mark.nightly
@@ -61,7 +68,7 @@ def test_a_refused_turn_does_not_join_and_the_others_stay(windows, first, kind):
 
 
 def test_a_first_turn_that_is_refused_is_not_kept(windows):
-    outcome, kept = take_turn(Kept(), windows["still"], KNOWN, METHOD, accumulate=True)
+    outcome, kept = take_turn(KeptTurns(), windows["still"], KNOWN, METHOD, accumulate=True)
     assert not outcome.verdict.accepted
     assert kept.windows == ()
 
@@ -74,11 +81,11 @@ def test_without_accumulation_a_turn_stands_alone_and_nothing_is_kept(windows, f
 
 def test_what_is_kept_is_bounded(windows):
     window = window_on(LEVEL, np.random.default_rng(2), samples=TUNING.most_samples + 1)
-    shown = Shown(0.1, (0.0,) * 6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    kept = Kept()
+    shown = TurnAccuracy(0.1, (0.0,) * 6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    kept = KeptTurns()
     for _ in range(TUNING.most_turns + 2):
-        fates = tuple(TurnFate(f"{k}", True, "") for k in range(len(kept.windows) + 1))
-        kept = kept.joined(window, Several(fates, shown, ()))
+        turns = tuple(TurnResult(f"{k}", True, "") for k in range(len(kept.windows) + 1))
+        kept = kept.joined(window, MultiTurnReport(turns, shown, ()))
     assert len(kept.windows) == TUNING.most_turns
     assert max(len(each) for each in kept.windows) <= TUNING.most_samples
     assert kept.names[-1] == f"turn {TUNING.most_turns + 2}"

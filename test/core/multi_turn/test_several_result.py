@@ -2,18 +2,18 @@ import json
 import math
 from dataclasses import replace
 
-from magcal_ros.core.multi_turn import Advice, Several, Shown, TurnFate
+from magcal_ros.core.multi_turn import MultiTurnReport, TurnAccuracy, TurnAdvice, TurnResult
 
 DEGREE = math.pi / 180.0
-BEFORE = Shown(
+BEFORE = TurnAccuracy(
     5.0 * DEGREE, (0.03,) * 6, 2e-6, 1e-6, 1.0 * DEGREE, 0.1, 0.1, 5.0 * DEGREE, 5.1 * DEGREE
 )
 AFTER = replace(BEFORE, installation_yaw=0.3 * DEGREE, absolute_tilted=0.5 * DEGREE)
-FATES = (TurnFate("turn 1", True, "x", BEFORE), TurnFate("turn 2", False, "it is a copy"))
+FATES = (TurnResult("turn 1", True, "x", BEFORE), TurnResult("turn 2", False, "it is a copy"))
 
 
 def test_advice_has_numbers_before_and_after():
-    several = Several(FATES, BEFORE, (Advice("on a slope", AFTER),))
+    several = MultiTurnReport(FATES, BEFORE, (TurnAdvice("on a slope", AFTER),))
     assert several.advice_in_words == (
         "Next turn on a slope: installation yaw from ±5° to ±0.3°, absolute heading at 10° of "
         "tilt from ±5.1° to ±0.5°."
@@ -21,17 +21,17 @@ def test_advice_has_numbers_before_and_after():
 
 
 def test_both_kinds_of_turn_are_named():
-    advice = (Advice("about the vertical", AFTER), Advice("on a slope", AFTER))
-    assert " Or on a slope: " in Several(FATES, BEFORE, advice).advice_in_words
+    advice = (TurnAdvice("about the vertical", AFTER), TurnAdvice("on a slope", AFTER))
+    assert " Or on a slope: " in MultiTurnReport(FATES, BEFORE, advice).advice_in_words
 
 
 def test_enough_is_said():
-    words = Several(FATES, AFTER, (Advice("on a slope", AFTER),)).advice_in_words
+    words = MultiTurnReport(FATES, AFTER, (TurnAdvice("on a slope", AFTER),)).advice_in_words
     assert words.startswith("Another turn would bring little: ")
 
 
 def test_what_did_not_join_is_named_with_its_reason():
-    several = Several(FATES, BEFORE, ())
+    several = MultiTurnReport(FATES, BEFORE, ())
     assert several.joined == (0,)
     assert "Not joined: turn 2: it is a copy." in several.in_words
 
@@ -47,7 +47,9 @@ def test_the_same_tilt_brings_nothing_new():
 
 
 def test_facts_are_plain_json_in_peoples_units():
-    facts = json.loads(json.dumps(Several(FATES, BEFORE, (Advice("a", AFTER),)).facts()))
+    facts = json.loads(
+        json.dumps(MultiTurnReport(FATES, BEFORE, (TurnAdvice("a", AFTER),)).facts())
+    )
     assert facts["shown"]["installation_yaw_deg"] == 5.0
     assert facts["next"][0]["after"]["installation_yaw_deg"] == 0.3
     assert [turn["joined"] for turn in facts["turns"]] == [True, False]

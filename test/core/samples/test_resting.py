@@ -33,7 +33,7 @@ def test_a_rest_that_ended_long_before_the_turn_is_no_rest_beside_it(monkeypatch
     sensors = window.field, window.specific_force, window.angular_rate
     rows = np.column_stack([time, *sensors, np.full((len(time), COLUMNS - 10), np.nan)])
     monkeypatch.setattr(rest, "rests_around", lambda *_: (30, len(rows) - 30, None))
-    turn, rests, _ = rest.apart_from_rests(rows)
+    turn, rests, _ = rest.without_rests(rows)
     assert len(turn) == len(rows) - 60
     assert [each.beside for each in rests] == [rows[-31, 0]]
 

@@ -8,11 +8,9 @@ import numpy as np
 from simulated.turns import measure, turn
 
 from magcal_ros.core import Knowledge, Outcome, Reason, Refusal, calibrate
-from magcal_ros.core.multi_turn import Kept
+from magcal_ros.core.multi_turn import KeptTurns
 from magcal_ros.core.samples import ImuSample, Pairer, Streams
 from magcal_ros.core.session import (
-    Around,
-    Brief,
     Conclusion,
     FitTurn,
     Limits,
@@ -20,7 +18,9 @@ from magcal_ros.core.session import (
     Preview,
     PutInForce,
     SelfTurn,
+    TurnConditions,
     TurnMachine,
+    TurnRequest,
 )
 from magcal_ros.core.simulation import Ride, Robot
 
@@ -62,14 +62,14 @@ class Scene:
         self._steps = count()
         self._heard = {ImuSample: -math.inf, "field": -math.inf}
         limits = Limits(**{"timeout": 90.0, **limits})
-        self.brief = Brief(limits, Knowledge(), "maximum_likelihood", False, speed)
+        self.request = TurnRequest(limits, Knowledge(), "maximum_likelihood", False, speed)
 
     @property
     def conclusion(self):
         return self.concluded[-1]
 
     def open(self, **changes):
-        return self.tell("open", replace(self.brief, **changes), self.now)
+        return self.tell("open", replace(self.request, **changes), self.now)
 
     def tell(self, happened, *facts):
         """Tell the machine and do what it says; returns its answer."""
@@ -95,7 +95,7 @@ class Scene:
         if isinstance(self.outcome, Exception):
             return "note_failed_fit", command, repr(self.outcome)
         outcome = replace(self.outcome, window=command.window)
-        return "note_fit", command, outcome, Kept(count=command.kept.count + 1)
+        return "note_fit", command, outcome, KeptTurns(count=command.kept.count + 1)
 
     def later(self, seconds, *event):
         self._later.append((self.now + seconds, event))
@@ -144,8 +144,8 @@ class Scene:
         if number % 3 == 0:
             ages = self._heard[ImuSample], self._heard["field"]
             ages = [self.now - moment for moment in ages]
-            around = Around(*ages, self.listeners, self.is_allowed, self.is_guarded)
-            self.tell("look", around, self.now)
+            conditions = TurnConditions(*ages, self.listeners, self.is_allowed, self.is_guarded)
+            self.tell("look", conditions, self.now)
         if number % 10 == 0:
             # Half as often as the node: what has been seen of a turn is most of the time here.
             self.tell("tick", "/mag has been silent", self.now)

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.session import RotationPlan, Seen, planned_duration
+from magcal_ros.core.session import MeasuredTurn, RotationPlan, planned_duration
 from magcal_ros.core.session.rotation import TUNING
 
 SPEED = 0.5
@@ -10,10 +10,10 @@ BEYOND = TUNING.farthest_beyond
 
 
 def by_gyro(turned):
-    return Seen(turned, 0.0, True, False)
+    return MeasuredTurn(turned, 0.0, True, False)
 
 
-BLIND = Seen(0.0, 0.0, False, False)
+BLIND = MeasuredTurn(0.0, 0.0, False, False)
 
 
 @pytest.mark.parametrize("turned", [-BEYOND, 0.0, math.tau + BEYOND])

@@ -7,7 +7,7 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.session import Fault, Phase, RotationPlan, Seen, planned_duration
+from magcal_ros.core.session import Fault, MeasuredTurn, Phase, RotationPlan, planned_duration
 from magcal_ros.core.session.rotation import TUNING
 
 PERIOD = 0.05
@@ -24,8 +24,8 @@ class Base:
     def seen(self):
         complete = self.farthest >= self.complete_at
         if not self.gyro and self.farthest < math.radians(60.0):
-            return Seen(0.0, 0.0, False, complete)
-        return Seen(self.turned, self.rate, self.gyro, complete)
+            return MeasuredTurn(0.0, 0.0, False, complete)
+        return MeasuredTurn(self.turned, self.rate, self.gyro, complete)
 
     def obey(self, command, now):
         wanted = 0.0 if now > self.stops_at else self.gain * command

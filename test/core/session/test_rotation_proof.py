@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.samples import Coverage, FieldSample, Pair
-from magcal_ros.core.session import Fault, Progress, RotationProof, Seen, Stage
+from magcal_ros.core.session import Fault, MeasuredTurn, Progress, Stage, TurnMonitor
 from magcal_ros.core.simulation import UP_ENU, Ride, Robot
 
 TOLD = 0.4
@@ -13,7 +13,7 @@ NOTHING = Progress(Stage.COLLECTING, Coverage.nothing(), 0, 0.0, 0.0)
 
 def watch(yaw_rate=TOLD, seconds=2.0, mirror_gyro=1.0, seed=1, gyro=True, gap=None, lean=(0, 0)):
     """What the proof has seen after the robot has turned for a while."""
-    proof = RotationProof(np.eye(3))
+    monitor = TurnMonitor(np.eye(3))
     ride = Ride(Robot(), np.random.default_rng(seed), start=1.0, steps_per_field=1, gyro=gyro)
     ride.stand(*lean, 0.3)
     ride.axis = ride.attitude @ UP_ENU
@@ -22,8 +22,8 @@ def watch(yaw_rate=TOLD, seconds=2.0, mirror_gyro=1.0, seed=1, gyro=True, gap=No
         if gap and gap[0] < ride.stamp - 1.0 < gap[1]:
             continue
         rate = tuple(mirror_gyro * value for value in imu.rate)
-        proof.add(Pair(FieldSample(imu.stamp, field.field), imu._replace(rate=rate)), TOLD)
-    return proof
+        monitor.add(Pair(FieldSample(imu.stamp, field.field), imu._replace(rate=rate)), TOLD)
+    return monitor
 
 
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4])
@@ -44,7 +44,7 @@ def test_a_gap_is_not_turned_through_and_the_rate_is_right_after_it():
 def test_without_a_gyro_the_sessions_compass_speaks():
     coverage = Coverage.of(np.linspace(0.0, 2.0, 50))
     progress = Progress(Stage.COLLECTING, coverage, 50, 5.0, 0.37)
-    assert watch(gyro=False).seen(progress) == Seen(2.0, 0.37, False, False)
+    assert watch(gyro=False).seen(progress) == MeasuredTurn(2.0, 0.37, False, False)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -56,13 +56,13 @@ def test_the_compass_tells_its_sense_on_an_arc_of_45_degrees(seed, mirror, yaw_r
 
 def test_a_robot_at_rest_shows_no_sense():
     assert watch(0.0).compass_sense() == 0
-    assert RotationProof(np.eye(3)).compass_sense() == 0
+    assert TurnMonitor(np.eye(3)).compass_sense() == 0
 
 
 def test_a_mirrored_gyro_and_a_mirrored_base_are_told_apart():
     def words(**case):
-        proof = watch(**case)
-        return proof.explain(Fault.WRONG_WAY, proof.seen(NOTHING), TOLD)
+        monitor = watch(**case)
+        return monitor.explain(Fault.WRONG_WAY, monitor.seen(NOTHING), TOLD)
 
     assert "the gyro is mirrored" in words(mirror_gyro=-1.0)
     assert "the base turns the wrong way" in words(yaw_rate=-TOLD)
@@ -72,6 +72,6 @@ def test_a_mirrored_gyro_and_a_mirrored_base_are_told_apart():
 
 def test_a_gyro_that_misses_the_turn_is_named_and_a_robot_at_rest_too():
     turning, resting = watch(mirror_gyro=1e-6), watch(0.0)
-    seen = Seen(0.0, 0.0, True, False)
+    seen = MeasuredTurn(0.0, 0.0, True, False)
     assert "the gyro does not measure" in turning.explain(Fault.NOT_TURNING, seen, TOLD)
     assert "emergency stop" in resting.explain(Fault.NOT_TURNING, seen, TOLD)

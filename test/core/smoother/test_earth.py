@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 
 from magcal_ros.core import Belief, Knowledge, ReferenceField
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.smoother import EarthPrior, Fields
+from magcal_ros.core.smoother import EarthFieldPrior, GaussianEarthPrior
 
-ANYWHERE = Fields.of(Knowledge().reference)
-BOSTON = Fields.of(knowledge_of(51.3, inclination_deg=66.3).reference)
+ANYWHERE = EarthFieldPrior.of(Knowledge().reference)
+BOSTON = EarthFieldPrior.of(knowledge_of(51.3, inclination_deg=66.3).reference)
 STEP = 0.5  # µT
 LEVEL, DOWN = np.meshgrid(np.arange(-60.0, 110.0, STEP), np.arange(-140.0, 170.0, STEP))
 GRID = np.stack([LEVEL.ravel(), DOWN.ravel()], axis=1)
 
 
-def density(fields: Fields, at: np.ndarray) -> np.ndarray:
+def density(fields: EarthFieldPrior, at: np.ndarray) -> np.ndarray:
     found = np.zeros(len(at))
     for share, mean, covariance in zip(
         fields.shares, fields.means, fields.covariances, strict=True
@@ -37,7 +37,7 @@ def density_anywhere() -> np.ndarray:
     return density(ANYWHERE, GRID)
 
 
-def posterior(prior: EarthPrior, information: np.ndarray, at: np.ndarray):
+def posterior(prior: GaussianEarthPrior, information: np.ndarray, at: np.ndarray):
     total = prior.information + information
     mean = np.linalg.solve(total, prior.information @ prior.mean + information @ at)
     return mean, np.linalg.inv(total)
@@ -58,7 +58,7 @@ def test_mean_and_evidence_are_those_of_the_mixture(level, down, sigma) -> None:
     by_all = density_anywhere() * likely
     expected = by_all @ GRID / by_all.sum()
     assert before + shift == pytest.approx(expected, abs=0.1)
-    wide = Fields(np.ones(1), prior.mean[None], np.linalg.inv(prior.information)[None])
+    wide = EarthFieldPrior(np.ones(1), prior.mean[None], np.linalg.inv(prior.information)[None])
     by_one = density(wide, GRID) * likely
     assert gain == pytest.approx(math.log(by_all.sum() / by_one.sum()), abs=0.02)
     spread = math.sqrt(by_all @ (GRID[:, 1] - expected[1]) ** 2 / by_all.sum())
@@ -107,6 +107,6 @@ def test_a_known_field_is_one_gaussian() -> None:
     ids=["strength", "inclination"],
 )
 def test_one_given_number_and_the_level_field_leave_few_fields(reference, at) -> None:
-    fields = Fields.of(reference)
+    fields = EarthFieldPrior.of(reference)
     assert not fields.is_known
     assert fields.at_level(at[0])[1] == pytest.approx(at[1], abs=4.0)

@@ -11,7 +11,7 @@ from streets import BOSTON, driven, heading_error, log_from
 
 from magcal_ros.core import Calibration
 from magcal_ros.core.calibration import Evidence
-from magcal_ros.core.keeping import KEEPING
+from magcal_ros.core.keeping import SELF_CALIBRATION
 from magcal_ros.core.samples import DriveRecorder, FieldSample, ImuSample, Pair
 from magcal_ros.core.smoother import drive_nodes, find_change
 
@@ -48,7 +48,7 @@ def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
     drive = driven(seed, CAME + 30.0, irons=(Iron(iron, CAME),))
     found = changed(drive)
     since = found.since - drive.time[0]
-    assert found.gain > KEEPING.notice_proof
+    assert found.gain > SELF_CALIBRATION.notice_proof
     assert since == pytest.approx(CAME, abs=1.5)
     with_iron = drive.vehicle.with_iron(np.array(iron)).robot
     assert heading_error(in_force(drive).correction, with_iron) > 10.0
@@ -58,7 +58,7 @@ def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
 
 @pytest.mark.parametrize("seed", first_of([4, 7]))
 def test_streets_are_no_change(seed):
-    assert gain(driven(seed, 150.0)) < KEEPING.notice_proof
+    assert gain(driven(seed, 150.0)) < SELF_CALIBRATION.notice_proof
 
 
 @pytest.mark.nightly
@@ -66,7 +66,7 @@ def test_what_the_calibration_itself_is_uncertain_by_is_no_change():
     drive = driven(4, 120.0)
     off = {"iron": (6e-6, 0.0, 0.0)}
     rough, sure = (gain(drive, sigma=math.radians(sigma), **off) for sigma in (10.0, 0.3))
-    assert rough < KEEPING.notice_proof < sure
+    assert rough < SELF_CALIBRATION.notice_proof < sure
 
 
 def recorded(drive, added):
@@ -94,7 +94,7 @@ def test_iron_that_comes_to_a_robot_at_rest_is_told_before_it_turns(quarter):
     iron = 10e-6 * np.array([math.cos(way), math.sin(way), 0.0])
     log = recorded(drive, np.outer(drive.time > start - 4.0, iron))
     found = find_change(drive_nodes(log, NOBODY), in_force(drive), BOSTON)
-    assert found.gain > KEEPING.notice_proof
+    assert found.gain > SELF_CALIBRATION.notice_proof
     came = found.fit.posterior.correction.hard_iron - in_force(drive).correction.hard_iron
     assert came == pytest.approx(iron, abs=3e-6)
 
@@ -105,4 +105,4 @@ def test_steel_that_a_drive_comes_to_is_no_iron():
     steel = (drive.time > start + 15.0)[:, None] * (drive.truth.attitude @ [0.0, 12e-6, -9e-6])
     nodes = drive_nodes(recorded(drive, steel), NOBODY)
     found = find_change(nodes, in_force(drive), BOSTON)
-    assert found is None or found.gain < KEEPING.notice_proof
+    assert found is None or found.gain < SELF_CALIBRATION.notice_proof

@@ -15,8 +15,8 @@ from magcal_ros.core.smoother import (
     AT,
     TURNED,
     Fit,
-    Together,
-    fit_together,
+    JointFit,
+    fit_jointly,
     imagined_information,
     smooth,
     smooth_by_field,
@@ -32,18 +32,18 @@ def alone() -> list[Fit]:
 
 
 @pytest.fixture(scope="module")
-def joint(alone: list[Fit]) -> Together:
-    return fit_together(alone, SIGMA)
+def joint(alone: list[Fit]) -> JointFit:
+    return fit_jointly(alone, SIGMA)
 
 
-def test_turns_of_one_robot_agree_on_it_and_keep_what_is_their_own(joint: Together) -> None:
+def test_turns_of_one_robot_agree_on_it_and_keep_what_is_their_own(joint: JointFit) -> None:
     one, other = (fit.state.shared for fit in joint.fits)
     for name in ("iron", "installation", "turned", "earth", "soft_iron"):
         np.testing.assert_allclose(one[AT[name]], other[AT[name]], rtol=1e-9)
     assert joint.fits[0].point.sizes != joint.fits[1].point.sizes
 
 
-def test_the_information_of_turns_adds_up_to_the_covariance(joint: Together) -> None:
+def test_the_information_of_turns_adds_up_to_the_covariance(joint: JointFit) -> None:
     known = joint.prior + np.sum(joint.informations, axis=0)
     rows = np.flatnonzero(np.diag(known) > 0.0)
     covariance = np.linalg.inv(known[np.ix_(rows, rows)])
@@ -55,20 +55,20 @@ def test_the_information_of_turns_adds_up_to_the_covariance(joint: Together) -> 
 
 def test_a_turn_without_another_is_as_sure_as_alone(alone: list[Fit]) -> None:
     at = AT["installation"]
-    joined = fit_together(alone[:1], 1e-4).fits[0].covariance[at, at]
+    joined = fit_jointly(alone[:1], 1e-4).fits[0].covariance[at, at]
     found = np.sqrt(np.diag(joined) / np.diag(alone[0].covariance[at, at]))
     np.testing.assert_allclose(found, 1.0, atol=0.04)
 
 
-def test_the_order_of_turns_does_not_matter(alone: list[Fit], joint: Together) -> None:
-    other = fit_together(alone[::-1], SIGMA)
+def test_the_order_of_turns_does_not_matter(alone: list[Fit], joint: JointFit) -> None:
+    other = fit_jointly(alone[::-1], SIGMA)
     assert other.evidence == pytest.approx(joint.evidence, abs=3.0)
     sigma = np.sqrt(np.diag(joint.fits[0].covariance))[AT["iron"]]
     off = other.fits[0].state.shared[AT["iron"]] - joint.fits[0].state.shared[AT["iron"]]
     assert np.all(np.abs(off) < 0.2 * sigma)
 
 
-def test_a_turn_imagined_where_it_was_made_says_what_it_said(joint: Together) -> None:
+def test_a_turn_imagined_where_it_was_made_says_what_it_said(joint: JointFit) -> None:
     again = imagined_information(joint.fits[1], np.eye(3), np.eye(3))
     found = np.diag(again)[AT["iron"]] / np.diag(joint.informations[1])[AT["iron"]]
     assert np.all((found > 0.7) & (found < 1.5))
@@ -87,6 +87,6 @@ def test_a_field_that_differs_from_place_to_place_is_in_the_sigma(gyro: bool) ->
         there = motion.attitude @ (0.5e-6 * rng.standard_normal(3))
         window = replace(window, field=window.field + there @ ROBOT.distortion.T)
         fits.append(fit(window, knowledge).fit)
-    found = fit_together(fits, SIGMA).fits[0]
+    found = fit_jointly(fits, SIGMA).fits[0]
     sigma = math.sqrt(found.covariance[TURNED, TURNED])
     assert abs(found.state.shared[TURNED] - ROBOT.yaw) < 3.0 * sigma

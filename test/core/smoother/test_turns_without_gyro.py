@@ -15,7 +15,7 @@ from simulated.turns import Motion, measure, smooth_wobble, turn
 from magcal_ros.core import Figure, Knowledge, Reason, Refusal, Window
 from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples import living_axes
+from magcal_ros.core.samples import working_axes
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05)
@@ -132,7 +132,7 @@ def test_a_dead_axis_is_not_believed():
     motion = turn(start_rpy=(0.15, 0.0, 0.3))
     window = measure(ROBOT, motion, np.random.default_rng(4), gyro=True)
     rate = window.angular_rate * [0.0, 0.0, 1.0]
-    assert living_axes(rate) == (False, False, True)
+    assert working_axes(rate) == (False, False, True)
     estimate = fit(replace(window, angular_rate=rate), known(ROBOT))
     error = error_of(estimate, ROBOT)
     assert error < 0.5 * DEGREE

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.up import BlockMeans, SteadySpell
+from magcal_ros.core.up import BlockMeans, SteadyInterval
 
 NOISE = 0.002
 RATE_NOISE = 0.002
@@ -10,7 +10,7 @@ UP, ZERO = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
 
 def spell(force, seconds, rate=(0.0, 0.0, 0.002)):
-    found = SteadySpell()
+    found = SteadyInterval()
     for _ in range(int(seconds / 0.04)):
         found.add(BlockMeans(force, rate, 4, 0.04), NOISE, RATE_NOISE)
     return found

@@ -9,7 +9,7 @@ from drives import drive
 from log_writers import write_bin, write_text_log, write_tlog
 
 from magcal_ros.core.samples import FieldSample, ImuSample, PositionSample, VelocitySample
-from magcal_ros.files import FileTrouble, logs, open_recording
+from magcal_ros.files import FileError, logs, open_recording
 
 pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
 
@@ -116,14 +116,14 @@ def check_the_second_is_taken(path, fault):
     assert source.field_topic == "MAG[1]"
     assert fault in source.notes[0]
     assert numbers(readings)[1] == pytest.approx(FIELD, abs=1.2e-7)
-    with pytest.raises(FileTrouble, match=re.escape(fault)):
+    with pytest.raises(FileError, match=re.escape(fault)):
         read(path, field="MAG[0]")
 
 
 def test_the_first_living_compass_is_taken_and_another_can_be_chosen(tmp_path):
     path = write_bin(tmp_path / "a.bin", SAMPLES, compasses=two_compasses)
     check_the_second_is_taken(path, "MAG[0] holds one value")
-    with pytest.raises(FileTrouble, match=r"no MAG\[7\]; it has: MAG\[0\], MAG\[1\]"):
+    with pytest.raises(FileError, match=r"no MAG\[7\]; it has: MAG\[0\], MAG\[1\]"):
         read(path, field="MAG[7]")
 
 
@@ -203,17 +203,17 @@ def test_a_field_of_another_orientation_is_left_out(tmp_path):
 
 def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
     dead = write_bin(tmp_path / "a.bin", SAMPLES, compasses=lambda _: {0: (0.0, 0.0, 0.0)})
-    with pytest.raises(FileTrouble, match=r"no working magnetometer.*COMPASS_ENABLE"):
+    with pytest.raises(FileError, match=r"no working magnetometer.*COMPASS_ENABLE"):
         read(dead)
     without = write_bin(tmp_path / "b.bin", SAMPLES, compasses=lambda _: {})
-    with pytest.raises(FileTrouble, match="no MAG data: check COMPASS_ENABLE"):
+    with pytest.raises(FileError, match="no MAG data: check COMPASS_ENABLE"):
         read(without)
 
 
 def test_a_magnetometer_that_the_autopilot_calls_unhealthy_is_named_so(tmp_path):
     path = write_bin(tmp_path / "a.bin", SAMPLES, unhealthy=lambda *_: True)
     words = rf"calls MAG\[0\] unhealthy in all its {len(FIELD)} samples \(Health is 0\).*wiring"
-    with pytest.raises(FileTrouble, match=words):
+    with pytest.raises(FileError, match=words):
         read(path)
     first = write_bin(
         tmp_path / "b.bin", SAMPLES, compasses=both, unhealthy=lambda number, _: number == 0
@@ -232,7 +232,7 @@ def test_samples_that_are_left_out_as_unhealthy_are_counted(tmp_path):
 
 def test_without_the_library_the_words_name_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", None)
-    with pytest.raises(FileTrouble, match="pip install"):
+    with pytest.raises(FileError, match="pip install"):
         read(write_bin(tmp_path / "a.bin", SAMPLES))
 
 
@@ -241,11 +241,11 @@ def test_without_the_library_the_words_name_it(tmp_path, monkeypatch):
 def test_anything_else_by_that_name_is_trouble_in_words(tmp_path, name):
     path = tmp_path / name
     path.touch()
-    with pytest.raises(FileTrouble, match="is empty"):
+    with pytest.raises(FileError, match="is empty"):
         read(path)
     for content in (b"\xa3\x95" + bytes(range(256)) * 30, b"FMT, 1\nFMT,", b"\0" * 9000):
         path.write_bytes(content)
-        with pytest.raises(FileTrouble, match=r"a\."):
+        with pytest.raises(FileError, match=r"a\."):
             read(path)
 
 
@@ -254,7 +254,7 @@ def test_anything_else_by_that_name_is_trouble_in_words(tmp_path, name):
 def test_anything_else_is_no_telemetry_without_imu(tmp_path, content):
     path = tmp_path / "a.tlog"
     path.write_bytes(content)
-    with pytest.raises(FileTrouble, match="is not a telemetry log"):
+    with pytest.raises(FileError, match="is not a telemetry log"):
         read(path)
 
 
@@ -274,9 +274,9 @@ def test_a_log_that_was_cut_short_or_damaged_is_read_as_far_as_it_goes(tmp_path,
 def test_size_and_time_are_limited(tmp_path, monkeypatch):
     path = write_bin(tmp_path / "a.bin", SAMPLES)
     monkeypatch.setattr(logs, "LONGEST_READING", 0.0)
-    with pytest.raises(FileTrouble, match="takes longer than 0 s"):
+    with pytest.raises(FileError, match="takes longer than 0 s"):
         read(path)
     with path.open("r+b") as handle:
         handle.truncate(logs.LARGEST_LOG + 1)
-    with pytest.raises(FileTrouble, match=r"has 1\.0 GiB"):
+    with pytest.raises(FileError, match=r"has 1\.0 GiB"):
         read(path)

@@ -5,10 +5,10 @@ import pytest
 from drives import drive
 from log_writers import write_phyphox, write_sensor_logger
 
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.samples import FieldSample, ImuSample, VelocitySample
-from magcal_ros.files import FileTrouble, open_recording
+from magcal_ros.files import FileError, open_recording
 
 SAMPLES = drive(60.0)
 IMU = np.array([[*s.force, *s.rate] for s in SAMPLES if isinstance(s, ImuSample)])
@@ -64,7 +64,7 @@ def test_acceleration_without_gravity_is_refused_with_what_to_record(tmp_path):
     still = (path / "Accelerometer.csv").read_text()
     (path / "Gravity.csv").unlink()
     (path / "TotalAcceleration.csv").write_text(still)
-    with pytest.raises(FileTrouble, match="without gravity"):
+    with pytest.raises(FileError, match="without gravity"):
         numbers(path)
 
 
@@ -79,10 +79,10 @@ def test_other_files_in_the_folder_do_no_harm(tmp_path):
 def test_a_missing_sensor_is_named(tmp_path):
     path = WRITERS["phyphox"](tmp_path / "phone")
     (path / "Magnetometer.csv").unlink()
-    with pytest.raises(FileTrouble, match="has no field"):
+    with pytest.raises(FileError, match="has no field"):
         numbers(path)
 
 
 def test_topics_are_for_bags(tmp_path):
-    with pytest.raises(Misuse, match="without topics"):
+    with pytest.raises(UsageError, match="without topics"):
         numbers(WRITERS["phyphox"](tmp_path / "phone"), imu="/imu")

@@ -9,7 +9,7 @@ from log_writers import DEVICE, write_ulog
 from scipy.spatial.transform import Rotation
 
 from magcal_ros.core.samples import FieldSample, ImuSample, VelocitySample
-from magcal_ros.files import RIGHT_ANGLES, FileTrouble, mounting_of, open_recording, rotation_of
+from magcal_ros.files import RIGHT_ANGLES, FileError, mounting_of, open_recording, rotation_of
 
 pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
 
@@ -147,7 +147,7 @@ def test_rotations_are_mavlinks():
 
 
 def test_an_unknown_rotation_is_trouble():
-    with pytest.raises(FileTrouble, match="rotation 77"):
+    with pytest.raises(FileError, match="rotation 77"):
         rotation_of(77)
 
 
@@ -156,7 +156,7 @@ def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
         s._replace(field=(1e-5, 2e-5, 3e-5)) if isinstance(s, FieldSample) else s for s in SAMPLES
     ]
     with (
-        pytest.raises(FileTrouble, match=r"no working magnetometer.*SYS_HAS_MAG"),
+        pytest.raises(FileError, match=r"no working magnetometer.*SYS_HAS_MAG"),
         open_recording(write_ulog(tmp_path / "a.ulg", hanging)),
     ):
         pass
@@ -170,6 +170,6 @@ def test_a_damaged_log_is_read_as_far_as_it_goes_or_refused_in_words(tmp_path, c
     with open_recording(path) as source:
         assert len(list(source.readings())) > 0.4 * len(SAMPLES)
     path.write_bytes(whole[:300] + b"\xff" * 3000)
-    with pytest.raises(FileTrouble, match=r"a\.ulg"), open_recording(path):
+    with pytest.raises(FileError, match=r"a\.ulg"), open_recording(path):
         pass
     assert capsys.readouterr() == ("", "")

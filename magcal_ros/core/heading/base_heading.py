@@ -21,7 +21,7 @@ from magcal_ros.core.knowledge import CLEAR
 
 
 @dataclass(frozen=True)
-class FrontTuning:
+class VehicleYawTuning:
     """When a sensor counts as misaligned, and a yaw found by driving is used."""
 
     near: float = 2.0  # sigmas within which a difference counts as twice the declination
@@ -32,7 +32,7 @@ class FrontTuning:
     """Difference of described and found yaw from which the user must correct the description."""
 
 
-FRONT = FrontTuning()
+VEHICLE_YAW = VehicleYawTuning()
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class VehicleYaw:
 
 
 @dataclass(frozen=True)
-class Front:
+class DrivenYaw:
     """The results of driving so far."""
 
     yaw: VehicleYaw | None = None  # of the IMU in the vehicle, if known
@@ -70,46 +70,46 @@ class Front:
     suspicion: str = ""  # the likely cause of a difference, in words; empty if there is none
 
 
-def vehicle_front(
+def driven_yaw(
     mounting: MountingYaw | None,
     course: CourseOffset | None,
     declination: float | None,
     declination_sigma: float = 0.0,
-) -> Front:
+) -> DrivenYaw:
     """Compare accelerations with course.
 
     `mounting` is the yaw of the IMU from accelerations, without the compass. `course` is the yaw of
     the compass, to magnetic north, minus course. The declination and its sigma are in radians, None
     if true north is not known.
     """
-    if course is not None and course.sigma > FRONT.lost:
+    if course is not None and course.sigma > VEHICLE_YAW.lost:
         course = None
     north = declination or 0.0
     if mounting is None:
         if course is None or declination is None:
-            return Front()
+            return DrivenYaw()
         offset = math.remainder(course.offset - north, math.tau)
-        return Front(VehicleYaw(offset, math.hypot(course.sigma, declination_sigma), "course"))
+        return DrivenYaw(VehicleYaw(offset, math.hypot(course.sigma, declination_sigma), "course"))
     own = VehicleYaw(mounting.yaw, mounting.sigma, "accelerations")
     if course is None:
-        return Front(own)
+        return DrivenYaw(own)
     gap = math.remainder(course.offset - north - mounting.yaw, math.tau)
     sigma = math.hypot(course.sigma, mounting.sigma)
     if declination is None:
-        return Front(own, gap, sigma, _missing_declination(gap, sigma))
+        return DrivenYaw(own, gap, sigma, _missing_declination(gap, sigma))
     by_course = math.hypot(course.sigma, declination_sigma)
     sigma = math.hypot(by_course, mounting.sigma)
-    if abs(gap) > max(CLEAR * sigma, FRONT.smallest):
-        return Front(own, gap, sigma, _suspicion(gap, sigma, declination))
+    if abs(gap) > max(CLEAR * sigma, VEHICLE_YAW.smallest):
+        return DrivenYaw(own, gap, sigma, _suspicion(gap, sigma, declination))
     # Both agree, and are weighted by their variances.
     yaw = math.remainder(mounting.yaw + gap * (mounting.sigma / sigma) ** 2, math.tau)
     both = VehicleYaw(yaw, mounting.sigma * by_course / sigma, "accelerations and course")
-    return Front(both, gap, sigma)
+    return DrivenYaw(both, gap, sigma)
 
 
 def _missing_declination(gap: float, sigma: float) -> str:
     """Return the likely declination in words, if it is not known."""
-    if sigma > FRONT.useful or abs(gap) < CLEAR * sigma:
+    if sigma > VEHICLE_YAW.useful or abs(gap) < CLEAR * sigma:
         return ""
     return (
         f"by course the declination is about {math.degrees(gap):+.0f}° "
@@ -121,8 +121,11 @@ def _missing_declination(gap: float, sigma: float) -> str:
 def _suspicion(gap: float, sigma: float, declination: float) -> str:
     """Return in words why compass and course differ although the IMU's yaw is subtracted."""
     size = f"{math.degrees(gap):+.1f}° ± {math.degrees(sigma):.1f}°"
-    is_large = abs(declination) > FRONT.smallest
-    if is_large and abs(math.remainder(gap + 2.0 * declination, math.tau)) < FRONT.near * sigma:
+    is_large = abs(declination) > VEHICLE_YAW.smallest
+    if (
+        is_large
+        and abs(math.remainder(gap + 2.0 * declination, math.tau)) < VEHICLE_YAW.near * sigma
+    ):
         return (
             f"compass and course differ by {size}, twice the declination in use: its sign is "
             f"wrong, give reference.declination_deg: {-math.degrees(declination):.1f} "
@@ -135,7 +138,7 @@ def _suspicion(gap: float, sigma: float, declination: float) -> str:
     )
 
 
-class BaseView:
+class BaseHeading:
     """Turns headings of the IMU into headings of its base.
 
     `imu_in_base` (3, 3) is the pose of the IMU, IMU axes to base axes.
@@ -208,10 +211,10 @@ def corrected_pose(
     yaw = rpy_from_rotation(described)[2]
     if by_hand is not None:
         return _turned(described, by_hand - yaw), _doubt(found, by_hand)
-    if found is None or found.sigma > FRONT.useful:
+    if found is None or found.sigma > VEHICLE_YAW.useful:
         return described, ""
     gap = math.remainder(found.offset - yaw, math.tau)
-    if abs(gap) > FRONT.far_off:
+    if abs(gap) > VEHICLE_YAW.far_off:
         return described, (
             f"{found.words}, but in the robot's description the angle is {math.degrees(yaw):.0f}°: "
             "correct its joint, or give vehicle_yaw_deg; it is used as described"
@@ -227,7 +230,7 @@ def _doubt(found: VehicleYaw | None, by_hand: float) -> str:
     if found is None:
         return ""
     gap = abs(math.remainder(found.offset - by_hand, math.tau))
-    if gap < max(CLEAR * found.sigma, FRONT.smallest):
+    if gap < max(CLEAR * found.sigma, VEHICLE_YAW.smallest):
         return ""
     return (
         f"{found.words}, but vehicle_yaw_deg is {math.degrees(by_hand):.1f}°, which is used: check "

@@ -20,8 +20,8 @@ from magcal_ros.core.driving.chords import (
     fit_course_offset,
 )
 from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING, OWN, SpeedSource
-from magcal_ros.core.driving.mounting_yaw import Judged, MountingWatch, MountingYaw
-from magcal_ros.core.driving.speed import OwnAcceleration, Speedometer
+from magcal_ros.core.driving.mounting_yaw import MountingYaw, MountingYawEstimator, SpeedCheck
+from magcal_ros.core.driving.speed import Speedometer, VehicleAcceleration
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import (
     FieldSample,
@@ -35,7 +35,7 @@ from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.stillness import ZERO
 
 
-class DriftWatch:
+class HullDriftDetector:
     """Compares course and gyro over a minute of straight driving."""
 
     def __init__(self) -> None:
@@ -88,12 +88,12 @@ class DriftWatch:
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
 
 
-def at_once(work: Callable[[], Any], then: Callable[[Any], None]) -> None:
+def run_immediately(work: Callable[[], Any], then: Callable[[Any], None]) -> None:
     """Call `work`, and `then` with its result."""
     then(work())
 
 
-class Travelling:
+class TravelEstimator:
     """Follows a drive with bounded memory; without speed and fixes it does nothing.
 
     `run` calls a function of some tens of milliseconds, and another one with its result, by default
@@ -101,15 +101,15 @@ class Travelling:
     the yaw to *magnetic* north; None before a fit. `is_heard` is whether any speed or fix has come.
     """
 
-    def __init__(self, run: Run = at_once) -> None:
+    def __init__(self, run: Run = run_immediately) -> None:
         self._run, self._is_running = run, False
         self.speedometer = Speedometer()
-        self.mounting = MountingWatch(self.speedometer)
+        self.mounting = MountingYawEstimator(self.speedometer)
         self.cells = CourseCells()
-        self.drift = DriftWatch()
+        self.drift = HullDriftDetector()
         self.course: CourseOffset | None = None
         self.metres = 0.0
-        self.own = OwnAcceleration()
+        self.own = VehicleAcceleration()
         self._frame = GyroFrame()
         self._chords = Chords()
         self._pending: deque[Chord] = deque(maxlen=256)
@@ -229,10 +229,10 @@ class Travelling:
         mounting, course = self.mounting.begin_fit(stamp), self._begin_course()
         self._is_running = True
 
-        def work() -> tuple[tuple[Judged, ...], CourseOffset | None]:
+        def work() -> tuple[tuple[SpeedCheck, ...], CourseOffset | None]:
             return mounting(), course()
 
-        def then(found: tuple[tuple[Judged, ...], CourseOffset | None]) -> None:
+        def then(found: tuple[tuple[SpeedCheck, ...], CourseOffset | None]) -> None:
             self._is_running = False
             self.mounting.take(found[0])
             self.course = found[1]
@@ -279,7 +279,7 @@ class TravelReplay:
 
     def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:
         self._travel, self._streams = list(travel), streams
-        self.travelling, self.up = Travelling(), UpFollower()
+        self.estimator, self.up = TravelEstimator(), UpFollower()
         self.own: Triple = ZERO
 
     def readings(
@@ -300,7 +300,7 @@ class TravelReplay:
                 newest = reading.stamp
                 if self._streams is not None and not self._streams.add_imu(reading):
                     continue
-                own = self.travelling.add_imu(reading, self.up.gyro_bias.rate)
+                own = self.estimator.add_imu(reading, self.up.gyro_bias.rate)
                 self.up.add(reading, own)
                 self.own = own or ZERO
             elif isinstance(reading, FieldSample):
@@ -308,6 +308,6 @@ class TravelReplay:
                     continue
                 self.up.add_field(reading.stamp, reading.field)
             elif reading is not None:
-                self.travelling.add_travel(reading)
+                self.estimator.add_travel(reading)
                 continue
             yield reading

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import MotorField
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.heading.base_view import VehicleYaw
+from magcal_ros.core.heading.base_heading import VehicleYaw
 from magcal_ros.core.session.turn_machine import Conclusion
 from magcal_ros.files.calibration_file import (
     Origin,
@@ -26,7 +26,7 @@ from magcal_ros.files.default_paths import (
     numbered,
     sensor_file,
 )
-from magcal_ros.files.disk import FileTrouble, plain, promptly
+from magcal_ros.files.disk import FileError, plain, promptly
 from magcal_ros.ros.announcer import Log
 from magcal_ros.ros.threads import BackgroundThread
 
@@ -49,7 +49,7 @@ class Loaded(NamedTuple):
     origin: Origin
 
 
-class Keeper:
+class CalibrationStore:
     """Holds the calibration in force, and saves and loads its file.
 
     `name` is the node's namespace and name, part of the default path; a `number` above 1 is added
@@ -71,7 +71,7 @@ class Keeper:
         self._files, self._log, self._given = files, log, chosen()
         self.calibration: Calibration | None = None
         self.origin: Origin | None = None
-        self.trouble = ""  # the last failure with the file; empty after a success
+        self.problem = ""  # the last failure with the file; empty after a success
         self._frame, self._was_heard, self._was_named = "", False, False
         self._last_read: tuple[object, Loaded] | None = None
         self._is_reading = False
@@ -119,22 +119,22 @@ class Keeper:
                 # A failed backup must not prevent saving.
                 try:
                     keep_backup(path, calibration)
-                except (FileTrouble, OSError, ValueError) as error:
+                except (FileError, OSError, ValueError) as error:
                     lost = f" No backup of the previous calibration: {error}"
 
             try:
                 path = self._path(frame)
                 content = (path, calibration, origin, keep if with_backup else None)
                 promptly(lambda: write_calibration(*content), path, WRITE_WITHIN)
-            except FileTrouble as error:
-                self.trouble = str(error)
+            except FileError as error:
+                self.problem = str(error)
                 return f"In force, but not saved: {error}"
-            self.trouble = ""
+            self.problem = ""
             return f"In force and saved to {path}.{lost}"
 
         self._files.run(
             work,
-            lambda words: tell(Conclusion(not self.trouble, words)),
+            lambda words: tell(Conclusion(not self.problem, words)),
             lambda error: tell(Conclusion(False, f"In force, but not saved: {in_words(error)}")),
         )
 
@@ -147,7 +147,7 @@ class Keeper:
 
         def done(found: Loaded | Exception) -> None:
             if isinstance(found, Exception):
-                self.trouble = str(found)
+                self.problem = str(found)
                 tell(Conclusion(False, str(found)))
             else:
                 tell(Conclusion(True, self.use(found)))
@@ -167,10 +167,10 @@ class Keeper:
                 self._last_read = key, Loaded(path, *found)
             loaded = self._last_read[1]
             _require_sensor(path, loaded.origin, frame)
-        except FileTrouble:
+        except FileError:
             if chosen in ("", self._given):
                 raise
-            raise FileTrouble(
+            raise FileError(
                 f"{plain(chosen)} cannot be loaded: it is missing, cannot be read, is not a usable "
                 "calibration, or was made for another sensor. Calibrate, or name another file in "
                 "calibration_file"
@@ -179,7 +179,7 @@ class Keeper:
 
     def use(self, loaded: Loaded) -> str:
         """Put a calibration that was read in force; returns what was done, in words."""
-        self.trouble = ""
+        self.problem = ""
         self.put_in_force(loaded.calibration, loaded.origin)
         origin, method = loaded.origin, loaded.calibration.evidence.method
         made = f"{plain(origin.created)} by {plain(method)}"
@@ -242,7 +242,7 @@ class Keeper:
         def done(found: Loaded | Exception | None) -> None:
             self._is_reading = False
             if isinstance(found, Exception):
-                self.trouble = str(found)
+                self.problem = str(found)
                 self._log.error(f"{found} Running uncalibrated.")
             elif resets == self._resets:
                 if found is None and not frame and chosen:
@@ -277,9 +277,9 @@ class Keeper:
         try:
             assert self.origin is not None
             _require_sensor(self._path(frame), self.origin, frame)
-        except FileTrouble as error:
+        except FileError as error:
             self.reset()
-            self.trouble = str(error)
+            self.problem = str(error)
             self._log.error(str(error))
 
 
@@ -296,7 +296,7 @@ def _require_sensor(path: Path, origin: Origin, frame: str) -> None:
     """Raise FileTrouble for a calibration of another sensor: both frames known and different."""
     made_for, there = origin.magnetometer_frame, known_as(frame)
     if made_for and there and made_for != there:
-        raise FileTrouble(
+        raise FileError(
             f"{path} was made for the magnetometer {made_for!r}, but the field comes from "
             f"{there!r}. Calibrate this sensor, or name the file of this sensor in "
             "calibration_file."

@@ -73,7 +73,7 @@ longer. One device in ten integrates a gyro and drifts at a constant rate."""
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class KnownHeadingMeasurement:
     """The measurements of a robot at rest at a known heading."""
 
     field: FloatArray  # mean raw field, tesla, in the magnetometer's axes. Shape (3,).
@@ -88,7 +88,7 @@ class Standing:
     turned_sigma: float = math.inf
     """Gyro rotation since the previous standing, radians to the left, with an infinite sigma if
     there is none."""
-    way: float = math.inf
+    distance: float = math.inf
     """Distance from the previous standing, metres, for the correlation of the local disturbance;
     infinite for another place."""
     seconds: float = 0.0  # since the previous standing, for the gyro's bias and a drift
@@ -111,7 +111,7 @@ class Standing:
 
 
 @dataclass(frozen=True, eq=False)
-class StandingOptimum:
+class KnownHeadingOptimum:
     """The optimum at one size of the local disturbance."""
 
     state: State
@@ -121,7 +121,7 @@ class StandingOptimum:
 
 
 @dataclass(frozen=True, eq=False)
-class Standings:
+class KnownHeadingModel:
     """All standings as nodes, with their priors."""
 
     course: Course
@@ -134,37 +134,39 @@ class Standings:
     turned_sigma: FloatArray
     seconds: FloatArray
     drifts: bool
-    keeps: FloatArray
+    correlation: FloatArray
     """Correlation of the local disturbance with the previous standing. Shape (n - 1,)."""
     common: FloatArray
     priors: Priors
     start: State
 
     @classmethod
-    def of(cls, standings: Sequence[Standing], knowledge: Knowledge) -> Standings:
+    def of(
+        cls, measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge
+    ) -> KnownHeadingModel:
         """Return standings as nodes, with the priors from the knowledge."""
-        field_ = np.array([each.field for each in standings]) @ knowledge.mounting.to_body.T
-        force = np.array([each.force for each in standings])
-        heading = np.array([each.heading for each in standings])
-        forward = np.array([each.forward for each in standings])
+        field_ = np.array([each.field for each in measurements]) @ knowledge.mounting.to_body.T
+        force = np.array([each.force for each in measurements])
+        heading = np.array([each.heading for each in measurements])
+        forward = np.array([each.forward for each in measurements])
         course = course_of(field_ * MICROTESLA)
-        seconds = np.array([each.seconds for each in standings[1:]])
+        seconds = np.array([each.seconds for each in measurements[1:]])
         priors = _priors(knowledge, bool(seconds.any()))
         state = _start(course.nodes, force, heading, forward, priors)
-        by = np.array([each.by_declination for each in standings], dtype=float)
-        common = np.array([each.common_sigma for each in standings])
+        by = np.array([each.by_declination for each in measurements], dtype=float)
+        common = np.array([each.common_sigma for each in measurements])
         return cls(
             course,
             force,
-            np.array([each.force_sigma for each in standings]),
+            np.array([each.force_sigma for each in measurements]),
             heading,
-            np.array([each.sigma for each in standings]),
+            np.array([each.sigma for each in measurements]),
             forward,
-            np.array([each.turned for each in standings[1:]]),
-            np.array([each.turned_sigma for each in standings[1:]]),
+            np.array([each.turned for each in measurements[1:]]),
+            np.array([each.turned_sigma for each in measurements[1:]]),
             seconds,
-            any(each.drifts for each in standings),
-            np.exp(-np.array([each.way for each in standings[1:]]) / priors.lengths.street),
+            any(each.drifts for each in measurements),
+            np.exp(-np.array([each.distance for each in measurements[1:]]) / priors.lengths.street),
             np.hypot(by * knowledge.reference.declination_sigma, common),
             replace(priors, mean=_about(priors, state)),
             state,
@@ -174,7 +176,7 @@ class Standings:
         """Return the residuals of the field at a state."""
         return factors.magnetic(self.course, state, Places.none(len(self.heading), 1.0))
 
-    def weighed(self, state: State, size: float, drift: Drift) -> dict[str, Weighted]:
+    def residuals(self, state: State, size: float, drift: Drift) -> dict[str, Weighted]:
         """Return all residuals with their variances.
 
         `size` is the size of the local disturbance, `drift` the drift of the headings.
@@ -194,17 +196,19 @@ class Standings:
         if len(ones) > 1:
             turn = factors.known_turn(self.turned, self.seconds, self.forward, state)
             found["turn"] = known(turn, self.turned_sigma**2)
-            keeps = np.exp(-self.seconds / drift.lasts)
-            variance = drift.sigma**2 * (1.0 - keeps**2) + LEAST_VARIANCE
-            found["drift"] = known(factors.heading_drift(state, keeps, self.seconds), variance)
-            still = factors.process(state, HEADING_RATE, np.ones(len(keeps)))
+            correlation = np.exp(-self.seconds / drift.lasts)
+            variance = drift.sigma**2 * (1.0 - correlation**2) + LEAST_VARIANCE
+            found["drift"] = known(
+                factors.heading_drift(state, correlation, self.seconds), variance
+            )
+            still = factors.process(state, HEADING_RATE, np.ones(len(correlation)))
             found["drift rate"] = known(still, LEAST_VARIANCE * ones[1:])
-            variance = size**2 * (1.0 - self.keeps**2) + LEAST_VARIANCE
-            found["street"] = known(factors.process(state, STREET, self.keeps), variance)
+            variance = size**2 * (1.0 - self.correlation**2) + LEAST_VARIANCE
+            found["street"] = known(factors.process(state, STREET, self.correlation), variance)
         return found
 
     def prior(self, state: State, size: float, drift: Drift) -> Prior:
-        """Return the priors; parameters as for `weighed`."""
+        """Return the priors; parameters as for `residuals`."""
         local = np.full_like(state.local, 1.0)
         local[:, : LOCAL - 8] = LEAST_VARIANCE
         local[0, HEADING_DRIFT], local[0, HEADING_RATE] = drift.sigma**-2.0, drift.rate**-2.0
@@ -225,11 +229,11 @@ class Standings:
 
     def optimum(
         self, size: float, start: State | None = None, drift: Drift = NO_DRIFT
-    ) -> StandingOptimum:
-        """Return the optimum; parameters as for `weighed`."""
+    ) -> KnownHeadingOptimum:
+        """Return the optimum; parameters as for `residuals`."""
         state, free = start or self.start, self.free
         for _ in range(STEPS):
-            weighted, prior = self.weighed(state, size, drift), self.prior(state, size, drift)
+            weighted, prior = self.residuals(state, size, drift), self.prior(state, size, drift)
             solution = solve(list(weighted.values()), prior, free)
             if float(np.max(np.abs(solution.shared) / _sigmas(solution))) < CLOSE:
                 break
@@ -240,10 +244,10 @@ class Standings:
         whole = np.zeros((SHARED, SHARED))
         whole[np.ix_(free, free)] = covariance
         misfit = self._misfit(weighted, prior)
-        cost = misfit + solution.log_determinant + _log_steps(self.keeps, size, 3)
+        cost = misfit + solution.log_determinant + _log_steps(self.correlation, size, 3)
         cost += _log_steps(np.exp(-self.seconds / drift.lasts), drift.sigma, 1)
         cost += 2.0 * math.log(drift.rate)
-        return StandingOptimum(state, whole, cost, misfit)
+        return KnownHeadingOptimum(state, whole, cost, misfit)
 
     def _misfit(self, weighted: dict[str, Weighted], prior: Prior) -> float:
         """Return the sum of squared normalised residuals; the hard iron adds almost nothing."""
@@ -265,9 +269,9 @@ class Standings:
         return np.outer(step, step)
 
 
-def _log_steps(keeps: FloatArray, size: float, width: int) -> float:
-    """Return the log determinant of the covariance of a process (`weighed`): start and steps."""
-    steps = np.log(size**2 * (1.0 - keeps**2) + LEAST_VARIANCE).sum()
+def _log_steps(correlation: FloatArray, size: float, width: int) -> float:
+    """Return the log determinant of the covariance of a process (`residuals`): start and steps."""
+    steps = np.log(size**2 * (1.0 - correlation**2) + LEAST_VARIANCE).sum()
     return width * (2.0 * math.log(size) + float(steps))
 
 

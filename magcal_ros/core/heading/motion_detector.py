@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from magcal_ros.core.calibration.correction import Running
+from magcal_ros.core.calibration.correction import MotorState
 from magcal_ros.core.geometry.vec3 import Triple, length
 
 
 @dataclass(frozen=True)
-class RunningTuning:
+class MotionDetectorTuning:
     """When a robot moves, and how well the inputs determine the motors' field."""
 
     rate: float = 0.03  # rad/s from which it turns, as for the smoother (`Lengths.moving`)
@@ -34,10 +34,10 @@ class RunningTuning:
     latency: float = 0.2  # latency of a speed or a current, seconds
 
 
-RUNNING = RunningTuning()
+MOTION = MotionDetectorTuning()
 
 
-class MotionSense:
+class MotionDetector:
     """Detects motion; `newest` are the inputs of the motors' field at the last call."""
 
     def __init__(self) -> None:
@@ -45,7 +45,7 @@ class MotionSense:
         self._is_slow = True
         self._since = self._slow_since = -math.inf
         self._stamp = self._idle = math.nan
-        self.newest = Running(0.5, math.nan, math.nan, math.nan, math.nan)
+        self.newest = MotorState(0.5, math.nan, math.nan, math.nan, math.nan)
 
     def at(
         self,
@@ -55,7 +55,7 @@ class MotionSense:
         speed: float,
         current: float,
         reference: float = math.nan,
-    ) -> Running:
+    ) -> MotorState:
         """Return the inputs of the motors' field at a stamp, seconds.
 
         `rate` is without the gyro's bias, rad/s, body axes; None without a gyro. `is_at_rest` is
@@ -71,13 +71,13 @@ class MotionSense:
 
     def _seen(
         self, stamp: float, rate: Triple | None, is_at_rest: bool, speed: float, current: float
-    ) -> Running:
+    ) -> MotorState:
         """Return what the motors do at another stamp, and the current beyond that at rest."""
         seconds, self._stamp = stamp - self._stamp, stamp
         turns = 0.0 if rate is None else length(rate)
         drives = 0.0 if math.isnan(speed) else abs(speed)
         moves: bool | None = False if is_at_rest else None
-        if turns > RUNNING.rate or drives > RUNNING.speed:
+        if turns > MOTION.rate or drives > MOTION.speed:
             moves = True
         elif not math.isnan(speed):
             # A turn on the spot may have no speed; only a gyro excludes it.
@@ -86,26 +86,28 @@ class MotionSense:
             # The first known state counts from the beginning.
             self._since = -math.inf if self._moves is None else stamp
             self._moves = moves
-        is_slow = turns < 2.0 * RUNNING.rate and drives < RUNNING.slow
+        is_slow = turns < 2.0 * MOTION.rate and drives < MOTION.slow
         if is_slow and not self._is_slow:
             self._slow_since = stamp
         self._is_slow = is_slow
-        is_edge = 0.0 <= stamp - self._since < RUNNING.edge
-        is_edge = is_edge or (moves is True and 0.0 <= stamp - self._slow_since < RUNNING.slowing)
+        is_edge = 0.0 <= stamp - self._since < MOTION.edge
+        is_edge = is_edge or (moves is True and 0.0 <= stamp - self._slow_since < MOTION.slowing)
         share = 0.5 if moves is None or is_edge else float(moves)
         turn_rate = math.nan if rate is None else rate[2] * float(moves is not False)
         driven = speed * float(moves is not False)
-        side = max(-1.0, min(1.0, turn_rate / RUNNING.turning))
+        side = max(-1.0, min(1.0, turn_rate / MOTION.turning))
         if is_edge and moves is False:
             # Just after a turn, its motors may still run.
             side = self.newest.side
-        return Running(share, turn_rate, driven, self._beyond_rest(moves, seconds, current), side)
+        return MotorState(
+            share, turn_rate, driven, self._beyond_rest(moves, seconds, current), side
+        )
 
     def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
         """Return a current minus that at rest, which is updated at rest."""
-        rests = moves is False and self._stamp - self._since > RUNNING.settles
+        rests = moves is False and self._stamp - self._since > MOTION.settles
         if rests and not math.isnan(current):
-            share = min(max(seconds, 0.0) / RUNNING.idle, 1.0)
+            share = min(max(seconds, 0.0) / MOTION.idle, 1.0)
             old = current if math.isnan(self._idle) else self._idle
             self._idle = old + share * (current - old)
         return 0.0 * current if moves is False else current - self._idle

@@ -33,7 +33,7 @@ from magcal_ros.core.smoother.unknowns import AT, NOTHING, SHARED, STREET, TURNE
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class JointFit:
     """The optimum of several windows."""
 
     fits: list[Fit]  # of each window, given all windows; with the joint evidence
@@ -72,9 +72,9 @@ def imagined_information(fit: Fit, body: FloatArray, world: FloatArray) -> Float
     return information_of(model, point, solve(expected, prior_at(model, point), counted))
 
 
-def fit_together(
+def fit_jointly(
     alone: Sequence[Fit], yaw_sigma: float, tolerances: Tolerances = Tolerances()
-) -> Together:
+) -> JointFit:
     """Return the joint fit of windows that share the calibration, from the fits of each.
 
     `yaw_sigma` is the prior sigma of the installation's yaw, radians, which is observable with
@@ -88,7 +88,7 @@ def fit_together(
     informations = [information_of(*each) for each in windows]
     prior = prior_of_common(models, found.wide)
     fits = found.fits([each.kind for each in alone])
-    return Together(fits, informations, prior, found.evidence)
+    return JointFit(fits, informations, prior, found.evidence)
 
 
 def _with_one_prior(models: Sequence[Model], yaw_sigma: float) -> list[Model]:

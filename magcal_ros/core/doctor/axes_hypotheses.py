@@ -34,11 +34,11 @@ from magcal_ros.core.samples.alignment import (
     Alignment,
     align,
 )
-from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
+from magcal_ros.core.samples.window import Segment, SensorLog, segment_of_log
 
 
 @dataclass(frozen=True)
-class ExplanationTuning:
+class HypothesisTuning:
     """Priors of sensors that may be faulty, and limits of the hypotheses."""
 
     remains: float = 20.0
@@ -68,7 +68,7 @@ class ExplanationTuning:
     """Metres, standard deviation of the lever arm: from the elbow for a sensor that is swung by
     hand, from the rear axle in a vehicle."""
     rounds: int = 3  # iterations of the robust weights
-    plain: float = 5.0  # ratio of the rates from which the unit, not the scale, is wrong
+    unit_ratio: float = 5.0  # ratio of the rates from which the unit, not the scale, is wrong
     # Seconds over which field and gyro are compared: the shortest in which the field changes.
     spans: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
     moved: float = 0.15  # smallest change of the field in a span that is used, relative to its size
@@ -77,26 +77,26 @@ class ExplanationTuning:
     """Largest ratio of rough to known factor, and of known to rough: noise enlarges the rough."""
 
 
-LIMITS = ExplanationTuning()
+LIMITS = HypothesisTuning()
 
 
-class Way(NamedTuple):
-    """One hypothesis on the axes of gyro and magnetometer, as in `Explanations`."""
+class AxesHypothesis(NamedTuple):
+    """One hypothesis on the axes of gyro and magnetometer, as in `AxesHypotheses`."""
 
     gyro: FloatArray
     field: FloatArray  # axes of both sensors in the accelerometer's, shape (3, 3)
     state: FloatArray
     sigma: FloatArray  # the fitted parameters and their standard deviations, shape (23,)
-    part: Stretch  # the samples of the fit
+    part: Segment  # the samples of the fit
 
     @property
-    def is_plain(self) -> bool:
+    def is_as_given(self) -> bool:
         """Whether all axes are right."""
         return bool((self.gyro == np.eye(3)).all() and (self.field == np.eye(3)).all())
 
 
 @dataclass(frozen=True, eq=False)
-class Explanations:
+class AxesHypotheses:
     """The results of all k hypotheses that were compared."""
 
     gyro: FloatArray
@@ -108,7 +108,7 @@ class Explanations:
     parameters: FloatArray
     sigma: FloatArray
     """Parameters as in `AlignmentFit`, with the total latency, and their sigmas, (k, 23)."""
-    part: Stretch  # the samples of the fit
+    part: Segment  # the samples of the fit
     found: Alignment  # the fit, which is the same for a field and its opposite
     inclination: Belief  # distinguishes a field from its opposite
 
@@ -128,7 +128,7 @@ class Explanations:
         return float(self.cost[_are_right(self.field)].min())
 
     @property
-    def plain(self) -> int:
+    def as_given(self) -> int:
         """The index of the hypothesis that all axes are right."""
         return int(np.argmax(_are_right(self.gyro) & _are_right(self.field)))
 
@@ -143,31 +143,31 @@ class Explanations:
         return bool(self.rms[self.best] < LIMITS.good_fit)
 
     @property
-    def shows_the_unit(self) -> bool:
+    def confirms_unit(self) -> bool:
         """Whether the gyro's unit is right: the best hypothesis fits well, and not by chance.
 
         In less than a quarter turn, some axes fit a field that varies from place to place, whatever
         the gyro's unit.
         """
-        axes_fit = bool(self.rms[self.plain] < LIMITS.good_fit)
+        axes_fit = bool(self.rms[self.as_given] < LIMITS.good_fit)
         return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
 
-    def is_better(self, other: Explanations) -> bool:
+    def is_better(self, other: AxesHypotheses) -> bool:
         """Whether the axes as given explain the movement better than any axes in `other`."""
-        own = self.rms[self.plain]
+        own = self.rms[self.as_given]
         return bool(own < min(LIMITS.worst_fit, float(other.rms.min())))
 
-    def way(self, k: int) -> Way:
+    def hypothesis(self, k: int) -> AxesHypothesis:
         """Return hypothesis `k`."""
         values = self.gyro[k], self.field[k], self.parameters[k], self.sigma[k]
-        return Way(*values, self.part)
+        return AxesHypothesis(*values, self.part)
 
     def turned(self, k: int) -> float:
         """Return the angle turned about the accelerometer's up, by hypothesis `k`, radians."""
-        stretch = self.part
-        up = unit(stretch.up[:-1])
-        rate = (1.0 + self.parameters[k, SCALE]) * stretch.turn @ self.gyro[k]
-        rate = rate - self.parameters[k, BIAS] * stretch.seconds[:, None]
+        segment = self.part
+        up = unit(segment.up[:-1])
+        rate = (1.0 + self.parameters[k, SCALE]) * segment.turn @ self.gyro[k]
+        rate = rate - self.parameters[k, BIAS] * segment.seconds[:, None]
         return float(np.sum(rate * up))
 
 
@@ -176,20 +176,22 @@ def _are_right(axes: FloatArray) -> BoolArray:
     return np.asarray((axes == np.eye(3)).all(axis=(1, 2)))
 
 
-def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> Explanations | None:
+def compare_axes(
+    log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS
+) -> AxesHypotheses | None:
     """Compare all hypotheses on the axes; None if the robot turns too little.
 
     `bias` (3,) is the gyro's bias from a rest, rad/s, at which each fit starts.
     """
     every = signed_permutations()
     proper = every[:24]
-    part, lag = stretch_of_log(log), 0.0
+    part, lag = segment_of_log(log), 0.0
     if part is None or most_turned(part) < LIMITS.least_turn:
         return None
     senses = _fit_to_the_field(part, proper, bias)
     for _ in range(LIMITS.looks):
         more = float(senses.parameters[senses.best, LAG])
-        nearer = stretch_of_log(log, lag + more) if abs(more) > LIMITS.settled else None
+        nearer = segment_of_log(log, lag + more) if abs(more) > LIMITS.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
@@ -201,7 +203,7 @@ def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> 
     parameters = found.parameters[twice]
     parameters[:, LAG] += lag
     parameters[len(field) :, FIELD.start : IRON.stop] *= -1.0
-    return Explanations(
+    return AxesHypotheses(
         gyro[twice],
         np.concatenate([field, -field]),
         base[twice] - base.min(),
@@ -214,23 +216,23 @@ def explain(log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS) -> 
     )
 
 
-def most_turned(stretch: Stretch) -> float:
+def most_turned(segment: Segment) -> float:
     """Return the approximate angle between the most distant attitudes, radians."""
-    return float(np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max())
+    return float(np.ptp(np.cumsum(segment.turn + segment.coning, axis=0), axis=0).max())
 
 
-def _fit_to_the_field(stretch: Stretch, proper: FloatArray, bias: FloatArray) -> Alignment:
+def _fit_to_the_field(segment: Segment, proper: FloatArray, bias: FloatArray) -> Alignment:
     """Fit the field to the gyro alone, in both senses and 24 orientations each."""
     senses = np.repeat(np.array([np.eye(3), -np.eye(3)]), len(proper), axis=0)
-    return align(stretch, np.concatenate([proper, proper]), senses, with_up=False, bias=bias)
+    return align(segment, np.concatenate([proper, proper]), senses, with_up=False, bias=bias)
 
 
 def _hypotheses_to_fit(
-    stretch: Stretch, senses: Alignment, every: FloatArray, proper: FloatArray
+    segment: Segment, senses: Alignment, every: FloatArray, proper: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return axes (m, 3, 3) and chi-square (m,) of the hypotheses to fit, with all axes right."""
     # A vehicle's accelerations tilt gravity for a long time: only changes are compared.
-    misfit, rms = gravity_misfit(stretch, every)
+    misfit, rms = gravity_misfit(segment, every)
     gravity = _limited(misfit, rms, senses.least_tilt > 0.0)
     is_good = bool(senses.rms[senses.best] < LIMITS.good_fit)
     lifted = senses.tilt > LIMITS.lift and senses.least_tilt > 0.0 and is_good
@@ -279,7 +281,7 @@ def _inclination_misfit(found: Alignment, dip: Belief) -> FloatArray:
     return np.concatenate(misfits)
 
 
-def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, FloatArray]:
+def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Compare axes of the gyro by how well they explain the changes of gravity's direction.
 
     Return chi-square (k,) minus the best, and the typical residual, radians (k,).
@@ -287,23 +289,23 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     A rotation by a small angle d changes up by -d x up. At a lever arm r, it adds an acceleration
     that follows from r and the gyro. Other accelerations change the size of specific force, which
     no rotation does, and its direction by as much.
-    Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's.
+    Rows of each of the `axes` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
-    seconds = accumulated(stretch.seconds)
-    first, last, turn = _turns_in(stretch, LIMITS.span)
+    seconds = accumulated(segment.seconds)
+    first, last, turn = _turns_in(segment, LIMITS.span)
     if len(first) < 4:
-        return np.zeros(len(ways)), np.zeros(len(ways))
-    size = np.linalg.norm(stretch.up, axis=1, keepdims=True)
+        return np.zeros(len(axes)), np.zeros(len(axes))
+    size = np.linalg.norm(segment.up, axis=1, keepdims=True)
     uneven = float(np.median(np.abs(size[last] - size[first]))) / 0.6745
-    up = stretch.up / np.maximum(size, 1e-9)
+    up = segment.up / np.maximum(size, 1e-9)
     middle = skews(0.5 * (up[last] + up[first]))
     seen = up[last] - up[first]
-    turned = turn @ ways
+    turned = turn @ axes
     # seen = middle x (turned (1 + scale) - bias seconds) + swung r
-    count, n = len(ways), len(first)
+    count, n = len(axes), len(first)
     moved = np.einsum("nij,knj->kni", middle, turned)
     drift = -middle * (seconds[last] - seconds[first])[:, None, None]
-    rate = stretch.rate @ ways
+    rate = segment.rate @ axes
     turns = skews(rate)
     # The acceleration in g at a lever arm of one metre.
     swung = (skews(np.gradient(rate, seconds, axis=1)) + turns @ turns) / STANDARD_GRAVITY
@@ -329,9 +331,9 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, LIMITS.attitude_error))
 
 
-def _turns_in(stretch: Stretch, span: float) -> tuple[IntArray, IntArray, FloatArray]:
+def _turns_in(segment: Segment, span: float) -> tuple[IntArray, IntArray, FloatArray]:
     """Return first and last row of each span of `span` seconds, and the gyro's turn (n, 3)."""
-    seconds, angle = accumulated(stretch.seconds), accumulated(stretch.turn)
+    seconds, angle = accumulated(segment.seconds), accumulated(segment.turn)
     last = np.searchsorted(seconds, seconds + span)
     first = np.flatnonzero(last < len(seconds))
     return first, last[first], angle[last[first]] - angle[first]
@@ -347,17 +349,17 @@ UNIT_ERRORS: tuple[tuple[float, str], ...] = (
 FEWEST_SPANS = 3  # smallest number of spans that determine the unit
 
 
-def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
+def rate_factors(segment: Segment) -> tuple[float, ...] | None:
     """Return which of 1 and the known factors may convert rates to rad/s; None if they are rad/s.
 
     In a short time, the field vector moves by its size times the angle. The size is that of the
     field's changing part, which is right within a factor of two from a quarter turn on. The factor
     is 1 if neither gyro nor field determines the unit.
     """
-    for rough in (_by_the_gyro(stretch), _by_the_field(stretch)):
+    for rough in (_by_the_gyro(segment), _by_the_field(segment)):
         if rough is None:
             continue
-        if 1.0 / LIMITS.plain < rough < LIMITS.plain:
+        if 1.0 / LIMITS.unit_ratio < rough < LIMITS.unit_ratio:
             return None
         known = (1.0, *(factor for factor, _ in UNIT_ERRORS))
         near = tuple(f for f in known if rough / LIMITS.below < f < rough * LIMITS.above)
@@ -366,33 +368,33 @@ def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
     return (1.0,)
 
 
-def _by_the_gyro(stretch: Stretch) -> float | None:
+def _by_the_gyro(segment: Segment) -> float | None:
     """Return the field's movement over the gyro's angle, in the spans with the largest angles.
 
     The movement by magnetic objects along a road is measured in spans without a turn.
     """
-    first, last, turn = _turns_in(stretch, LIMITS.spans[0])
-    way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
+    first, last, turn = _turns_in(segment, LIMITS.spans[0])
+    change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
     turned = np.linalg.norm(turn, axis=1)
     most = float(np.max(turned, initial=0.0))
     quick, slow = turned > 0.5 * most, turned < 0.1 * most
     if quick.sum() < FEWEST_SPANS:
         return None
-    street = float(np.median(way[slow])) if slow.sum() >= FEWEST_SPANS else 0.0
-    by_turning = float(np.median(way[quick])) ** 2 - street**2
+    street = float(np.median(change[slow])) if slow.sum() >= FEWEST_SPANS else 0.0
+    by_turning = float(np.median(change[quick])) ** 2 - street**2
     return math.sqrt(by_turning) / float(np.median(turned[quick])) if by_turning > 0.0 else None
 
 
-def _by_the_field(stretch: Stretch) -> float | None:
+def _by_the_field(segment: Segment) -> float | None:
     """Return this ratio in the spans with the largest movements of the field; None without any.
 
     A field that varies from place to place moves farther than by the turn: the unit is not wrong.
     """
     for span in LIMITS.spans:
-        first, last, turn = _turns_in(stretch, span)
-        way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
-        moved = way > max(LIMITS.moved, 0.5 * float(np.max(way, initial=0.0)))
+        first, last, turn = _turns_in(segment, span)
+        change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
+        moved = change > max(LIMITS.moved, 0.5 * float(np.max(change, initial=0.0)))
         if moved.sum() >= FEWEST_SPANS:
             turned = np.linalg.norm(turn[moved], axis=1)
-            return float(np.median(way[moved])) / max(float(np.median(turned)), 1e-12)
+            return float(np.median(change[moved])) / max(float(np.median(turned)), 1e-12)
     return None

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, MotorState
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation, skew
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.motion_sense import RUNNING
+from magcal_ros.core.heading.motion_detector import MOTION
 
 MICROTESLA = 1e6
 PLACE, RESIDUAL = slice(0, 3), slice(3, 6)
@@ -80,7 +80,7 @@ def _log_normal(median: float, spread: float, steps: FloatArray) -> tuple[FloatA
     return median * np.exp(steps), odds / odds.sum()
 
 
-_SHARES, _SHARE_ODDS = _log_normal(RUNNING.unseen, RUNNING.unseen_spread, np.linspace(-1.5, 2, 6))
+_SHARES, _SHARE_ODDS = _log_normal(MOTION.unseen, MOTION.unseen_spread, np.linspace(-1.5, 2, 6))
 _STREETS, _STREET_ODDS = _log_normal(
     PLACE_FIELD.street, PLACE_FIELD.street_spread, np.linspace(-1.2, 1.2, 3)
 )
@@ -90,7 +90,7 @@ ODDS = np.outer(_STREET_ODDS, _SHARE_ODDS).ravel()
 """Their prior odds."""
 
 
-class MotorDoubt(NamedTuple):
+class MotorCovariance(NamedTuple):
     """Errors of a sample's field after the motors' field was subtracted, tesla².
 
     The subtracted field contains a part of the sample's noise, which cancels.
@@ -100,7 +100,7 @@ class MotorDoubt(NamedTuple):
     noise: FloatArray  # covariance (3, 3) of the remaining noise of the sample
 
 
-class _Answer(NamedTuple):
+class _Update(NamedTuple):
     """The update by a sample, for each tried pair."""
 
     likelihood: FloatArray  # logarithms, (g,)
@@ -111,7 +111,7 @@ class _Answer(NamedTuple):
     noise: FloatArray  # (g, 3, 3)
 
 
-class MotorsNow:
+class MotorFieldFilter:
     """Estimates the field of the place and the residual of the motors' field.
 
     The size of the residual is unknown: there is a filter for each pair of `UNSEEN` and `STREET`,
@@ -148,46 +148,46 @@ class MotorsNow:
         self._ripple = (motors.ripple * MICROTESLA) ** 2
         usual = self._gains * np.array(motors.usual)[:, None]
         self._whole = usual.T @ usual
-        most = self._whole + self._mean_of(self._level(Running(1.0), np.array(motors.usual)))
+        most = self._whole + self._mean_of(self._level(MotorState(1.0), np.array(motors.usual)))
         # Motors within the noise of a sample are not worth the computation.
         self._is_felt = bool(np.trace(most) > np.trace(self._noise))
         late = (MotorInput.SPEED, MotorInput.CURRENT, MotorInput.ABS_SPEED)
-        self._latency = np.array([RUNNING.latency * (each in late) for each in motors.inputs])
+        self._latency = np.array([MOTION.latency * (each in late) for each in motors.inputs])
         if len(self._values) != count:
             self._values, self._change = np.zeros(count), np.zeros(count)
 
     def add(
-        self, stamp: float, field: Triple, rate: Triple | None, running: Running
-    ) -> tuple[Triple, MotorDoubt]:
+        self, stamp: float, field: Triple, rate: Triple | None, motor_state: MotorState
+    ) -> tuple[Triple, MotorCovariance]:
         """Add a corrected sample; return it minus K u and the residual, and its errors.
 
         `field` is in tesla, body axes, `rate` in rad/s without the gyro's bias, None without a
         gyro.
         """
-        values, doubt = self._motors.known(running)
+        values, doubt = self._motors.known(motor_state)
         if not self._is_felt or rate is None:
-            if not running.runs and not doubt.any():
-                return field, MotorDoubt(np.zeros((3, 3)), self._of_sample)
-            return self._by_inputs(field, running, values, doubt)
+            if not motor_state.runs and not doubt.any():
+                return field, MotorCovariance(np.zeros((3, 3)), self._of_sample)
+            return self._by_inputs(field, motor_state, values, doubt)
         unknown = self._gains.T @ doubt @ self._gains
-        level, holds = self._level(running, values), self._may_hold(running)
+        level, holds = self._level(motor_state, values), self._may_hold(motor_state)
         if holds:
             # The current that holds a robot is constant, and so is its field.
             level, unknown = level + unknown, np.zeros((3, 3))
-        self._predict(stamp, rate, running, values, level)
+        self._predict(stamp, rate, motor_state, values, level)
         known = values @ self._gains
         measured = MICROTESLA * np.array(field) - known
         # Motors may stand that are seen running, or run as usual before an input tells it.
         otherwise = known[:, None] * known + self._whole
-        one, other = self._answers(measured, unknown, unknown + otherwise)
+        one, other = self._updates(measured, unknown, unknown + otherwise)
         late = self._late(stamp, other.likelihood - one.likelihood)
         if late is None:
             # A lasting change is no start or stop: it is another motor, or at rest the place.
-            is_place = running.moving == 0.0 and not holds
+            is_place = motor_state.moving == 0.0 and not holds
             self._forget(PLACE if is_place else RESIDUAL, otherwise)
-            one, other = self._answers(measured, unknown, unknown)
+            one, other = self._updates(measured, unknown, unknown)
             late = np.zeros(len(UNSEEN))
-        elif running.moving > 0.0:
+        elif motor_state.moving > 0.0:
             self._weigh(one.likelihood, late)
         each, whole = late[:, None], late[:, None, None]
         self._mean = self._mean + one.step + each * (other.step - one.step)
@@ -198,37 +198,39 @@ class MotorsNow:
         mean = self.odds @ left
         spread = self._mean_of(spread) + (left - mean).T @ (self.odds[:, None] * (left - mean))
         x, y, z = ((measured - mean) / MICROTESLA).tolist()
-        return (x, y, z), MotorDoubt(spread / MICROTESLA**2, noise / MICROTESLA**2)
+        return (x, y, z), MotorCovariance(spread / MICROTESLA**2, noise / MICROTESLA**2)
 
     def _by_inputs(
-        self, field: Triple, running: Running, values: FloatArray, doubt: FloatArray
-    ) -> tuple[Triple, MotorDoubt]:
+        self, field: Triple, motor_state: MotorState, values: FloatArray, doubt: FloatArray
+    ) -> tuple[Triple, MotorCovariance]:
         """Return a sample minus K u alone, for a residual that samples cannot show."""
         x, y, z = (values @ self._gains / MICROTESLA).tolist()
-        spread = self._mean_of(self._level(running, values)) + self._gains.T @ doubt @ self._gains
-        known = MotorDoubt(spread / MICROTESLA**2, self._of_sample)
+        spread = (
+            self._mean_of(self._level(motor_state, values)) + self._gains.T @ doubt @ self._gains
+        )
+        known = MotorCovariance(spread / MICROTESLA**2, self._of_sample)
         return (field[0] - x, field[1] - y, field[2] - z), known
 
     def _mean_of(self, each: FloatArray) -> FloatArray:
         """Return the mean over the tried pairs, weighted by their odds."""
         return np.asarray(np.tensordot(self.odds, each, 1))
 
-    def _level(self, running: Running, values: FloatArray) -> FloatArray:
+    def _level(self, motor_state: MotorState, values: FloatArray) -> FloatArray:
         """Return the covariance of the motors' field about K u, µT², (g, 3, 3)."""
         by_gains = (self._by_gains @ values) @ values
         known = values @ self._gains
-        beside = running.moving * self._ripple * EYE + by_gains
+        beside = motor_state.moving * self._ripple * EYE + by_gains
         return np.asarray(beside + np.square(UNSEEN)[:, None, None] * (known[:, None] * known))
 
     def _late(self, stamp: float, odds: FloatArray) -> FloatArray | None:
         """Return the probability of an undetected start or stop of motors; None if it lasts."""
-        share = RUNNING.late_share
+        share = MOTION.late_share
         late = share / (share + (1.0 - share) * np.exp(np.minimum(-odds, 300.0)))
         if self.odds @ late < 0.5:
             self._late_since = math.nan
         elif math.isnan(self._late_since):
             self._late_since = stamp
-        elif stamp - self._late_since > RUNNING.longest:
+        elif stamp - self._late_since > MOTION.longest:
             self._late_since = math.nan
             return None
         return np.asarray(late)
@@ -239,9 +241,9 @@ class MotorsNow:
         odds = self.odds * np.exp(seen - seen.max())
         self.odds = odds / odds.sum()
 
-    def _answers(
+    def _updates(
         self, measured: FloatArray, unknown: FloatArray, otherwise: FloatArray
-    ) -> tuple[_Answer, _Answer]:
+    ) -> tuple[_Update, _Update]:
         """Return the updates by a sample, under two covariances of the motors' field."""
         mean, covariance = self._mean, self._covariance
         either = np.stack([unknown, otherwise])[:, None]
@@ -262,41 +264,46 @@ class MotorsNow:
             lasting,
             rest @ self._noise @ rest.swapaxes(2, 3),
         )
-        return _Answer(*(each[0] for each in found)), _Answer(*(each[1] for each in found))
+        return _Update(*(each[0] for each in found)), _Update(*(each[1] for each in found))
 
-    def _may_hold(self, running: Running) -> bool:
+    def _may_hold(self, motor_state: MotorState) -> bool:
         """Whether an unmeasured current may hold the robot at rest."""
-        return running.moving == 0.0 and self._motors.may_hold(running)
+        return motor_state.moving == 0.0 and self._motors.may_hold(motor_state)
 
     def _predict(
-        self, stamp: float, rate: Triple, running: Running, values: FloatArray, level: FloatArray
+        self,
+        stamp: float,
+        rate: Triple,
+        motor_state: MotorState,
+        values: FloatArray,
+        level: FloatArray,
     ) -> None:
         seconds, self._stamp = stamp - self._stamp, stamp
         before = self._before
-        moves, moved = running.moving > 0.0, before.moving > 0.0
-        holds, held = self._may_hold(running), self._may_hold(before)
+        moves, moved = motor_state.moving > 0.0, before.moving > 0.0
+        holds, held = self._may_hold(motor_state), self._may_hold(before)
         now = np.array(rate)
         changed, self._values = values - self._values, values
-        faster, self._rate, self._before = now - self._rate, now, running
+        faster, self._rate, self._before = now - self._rate, now, motor_state
         if not 0.0 < seconds < PLACE_FIELD.longest:
             self._forget(PLACE, level)
             self._forget(RESIDUAL, level)
             self._change = np.zeros(len(values))
             return
-        share = min(seconds / RUNNING.latency, 1.0)
+        share = min(seconds / MOTION.latency, 1.0)
         self._change = self._change + share * (changed / seconds - self._change)
         turned = seconds * moves * (now - 0.5 * faster)
         # Motors may hold a robot at rest.
-        alike = moves is moved and holds is held and (holds or (running.runs and before.runs))
-        lasts = math.inf if holds else RUNNING.body_length
+        alike = moves is moved and holds is held and (holds or (motor_state.runs and before.runs))
+        lasts = math.inf if holds else MOTION.body_length
         keeps = math.exp(-seconds / lasts) if alike else 0.0
         if moves:
-            self.odds = self.odds + seconds / RUNNING.unseen_lasts * (ODDS - self.odds)
+            self.odds = self.odds + seconds / MOTION.unseen_lasts * (ODDS - self.odds)
         step = np.zeros((6, 6))
         step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * EYE
         self._mean = self._mean @ step.T
         covariance = step @ self._covariance @ step.T
-        way = seconds * moves * PLACE_FIELD.way(running.speed, rate)
+        way = seconds * moves * PLACE_FIELD.way(motor_state.speed, rate)
         place = self.odds @ self._mean[:, PLACE]
         covariance[:, PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, way, seconds)
         passed = PLACE_FIELD.passed(way) * np.square(STREET)
@@ -304,7 +311,7 @@ class MotorsNow:
         iron = across @ self._iron @ across.T
         covariance[:, PLACE, PLACE] += passed[:, None, None] * EYE + iron
         # Within the latency, the residual changes by as much as the inputs.
-        late = 0.5 * RUNNING.body_length / RUNNING.latency * self._latency**2
+        late = 0.5 * MOTION.body_length / MOTION.latency * self._latency**2
         level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains
         covariance[:, RESIDUAL, RESIDUAL] += (1.0 - keeps**2) * level
         covariance[:, RESIDUAL, RESIDUAL] += keeps**2 * (self._by_gains @ changed) @ changed

@@ -9,17 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import LIMITS, Explanations
-from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.axes_hypotheses import LIMITS, AxesHypotheses
+from magcal_ros.core.doctor.health import Finding, checked, not_shown, wrong
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, INVERTED
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
     DIRECTIONS,
+    axes_in_words,
     is_mirrored,
     likely_slip,
     rank_of,
     rpy_from_rotation,
-    spoken,
     swapped,
 )
 from magcal_ros.core.knowledge import CLEAR, Knowledge
@@ -42,8 +42,11 @@ STAND = "let the robot stand upright for a few seconds, and turn it about its ve
 WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is positive"
 
 
-def upright(
-    log: SensorLog, given: Explanations | None, other: Explanations | None, turned_left: bool | None
+def check_gravity_direction(
+    log: SensorLog,
+    given: AxesHypotheses | None,
+    other: AxesHypotheses | None,
+    turned_left: bool | None,
 ) -> tuple[Finding, bool | None]:
     """Check the direction of gravity.
 
@@ -56,9 +59,9 @@ def upright(
     usual = usual / np.linalg.norm(usual)
     evidence = f"up is ({usual[0]:.2f}, {usual[1]:.2f}, {usual[2]:.2f})"
     if usual[2] > LEAST_UPRIGHT:
-        return looked_at("gravity_sign", name, evidence), False
+        return checked("gravity_sign", name, evidence), False
     if usual[2] > -LEAST_UPRIGHT:
-        return wrong("imu_axes", name, evidence, sideways(usual)), False
+        return wrong("imu_axes", name, evidence, upward_axis_in_words(usual)), False
     flipped = _is_flipped(given, other, turned_left)
     key, words = {
         None: ("gravity_sign", f"either {WRONG_SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
@@ -82,7 +85,7 @@ def _usual_up(log: SensorLog) -> FloatArray:
     return np.asarray(np.median(force / np.maximum(size, 1e-9), axis=0))
 
 
-def sideways(up: FloatArray) -> str:
+def upward_axis_in_words(up: FloatArray) -> str:
     """Return which axis points up, and the remedy; `up` is a unit vector (3,)."""
     axis = int(np.argmax(np.abs(up)))
     way = DIRECTIONS[2][int(up[axis] < 0.0)]
@@ -93,7 +96,7 @@ def sideways(up: FloatArray) -> str:
 
 
 def _is_flipped(
-    given: Explanations | None, other: Explanations | None, turned_left: bool | None
+    given: AxesHypotheses | None, other: AxesHypotheses | None, turned_left: bool | None
 ) -> bool | None:
     """Return whether gravity's sign is wrong, or else the IMU is upside down; None if unclear."""
     if given is None or other is None:
@@ -124,7 +127,7 @@ TURNED_RIGHT = (
 
 
 @dataclass(frozen=True, eq=False)
-class AxesFound:
+class PossibleAxes:
     """The possible axes of the magnetometer by a movement."""
 
     candidates: FloatArray
@@ -145,14 +148,14 @@ class AxesFound:
         return not dip.is_unknown and abs(dip.value) > CLEAR * LIMITS.dip_sigma
 
     @property
-    def meant(self) -> FloatArray:
+    def likeliest(self) -> FloatArray:
         """The likeliest axes; the axes as given if these are possible."""
         return STANDARD if self.right else np.asarray(self.candidates[0])
 
     @property
     def mount_rpy_deg(self) -> tuple[int, int, int] | None:
         """The correct parameter `mount_rpy_deg`; None if no mounting corrects the axes."""
-        return None if is_mirrored(self.meant) else mount_of(self.meant, self.pose)
+        return None if is_mirrored(self.likeliest) else mount_of(self.likeliest, self.pose)
 
     @property
     def words(self) -> str:
@@ -188,9 +191,10 @@ class AxesFound:
         if not np.array_equal(np.abs(whole).sum(axis=0), np.ones(3)):
             whole = axes
         if is_mirrored(axes):
-            return f"{spoken(whole)} (mirrored: no mounting explains this; {likely_slip(whole)})"
+            words = axes_in_words(whole)
+            return f"{words} (mirrored: no mounting explains this; {likely_slip(whole)})"
         named = " (NED)" if np.array_equal(whole, np.diag([1.0, -1.0, -1.0])) else ""
-        return f"{spoken(whole)}{named}: set `{parameter_line(mount_of(axes, self.pose))}`"
+        return f"{axes_in_words(whole)}{named}: set `{parameter_line(mount_of(axes, self.pose))}`"
 
 
 def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
@@ -212,27 +216,27 @@ def parameter_line(rpy_deg: tuple[int, int, int]) -> str:
     return f"mount_rpy_deg: [{', '.join(f'{angle}.0' for angle in rpy_deg)}]"
 
 
-class Blame(NamedTuple):
+class AxesDiagnosis(NamedTuple):
     """Which sensors have wrong axes."""
 
     findings: tuple[Finding, ...]
     """The findings on the axes of all sensors."""
     chosen: int | None = None  # the chosen hypothesis; None if none explains the movement
-    axes: AxesFound | None = None
+    axes: PossibleAxes | None = None
     """The possible axes of the magnetometer; None if they are not determined."""
 
 
-def blame(
-    explanations: Explanations,
+def diagnose_axes(
+    explanations: AxesHypotheses,
     knowledge: Knowledge,
     turned_left: bool | None,
     gyro_is_half_dead: bool = False,
-) -> Blame:
+) -> AxesDiagnosis:
     """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
-    misfit, given = explanations.misfit, explanations.plain
+    misfit, given = explanations.misfit, explanations.as_given
     if explanations.rms[explanations.best] > LIMITS.worst_fit:
-        finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
-        return Blame((finding,))
+        finding = checked("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
+        return AxesDiagnosis((finding,))
     remains = misfit < LIMITS.remains
     contrary = np.zeros(len(misfit), dtype=np.bool_)
     if turned_left is not None:
@@ -252,11 +256,11 @@ def blame(
     gyro, field = explanations.gyro, explanations.field
     fewest.sort(key=lambda k: (misfit[k] > LIMITS.likely, rank_of(gyro[k]), rank_of(field[k])))
     if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
-        return Blame((not_shown("axes", "axes", DEAD_GYRO),))
+        return AxesDiagnosis((not_shown("axes", "axes", DEAD_GYRO),))
     return _findings_on_axes(explanations, fewest, rank, knowledge)
 
 
-def _wrong_sensors(explanations: Explanations, k: int) -> tuple[str, ...]:
+def _wrong_sensors(explanations: AxesHypotheses, k: int) -> tuple[str, ...]:
     """Return the sensors whose axes are wrong by hypothesis `k`."""
     gyro, field = explanations.gyro[k], explanations.field[k]
     axes = {"gyro": gyro, "magnetometer": field}
@@ -267,16 +271,16 @@ def _wrong_sensors(explanations: Explanations, k: int) -> tuple[str, ...]:
 
 
 def _all_agree(
-    explanations: Explanations, remains: BoolArray, knowledge: Knowledge, contrary: BoolArray
-) -> Blame:
-    given = explanations.plain
+    explanations: AxesHypotheses, remains: BoolArray, knowledge: Knowledge, contrary: BoolArray
+) -> AxesDiagnosis:
+    given = explanations.as_given
     # The possible axes of the magnetometer if the gyro's are right.
     alike = (explanations.gyro == explanations.gyro[given]).all(axis=(1, 2))
-    axes = AxesFound(explanations.field[remains & alike], True, knowledge)
+    axes = PossibleAxes(explanations.field[remains & alike], True, knowledge)
     known = np.array_equal(knowledge.mounting.pose, STANDARD)
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
-    found = [looked_at("axes", "axes", evidence)]
+    found = [checked("axes", "axes", evidence)]
     if more:
         pairs = f"pair{'s' * (more > 1)} of orientations"
         rest = f"{more} other {pairs} of gyro and magnetometer"
@@ -286,28 +290,28 @@ def _all_agree(
         others = [_wrong_sensors(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
         alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
         said = TURNED_RIGHT + "".join(f", or only the {sensor} has wrong axes" for sensor in alone)
-        found.append(looked_at("imu_axes", "axes: up", "a turn to the right", said))
-    return Blame(tuple(found), given, axes)
+        found.append(checked("imu_axes", "axes: up", "a turn to the right", said))
+    return AxesDiagnosis(tuple(found), given, axes)
 
 
 def _findings_on_axes(
-    explanations: Explanations,
+    explanations: AxesHypotheses,
     fewest: list[int],
     rank: dict[int, tuple[str, ...]],
     knowledge: Knowledge,
-) -> Blame:
+) -> AxesDiagnosis:
     """Name the sensor with wrong axes; ask for a movement if several are possible or wrong."""
     culprits = list(dict.fromkeys(rank[k] for k in fewest))
     if len(culprits[0]) > 1:
         names = " and ".join(culprits[0])
         evidence = f"other axes of {names} explain the movement better"
-        return Blame((looked_at("axes", "axes", evidence, SEVERAL_WRONG),))
+        return AxesDiagnosis((checked("axes", "axes", evidence, SEVERAL_WRONG),))
     is_clear = len(culprits) == 1
     said, axes = {}, None
     for (sensor,) in culprits:
         ways = [k for k in fewest if rank[k] == (sensor,)]
         if sensor == "magnetometer":
-            axes = AxesFound(_distinct(explanations.field[ways]), False, knowledge)
+            axes = PossibleAxes(_distinct(explanations.field[ways]), False, knowledge)
             said[sensor] = axes.words if is_clear else axes.ways
             continue
         words, slip = AXES_REMEDIES[sensor]
@@ -323,10 +327,10 @@ def _findings_on_axes(
         asked += f"{LIFT}{GIVE_DIP if is_opposite else ''}. Either {'; or '.join(said.values())}"
         if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
             asked += f"; or {FIELD_POINTS_UP}"
-        return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], axes)
+        return AxesDiagnosis((wrong("axes", "axes", evidence, asked),), fewest[0], axes)
     evidence = "the other sensors contradict them"
     line = wrong(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])
-    return Blame((line,), fewest[0], axes)
+    return AxesDiagnosis((line,), fewest[0], axes)
 
 
 KEYS = {"magnetometer": "field", "gyro": "gyro", "accelerometer": "force"}
@@ -345,7 +349,7 @@ def gyro_slip(axes: FloatArray) -> str:
         return f"{' and '.join(flipped)} {verb} the wrong sign"
     if exchanged := swapped(axes):
         return exchanged
-    return spoken(axes, (("x", "-x"), ("y", "-y"), ("z", "-z")), " holds ")
+    return axes_in_words(axes, (("x", "-x"), ("y", "-y"), ("z", "-z")), " holds ")
 
 
 AXES_REMEDIES: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
@@ -356,7 +360,7 @@ AXES_REMEDIES: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
     "accelerometer": (
         "gyro and magnetometer agree, but the accelerometer's axes do not match theirs: they are "
         "{}; correct them in the driver",
-        lambda axes: spoken(axes.T),
+        lambda axes: axes_in_words(axes.T),
     ),
 }
 """By sensor: the remedy for wrong axes, and a function that describes one candidate."""

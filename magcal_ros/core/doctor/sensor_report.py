@@ -12,9 +12,9 @@ from functools import lru_cache
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.doctor.blame import AxesFound, parameter_line
+from magcal_ros.core.doctor.axes_diagnosis import PossibleAxes, parameter_line
+from magcal_ros.core.doctor.axes_hypotheses import rate_factors
 from magcal_ros.core.doctor.course import AxesInUse, axes_in_use, course_findings
-from magcal_ros.core.doctor.explanations import rate_factors
 from magcal_ros.core.doctor.field_by_movement import with_field
 from magcal_ros.core.doctor.health import (
     WRONG_UNIT,
@@ -28,18 +28,18 @@ from magcal_ros.core.doctor.health import (
 )
 from magcal_ros.core.doctor.motion import compare
 from magcal_ros.core.doctor.prepared import prepare
-from magcal_ros.core.doctor.quirks import known_habits, orientation_findings
+from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
-from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
+from magcal_ros.core.samples.window import SensorLog, Window, segment_of_log
 
 UNPAIRED_ONLY = ("bursts", "stamps", "repeats")  # keys of findings that need unpaired samples
 
 
 @dataclass(frozen=True)
-class Page:
+class SensorReport:
     """All findings on the sensors of a log."""
 
     findings: tuple[Finding, ...]
@@ -47,7 +47,7 @@ class Page:
     """The mounting that corrects the magnetometer's axes; None if they are right or not known, or
     if no mounting corrects them."""
     used: AxesInUse | None = None  # the compass to compare with a drive's course
-    axes: AxesFound | None = None  # the possible axes of the magnetometer
+    axes: PossibleAxes | None = None  # the possible axes of the magnetometer
 
     @property
     def misleads(self) -> bool:
@@ -59,11 +59,11 @@ class Page:
         """The line of a parameter file that corrects the axes; empty if there is none."""
         return "" if self.mount_rpy_deg is None else parameter_line(self.mount_rpy_deg)
 
-    def with_more(self, findings: Iterable[Finding]) -> Page:
+    def with_more(self, findings: Iterable[Finding]) -> SensorReport:
         """Return the page with more findings."""
         return replace(self, findings=(*self.findings, *findings))
 
-    def with_course(self, gap: Belief, imu_yaw: Belief) -> Page:
+    def with_course(self, gap: Belief, imu_yaw: Belief) -> SensorReport:
         """Return the page with findings on the axes' yaw, which needs a course."""
         assert self.used is not None
         lines, mount = course_findings(self.used, gap, imu_yaw)
@@ -73,7 +73,7 @@ class Page:
 
 def examine(
     log: SensorLog, knowledge: Knowledge = Knowledge(), turned_left: bool | None = None
-) -> Page:
+) -> SensorReport:
     """Check the sensors of a log for all known faults.
 
     `turned_left` is whether the user turned the robot to the left; None if unknown.
@@ -81,7 +81,7 @@ def examine(
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:
-        return Page((*prepared.findings, *known_habits(log)))
+        return SensorReport((*prepared.findings, *known_quirks(log)))
     found = compare(prepared, knowledge, turned_left)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
     lines = with_field(lines, prepared, found, knowledge)
@@ -89,17 +89,17 @@ def examine(
     is_field = any(finding.key == "field_axes" for finding in found.findings)
     if axes is not None and is_field and len(axes.candidates) == 1:
         mount, wrong = axes.mount_rpy_deg, axes.candidates[0]
-    lines += known_habits(log, wrong)
+    lines += known_quirks(log, wrong)
     lines += orientation_findings(log, knowledge) if wrong is None else []
     used = None
-    if found.way is not None and found.factor == 1.0 and not found.up_is_down:
-        used = axes_in_use(found.way, knowledge)
-    return Page(tuple(lines), mount, used, axes)
+    if found.hypothesis is not None and found.factor == 1.0 and not found.up_is_down:
+        used = axes_in_use(found.hypothesis, knowledge)
+    return SensorReport(tuple(lines), mount, used, axes)
 
 
 # A refusal and a report examine the same turn several times.
 @lru_cache(maxsize=1)
-def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
+def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> SensorReport:
     """Check the sensors by the samples of a turn, which are already paired and cleaned."""
     page = examine(SensorLog.of_window(window), knowledge)
     kept = [f for f in page.findings if f.key not in UNPAIRED_ONLY]
@@ -151,8 +151,8 @@ def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             "let it mark the rates as absent (angular_velocity_covariance[0] = -1; in a table, "
             "leave the columns out) to be calibrated without a gyro",
         )
-    stretch = stretch_of_log(SensorLog.of_window(window))
-    if stretch is not None and set(rate_factors(stretch) or ()) - {1.0}:
+    segment = segment_of_log(SensorLog.of_window(window))
+    if segment is not None and set(rate_factors(segment) or ()) - {1.0}:
         return _refusal_from_page(window, knowledge, ("rate_unit",))
     return None
 
@@ -165,13 +165,13 @@ def wrong_stamps(window: Window) -> Refusal | None:
     return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not match: {bursts}")
 
 
-def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
+def refusal_by_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
     """Return the refusal for wrong axes if they caused a method's refusal, else the latter."""
     wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
     return explained(refusal, window) if wrong is None else wrong
 
 
-def blamed_on_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
+def refusal_by_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
     """Return the refusal of a turn that was not detected, or that for the faults behind it."""
     return _wrong_gyro(window, knowledge) or _refusal_from_page(window, knowledge) or refusal
 

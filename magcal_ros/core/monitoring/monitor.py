@@ -20,7 +20,7 @@ from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import dot, length
-from magcal_ros.core.heading.compass import Moment
+from magcal_ros.core.heading.compass import CompassReading
 from magcal_ros.core.monitoring.change import (
     CHANGE,
     GYRO_BOUND,
@@ -28,8 +28,8 @@ from magcal_ros.core.monitoring.change import (
     TWICE,
     Record,
     check_beside_chance,
-    compass_less_gyro,
-    fit_waves,
+    compass_minus_gyro,
+    fit_harmonics,
     harmonics,
 )
 from magcal_ros.core.samples.coverage import Coverage
@@ -80,7 +80,7 @@ WATCH_BOUNDS: tuple[Bound, ...] = (
 
 
 @dataclass(frozen=True)
-class WatchTuning:
+class MonitorTuning:
     """How a drive is tested."""
 
     memory: float = 600.0  # seconds of driving that are used
@@ -95,11 +95,11 @@ class WatchTuning:
     """Radians of compass against gyro from which a compass is wrong, even with few headings."""
 
 
-WATCH = WatchTuning()
+MONITOR = MonitorTuning()
 
 
 @dataclass(frozen=True)
-class Watched:
+class MonitorResult:
     """The result of the last minutes of driving."""
 
     is_stale: bool = False  # whether the calibration no longer holds
@@ -108,20 +108,20 @@ class Watched:
     minutes: float = 0.0  # for how long it has not held, before the newest test
     hard_iron: tuple[float, float] = (0.0, 0.0)  # its change in x and y, tesla
     was_judged: bool = False  # whether it could be judged at all since it is in force
-    lacking: str = "the robot has not driven yet"
+    missing_data: str = "the robot has not driven yet"
     """The data that are missing in the last minutes; empty if they were judged."""
 
     @property
     def summary(self) -> str:
         """One or two sentences."""
-        window = f"{self.lacking}, in the last {WATCH.memory / 60.0:.0f} minutes"
+        window = f"{self.missing_data}, in the last {MONITOR.memory / 60.0:.0f} minutes"
         if self.is_stale:
             causes = "; ".join(words for words in map(self._words, self.findings) if words)
             since = f"for about {max(self.minutes, 1.0):.0f} min"
             return f"The calibration has not held {since}: {causes}."
         if not self.was_judged:
             return f"Not judged yet: {window}."
-        if self.lacking:
+        if self.missing_data:
             return f"The calibration held when it was last judged; now {window}."
         return "The calibration holds on the headings of the last minutes."
 
@@ -142,10 +142,10 @@ def measure(
     Returns the findings beyond chance, and the hard iron's change, tesla in body x and y.
     """
     figures, iron = _gyro_figure(records), (0.0, 0.0)
-    if not what_lacks(records):
+    if not missing_data(records):
         swings, iron = _swings(records, calibration)
         figures |= swings
-    sigma, level = WATCH.predicted * known_sigma(calibration), math.cos(calibration.inclination)
+    sigma, level = MONITOR.predicted * known_sigma(calibration), math.cos(calibration.inclination)
     own = {
         Figure.HARD_IRON_CHANGE: sigma * level,
         Figure.SOFT_IRON_CHANGE: sigma,
@@ -160,14 +160,14 @@ def measure(
     return tuple(findings), iron
 
 
-def what_lacks(records: FloatArray) -> str:
+def missing_data(records: FloatArray) -> str:
     """Return the missing data in words; empty if the records are enough to judge swings."""
     if len(records) < 2:
         return "the robot has not driven yet"
     gap = Coverage.of(records[:, 1]).gap
     if gap > CHANGE.widest_hole:
         return f"not enough headings ({math.degrees(gap):.0f}° of heading were not driven)"
-    return "" if np.ptp(records[:, 0]) >= WATCH.shortest_span else "not enough driving yet"
+    return "" if np.ptp(records[:, 0]) >= MONITOR.shortest_span else "not enough driving yet"
 
 
 def _swings(
@@ -178,11 +178,11 @@ def _swings(
     strength, rise = (records[:, 2:4] / calibration.strength).T
     level = math.cos(calibration.inclination)
     columns = harmonics(yaw)
-    by_strength = fit_waves(columns, strength, stamp, CHANGE.clearly)
+    by_strength = fit_harmonics(columns, strength, stamp, CHANGE.clearly)
     # In curves the measured up tilts with the yaw rate, which changes the rise.
     in_curves = np.column_stack([columns[:, :3], rate * columns[:, 2]])
     lean = 3, level * CHANGE.fastest_curve
-    by_rise = fit_waves(in_curves, rise, stamp, CHANGE.clearly, lean)
+    by_rise = fit_harmonics(in_curves, rise, stamp, CHANGE.clearly, lean)
     mean, up = float(by_strength.values[0]), float(by_rise.values[0])
     dip = math.atan2(-up, math.sqrt(max(mean**2 - up**2, 0.0)))
     figures = {Figure.STRENGTH_SHIFT: (abs(mean - 1.0), 0.0)}
@@ -201,14 +201,14 @@ def _swings(
 def _gyro_figure(records: FloatArray) -> dict[Figure, tuple[float, float]]:
     """Return the RMS swing of compass minus gyro, or its median if few headings were seen."""
     name = Figure.GYRO_COMPASS_HARMONIC
-    if np.ptp(records[:, 0]) < WATCH.shortest_span or np.ptp(records[:, 4]) < math.tau:
+    if np.ptp(records[:, 0]) < MONITOR.shortest_span or np.ptp(records[:, 4]) < math.tau:
         return {}
-    gyro = compass_less_gyro(records, records[:, 1], CHANGE.clearly)
+    gyro = compass_minus_gyro(records, records[:, 1], CHANGE.clearly)
     if gyro is None:
         return {}
-    if what_lacks(records) or gyro.waves is None:
+    if missing_data(records) or gyro.waves is None:
         usual = float(np.median(np.abs(gyro.deviation)))
-        return {name: (usual, 0.0)} if usual > WATCH.lost else {}
+        return {name: (usual, 0.0)} if usual > MONITOR.lost else {}
     size, chance = gyro.waves.amplitude(ONCE)
     return {name: (size / math.sqrt(2.0), chance / math.sqrt(2.0))}
 
@@ -227,7 +227,7 @@ def onset(records: FloatArray, calibration: Calibration) -> float:
         (records[:, 2] / calibration.strength, 1.0),
         (records[:, 3] / calibration.strength, -math.sin(calibration.inclination)),
     ):
-        found = fit_waves(columns[late], values[late], records[late, 0], 1.0).values
+        found = fit_harmonics(columns[late], values[late], records[late, 0], 1.0).values
         misfits = np.abs([values - wanted, values - columns @ found])
         scatter = max(1.5 * float(np.median(misfits[1])), CHANGE.smallest_scatter)
         gain += np.subtract(*np.minimum((misfits / scatter) ** 2, 9.0))
@@ -235,12 +235,12 @@ def onset(records: FloatArray, calibration: Calibration) -> float:
     return float(records[min(int(np.argmin(believed)), len(records) - 1), 0])
 
 
-class Watch:
+class CalibrationMonitor:
     """Tests one calibration during driving."""
 
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
-        self._records: deque[Record] = deque(maxlen=WATCH.most_records)
+        self._records: deque[Record] = deque(maxlen=MONITOR.most_records)
         self._visit: list[Record] = []
         self._newest = -math.inf
         self._rate = math.nan
@@ -250,9 +250,9 @@ class Watch:
         self._contradicted: bool | None = None
         self._since = -math.inf
         self._stale_since = 0.0
-        self.watched = Watched()
+        self.result = MonitorResult()
 
-    def take(self, moment: Moment) -> None:
+    def take(self, moment: CompassReading) -> None:
         """Add a field message, which counts if it has an up, a heading and a rate."""
         stamp, field, seen, heading, rate = moment
         if seen is None or heading is None or rate is None:
@@ -265,7 +265,7 @@ class Watch:
         if self._visit:
             first = self._visit[0]
             turned = wrapped(yaw - first.yaw)
-            has_turned = max(abs(turned), abs(self._turned - first.turned)) > WATCH.turned
+            has_turned = max(abs(turned), abs(self._turned - first.turned)) > MONITOR.turned
             if has_turned or stamp - first.stamp > CHANGE.longest_visit:
                 self._close()
             else:
@@ -277,7 +277,7 @@ class Watch:
     def _propagate(self, stamp: float, rate: float) -> None:
         """Integrate the gyro; a gap starts another path, and a jump of time clears the records."""
         step = stamp - self._newest
-        if not 0.0 <= step <= WATCH.memory:
+        if not 0.0 <= step <= MONITOR.memory:
             self._records.clear()
             self._looked = -math.inf
             self._contradicted = None
@@ -299,45 +299,46 @@ class Watch:
         stamp, yaw, strength, rise, turned, path, rate = np.median(rows, axis=0).tolist()
         record = Record(stamp, yaw, strength, rise, turned, int(path), rate)
         self._keep(record)
-        if record.stamp - self._looked >= WATCH.look_every:
+        if record.stamp - self._looked >= MONITOR.look_every:
             self._looked = record.stamp
             self._look(record.stamp)
 
     def _keep(self, record: Record) -> None:
         records = self._records
         stays = [
-            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned)) < WATCH.turned
-            for one in list(records)[-WATCH.most_in_a_row :]
+            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned))
+            < MONITOR.turned
+            for one in list(records)[-MONITOR.most_in_a_row :]
         ]
-        if len(stays) == WATCH.most_in_a_row and all(stays):
+        if len(stays) == MONITOR.most_in_a_row and all(stays):
             records.pop()
         records.append(record)
-        while records[0].stamp < record.stamp - WATCH.memory:
+        while records[0].stamp < record.stamp - MONITOR.memory:
             records.popleft()
 
     def _look(self, now: float) -> None:
         records: FloatArray = np.array(self._records)
         # The newest half shows a change sooner; all records show a smaller one.
-        late = records[records[:, 0] > now - 0.5 * WATCH.memory]
+        late = records[records[:, 0] > now - 0.5 * MONITOR.memory]
         findings: tuple[Check, ...] = ()
         for rows in (late, records):
             if not _contradicts(findings):
                 findings, iron = measure(rows, self._calibration)
-                lacking = what_lacks(rows)
-        watched, contradicts = replace(self.watched, lacking=lacking), _contradicts(findings)
+                missing = missing_data(rows)
+        result, contradicts = replace(self.result, missing_data=missing), _contradicts(findings)
         if not findings:
             self._contradicted = None
         else:
             if contradicts is not self._contradicted:
                 self._contradicted, self._since = contradicts, now
-            if contradicts != watched.is_stale and now - self._since >= WATCH.confirm:
-                watched = replace(watched, is_stale=contradicts)
+            if contradicts != result.is_stale and now - self._since >= MONITOR.confirm:
+                result = replace(result, is_stale=contradicts)
                 self._stale_since = onset(records, self._calibration)
-            if contradicts or not watched.is_stale:
-                watched = replace(watched, findings=findings, hard_iron=iron)
-            watched = replace(watched, was_judged=watched.was_judged or not lacking)
-        minutes = (now - self._stale_since) / 60.0 if watched.is_stale else 0.0
-        self.watched = replace(watched, minutes=minutes)
+            if contradicts or not result.is_stale:
+                result = replace(result, findings=findings, hard_iron=iron)
+            result = replace(result, was_judged=result.was_judged or not missing)
+        minutes = (now - self._stale_since) / 60.0 if result.is_stale else 0.0
+        self.result = replace(result, minutes=minutes)
 
 
 def _contradicts(findings: tuple[Check, ...]) -> bool:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.driving.travelling import TravelReplay
+from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
-from magcal_ros.core.keeping.jobs import KEEPING, Decision, Mode, Verb
+from magcal_ros.core.keeping.jobs import SELF_CALIBRATION, Decision, DecisionKind, Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge
@@ -45,7 +45,7 @@ class DrivePath:
 
 
 @dataclass(frozen=True, eq=False)
-class DriveStory:
+class DriveReplay:
     """The result of a replay."""
 
     decisions: tuple[tuple[float, Decision], ...]  # seconds from the beginning, and the decision
@@ -59,13 +59,13 @@ class DriveStory:
     fault: str = ""  # possible fault of the sensors, if no calibration was found
 
 
-def replayed(
+def replay_drive(
     knowledge: Knowledge,
     calibration: Calibration | None,
     readings: Iterable[ImuSample | FieldSample | None],
     travel: Iterable[TravelSample],
     machine: SelfCalibration | None = None,
-) -> DriveStory:
+) -> DriveReplay:
     """Run self-calibration on a recording.
 
     Readings are in order of arrival, travel in order of stamps; `calibration` is in force at the
@@ -84,17 +84,21 @@ def replayed(
             continue
         last = sample.stamp
         first = last if math.isnan(first) else first
-        speed, up = replay.travelling.speed, replay.up.newest
+        speed, up = replay.estimator.speed, replay.up.newest
         if up is not None and not last < due:
             points.append((last, speed, *sample.field, *up))
-            due = last + KEEPING.map_every
+            due = last + SELF_CALIBRATION.map_every
         pairer.offer(sample)
         for pair in pairer.take():
             if not machine.add(pair, speed):
                 continue
             for decision in machine.note(answer(machine.job(knowledge))):
                 decisions.append((last - first, decision))
-                if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
+                if decision.kind in (
+                    DecisionKind.APPLIED,
+                    DecisionKind.ROLLED_BACK,
+                    DecisionKind.REFINED,
+                ):
                     now = decision.calibration
                     machine.put_in_force(now)
     path = None
@@ -105,7 +109,7 @@ def replayed(
         path = path_along(now, rows[:, 0], rows[:, 2:5], rows[:, 5:], rows[:, 1], measured)
     seconds = 0.0 if math.isnan(first) else last - first
     moved = machine.recorder.moved
-    return DriveStory(tuple(decisions), calibration, now, seconds, moved, machine.in_words, path)
+    return DriveReplay(tuple(decisions), calibration, now, seconds, moved, machine.in_words, path)
 
 
 def path_along(
@@ -135,8 +139,8 @@ def path_along(
         place = interpolated(time, fixes[:, 0], fixes[:, 1:])
     else:
         yaw = yaw_from_up_and_field(up, field)
-        steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * KEEPING.map_every)
-        steps *= np.where(known, speed, KEEPING.usual_speed)
+        steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * SELF_CALIBRATION.map_every)
+        steps *= np.where(known, speed, SELF_CALIBRATION.usual_speed)
         place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
     is_measured = fixes is not None
     return DrivePath(place - place[0], error, is_measured, bool(known.any()))
@@ -146,7 +150,7 @@ def path_of_log(log: Window, calibration: Calibration) -> DrivePath | None:
     """Return the path of the record of a drive; None if it is too short."""
     if len(log) < 10:
         return None
-    every = max(1, round(KEEPING.map_every / float(np.median(np.diff(log.time)))))
+    every = max(1, round(SELF_CALIBRATION.map_every / float(np.median(np.diff(log.time)))))
     up, speed = up_of(log), np.full(len(log), math.nan) if log.speed is None else log.speed
     rows = (values[::every] for values in (log.time, log.field, up, speed))
     return path_along(calibration, *rows)
