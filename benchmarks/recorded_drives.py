@@ -51,9 +51,9 @@ def main() -> None:
         _tell("from nothing", drive, None, told(drive, None, 0.0, 1.0))
         for begun, name in in_force(drive):
             for first, last in ((0.0, 1.0), (0.0, 0.6), (0.4, 1.0)):
-                story = told(drive, begun, first, last)
+                replay = told(drive, begun, first, last)
                 windows += 1
-                worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, begun, story)
+                worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, begun, replay)
             if drive.everything.time[-1] - drive.everything.time[0] > LONG:
                 for seed in DRAWS:
                     rough = roughly(begun, seed)
@@ -86,7 +86,7 @@ def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
     """Add iron on the way, and say what comes of it: degrees from what is then right."""
     iron = ADDED * np.array([math.cos(way), math.sin(way), 0.0])
     start = drive.everything.time[0] + CHANGE_AT
-    story = replay_drive(
+    replay = replay_drive(
         drive.knowledge,
         begun,
         (
@@ -101,7 +101,7 @@ def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
     right = replace(begun, correction=Correction(old.matrix, old.hard_iron + iron))
     print(f"{drive.name:28s}10 µT added at {CHANGE_AT:.0f} s, off by", end=" ")
     print(f"{math.degrees(difference(begun, right)):.0f}°:", end=" ")
-    for at, made in story.decisions:
+    for at, made in replay.decisions:
         left = ""
         if made.calibration is not None:
             left = f" ({math.degrees(difference(made.calibration, right)):.1f}°)"
@@ -117,14 +117,18 @@ def score(drive: Drive, calibration: Calibration | None) -> float:
     return found.rms if found else math.nan
 
 
-def _tell(name: str, drive: Drive, begun: Calibration | None, story: DriveReplay) -> bool:
-    before, after = score(drive, begun), score(drive, story.ended)
-    said = math.degrees(predicted_heading_sigma(story.ended)) if story.ended else math.nan
-    first = next((at for at, made in story.decisions if made.calibration is not None), math.nan)
-    made = " ".join(each.kind.value for _, each in story.decisions)
+def _tell(name: str, drive: Drive, begun: Calibration | None, replay: DriveReplay) -> bool:
+    before, after = score(drive, begun), score(drive, replay.last_calibration)
+    said = (
+        math.degrees(predicted_heading_sigma(replay.last_calibration))
+        if replay.last_calibration
+        else math.nan
+    )
+    first = next((at for at, made in replay.decisions if made.calibration is not None), math.nan)
+    made = " ".join(each.kind.value for _, each in replay.decisions)
     is_worse = after > before + WORSE
     print(
-        f"{drive.name:28s}{name:32s}{story.moved:5.0f} s moved, changed after {first:4.0f} s, said"
+        f"{drive.name:28s}{name:32s}{replay.moved:5.0f} s moved, changed after {first:4.0f} s, said"
         f" {said:4.1f}, rms {before:5.2f} -> {after:5.2f}{' WORSE' if is_worse else ''} {made}",
         flush=True,
     )

@@ -125,8 +125,8 @@ def calibration_of(correction: Correction, sigma: float = math.radians(0.84)) ->
     return Calibration(correction, covariance, 5e-7, 0.01, 51.3e-6, dip, evidence)
 
 
-def changes(story: DriveReplay) -> Iterator[tuple[float, Calibration]]:
-    for seconds, made in story.decisions:
+def changes(replay: DriveReplay) -> Iterator[tuple[float, Calibration]]:
+    for seconds, made in replay.decisions:
         if made.calibration is not None:
             yield seconds, made.calibration
 
@@ -219,19 +219,19 @@ def bench_jump(seeds: range) -> None:
         iron = (10e-6 * math.cos(angle), 10e-6 * math.sin(angle), 0.0)
         drive = drive_of(seed, 540.0, irons=(Iron(iron, CHANGE_AT),))
         begun = calibration_of(drive.vehicle.robot.true_correction)
-        story = told(drive, begun)
+        replay = told(drive, begun)
         seen = [
-            at for at, m in story.decisions if m.kind is DecisionKind.NOTICED and at > CHANGE_AT
+            at for at, m in replay.decisions if m.kind is DecisionKind.NOTICED and at > CHANGE_AT
         ]
         noticed.append(min(seen, default=math.inf) - CHANGE_AT)
         good = [
             at
-            for at, each in changes(story)
+            for at, each in changes(replay)
             if at > CHANGE_AT and error(each.correction, drive, at) < 3.0
         ]
         repaired.append(min(good, default=math.inf) - CHANGE_AT)
-        assert story.ended is not None
-        left.append(error(story.ended.correction, drive, 540.0))
+        assert replay.last_calibration is not None
+        left.append(error(replay.last_calibration.correction, drive, 540.0))
     late, never = (sum(t > limit for t in repaired) for limit in (180.0, 540.0))
     print(
         f"10 µT added: noticed after {np.median(noticed):.0f} s (median; worst"
@@ -252,8 +252,10 @@ def bench_good(seeds: range) -> None:
             way = np.random.default_rng(seed + 5).normal(0.0, 1.0, 2)
             way *= math.radians(off) * math.sqrt(2.0) * LEVEL / float(np.linalg.norm(way))
             begun = drive.vehicle.with_iron(np.array([*way, 0.0])).robot.true_correction
-            made, ended = taken.decide(calibration_of(begun))
-            gains[off].append(error(begun, drive, 0.0) - error(ended.correction, drive, 420.0))
+            made, last_calibration = taken.decide(calibration_of(begun))
+            gains[off].append(
+                error(begun, drive, 0.0) - error(last_calibration.correction, drive, 420.0)
+            )
             changed[off] += any(each.calibration is not None for _, each in made)
             noticed[off] += any(each.kind is DecisionKind.NOTICED for _, each in made)
     for off, gained in gains.items():
@@ -285,11 +287,11 @@ def bench_traps(seeds: range) -> None:
         left, changed, noticed, worse = [], 0, 0, 0
         for seed in seeds:
             drive = make(seed)
-            story = told(drive, calibration_of(drive.vehicle.robot.true_correction))
-            changed += any(True for _ in changes(story))
-            noticed += any(made.kind is DecisionKind.NOTICED for _, made in story.decisions)
-            assert story.ended is not None
-            left.append(error(story.ended.correction, drive, float(np.ptp(drive.time))))
+            replay = told(drive, calibration_of(drive.vehicle.robot.true_correction))
+            changed += any(True for _ in changes(replay))
+            noticed += any(made.kind is DecisionKind.NOTICED for _, made in replay.decisions)
+            assert replay.last_calibration is not None
+            left.append(error(replay.last_calibration.correction, drive, float(np.ptp(drive.time))))
             worse += left[-1] > WORSE
         print(
             f"{name}: changed {changed} of {len(seeds)}, told of a change {noticed}; at the end"

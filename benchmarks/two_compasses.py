@@ -215,7 +215,7 @@ class Listener:
             if joined is None:
                 return
             moment = joined
-            self.weights.append((sample.stamp, self.several.shares[0].weight))
+            self.weights.append((sample.stamp, self.several.weights[0].weight))
         if moment.up is not None and moment.heading is not None:
             self.fused.correct(moment.stamp, moment.field, moment.up, moment.heading)
             heading, up = moment.heading, moment.up

@@ -28,10 +28,10 @@ node = Calibrator()
 spinner = node.spinner()
 soonest, latest = time.monotonic() + 1.2, time.monotonic() + 60.0
 while time.monotonic() < soonest or (
-    node._keeper.calibration is None and time.monotonic() < latest
+    node._store.calibration is None and time.monotonic() < latest
 ):
     spinner.spin_once(timeout_sec=0.1)
-assert node._keeper.calibration is not None
+assert node._store.calibration is not None
 print(*sys.modules)
 spinner.shutdown()
 node.close()

@@ -182,46 +182,46 @@ def run_drive(options: argparse.Namespace) -> int:
         with recorded.at_work(
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it", sys.stderr
         ):
-            story = replay_drive(knowledge, begun, repaired, travel)
-            if story.ended is None:
+            replay = replay_drive(knowledge, begun, repaired, travel)
+            if replay.last_calibration is None:
                 collector = SampleCollector(
                     knowledge.mounting, source.imu_topic, source.field_topic
                 )
                 collector.take(repaired, travel)
-                story = replace(story, fault=fault_of_drive(collector, knowledge))
-        if story.seconds == 0.0:
+                replay = replace(replay, fault=fault_of_drive(collector, knowledge))
+        if replay.seconds == 0.0:
             raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO)
         frames = source.field_frame, source.imu_frame
-        if story.ended is not None and travel:
+        if replay.last_calibration is not None and travel:
             north = reference.field.declination
-            course = recorded_course(story.ended, repaired, travel, north)
-            story = replace(story, course="" if course is None else course.words)
-    page = write_drive_page(folder, story, plain(str(options.recording)))
+            course = recorded_course(replay.last_calibration, repaired, travel, north)
+            replay = replace(replay, course="" if course is None else course.words)
+    page = write_drive_page(folder, replay, plain(str(options.recording)))
     files = [page]
-    if story.ended is not None and story.ended is not begun:
+    if replay.last_calibration is not None and replay.last_calibration is not begun:
         files.append(folder / common.CALIBRATION)
-        write_calibration(files[-1], story.ended, Origin.now(*frames))
+        write_calibration(files[-1], replay.last_calibration, Origin.now(*frames))
     notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
-    content = story, notes, files
+    content = replay, notes, files
     common.tell_result(_drive_facts(*content), _drive_words(*content), as_json=options.json)
-    return common.Exit.TOO_LITTLE_DATA if story.ended is None else common.Exit.GOOD
+    return common.Exit.TOO_LITTLE_DATA if replay.last_calibration is None else common.Exit.GOOD
 
 
-def _drive_words(story: DriveReplay, notes: list[str], files: list[Path]) -> str:
-    lines = [common.with_options(summary_of(story))]
-    lines += [f"At the end: {story.course}."] if story.course else []
-    lines += [f"{at:6.0f} s  {VERBS[made.kind]}: {made.words}" for at, made in story.decisions]
+def _drive_words(replay: DriveReplay, notes: list[str], files: list[Path]) -> str:
+    lines = [common.with_options(summary_of(replay))]
+    lines += [f"At the end: {replay.course}."] if replay.course else []
+    lines += [f"{at:6.0f} s  {VERBS[made.kind]}: {made.words}" for at, made in replay.decisions]
     lines += common.bullets("About the recording:", notes).strip("\n").splitlines()
     return "\n".join([*lines, *(f"Written: {file}" for file in files)])
 
 
-def _drive_facts(story: DriveReplay, notes: list[str], files: list[Path]) -> dict[str, Any]:
+def _drive_facts(replay: DriveReplay, notes: list[str], files: list[Path]) -> dict[str, Any]:
     return {
-        "summary": summary_of(story),
-        "course": story.course or None,
+        "summary": summary_of(replay),
+        "course": replay.course or None,
         "decisions": [
             {"at_s": round(at, 1), "decision": made.kind.value, "why": made.words}
-            for at, made in story.decisions
+            for at, made in replay.decisions
         ],
         "about": notes,
         "files": [str(file) for file in files],

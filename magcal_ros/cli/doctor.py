@@ -20,7 +20,13 @@ from magcal_ros.cli.common import Exit, bullets, command, reference_in_use, tell
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.guide import ASKED, Guide
-from magcal_ros.core.doctor.health import TUNING, Finding, checked, not_shown, wrong
+from magcal_ros.core.doctor.health import (
+    TUNING,
+    Finding,
+    ok_or_warning,
+    severe_finding,
+    undetermined,
+)
 from magcal_ros.core.doctor.sensor_report import SensorReport, examine
 from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -94,7 +100,7 @@ class Heard:
         described = f"magnetometer at {self.described}"
         if page.mount_rpy_deg is not None:
             radians = " ".join(f"{math.radians(angle):.4g}" for angle in page.mount_rpy_deg)
-            return wrong(
+            return severe_finding(
                 "description",
                 "description",
                 f"{described}, but measured differently",
@@ -102,8 +108,8 @@ class Heard:
             )
         if any(f.key in AXIS_FAULTS and f.is_wrong for f in page.findings):
             words = f"{described}; correct the axes first"
-            return not_shown("description", "description", words)
-        return checked("description", "description", described)
+            return undetermined("description", "description", words)
+        return ok_or_warning("description", "description", described)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -165,7 +171,7 @@ def _recorded(options: argparse.Namespace) -> Heard:
         # The page has a line on the unit, by the usual size of the field instead of the largest.
         largest = likely_field_unit(collector.streams.largest_field)
         complaints = [words for words in complaints if words != largest]
-    more = tuple(checked("recording", "recording", words, words) for words in complaints)
+    more = tuple(ok_or_warning("recording", "recording", words, words) for words in complaints)
     left = None if options.turned is None else options.turned == "left"
     return Heard(samples, Knowledge(reference.field, mounting), left, more, travel=travel)
 
@@ -359,9 +365,9 @@ def gathered(
     # A pose that the user gives takes precedence over the description.
     if pose is not None and not any(options.mount_rpy_deg):
         mounting, described = replace(mounting, pose=pose), pose_in_words(pose)
-    more = [checked("reference", "reference", words, words) for words in reference.complaints]
+    more = [ok_or_warning("reference", "reference", words, words) for words in reference.complaints]
     more += [
-        wrong("publishers", "publishers", words, SEVERAL_PUBLISHERS)
+        severe_finding("publishers", "publishers", words, SEVERAL_PUBLISHERS)
         for words in listener.several_publishers
     ]
     known = Knowledge(reference.field, mounting)

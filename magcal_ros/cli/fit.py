@@ -187,15 +187,15 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     reference = fitted.gathered.reference
     known = reference.words if reference.is_known else f"{reference.words}: {GIVE_PLACE}"
     text += f"\n{common.table(rows)}\n\nReference field: {known}.\n"
-    several = fitted.outcome.several
-    if several is not None:
+    multi_turn = fitted.outcome.multi_turn
+    if multi_turn is not None:
         lines = [
             f"{fate.name}: {'' if fate.joined else 'left out: '}{fate.words}"
-            for fate in several.turns
+            for fate in multi_turn.turns
         ]
         has_yaw = estimate is not None and Figure.INSTALLATION_YAW_SIGMA in estimate.figures
         title = "Turns:" if has_yaw else f"Turns ({APART}):"
-        text += common.bullets(title, [*lines, several.advice_in_words])
+        text += common.bullets(title, [*lines, multi_turn.advice_in_words])
     which = "this recording" if len(fitted.everything) == 1 else "these recordings"
     text += common.bullets(f"Not shown by {which}:", verdict.not_shown)
     text += common.bullets("About the recording:", fitted.complaints)
@@ -226,7 +226,7 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
             "complaints": fitted.complaints,
         },
         "reference": gathered.reference.facts,
-        "several": None if outcome.several is None else outcome.several.facts(),
+        "several": None if outcome.multi_turn is None else outcome.multi_turn.facts(),
         "files": [str(file) for file in files],
         "exit": int(fitted.status),
     }

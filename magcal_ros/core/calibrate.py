@@ -58,7 +58,7 @@ class Outcome:
     """Also if the verdict refuses it; None if there is no estimate."""
     estimate: Estimate | None = None
     reason: Reason | None = None  # why there is no estimate
-    several: MultiTurnReport | None = None  # the report on the turns, if several were joined
+    multi_turn: MultiTurnReport | None = None  # the report on the turns, if several were joined
     window: Window | None = None  # the samples; the estimate's residuals are of its rows
 
     @classmethod
@@ -193,12 +193,12 @@ def calibrate_turns(
         if len(windows) > 1:
             raise UsageError(f"the method {method} takes one turn; {JOINS} joins several")
         return calibrate(windows[0], knowledge, method)
-    from magcal_ros.core.multi_turn.joined import join, survey
+    from magcal_ros.core.multi_turn.joined import fit_turns, join
 
     batteries = with_one_reference([window.battery for window in windows])
     both = zip(windows, batteries, strict=True)
     windows = [w if w.battery is b else replace(w, battery=b) for w, b in both]
-    turns, joint, several = join(survey(windows, called, knowledge), knowledge)
+    turns, joint, multi_turn = join(fit_turns(windows, called, knowledge), knowledge)
     members = [turn for turn in turns if not turn.unfit]
     turn = (members or turns)[-1]
     if joint is not None:
@@ -211,7 +211,7 @@ def calibrate_turns(
         outcome = _judged_by_axes_too(turn.estimate, knowledge, turn.window)
     else:
         outcome = calibrate(turn.window, knowledge)
-    return replace(outcome, several=several)
+    return replace(outcome, multi_turn=multi_turn)
 
 
 def pooled(windows: Sequence[Window]) -> Window:
@@ -230,7 +230,7 @@ def pooled(windows: Sequence[Window]) -> Window:
     )
 
 
-def take_turn(
+def add_turn(
     kept: KeptTurns, window: Window, knowledge: Knowledge, method: str, accumulate: bool
 ) -> tuple[Outcome, KeptTurns]:
     """Fit a turn, jointly with the turns kept before it if `accumulate` is set.
@@ -242,24 +242,28 @@ def take_turn(
         return calibrate(window, knowledge, method), KeptTurns()
     names = (*kept.names, kept.next_name)
     outcome = calibrate_turns([*kept.windows, window], knowledge, method, names)
-    several = outcome.several
-    if several is None or not several.turns[-1].joined:
+    multi_turn = outcome.multi_turn
+    if multi_turn is None or not multi_turn.turns[-1].joined:
         return _refused(outcome, kept), kept
-    return outcome, kept.joined(window, several) if outcome.verdict.accepted else kept
+    return outcome, kept.joined(window, multi_turn) if outcome.verdict.accepted else kept
 
 
 def _refused(outcome: Outcome, kept: KeptTurns) -> Outcome:
     """Return the refusal of a new turn that did not join those before it."""
     if not kept.windows:
         return outcome
-    why = outcome.verdict.summary if outcome.several is None else outcome.several.turns[-1].words
+    why = (
+        outcome.verdict.summary
+        if outcome.multi_turn is None
+        else outcome.multi_turn.turns[-1].words
+    )
     count = len(kept.windows)
     words = (
         f"{kept.next_name} does not join the {'turn' if count == 1 else f'{count} turns'} before "
         f"it: {why.rstrip('.')}; the turns before are kept"
     )
     refusal = Refusal(outcome.reason or Reason.TURNS_DISAGREE, words)
-    return replace(Outcome.refused(refusal), several=outcome.several)
+    return replace(Outcome.refused(refusal), multi_turn=outcome.multi_turn)
 
 
 def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -> float:

@@ -231,8 +231,8 @@ class HeadingPipeline:
         self.motors = Motors(node, self.up, self.travel)
         self.headings = HeadingOutput(node, self.frames)
         self.fused = FusedOutput(node, self.up, self.frames)
-        self.several = SeveralCompasses()
-        self.lead: Calibration | None = None  # of the calibrated magnetometer of lowest number
+        self.compasses = SeveralCompasses()
+        self.leading: Calibration | None = None  # of the calibrated magnetometer of lowest number
         self._origin: Origin | None = None
         self._in_force: dict[int, Calibration | None] = {}
 
@@ -246,17 +246,17 @@ class HeadingPipeline:
         for number, store in stores.items():
             if store.calibration is not self._in_force.get(number):
                 self._in_force[number] = store.calibration
-                self.several.put_in_force(number, store.calibration)
+                self.compasses.put_in_force(number, store.calibration)
         in_force = [number for number, store in stores.items() if store.calibration is not None]
         self.fused.is_needed = any(number > FIRST for number in in_force)
         leader = stores[min(in_force)] if in_force else None
-        lead = None if leader is None else leader.calibration
+        leading = None if leader is None else leader.calibration
         self._origin = None if leader is None else leader.origin
-        if lead is not self.lead:
-            self.lead = lead
-            self.headings.begin_anew(lead)
-            self.fused.begin_anew(lead)
-            self.reference.use(lead)
+        if leading is not self.leading:
+            self.leading = leading
+            self.headings.begin_anew(leading)
+            self.fused.begin_anew(leading)
+            self.reference.use(leading)
             self.travel.use(self._origin.vehicle_yaw if self._origin else None)
 
     def follow(self, store: CalibrationStore, turn: TurnState) -> None:
@@ -284,7 +284,7 @@ class HeadingPipeline:
     def take(self, number: int, moment: CompassReading, arrived: FieldArrival) -> None:
         """Publish the heading computed from a magnetometer's message."""
         if self.fused.is_needed:  # a calibration of a further magnetometer is in force
-            joined = self.several.add(number, moment, self.up.newest_stamp, self.fused.yaw)
+            joined = self.compasses.add(number, moment, self.up.newest_stamp, self.fused.yaw)
             if joined is None:
                 return
             moment = joined

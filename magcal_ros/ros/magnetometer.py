@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar
 
 from sensor_msgs.msg import MagneticField
 
-from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
+from magcal_ros.core.calibrate import Outcome, add_turn, predicted_sigma
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.compass import Compass
@@ -83,7 +83,7 @@ class Magnetometer:
         thread = BackgroundThread(node, "magcal-report")
         self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
         self.compass: Compass | None = None
-        self.watch: CalibrationMonitor | None = None
+        self.monitor: CalibrationMonitor | None = None
         """Monitor of the calibration; only of the first magnetometer."""
         is_first = number == FIRST
         self.out = FieldOutput(node, self._topic) if is_first else None
@@ -160,7 +160,7 @@ class Magnetometer:
         self.compass = None if calibration is None else Compass(calibration)
         if self.out is not None:
             self.out.put_in_force(self.compass, magnetometer_frame)
-        self.watch = (
+        self.monitor = (
             CalibrationMonitor(calibration) if self.number == FIRST and calibration else None
         )
         self._owner.calibration_changed(self)
@@ -184,8 +184,8 @@ class Magnetometer:
             moment = self._pipeline.reading_of(self.compass, sample, streams)
             self.out.publish(moment.field, arrived, self._pipeline.body_frame())
             self._pipeline.take(self.number, moment, arrived)
-            if self.watch is not None:
-                self.watch.take(moment)
+            if self.monitor is not None:
+                self.monitor.take(moment)
         if not streams.is_repeated:
             self.control.add(sample)
 
@@ -339,7 +339,7 @@ class Control:
         request = asked.request
         turn = (asked.kept, asked.window, request.knowledge, request.method, request.accumulate)
         self._fits.run(
-            lambda: self._worker.run(take_turn, *turn),
+            lambda: self._worker.run(add_turn, *turn),
             lambda found: self.tell(self.turn.note_fit, asked, *found),
             lambda error: self.tell(self.turn.note_failed_fit, asked, in_words(error)),
         )

@@ -33,7 +33,7 @@ class Magnetometers:
     """The magnetometers that publish: their common turns, and their parts in the heading."""
 
     def __init__(self, first: Magnetometer, several: SeveralCompasses) -> None:
-        self._several = several
+        self._compasses = several
         self.heard = [first]
         """The first magnetometer, and the further ones that have published, by number."""
 
@@ -98,18 +98,18 @@ class Magnetometers:
         if not self.are_calibrated:
             return found
         topics = {each.number: each.topic for each in self.heard}
-        shares = self._several.shares
+        weights = self._compasses.weights
         # A disturbance of all of them is not a fault of one.
-        if not all(share.why for share in shares.values()):
-            for number, share in shares.items():
+        if not all(share.why for share in weights.values()):
+            for number, share in weights.items():
                 percent = round(100.0 * share.weight)
                 part = "is not used for the heading"
                 if percent:
                     part = f"has a weight of {percent}% in the heading"
                 found += [f"{topics[number]} {part}: {share.why}"] if share.why else []
-        apart = math.degrees(self._several.disagreement)
+        apart = math.degrees(self._compasses.disagreement)
         if apart:
-            names = " and ".join(topics[number] for number in shares)
+            names = " and ".join(topics[number] for number in weights)
             found.append(
                 f"the headings of {names} are {apart:.0f}° apart, and the samples do not show "
                 "which is wrong: the published sigma includes this difference. Calibrate all in "
@@ -119,14 +119,14 @@ class Magnetometers:
 
     def facts(self) -> list[dict[str, Any]]:
         """Return the part of `~/status` on the magnetometers; empty if there is only the first."""
-        shares = {each.number: CompassWeight(0.0) for each in self.heard} | self._several.shares
+        weights = {each.number: CompassWeight(0.0) for each in self.heard} | self._compasses.weights
         return [
             {
                 "topic": each.topic,
                 "calibrated": each.store.calibration is not None,
                 "created": each.store.origin.created if each.store.origin else "",
-                "weight": round(shares[each.number].weight, 2),
-                "why": shares[each.number].why,
+                "weight": round(weights[each.number].weight, 2),
+                "why": weights[each.number].why,
             }
             for each in (self.heard if self.further else ())
         ]

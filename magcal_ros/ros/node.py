@@ -54,7 +54,7 @@ class Calibrator(Node):
         self._control, self._store = first.control, first.store
         self._keeping = SelfKeeping(self, first)
         self._known = KnownHeadings(first, pipeline)
-        self._magnetometers = Magnetometers(first, pipeline.several)
+        self._magnetometers = Magnetometers(first, pipeline.compasses)
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers = TurnMarkers(self)
@@ -248,10 +248,10 @@ class Calibrator(Node):
         statuses = [
             status.calibration_diagnostic(self._first),
             status.field_diagnostic(
-                self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
+                self._pipeline.headings.moment, self._pipeline.leading, self._reference.reference
             ),
             self._pipeline.fused.diagnostic(),
-            status.watch_diagnostic(self._first.watch, self._keeping),
+            status.watch_diagnostic(self._first.monitor, self._keeping),
             *self._travel.diagnostics(),
             *self._magnetometers.diagnostics(),
             status.inputs_diagnostic(

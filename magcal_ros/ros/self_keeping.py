@@ -135,10 +135,10 @@ class SelfKeeping:
         machine, moved = self.machine, self.machine.recorder.seconds
         decisions = tuple((made.clock, made) for made in machine.decisions)
         before = self._magnetometer.store.calibration
-        story = DriveReplay(decisions, before, calibration, moved, moved, machine.in_words, None)
+        replay = DriveReplay(decisions, before, calibration, moved, moved, machine.in_words, None)
         log, reports = machine.recorder.log(), self._reports
         self._jobs.run(
-            lambda: self.worker.run(write_page, reports_of(reports), story, log),
+            lambda: self.worker.run(write_page, reports_of(reports), replay, log),
             lambda page: self._tell(f"report: {page}"),
             lambda error: self._tell(f"no report: {in_words(error)}"),
         )
@@ -152,13 +152,13 @@ def run_with_low_priority(job: DriveJob) -> DriveResult:
     return answer(job)
 
 
-def write_page(parent: Path, story: DriveReplay, log: Window) -> Path:
+def write_page(parent: Path, replay: DriveReplay, log: Window) -> Path:
     """Write the page on a decision, with a map of the recorded drive; returns its path."""
     from magcal_ros.core.keeping.drive_replay import path_of_log
     from magcal_ros.report import new_folder
     from magcal_ros.report.drive_page import write_drive_page
 
-    assert story.ended is not None
+    assert replay.last_calibration is not None
     folder = new_folder(parent, datetime.now(timezone.utc))
-    whole = replace(story, path=path_of_log(log, story.ended))
+    whole = replace(replay, path=path_of_log(log, replay.last_calibration))
     return write_drive_page(folder, whole, "decided while driving")

@@ -42,7 +42,7 @@ def status_json(
         is_calibrated = store.calibration is not None or magnetometers.are_calibrated
         state = "calibrated" if is_calibrated else "uncalibrated"
     outcome, conclusion = turn.last_outcome, turn.last_conclusion
-    several = None if outcome is None else outcome.several
+    multi_turn = None if outcome is None else outcome.multi_turn
     content = {
         "state": state,
         "north": reference.north,
@@ -51,9 +51,9 @@ def status_json(
         "answer": None if conclusion is None else asdict(conclusion),
         "verdict": None if outcome is None else _verdict(outcome),
         "turns_kept": turn.turns_kept,
-        "several": None if several is None else several.facts(),
+        "several": None if multi_turn is None else multi_turn.facts(),
         "calibration": _calibration(store),
-        "watch": None if first.watch is None else _watch(first.watch.result),
+        "watch": None if first.monitor is None else _monitoring(first.monitor.result),
         "magnetometers": magnetometers.facts(),
         "dropped": {
             "imu": {drop.value: n for drop, n in streams.imu_drops.items()},
@@ -101,7 +101,7 @@ def _verdict(outcome: Outcome) -> Mapping[str, Any]:
     }
 
 
-def _watch(result: MonitorResult) -> Mapping[str, Any]:
+def _monitoring(result: MonitorResult) -> Mapping[str, Any]:
     return {
         "stale": result.is_stale,
         "summary": result.summary,
@@ -180,12 +180,12 @@ def field_diagnostic(
     return diagnostic("Field", words, values, level)
 
 
-def watch_diagnostic(watch: CalibrationMonitor | None, keeping: SelfKeeping) -> DiagnosticStatus:
+def watch_diagnostic(monitor: CalibrationMonitor | None, keeping: SelfKeeping) -> DiagnosticStatus:
     """Return the diagnostic of the calibration's monitoring and of self-calibration."""
     values = {"self-calibration": keeping.facts()["doing"], "fits lost": str(keeping.lost)}
     words, is_wrong = ["nothing to watch before a calibration is in force"], bool(keeping.problem)
-    if watch is not None:
-        result = watch.result
+    if monitor is not None:
+        result = monitor.result
         words, is_wrong = [result.summary], is_wrong or result.is_stale
         values |= {f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in result.findings}
     words += [keeping.problem] if keeping.problem else []

@@ -18,7 +18,12 @@ from magcal_ros.core.driving.driving_tuning import SpeedSource
 from magcal_ros.core.driving.mounting_yaw import fault_words
 from magcal_ros.core.driving.travel_estimator import TravelEstimator
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
-from magcal_ros.core.heading.base_heading import VEHICLE_YAW, Front, VehicleYaw, driven_yaw
+from magcal_ros.core.heading.base_heading import (
+    VEHICLE_YAW,
+    DrivenYaw,
+    VehicleYaw,
+    compare_with_course,
+)
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
 from magcal_ros.core.samples.streams import SpeedSample, VelocitySample
@@ -52,7 +57,7 @@ class Travel:
         self._unusable: dict[str, str] = {}
         self._topics: dict[SpeedSource | None, str] = {}
         self.estimator = TravelEstimator(run=self._run)
-        self.front = Front()
+        self.driven_yaw = DrivenYaw()
         self.kept: VehicleYaw | None = None
         """The yaw that is stored with the calibration in force."""
         self.subscriptions = []  # of odometry, velocity and fixes; their callbacks take bytes
@@ -67,7 +72,7 @@ class Travel:
     @property
     def yaw(self) -> VehicleYaw | None:
         """The yaw of the IMU in the vehicle: the new estimate if it is better, else the stored."""
-        found = self.front.yaw
+        found = self.driven_yaw.yaw
         return found if found is not None and self._is_better(found, 1.0) else self.kept
 
     def _is_better(self, found: VehicleYaw, share: float) -> bool:
@@ -91,10 +96,10 @@ class Travel:
         if not estimator.is_heard:
             return None
         north = reference.declination, reference.declination_sigma
-        self.front = driven_yaw(estimator.known_mounting, estimator.course, *north)
+        self.driven_yaw = compare_with_course(estimator.known_mounting, estimator.course, *north)
         if verdict:
             announcer.tell("course", verdict, wrong=True)
-        found = self.front.yaw
+        found = self.driven_yaw.yaw
         if (
             found is None
             or found.sigma > VEHICLE_YAW.useful
@@ -115,8 +120,8 @@ class Travel:
             if source in watch.seen
         ]
         words += [f"{topic}: {why}" for topic, why in self._unusable.items()]
-        if self.front.suspicion:
-            words.append(self.front.suspicion)
+        if self.driven_yaw.suspicion:
+            words.append(self.driven_yaw.suspicion)
         return words
 
     @property
@@ -146,8 +151,8 @@ class Travel:
             "own_acceleration_taken_off": estimator.own.is_used,
             "metres": round(estimator.metres, -1),
             "drifts": estimator.drift.is_drifting,
-            "course_gap_deg": _degrees(self.front.compass_gap),
-            "course_gap_sigma_deg": _degrees(self.front.compass_sigma),
+            "course_gap_deg": _degrees(self.driven_yaw.compass_gap),
+            "course_gap_sigma_deg": _degrees(self.driven_yaw.compass_sigma),
             "course_metres": None if course is None else round(course.metres, -1),
             "course_swing_deg": None if course is None else _degrees(course.swing(1)[0]),
             "verdict": self.verdict,
@@ -158,11 +163,11 @@ class Travel:
         if not self.estimator.is_heard:
             return []
         yaw, verdict = self.yaw, self.verdict
-        front = "the vehicle's front is not known yet" if yaw is None else yaw.words
+        driven_yaw = "the vehicle's front is not known yet" if yaw is None else yaw.words
         wrong = [*self.complaints, *([verdict] if verdict else [])]
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
         values = {key: str(value) for key, value in (self.facts() or {}).items()}
-        return [wire.diagnostic("Drive", "; ".join([front, *wrong]), values, level)]
+        return [wire.diagnostic("Drive", "; ".join([driven_yaw, *wrong]), values, level)]
 
     def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         def fail(error: Exception) -> None:

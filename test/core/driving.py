@@ -119,7 +119,7 @@ def feed(watch, *columns):
         seen = Heading(0.0, 0.0, heading, 0.0, 0.0, 0.0, 0.0)
         watch.take(CompassReading(stamp, tuple(field), up, seen, tuple(turning)))
         if k % 300 == 299:
-            said.append((stamp, watch.watched))
+            said.append((stamp, watch.result))
     return said
 
 

@@ -34,7 +34,7 @@ def absolute_rms_deg(outcome, robot=ROBOT):
 
 
 def fates_of(outcome):
-    return [fate.joined for fate in outcome.several.turns]
+    return [fate.joined for fate in outcome.multi_turn.turns]
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -63,7 +63,7 @@ def test_one_turn_is_exactly_what_it_is_alone():
     )
     np.testing.assert_array_equal(together.calibration.covariance, alone.calibration.covariance)
     assert together.verdict == alone.verdict
-    assert math.degrees(together.several.shown.installation_yaw) == pytest.approx(5.0, abs=0.1)
+    assert math.degrees(together.multi_turn.shown.installation_yaw) == pytest.approx(5.0, abs=0.1)
 
 
 @pytest.mark.nightly
@@ -88,7 +88,7 @@ def test_heading_is_absolute_and_its_sigma_is_told():
     assert outcome.verdict.accepted
     off = outcome.estimate.installation.yaw - ROBOT.yaw
     assert abs(off) < 3.0 * outcome.estimate.figures["installation_yaw_sigma"]
-    assert 0.1 < math.degrees(outcome.several.shown.absolute_level) < 0.4
+    assert 0.1 < math.degrees(outcome.multi_turn.shown.absolute_level) < 0.4
     assert absolute_rms_deg(outcome) < 1.0
 
 
@@ -110,7 +110,7 @@ def test_heading_is_absolute_and_the_covariance_knows_how_well(slopes, bound):
         sigmas.append(off / outcome.estimate.figures["installation_yaw_sigma"])
     assert math.sqrt(np.mean(squares)) <= bound
     assert np.mean(np.square(sigmas)) < 2.5
-    level = math.degrees(outcome.several.shown.absolute_level)
+    level = math.degrees(outcome.multi_turn.shown.absolute_level)
     assert bound / 3.0 < level < bound
 
 
@@ -123,7 +123,7 @@ def test_one_turn_more_never_makes_it_worse(seed):
     windows = windows_on(slopes, 200 + seed)
     outcomes = [calibrate_turns(windows[: k + 1], KNOWN) for k in range(len(windows))]
     for name in ("installation_yaw", "inclination", "absolute_level", "absolute_tilted"):
-        sigmas = [getattr(outcome.several.shown, name) for outcome in outcomes]
+        sigmas = [getattr(outcome.multi_turn.shown, name) for outcome in outcomes]
         # The noise is estimated anew with each turn, to some percent.
         assert all(after < 1.1 * before for before, after in pairwise(sigmas))
     errors = [absolute_rms_deg(outcome) for outcome in outcomes]
@@ -136,7 +136,7 @@ def test_the_yaw_of_the_installation_is_not_claimed_before_it_is_shown():
     assert flat.estimate.installation.yaw == 0.0
     assert "installation_yaw_sigma" not in flat.estimate.figures
     assert any("yaw of the installation" in words for words in flat.verdict.not_shown)
-    assert "the same tilt as before" in flat.several.turns[1].words
+    assert "the same tilt as before" in flat.multi_turn.turns[1].words
 
 
 def test_the_yaw_of_the_installation_is_claimed_where_a_slope_has_shown_it(mixed):
@@ -148,14 +148,14 @@ def test_the_yaw_of_the_installation_is_claimed_where_a_slope_has_shown_it(mixed
 class TestTurnsThatDoNotBelong:
     def test_each_is_left_out_with_its_reason(self, mixed):
         assert fates_of(mixed) == [True, False, True, False, False]
-        words = [fate.words for fate in mixed.several.turns]
+        words = [fate.words for fate in mixed.multi_turn.turns]
         assert "contradicts the other turns" in words[1]
         assert words[3] == "it holds the same samples as turn 3"
         assert "did not turn" in words[4]
         assert absolute_rms_deg(mixed) < 1.0
 
     def test_residuals_are_those_of_the_last_turn_that_joined(self, mixed):
-        assert mixed.several.newest == 2
+        assert mixed.multi_turn.newest == 2
         assert len(mixed.estimate.residual) == len(mixed.estimate.inliers) == 500
 
     @pytest.mark.nightly
@@ -166,7 +166,7 @@ class TestTurnsThatDoNotBelong:
         windows.insert(place, window_on(NORTH, rng, FOREIGN))
         outcome = calibrate_turns(windows, KNOWN)
         assert fates_of(outcome) == [k != place for k in range(3)]
-        assert "contradicts the other turns" in outcome.several.turns[place].words
+        assert "contradicts the other turns" in outcome.multi_turn.turns[place].words
         assert absolute_rms_deg(outcome) < 1.0
 
     @pytest.mark.nightly
@@ -177,7 +177,7 @@ class TestTurnsThatDoNotBelong:
         )
         assert fates_of(outcome) == [True, False]
         assert outcome.verdict.accepted
-        assert "Not joined: b: it contradicts the turn before" in outcome.several.in_words
+        assert "Not joined: b: it contradicts the turn before" in outcome.multi_turn.in_words
 
     @pytest.mark.nightly
     def test_a_copy_adds_nothing_and_is_said(self):
@@ -185,7 +185,7 @@ class TestTurnsThatDoNotBelong:
         part = windows[1].take(np.arange(100, 400))
         outcome = calibrate_turns([*windows, part, windows[0]], KNOWN)
         assert fates_of(outcome) == [True, True, False, False]
-        assert outcome.several.turns[2].words == "it holds the same samples as turn 2"
+        assert outcome.multi_turn.turns[2].words == "it holds the same samples as turn 2"
 
     @pytest.mark.nightly
     def test_a_robot_that_stood_is_left_out(self):
@@ -195,7 +195,7 @@ class TestTurnsThatDoNotBelong:
         ]
         outcome = calibrate_turns(windows, KNOWN)
         assert fates_of(outcome) == [True, True, False]
-        assert "did not turn" in outcome.several.turns[2].words
+        assert "did not turn" in outcome.multi_turn.turns[2].words
 
     def test_nothing_but_bad_turns_is_refused_with_all_reasons(self):
         rng = np.random.default_rng(12)
@@ -215,7 +215,7 @@ def test_a_short_arc_that_cannot_stand_alone_helps_the_others():
     assert calibrate(short, UNKNOWN).reason is Reason.ARC_TOO_SHORT
     before, after = calibrate_turns(full, UNKNOWN), calibrate_turns([*full, short], UNKNOWN)
     assert fates_of(after) == [True, True, True]
-    assert after.several.shown.absolute_tilted < 0.8 * before.several.shown.absolute_tilted
+    assert after.multi_turn.shown.absolute_tilted < 0.8 * before.multi_turn.shown.absolute_tilted
     assert after.estimate.arc > 6.0
 
 
@@ -235,7 +235,7 @@ def test_the_noisier_turn_weighs_less():
     windows = [window_on(LEVEL, rng), window_on(EAST, rng), window_on(NORTH, rng)]
     without = calibrate_turns(windows, KNOWN)
     with_it = calibrate_turns([*windows, window_on(WEST, rng, loud)], KNOWN)
-    gain = with_it.several.shown.installation_yaw / without.several.shown.installation_yaw
+    gain = with_it.multi_turn.shown.installation_yaw / without.multi_turn.shown.installation_yaw
     assert 0.8 < gain < 1.02
     assert absolute_rms_deg(with_it) < 1.0
 
@@ -244,7 +244,7 @@ def test_other_methods_pool_or_say_that_they_do_not_join():
     windows = windows_on([LEVEL, EAST], 17)
     together = pooled(windows)
     assert len(together) == len(windows[0]) + len(windows[1])
-    assert calibrate_turns(windows, KNOWN, "ellipsoid").several is None
+    assert calibrate_turns(windows, KNOWN, "ellipsoid").multi_turn is None
     with pytest.raises(UsageError, match="takes one turn; maximum_likelihood joins"):
         calibrate_turns(windows, KNOWN, "design_tip")
 
@@ -256,6 +256,6 @@ def test_a_sigma_knows_of_sensors_with_errors_of_their_own():
     windows = windows_on([LEVEL, EAST, NORTH], 5, robot, gyro=True)
     real = replace(KNOWN, exact_sensors=False)
     outcome, believed = calibrate_turns(windows, real), calibrate_turns(windows, KNOWN)
-    sigmas = [each.several.shown.absolute_level for each in (outcome, believed)]
+    sigmas = [each.multi_turn.shown.absolute_level for each in (outcome, believed)]
     assert sigmas[0] > 1.2 * sigmas[1]
     assert math.radians(absolute_rms_deg(outcome, robot)) < 3.0 * sigmas[0]

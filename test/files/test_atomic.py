@@ -29,12 +29,12 @@ while True:
 LIMITED = """
 import resource, signal, sys
 from pathlib import Path
-from magcal_ros.files.disk import FileTrouble, write_atomically
+from magcal_ros.files.disk import FileError, write_atomically
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
     write_atomically(Path(sys.argv[1]), "n" * 100_000)
-except FileTrouble as trouble:
+except FileError as trouble:
     print(trouble)
 """
 

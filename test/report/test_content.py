@@ -319,7 +319,7 @@ def test_turns_that_were_put_together_have_a_section(tmp_path, monkeypatch):
     words = words_of(text_of(tmp_path, subject))
     assert "Joined turns" in words
     assert "it holds the same samples as <first>" in words
-    assert outcome.several.advice_in_words in words
+    assert outcome.multi_turn.advice_in_words in words
     assert "installation yaw (±1σ)" in words
     assert "all samples of the newest turn" in words
 

@@ -15,13 +15,13 @@ from magcal_ros.report.drive_page import render_drive
 ERRORS = np.radians([0.5, 3.0, 7.0, 15.0, 40.0])
 
 
-def story(place):
+def replay(place):
     path = DrivePath(np.array(place, dtype=float), ERRORS, True, True)
     return DriveReplay((), None, None, 60.0, 50.0, "nothing", path)
 
 
 def test_the_map_shows_degrees():
-    page = render_drive(story([[0, 0], [10, 0], [20, 0], [30, 0], [40, 0]]), "a drive")
+    page = render_drive(replay([[0, 0], [10, 0], [20, 0], [30, 0], [40, 0]]), "a drive")
     for name in ("0 to 2°: 20%", "2 to 5°: 20%", "more than 20°: 20%"):
         assert name in page
     assert "At 40% of the points it was less than 5°" in page
@@ -29,27 +29,27 @@ def test_the_map_shows_degrees():
 
 
 def test_nothing_in_force_makes_no_empty_table():
-    page = render_drive(story([[k, 0] for k in range(5)]), "a drive")
+    page = render_drive(replay([[k, 0] for k in range(5)]), "a drive")
     assert "<p>None.</p>" in page
     assert "made by" not in page
 
 
 def test_a_narrow_way_stands_in_the_middle_of_the_map():
-    page = render_drive(story([[0, 25 * k] for k in range(5)]), "a drive")
+    page = render_drive(replay([[0, 25 * k] for k in range(5)]), "a drive")
     assert {float(x) for x in re.findall(r'cx="([0-9.]+)"', page)} == {500.0}
 
 
 def test_start_and_end_of_a_loop_are_named_together():
-    apart = render_drive(story([[0, 0], [10, 0], [20, 10], [30, 0], [40, 0]]), "a drive")
+    apart = render_drive(replay([[0, 0], [10, 0], [20, 10], [30, 0], [40, 0]]), "a drive")
     assert ">start</text>" in apart
     assert ">end</text>" in apart
-    loop = render_drive(story([[0, 0], [10, 0], [20, 10], [10, 10], [0.2, 0]]), "a drive")
+    loop = render_drive(replay([[0, 0], [10, 0], [20, 10], [10, 10], [0.2, 0]]), "a drive")
     assert ">start and end</text>" in loop
     assert ">end</text>" not in loop
 
 
 def test_no_name_is_written_over_the_scale():
-    page = render_drive(story([[0, 0], [10, 5], [20, 10], [30, 5], [40, 8]]), "a drive")
+    page = render_drive(replay([[0, 0], [10, 5], [20, 10], [30, 5], [40, 8]]), "a drive")
     start, bar = (
         float(re.search(rf'y="([0-9.]+)"[^>]*>{name}<', page)[1]) for name in ("start", "[0-9]+ m")
     )
@@ -57,7 +57,7 @@ def test_no_name_is_written_over_the_scale():
 
 
 def test_the_offset_against_course_stands_on_the_page():
-    told = replace(story([[k, 0] for k in range(5)]), course="compass minus course +3.0° ±1.0°")
+    told = replace(replay([[k, 0] for k in range(5)]), course="compass minus course +3.0° ±1.0°")
     assert 'id="course">After: compass minus course +3.0°' in render_drive(told, "a drive")
 
 

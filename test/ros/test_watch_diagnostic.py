@@ -36,9 +36,9 @@ def test_it_is_told_and_cleared_by_a_new_calibration(scene, ros_home):
     assert robot.answer(robot.call("load")).success
     wait_for("Not judged yet")
     assert said().level == DiagnosticStatus.OK
-    robot.run(PATIENCE, 0.5, lambda: len(node._first.watch._records) > 3)
-    assert len(node._first.watch._records) > 3, "field messages reach the watch"
-    node._first.watch.result = dataclasses.replace(MonitorResult(), is_stale=True, minutes=4.0)
+    robot.run(PATIENCE, 0.5, lambda: len(node._first.monitor._records) > 3)
+    assert len(node._first.monitor._records) > 3, "field messages reach the watch"
+    node._first.monitor.result = dataclasses.replace(MonitorResult(), is_stale=True, minutes=4.0)
     wait_for("has not held for about 4 min")
     assert said().level == DiagnosticStatus.WARN
     robot.run(PATIENCE, stop=lambda: robot.status["watch"]["stale"])

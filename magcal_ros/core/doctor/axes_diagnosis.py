@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.doctor.axes_hypotheses import LIMITS, AxesHypotheses
-from magcal_ros.core.doctor.health import Finding, checked, not_shown, wrong
+from magcal_ros.core.doctor.health import Finding, ok_or_warning, severe_finding, undetermined
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, INVERTED
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import (
@@ -55,20 +55,20 @@ def check_gravity_direction(
     """
     name, usual = "accelerometer: up", _usual_up(log)
     if np.linalg.norm(usual) < LEAST_UPRIGHT:
-        return not_shown("gravity_sign", name, STAND), False
+        return undetermined("gravity_sign", name, STAND), False
     usual = usual / np.linalg.norm(usual)
     evidence = f"up is ({usual[0]:.2f}, {usual[1]:.2f}, {usual[2]:.2f})"
     if usual[2] > LEAST_UPRIGHT:
-        return checked("gravity_sign", name, evidence), False
+        return ok_or_warning("gravity_sign", name, evidence), False
     if usual[2] > -LEAST_UPRIGHT:
-        return wrong("imu_axes", name, evidence, upward_axis_in_words(usual)), False
+        return severe_finding("imu_axes", name, evidence, upward_axis_in_words(usual)), False
     flipped = _is_flipped(given, other, turned_left)
     key, words = {
         None: ("gravity_sign", f"either {WRONG_SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
         True: ("gravity_sign", WRONG_SIGN),
         False: ("imu_axes", UPSIDE_DOWN),
     }[flipped]
-    return wrong(key, name, evidence, words), flipped
+    return severe_finding(key, name, evidence, words), flipped
 
 
 def _usual_up(log: SensorLog) -> FloatArray:
@@ -235,7 +235,7 @@ def diagnose_axes(
     """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
     misfit, given = explanations.misfit, explanations.as_given
     if explanations.rms[explanations.best] > LIMITS.worst_fit:
-        finding = checked("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
+        finding = ok_or_warning("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return AxesDiagnosis((finding,))
     remains = misfit < LIMITS.remains
     contrary = np.zeros(len(misfit), dtype=np.bool_)
@@ -256,7 +256,7 @@ def diagnose_axes(
     gyro, field = explanations.gyro, explanations.field
     fewest.sort(key=lambda k: (misfit[k] > LIMITS.likely, rank_of(gyro[k]), rank_of(field[k])))
     if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
-        return AxesDiagnosis((not_shown("axes", "axes", DEAD_GYRO),))
+        return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
     return _findings_on_axes(explanations, fewest, rank, knowledge)
 
 
@@ -280,17 +280,17 @@ def _all_agree(
     known = np.array_equal(knowledge.mounting.pose, STANDARD)
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
-    found = [checked("axes", "axes", evidence)]
+    found = [ok_or_warning("axes", "axes", evidence)]
     if more:
         pairs = f"pair{'s' * (more > 1)} of orientations"
         rest = f"{more} other {pairs} of gyro and magnetometer"
         why = f"{evidence} fit, but so would {rest}; to tell them apart, {axes.movement or LIFT}"
-        found = [not_shown("axes", "axes", why)]
+        found = [undetermined("axes", "axes", why)]
     if contrary[given]:
         others = [_wrong_sensors(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
         alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
         said = TURNED_RIGHT + "".join(f", or only the {sensor} has wrong axes" for sensor in alone)
-        found.append(checked("imu_axes", "axes: up", "a turn to the right", said))
+        found.append(ok_or_warning("imu_axes", "axes: up", "a turn to the right", said))
     return AxesDiagnosis(tuple(found), given, axes)
 
 
@@ -305,7 +305,7 @@ def _findings_on_axes(
     if len(culprits[0]) > 1:
         names = " and ".join(culprits[0])
         evidence = f"other axes of {names} explain the movement better"
-        return AxesDiagnosis((checked("axes", "axes", evidence, SEVERAL_WRONG),))
+        return AxesDiagnosis((ok_or_warning("axes", "axes", evidence, SEVERAL_WRONG),))
     is_clear = len(culprits) == 1
     said, axes = {}, None
     for (sensor,) in culprits:
@@ -327,9 +327,9 @@ def _findings_on_axes(
         asked += f"{LIFT}{GIVE_DIP if is_opposite else ''}. Either {'; or '.join(said.values())}"
         if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
             asked += f"; or {FIELD_POINTS_UP}"
-        return AxesDiagnosis((wrong("axes", "axes", evidence, asked),), fewest[0], axes)
+        return AxesDiagnosis((severe_finding("axes", "axes", evidence, asked),), fewest[0], axes)
     evidence = "the other sensors contradict them"
-    line = wrong(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])
+    line = severe_finding(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])
     return AxesDiagnosis((line,), fewest[0], axes)
 
 

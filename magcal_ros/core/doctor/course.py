@@ -11,7 +11,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.doctor.axes_diagnosis import mount_of, parameter_line
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
-from magcal_ros.core.doctor.health import Finding, checked, not_shown, wrong
+from magcal_ros.core.doctor.health import Finding, ok_or_warning, severe_finding, undetermined
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import axes_in_words, is_mirrored, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge
@@ -81,25 +81,25 @@ def course_findings(
     if knows_imu:
         lines.append(_imu_yaw(imu_yaw))
     if not gap.sigma < TUNING.vague:
-        return [*lines, not_shown("field_yaw", NAME, LONGER)], None
+        return [*lines, undetermined("field_yaw", NAME, LONGER)], None
     quarters = round(gap.value / (0.5 * math.pi))
     evidence = (
         f"the compass is {math.degrees(gap.value):+.0f} ± {math.degrees(gap.sigma):.0f}° off the "
         "course"
     )
     if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > TUNING.near:
-        return [*lines, checked("field_yaw", NAME, evidence)], None
+        return [*lines, ok_or_warning("field_yaw", NAME, evidence)], None
     axes = np.rint(used.axes @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
     mount = mount_of(axes, used.pose)
     turned = f"the magnetometer's axes are {axes_in_words(axes)}: set `{parameter_line(mount)}`"
     if knows_imu:
-        return [*lines, wrong("field_yaw", NAME, evidence, turned)], mount
+        return [*lines, severe_finding("field_yaw", NAME, evidence, turned)], mount
     either = (
         f"either {turned}; or IMU and magnetometer are both turned by {90 * quarters:+d}° to the "
         f"left of the front: set `vehicle_yaw_deg: {90.0 * quarters}`. To tell which, record the "
         "speed too, and accelerate and brake"
     )
-    return [*lines, wrong("field_yaw", NAME, evidence, either)], None
+    return [*lines, severe_finding("field_yaw", NAME, evidence, either)], None
 
 
 def _imu_yaw(seen: Belief) -> Finding:
@@ -113,4 +113,4 @@ def _imu_yaw(seen: Belief) -> Finding:
         f"set `vehicle_yaw_deg: {degrees:.0f}.0`"
     )
     is_off = abs(seen.value) > TUNING.near
-    return checked("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)
+    return ok_or_warning("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)

@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
 from magcal_ros.core.doctor.axes_diagnosis import LIFT, NOSE
 from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
-from magcal_ros.core.doctor.health import WRONG_UNIT, Finding, checked, not_shown
+from magcal_ros.core.doctor.health import WRONG_UNIT, Finding, ok_or_warning, undetermined
 from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
 from magcal_ros.core.doctor.motion import (
     FULL_TURN,
@@ -94,8 +94,8 @@ def with_field(
     if any(line.key == WRONG_UNIT and line.is_wrong for line in lines):
         return [
             *_unit_by_strength(lines, found.hypothesis, knowledge),
-            not_shown("reference", AGAINST_REFERENCE, UNIT_FIRST),
-            not_shown("motors", MOTORS, UNIT_FIRST),
+            undetermined("reference", AGAINST_REFERENCE, UNIT_FIRST),
+            undetermined("motors", MOTORS, UNIT_FIRST),
         ]
     lines = [*lines, reference_finding(found.hypothesis, knowledge, found.up_is_down)]
     if prepared.restamped or not np.isfinite(found.body.rate).all():
@@ -136,7 +136,7 @@ def reference_finding(
     strength, off = whole.value, whole.sigma
     if is_vague(whole):
         upwards = None if up_is_down is not False else _points_up(hypothesis, knowledge)
-        return upwards or not_shown("reference", AGAINST_REFERENCE, LIFT)
+        return upwards or undetermined("reference", AGAINST_REFERENCE, LIFT)
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
     dip = -math.asin(max(-1.0, min(1.0, along)))
     iron = float(np.linalg.norm(hypothesis.state[IRON])) * size
@@ -156,13 +156,15 @@ def reference_finding(
         limit = max(TUNING.inclination, CLEAR * spread)
         if abs(dip - believed.inclination.value) > limit:
             if abs(dip + believed.inclination.value) <= limit:
-                return checked("inclination_sign", AGAINST_REFERENCE, evidence, FIELD_POINTS_UP)
+                return ok_or_warning(
+                    "inclination_sign", AGAINST_REFERENCE, evidence, FIELD_POINTS_UP
+                )
             wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
     remedy = (
         f"the reference field has {' and '.join(wrong)}: turn farther away from iron and walls. If "
         "the difference is the same everywhere, the magnetometer's scale or unit is wrong"
     )
-    return checked("reference", AGAINST_REFERENCE, evidence, remedy * bool(wrong))
+    return ok_or_warning("reference", AGAINST_REFERENCE, evidence, remedy * bool(wrong))
 
 
 def _points_up(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Finding | None:
@@ -189,7 +191,7 @@ def _points_up(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Finding | No
         "the other way"
     )
     remedy = f"either the robot has that much iron, or {FIELD_POINTS_UP}"
-    return checked("inclination_sign", AGAINST_REFERENCE, evidence, remedy)
+    return ok_or_warning("inclination_sign", AGAINST_REFERENCE, evidence, remedy)
 
 
 def motors_finding(log: SensorLog, hypothesis: AxesHypothesis, lag_is_shown: bool) -> Finding:
@@ -197,16 +199,16 @@ def motors_finding(log: SensorLog, hypothesis: AxesHypothesis, lag_is_shown: boo
     state = hypothesis.state
     found = motors_field(log, hypothesis, float(state[LAG]) if lag_is_shown else 0.0)
     if found is None:
-        return not_shown("motors", MOTORS, BETWEEN_RESTS)
+        return undetermined("motors", MOTORS, BETWEEN_RESTS)
     if drove_while_turning(log, hypothesis.gyro, state[BIAS]):
-        return not_shown("motors", MOTORS, ON_THE_SPOT)
+        return undetermined("motors", MOTORS, ON_THE_SPOT)
     field, covariance = found
     off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
     strength = float(np.linalg.norm(field))
     is_seen = float(field @ np.linalg.solve(covariance, field)) > TUNING.clear**2
     is_seen &= strength > TUNING.motors
     if off > TUNING.motors and not is_seen:
-        return not_shown("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
+        return undetermined("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
     level = hypothesis.part.size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
     turned = math.atan2(strength, level)
     words = ", ".join(f"{value * 1e6:+.1f}" for value in field)
@@ -218,4 +220,4 @@ def motors_finding(log: SensorLog, hypothesis: AxesHypothesis, lag_is_shown: boo
         evidence = f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT while the robot turns"
     remedy = MOVE_THE_SENSOR if turned > TUNING.turned_too_far else TURN_BETWEEN_RESTS
     remedy += "" if lag_is_shown else OR_LATE
-    return checked("motors", MOTORS, evidence, remedy * is_seen)
+    return ok_or_warning("motors", MOTORS, evidence, remedy * is_seen)

@@ -22,7 +22,13 @@ from magcal_ros.core.doctor.axes_hypotheses import (
     most_turned,
     rate_factors,
 )
-from magcal_ros.core.doctor.health import Finding, checked, dead_axes, not_shown, wrong
+from magcal_ros.core.doctor.health import (
+    Finding,
+    dead_axes,
+    ok_or_warning,
+    severe_finding,
+    undetermined,
+)
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
@@ -101,7 +107,7 @@ def compare(
     """Compare accelerometer, gyro and field."""
     log = prepared.log
     if not log.has_gyro:
-        found = checked("no_gyro", "gyro", "absent", NO_GYRO)
+        found = ok_or_warning("no_gyro", "gyro", "absent", NO_GYRO)
         return MotionFound((found, check_gravity_direction(log, None, None, turned_left)[0]))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = segment_of_log(body)
@@ -132,14 +138,14 @@ def compare(
     blamed = diagnose_axes(explanations, knowledge, turned_left, dead)
     if stands.is_wrong and not up_is_down and any(each.is_wrong for each in blamed.findings):
         # Those findings are in the IMU's axes, which may need a correction themselves.
-        blamed = AxesDiagnosis((not_shown("axes", "axes", GRAVITY_FIRST),), blamed.chosen)
+        blamed = AxesDiagnosis((undetermined("axes", "axes", GRAVITY_FIRST),), blamed.chosen)
     findings = [_unit(factor, factors is None), stands, *blamed.findings]
     hypothesis = None if blamed.chosen is None else explanations.hypothesis(blamed.chosen)
     if hypothesis is not None:
         rest = None if rest is None else rest._replace(rate=factor * rest.rate)
         findings += _gyro_errors(hypothesis, factor, rest, prepared.restamped)
         if prepared.restamped:
-            findings.append(not_shown("latency", "field: latency", NO_BURSTS))
+            findings.append(undetermined("latency", "field: latency", NO_BURSTS))
         else:
             findings += _latencies(body, hypothesis)
     return MotionFound(tuple(findings), blamed.axes, hypothesis, factor, up_is_down, body)
@@ -174,12 +180,12 @@ def _nothing_shown(
 ) -> MotionFound:
     """Return the findings without a comparison; a rest still shows the gyro's bias."""
     why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
-    bias = not_shown("gyro_bias", "gyro: bias", why)
+    bias = undetermined("gyro_bias", "gyro: bias", why)
     findings = (
-        not_shown("axes", "axes", why),
+        undetermined("axes", "axes", why),
         bias if rest is None else _bias(rest.rate, TUNING.at_rest, 1.0),
-        not_shown("rate_scale", "gyro: scale", why),
-        not_shown("latency", "field: latency", why),
+        undetermined("rate_scale", "gyro: scale", why),
+        undetermined("latency", "field: latency", why),
         check_gravity_direction(log, None, None, turned_left)[0],
     )
     return MotionFound(findings)
@@ -187,16 +193,16 @@ def _nothing_shown(
 
 def _unit(factor: float, turns_alike: bool) -> Finding:
     if factor == 1.0 and not turns_alike:
-        return not_shown("rate_unit", "gyro: unit", "turn on the spot, away from iron")
+        return undetermined("rate_unit", "gyro: unit", "turn on the spot, away from iron")
     if factor == 1.0:
-        return checked("rate_unit", "gyro: unit", "rad/s, by how fast the field turns")
+        return ok_or_warning("rate_unit", "gyro: unit", "rad/s, by how fast the field turns")
     evidence = f"rad/s times {1.0 / factor:.4g}, by how fast the field turns"
     times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
     words = (
         f"the gyro's rates are {times:.3g} times too {size}, which looks like "
         f"{dict(UNIT_ERRORS)[factor]}; multiply them by {factor:.6g} in the driver"
     )
-    return wrong("rate_unit", "gyro: unit", evidence, words)
+    return severe_finding("rate_unit", "gyro: unit", evidence, words)
 
 
 def _gyro_errors(
@@ -204,9 +210,9 @@ def _gyro_errors(
 ) -> tuple[Finding, Finding]:
     """Return the findings on the gyro's bias and scale."""
     state, sigma = hypothesis.state, hypothesis.sigma
-    hidden = not_shown("gyro_bias", "gyro: bias", FULL_TURN)
+    hidden = undetermined("gyro_bias", "gyro: bias", FULL_TURN)
     if not np.isfinite(sigma).all():
-        return hidden, not_shown("rate_scale", "gyro: scale", FULL_TURN)
+        return hidden, undetermined("rate_scale", "gyro: scale", FULL_TURN)
     # In the gyro's own axes and scale, so that the driver can subtract it.
     bias = hypothesis.gyro @ state[BIAS] / (1.0 + state[SCALE])
     off = math.sqrt(float((hypothesis.gyro**2 @ sigma[BIAS] ** 2).max()))
@@ -225,7 +231,7 @@ def _scale(hypothesis: AxesHypothesis, factor: float, restamped: bool) -> Findin
     scale, off = float(hypothesis.state[SCALE]), float(hypothesis.sigma[SCALE])
     if restamped or off > TUNING.vague[1]:
         why = NO_BURSTS if restamped else f"within {off:.1%}; {FULL_TURN}"
-        return not_shown("rate_scale", "gyro: scale", why)
+        return undetermined("rate_scale", "gyro: scale", why)
     too_large = abs(scale) > max(TUNING.scale, CLEAR * off)
     evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
     # Motors and iron that change the field during one turn look like a scale error.
@@ -234,7 +240,7 @@ def _scale(hypothesis: AxesHypothesis, factor: float, restamped: bool) -> Findin
         f"still. If the field again turns by so much {'more' if scale > 0.0 else 'less'} than the "
         f"gyro shows, multiply the gyro's rates by {factor * (1.0 + scale):.4g} in the driver"
     )
-    return checked("rate_scale", "gyro: scale", evidence, remedy * too_large)
+    return ok_or_warning("rate_scale", "gyro: scale", evidence, remedy * too_large)
 
 
 def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
@@ -246,7 +252,7 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
         f"({as_published}) from its rates"
     )
     too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, CLEAR * off)
-    return checked("gyro_bias", "gyro: bias", evidence, remedy * too_large)
+    return ok_or_warning("gyro_bias", "gyro: bias", evidence, remedy * too_large)
 
 
 def _latencies(log: SensorLog, hypothesis: AxesHypothesis) -> list[Finding]:
@@ -288,7 +294,7 @@ def _shown(found: Latency | None, vague: float) -> tuple[Latency | None, float]:
 
 def _latency(key: str, name: str, latency: Latency | None, tells: str, remedy: str) -> Finding:
     if latency is None:
-        return not_shown(key, name, tells)
+        return undetermined(key, name, tells)
     lag, off = round(latency.lag * 1e3), latency.sigma * 1e3
     how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
-    return checked(key, name, how, remedy)
+    return ok_or_warning(key, name, how, remedy)

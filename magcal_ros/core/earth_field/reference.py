@@ -252,14 +252,14 @@ def resolve(
     The variances of local deviation and model are added. `place` and `year` (decimal) are None if
     unknown. A missing model is a complaint, not an exception.
     """
-    missing_data = [name for name, belief in _beliefs(given) if belief.is_unknown]
-    source = "unknown" if len(missing_data) == len(UNITS) else "given"
+    missing = [name for name, belief in _beliefs(given) if belief.is_unknown]
+    source = "unknown" if len(missing) == len(UNITS) else "given"
     if place is None or year is None:
         return Reference(given, source)
     try:
         model = model_field(place, year)
     except NoModel as error:
-        return Reference(given, source, (str(error),) if missing_data else ())
+        return Reference(given, source, (str(error),) if missing else ())
     spot = f"{model.model} at {place.words}, {year:.1f}"
     pairs = zip((model.strength, model.inclination, model.declination), local, strict=True)
     here = [Belief(each.value, math.hypot(each.sigma, sigma)) for each, sigma in pairs]
@@ -273,8 +273,8 @@ def resolve(
     doubts = [*_contradictions(given, here, spot), *_doubts(model, field)]
     if source == "unknown":
         source = spot
-    elif missing_data:
-        known = " and ".join(name for name, _ in _beliefs(given) if name not in missing_data)
+    elif missing:
+        known = " and ".join(name for name, _ in _beliefs(given) if name not in missing)
         source = f"{known} given, the rest from the {spot}"
     return Reference(field, source, tuple(doubts))
 

@@ -5,7 +5,7 @@ from magcal_ros.core.lazy_names import lazy_names
 __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     """
-    base_heading: BaseHeading VehicleYaw corrected_pose driven_yaw
+    base_heading: BaseHeading VehicleYaw compare_with_course corrected_pose
     compass: CompassReading Heading quaternion_from_rpy
     disturbance: DisturbanceDetector FieldDeviation PATIENCE Trust
     fused_yaw: FusedYaw

@@ -70,7 +70,7 @@ class DrivenYaw:
     suspicion: str = ""  # the likely cause of a difference, in words; empty if there is none
 
 
-def driven_yaw(
+def compare_with_course(
     mounting: MountingYaw | None,
     course: CourseOffset | None,
     declination: float | None,

@@ -27,7 +27,7 @@ from magcal_ros.core.geometry.vec3 import (
     propagated,
     scaled,
 )
-from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_ahead
+from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
 from magcal_ros.core.heading.dispute import Dispute, Scene
 from magcal_ros.core.heading.disturbance import DISTURBANCE, DisturbanceDetector, Trust
 from magcal_ros.core.heading.yaw_filter import FUSION, GyroDrift, YawFilter
@@ -181,7 +181,7 @@ class FusedYaw:
             return
         since = min(stamp - self._corrected, STREAMS.longest_gyro_step)
         self._corrected = stamp
-        ahead = yaw_ahead(then.north, seen, up.direction)
+        ahead = yaw_between(then.north, seen, up.direction)
         compass = _errors_of(heading)
         error = float(self._filter.errors @ compass)
         innovation = wrapped(ahead - (self._shift - then.shift) - error)

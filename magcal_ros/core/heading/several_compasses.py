@@ -14,7 +14,7 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, between, minus, plus, propagated, scaled
-from magcal_ros.core.heading.compass import Compass, CompassReading, Heading, levelled, yaw_ahead
+from magcal_ros.core.heading.compass import Compass, CompassReading, Heading, levelled, yaw_between
 from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples.streams import STREAMS
@@ -36,7 +36,7 @@ class CompassYaw(NamedTuple):
 
     number: int  # of the magnetometer
     field: Triple  # in the body axes of the moment, tesla
-    ahead: float  # yaw relative to an origin common to all, radians
+    relative_yaw: float  # yaw relative to an origin common to all, radians
     variance: float  # of the yaw, rad²
 
 
@@ -83,19 +83,19 @@ def _log_likelihood(yaws: list[CompassYaw], more: float) -> float:
 
 
 @dataclass
-class _Member:
+class _CompassState:
     """A magnetometer with its calibration and its last message."""
 
     compass: Compass
-    doubt: FieldDeviation
+    deviation: FieldDeviation
     moment: CompassReading | None = None
     arrived: float = -math.inf  # stamp of the IMU at the last message
     changed: float = -math.inf  # the same for the last message with other values
-    deviation_variance: float = 0.0  # variance of the yaw by a disturbed field, rad²
-    off: float = math.nan  # smoothed yaw relative to the common origin, radians
+    extra_variance: float = 0.0  # variance of the yaw by a disturbed field, rad²
+    relative_yaw: float = math.nan  # smoothed yaw relative to the common origin, radians
     offset: Triple = (0.0, 0.0, 0.0)  # its field minus the mean of all, body axes, tesla
-    learnt: float = 0.0  # seconds over which the offset was learnt
-    share: CompassWeight = field(default_factory=lambda: CompassWeight(0.0))
+    offset_seconds: float = 0.0  # seconds over which the offset was learnt
+    weight: CompassWeight = field(default_factory=lambda: CompassWeight(0.0))
 
     def take(self, moment: CompassReading, now: float) -> None:
         """Add a message of this magnetometer."""
@@ -112,7 +112,7 @@ class _Member:
         assert self.moment is not None
         assert self.moment.up is not None
         field, up = self.moment.field, self.moment.up
-        self.deviation_variance = self.doubt.add(stamp, field, up.direction, up.variance, turned)
+        self.extra_variance = self.deviation.add(stamp, field, up.direction, up.variance, turned)
 
     @property
     def heading(self) -> Heading:
@@ -130,14 +130,14 @@ class _Member:
     @property
     def deviates(self) -> bool:
         """Whether its field deviates from the calibrated one by more than its sigma."""
-        return self.deviation_variance > self.own_variance
+        return self.extra_variance > self.own_variance
 
 
 class SeveralCompasses:
     """Joins the moments of several magnetometers."""
 
     def __init__(self) -> None:
-        self._members: dict[int, _Member] = {}
+        self._members: dict[int, _CompassState] = {}
         self._now = self._stamp = -math.inf
         self._forget()
 
@@ -145,18 +145,18 @@ class SeveralCompasses:
         """Use another calibration for a magnetometer; None leaves it out."""
         self._members.pop(number, None)
         if calibration is not None:
-            self._members[number] = _Member(Compass(calibration), FieldDeviation(calibration))
+            self._members[number] = _CompassState(Compass(calibration), FieldDeviation(calibration))
         self._forget()
 
     @property
-    def lead(self) -> Compass | None:
+    def reference_compass(self) -> Compass | None:
         """The first calibrated compass, whose terms the joined field is in."""
         return self._members[min(self._members)].compass if self._members else None
 
     @property
-    def shares(self) -> dict[int, CompassWeight]:
+    def weights(self) -> dict[int, CompassWeight]:
         """The part of each calibrated magnetometer, by its number."""
-        return {number: self._members[number].share for number in sorted(self._members)}
+        return {number: self._members[number].weight for number in sorted(self._members)}
 
     def add(
         self, number: int, moment: CompassReading, now: float, fused: FusedYaw | None = None
@@ -183,18 +183,18 @@ class SeveralCompasses:
     def _forget(self) -> None:
         self._now = self._stamp = -math.inf
         self._is_by_gyro = False
-        self._apart = Disagreement()
+        self._disagreement = Disagreement()
         # Radians between compasses that disagree while none is known to be wrong.
         self.disagreement = 0.0
         self._members = {
-            number: _Member(each.compass, each.doubt, share=each.share)
+            number: _CompassState(each.compass, each.deviation, weight=each.weight)
             for number, each in self._members.items()
         }
 
     def _is_new(self, stamp: float) -> bool:
         return self._now - stamp <= STREAMS.longest_gyro_step
 
-    def _is_frozen(self, member: _Member) -> bool:
+    def _is_frozen(self, member: _CompassState) -> bool:
         """Whether a magnetometer repeats one value although another one has changed since."""
         newest = max(each.changed for each in self._members.values())
         return newest - member.changed > STREAMS.longest_gyro_step
@@ -206,7 +206,7 @@ class SeveralCompasses:
             return moment._replace(heading=None)
         kept = without_outliers(yaws)
         self._note_disagreement(kept, seconds)
-        weights = [1.0 / (each.variance + self._apart.variance) for each in kept]
+        weights = [1.0 / (each.variance + self._disagreement.variance) for each in kept]
         shares = [weight / sum(weights) for weight in weights]
         self._note_shares(yaws, kept, shares)
         joined = _mean([minus(w.field, self._members[w.number].offset) for w in kept], shares)
@@ -222,8 +222,8 @@ class SeveralCompasses:
             is_heard = self._is_new(member.arrived) and not self._is_frozen(member)
             seen = self._seen(member, moment, up) if is_heard else None
             if seen is None:
-                member.share = CompassWeight(0.0, self._silence(member))
-                member.off = math.nan
+                member.weight = CompassWeight(0.0, self._silence(member))
+                member.relative_yaw = math.nan
             else:
                 turned[number] = seen
         if not turned:
@@ -232,23 +232,23 @@ class SeveralCompasses:
         if self._is_by_gyro is (origin is None) or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._is_by_gyro = origin is not None
             for member in self._members.values():
-                member.off = math.nan
+                member.relative_yaw = math.nan
         north = levelled(next(iter(turned.values())), up) if origin is None else origin
         assert north is not None
         share = 1.0 - math.exp(-max(seconds, 0.0) / DISTURBANCE.memory)
         # The gyro shows which compass has changed. Until they have agreed, this is no evidence.
-        shows = origin is not None and any(self._members[k].learnt for k in turned)
+        shows = origin is not None and any(self._members[k].offset_seconds for k in turned)
         known = fused.yaw_variance if fused is not None and shows else math.inf
-        ahead = {
-            number: self._ahead(number, yaw_ahead(north, seen, up), share)
+        yaws = {
+            number: self._smoothed_yaw(number, yaw_between(north, seen, up), share)
             for number, seen in turned.items()
         }
-        return [self._compass_yaw(number, seen, ahead, known) for number, seen in turned.items()]
+        return [self._compass_yaw(number, seen, yaws, known) for number, seen in turned.items()]
 
-    def _seen(self, member: _Member, moment: CompassReading, up: Triple) -> Triple | None:
-        """Return a member's field at a moment, in the lead's terms; None if it has none."""
-        then, lead = member.moment, self.lead
-        if then is None or then.heading is None or lead is None:
+    def _seen(self, member: _CompassState, moment: CompassReading, up: Triple) -> Triple | None:
+        """Return a member's field, as the reference compass would measure it; None if it has none."""
+        then, reference = member.moment, self.reference_compass
+        if then is None or then.heading is None or reference is None:
             return None
         since = moment.stamp - then.stamp
         if abs(since) > STREAMS.longest_gyro_step:
@@ -260,34 +260,34 @@ class SeveralCompasses:
         if level is None:
             return None
         # Different strengths or dips in two calibrations are no disturbance.
-        own, common = member.compass.calibration, lead.calibration
+        own, common = member.compass.calibration, reference.calibration
         further = common.strength * math.cos(common.inclination)
         further -= own.strength * math.cos(own.inclination)
         higher = own.strength * math.sin(own.inclination)
         higher -= common.strength * math.sin(common.inclination)
         return plus(seen, plus(scaled(level, further), scaled(up, higher)))
 
-    def _ahead(self, number: int, ahead: float, share: float) -> float:
+    def _smoothed_yaw(self, number: int, yaw: float, share: float) -> float:
         """Return the smoothed yaw of a member relative to the origin, radians."""
         member = self._members[number]
-        change = wrapped(ahead - member.off)
+        change = wrapped(yaw - member.relative_yaw)
         # A step that is larger than noise is not averaged.
         is_noise = abs(change) <= DISTURBANCE.gate * math.sqrt(member.heading.noise_variance)
-        member.off = wrapped(member.off + share * change) if is_noise else ahead
-        return member.off
+        member.relative_yaw = wrapped(member.relative_yaw + share * change) if is_noise else yaw
+        return member.relative_yaw
 
     def _compass_yaw(
-        self, number: int, seen: Triple, ahead: dict[int, float], known: float
+        self, number: int, seen: Triple, yaws: dict[int, float], known: float
     ) -> CompassYaw:
-        member, own = self._members[number], ahead[number]
+        member, own = self._members[number], yaws[number]
         # A single compass, or one that agrees with another, may be right and the gyro's yaw wrong.
-        others = [wrapped(own - each) for other, each in ahead.items() if other != number]
+        others = [wrapped(own - each) for other, each in yaws.items() if other != number]
         member.learn_deviation(
             self._stamp, (min([own, *others], key=abs), known if others else math.inf)
         )
-        return CompassYaw(number, seen, own, member.own_variance + member.deviation_variance)
+        return CompassYaw(number, seen, own, member.own_variance + member.extra_variance)
 
-    def _silence(self, member: _Member) -> str:
+    def _silence(self, member: _CompassState) -> str:
         if not self._is_new(member.arrived):
             return "it is silent"
         if self._is_frozen(member):
@@ -299,10 +299,10 @@ class SeveralCompasses:
         if len(yaws) < 2:
             return
         own = sum(self._members[each.number].own_variance for each in yaws)
-        self._apart.add(yaws, own / sum(each.variance for each in yaws), seconds)
-        if self._apart.chance > 0.5:
-            first = yaws[0].ahead
-            self.disagreement = max(abs(wrapped(each.ahead - first)) for each in yaws)
+        self._disagreement.add(yaws, own / sum(each.variance for each in yaws), seconds)
+        if self._disagreement.chance > 0.5:
+            first = yaws[0].relative_yaw
+            self.disagreement = max(abs(wrapped(each.relative_yaw - first)) for each in yaws)
 
     def _learn_offsets(self, kept: list[CompassYaw], shares: list[float], seconds: float) -> None:
         """Learn the offset of each field from the mean, while no compass seems wrong.
@@ -317,34 +317,34 @@ class SeveralCompasses:
         for each in kept:
             member = self._members[each.number]
             step = min(seconds, STREAMS.longest_gyro_step)
-            member.learnt = min(member.learnt + step, DISTURBANCE.amplitude_memory)
+            member.offset_seconds = min(member.offset_seconds + step, DISTURBANCE.amplitude_memory)
             new = minus(each.field, mean)
-            member.offset = between(member.offset, new, step / member.learnt)
+            member.offset = between(member.offset, new, step / member.offset_seconds)
 
     def _note_shares(
         self, yaws: list[CompassYaw], kept: list[CompassYaw], shares: list[float]
     ) -> None:
         weights = {each.number: share for each, share in zip(kept, shares, strict=True)}
-        first = 0.0 if self._is_by_gyro else kept[0].ahead
+        first = 0.0 if self._is_by_gyro else kept[0].relative_yaw
         for each in yaws:
             member, why = self._members[each.number], ""
-            if each not in kept or (member.deviates and member.doubt.is_turned):
-                off = math.degrees(wrapped(each.ahead - first))
-                why = f"its yaw differs by {off:+.0f}° from the others and the gyro"
+            if each not in kept or (member.deviates and member.deviation.is_turned):
+                gap = math.degrees(wrapped(each.relative_yaw - first))
+                why = f"its yaw differs by {gap:+.0f}° from the others and the gyro"
             elif member.deviates:
                 why = "its field is not the calibrated one"
-            member.share = CompassWeight(weights.get(each.number, 0.0), why)
+            member.weight = CompassWeight(weights.get(each.number, 0.0), why)
 
     def _with_heading(
         self, moment: CompassReading, up: Up, kept: list[CompassYaw], shares: list[float]
     ) -> CompassReading:
         """Return the moment with the heading of its joined field, and the variances.
 
-        All calibration errors are assumed to depend on the attitude like those of the lead. The
-        additional yaw error is constant, like that of a wrong mounting.
+        All calibration errors are assumed to depend on the attitude like those of the reference
+        compass. The additional yaw error is constant, like that of a wrong mounting.
         """
-        assert self.lead is not None
-        heading = self.lead.heading(moment.field, up.direction, up.variance)
+        assert self.reference_compass is not None
+        heading = self.reference_compass.heading(moment.field, up.direction, up.variance)
         if heading is None:
             return moment._replace(heading=None)
         by_tilt = heading.yaw_variance - heading.lasting_variance - heading.noise_variance
@@ -352,10 +352,10 @@ class SeveralCompasses:
         for share, each in zip(shares, kept, strict=True):
             own = self._members[each.number].heading
             lasting += share**2 * own.lasting_variance
-            between += share**2 * self._apart.variance
+            between += share**2 * self._disagreement.variance
             noise += share**2 * own.noise_variance
             # If all fields are disturbed differently, their mean may look undisturbed.
-            bent += share**2 * self._members[each.number].deviation_variance * (len(kept) > 1)
+            bent += share**2 * self._members[each.number].extra_variance * (len(kept) > 1)
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
         return moment._replace(
             heading=heading._replace(
@@ -393,8 +393,8 @@ def misfit(yaws: list[CompassYaw]) -> float:
     """Return the sum of squared normalised residuals of yaws about their weighted mean."""
     whole = moment = square = 0.0
     for each in yaws:
-        ahead, weight = wrapped(each.ahead - yaws[0].ahead), 1.0 / each.variance
+        yaw, weight = wrapped(each.relative_yaw - yaws[0].relative_yaw), 1.0 / each.variance
         whole += weight
-        moment += weight * ahead
-        square += weight * ahead * ahead
+        moment += weight * yaw
+        square += weight * yaw * yaw
     return square - moment * moment / whole

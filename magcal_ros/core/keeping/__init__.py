@@ -6,8 +6,8 @@ __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     """
     drive_replay: DrivePath DriveReplay path_along replay_drive
-    jobs: Decision DecisionKind DriveCandidate DriveJob DriveResult HeldOutComparison Kind Mode
-        SELF_CALIBRATION Step difference
+    jobs: CalibrationStep CandidateKind Decision DecisionKind DriveCandidate DriveJob DriveResult
+        HeldOutComparison Mode SELF_CALIBRATION difference
     motor_learning: MotorLearning
     self_calibration: SelfCalibration TRIAL
     worker: answer compare_held_out

@@ -49,11 +49,11 @@ class DriveReplay:
     """The result of a replay."""
 
     decisions: tuple[tuple[float, Decision], ...]  # seconds from the beginning, and the decision
-    begun: Calibration | None  # in force at the beginning
-    ended: Calibration | None  # in force at the end
+    first_calibration: Calibration | None  # in force at the beginning
+    last_calibration: Calibration | None  # in force at the end
     seconds: float  # duration of the recording
     moved: float  # seconds of movement
-    doing: str  # the state at the end, in words
+    state: str  # the state at the end, in words
     path: DrivePath | None  # None without a calibration
     course: str = ""  # comparison of compass and course at the end, in words; or empty
     fault: str = ""  # possible fault of the sensors, if no calibration was found

@@ -65,7 +65,7 @@ SELF_CALIBRATION = SelfCalibrationTuning()
 METHOD = "smoother"
 
 
-class Kind(str, Enum):
+class CandidateKind(str, Enum):
     """Which numbers of a calibration were fitted."""
 
     ALL = "all"
@@ -76,7 +76,7 @@ class Kind(str, Enum):
 class DriveCandidate:
     """A calibration fitted to a part of a drive."""
 
-    kind: Kind
+    kind: CandidateKind
     calibration: Calibration
     sigma: float  # of the heading, radians
     sectors: int  # of twelve headings driven
@@ -92,7 +92,7 @@ class DriveCandidate:
     @property
     def in_words(self) -> str:
         """The candidate in words."""
-        what = "calibration" if self.kind is Kind.ALL else "hard iron"
+        what = "calibration" if self.kind is CandidateKind.ALL else "hard iron"
         return (
             f"a {what} from {self.seconds:.0f} s of driving, {self.sectors} of 12 headings,"
             f" ±{math.degrees(self.sigma):.1f}°"
@@ -160,12 +160,14 @@ class Probation(NamedTuple):
     """
 
     candidate: DriveCandidate
-    steps: tuple[Step, ...]
+    steps: tuple[CalibrationStep, ...]
 
     @staticmethod
-    def of(candidate: DriveCandidate, before: tuple[Step, ...] = ()) -> Probation:
+    def of(candidate: DriveCandidate, before: tuple[CalibrationStep, ...] = ()) -> Probation:
         """Return the probation of a candidate, with its fits before."""
-        return Probation(candidate, (*before, Step(candidate.end, candidate.calibration)))
+        return Probation(
+            candidate, (*before, CalibrationStep(candidate.end, candidate.calibration))
+        )
 
 
 def is_same(one: Calibration | None, other: Calibration | None) -> bool:
@@ -182,20 +184,27 @@ class HeldOutComparison:
     seconds: float = 0.0  # of driving
     likelihood: float = 0.0  # log likelihood ratio on all data, weighted for correlation
     halves: tuple[float, float] = (0.0, 0.0)  # the same for both halves of the data
-    elsewhere: float = 0.0
+    without_best_quarter: float = 0.0
     """The ratio without the quarter of headings that favours the new calibration most: steel on
     one side of the path affects one quarter only."""
-    against: float = 0.0
+    opposing: float = 0.0
     """The sum over the headings that favour the old calibration. Added iron is visible at nearly
     all headings, steel on one side of the path at a few."""
 
-    def stands(self, kind: Kind | None = None) -> str:
+    def reason_to_accept(self, kind: CandidateKind | None = None) -> str:
         """Return in words why the new calibration is better; empty if that is not proved."""
         enough = (
-            SELF_CALIBRATION.iron_proof if kind is Kind.IRON else SELF_CALIBRATION.likelihood_proof
+            SELF_CALIBRATION.iron_proof
+            if kind is CandidateKind.IRON
+            else SELF_CALIBRATION.likelihood_proof
         )
-        is_elsewhere = kind is not Kind.ALL or self.elsewhere >= SELF_CALIBRATION.elsewhere_proof
-        is_unopposed = kind is not Kind.IRON or self.against <= SELF_CALIBRATION.most_against
+        is_elsewhere = (
+            kind is not CandidateKind.ALL
+            or self.without_best_quarter >= SELF_CALIBRATION.elsewhere_proof
+        )
+        is_unopposed = (
+            kind is not CandidateKind.IRON or self.opposing <= SELF_CALIBRATION.most_against
+        )
         is_clear = self.likelihood > enough and min(self.halves) > 0.0
         if not (is_clear and is_elsewhere and is_unopposed):
             return ""
@@ -205,7 +214,7 @@ class HeldOutComparison:
         )
 
 
-class Step(NamedTuple):
+class CalibrationStep(NamedTuple):
     """A calibration, and the clock from which it corrects the data, seconds."""
 
     since: float
@@ -223,7 +232,7 @@ class DriveJob:
     """Seconds of the newest driving to which all twelve numbers are fitted."""
     not_before: float  # clock of a change, before which no window begins, seconds
     changed: float  # clock of the last proved change, seconds; minus infinity without one
-    contests: dict[str, tuple[Step, ...]]
+    contenders: dict[str, tuple[CalibrationStep, ...]]
     """Calibrations that are compared with the one in force, by name: steps, each for held-out data.
     Data before the first step do not count."""
 

@@ -257,9 +257,9 @@ class MotorLearning:
         faster, self._rate = rate - self._rate, rate
         self._left = block.turned - block.mean_turned
         step = np.eye(len(self._mean))
-        keeps = math.exp(-seconds / TUNING.body_length)
+        correlation = math.exp(-seconds / TUNING.body_length)
         step[PLACE, PLACE] = exp_rotation(-turned)
-        step[BODY, BODY] = keeps * np.eye(3)
+        step[BODY, BODY] = correlation * np.eye(3)
         self._mean = step @ self._mean
         self._covariance = step @ self._covariance @ step.T
         place = self._mean[PLACE]
@@ -267,7 +267,7 @@ class MotorLearning:
         passed = TUNING.street**2 * PLACE_FIELD.passed(way)
         self._covariance[PLACE, PLACE] += passed * np.eye(3)
         level = self._ripple if moves else TUNING.body
-        self._covariance[BODY, BODY] += level**2 * (1.0 - keeps**2) * np.eye(3)
+        self._covariance[BODY, BODY] += level**2 * (1.0 - correlation**2) * np.eye(3)
         self._covariance[IRON, IRON] += TUNING.iron_walk**2 * seconds * np.eye(3)
 
 

@@ -15,16 +15,16 @@ from magcal_ros.core.calibration.heading_sigma import calibration_sigma, known_s
 from magcal_ros.core.keeping.jobs import (
     METHOD,
     SELF_CALIBRATION,
+    CalibrationStep,
+    CandidateKind,
     Decision,
     DecisionKind,
     DriveCandidate,
     DriveJob,
     DriveResult,
     HeldOutComparison,
-    Kind,
     Mode,
     Probation,
-    Step,
     difference,
     is_another,
     is_finer,
@@ -46,9 +46,11 @@ class SelfCalibration:
         self.recorder = DriveRecorder(SELF_CALIBRATION.memory)
         self._in_force: Calibration | None = None
         self.before: deque[Calibration] = deque(maxlen=SELF_CALIBRATION.kept)  # the newest last
-        self._on_probation: dict[Kind, Probation] = {}
+        self._on_probation: dict[CandidateKind, Probation] = {}
         self._first: DriveCandidate | None = None
-        self._trial: Step | None = None  # the previous calibration, while it is still compared
+        self._trial: CalibrationStep | None = (
+            None  # the previous calibration, while it is still compared
+        )
         self.decisions: deque[Decision] = deque(
             maxlen=SELF_CALIBRATION.remembered
         )  # the oldest first
@@ -111,7 +113,7 @@ class SelfCalibration:
             return
         self._trial = None
         if decided and old is not None and not rolled:
-            self._trial = Step(self.recorder.clock, old)
+            self._trial = CalibrationStep(self.recorder.clock, old)
         if not decided or rolled:
             self._changed = -math.inf
         if not decided:
@@ -130,7 +132,7 @@ class SelfCalibration:
             return False
         wait = (
             SELF_CALIBRATION.look_again
-            if Kind.IRON in self._on_probation
+            if CandidateKind.IRON in self._on_probation
             else SELF_CALIBRATION.look_every
         )
         # The cause of a failed job may last: the wait doubles after each failure.
@@ -142,14 +144,14 @@ class SelfCalibration:
         self._looked = self.recorder.clock
         self._round += 1
         in_force, windows = self._compared, SELF_CALIBRATION.windows
-        contests = {kind.value: each.steps for kind, each in self._on_probation.items()}
+        contenders = {kind.value: each.steps for kind, each in self._on_probation.items()}
         if self._trial is not None:
-            contests[TRIAL] = (self._trial,)
+            contenders[TRIAL] = (self._trial,)
         if in_force is not None:
             # With a calibration in force, one window for each job is enough.
             windows = windows[self._round % len(windows) :][:1]
         since = self._not_before, self._changed
-        return DriveJob(self.recorder.log(), knowledge, in_force, windows, *since, contests)
+        return DriveJob(self.recorder.log(), knowledge, in_force, windows, *since, contenders)
 
     def fail(self) -> None:
         """Note that a job has failed; a later one tries again."""
@@ -210,7 +212,7 @@ class SelfCalibration:
         trial, proof = self._trial, findings.comparisons.get(TRIAL)
         if trial is None or proof is None:
             return []
-        why = proof.stands()
+        why = proof.reason_to_accept()
         if why:
             self._trial, self._not_before = None, trial.since
             if self.proposal is not None and is_same(trial.calibration, self._in_force):
@@ -232,13 +234,13 @@ class SelfCalibration:
         for kind, probation in list(self._on_probation.items()):
             proof = findings.comparisons.get(kind.value, HeldOutComparison())
             since = findings.since_change
-            if kind is Kind.IRON and since is not None and is_another(since, in_force):
+            if kind is CandidateKind.IRON and since is not None and is_another(since, in_force):
                 # The newest fit of the hard iron since the change.
                 probation = self._on_probation[kind] = Probation.of(since, probation.steps)
             candidate = probation.candidate
-            why = proof.stands(kind)
+            why = proof.reason_to_accept(kind)
             if why and self._is_believable(candidate):
-                if kind is Kind.IRON:
+                if kind is CandidateKind.IRON:
                     self._changed = self._not_before = candidate.start
                 words = f"{candidate.in_words}: {why}"
                 return [*made, self._change(findings.clock, candidate.calibration, words)]
@@ -280,9 +282,9 @@ class SelfCalibration:
                 f"to ±{known:.1f}°"
             )
             return [self._change(findings.clock, best.calibration, words)]
-        if Kind.ALL in self._on_probation:
+        if CandidateKind.ALL in self._on_probation:
             return []
-        self._on_probation[Kind.ALL] = Probation.of(best)
+        self._on_probation[CandidateKind.ALL] = Probation.of(best)
         apart = math.degrees(difference(in_force, best.calibration))
         words = f"{best.in_words} differs by {apart:.1f}° from what is {self._which}"
         return [Decision(findings.clock, DecisionKind.PROBATION, words)]
@@ -290,16 +292,16 @@ class SelfCalibration:
     def _notice(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
         """Report a change of hard iron, and put the new hard iron on probation."""
         since = findings.since_change
-        if since is None or Kind.IRON in self._on_probation:
+        if since is None or CandidateKind.IRON in self._on_probation:
             return []
         sigma = math.hypot(since.sigma, calibration_sigma(in_force))
         apart = difference(in_force, since.calibration)
         if apart < SELF_CALIBRATION.notice_differs * sigma:
             return []
-        self._on_probation[Kind.IRON] = Probation.of(since)
+        self._on_probation[CandidateKind.IRON] = Probation.of(since)
         if self.before:
             # If the iron is removed again, the calibration before it is valid again.
-            self._trial = Step(since.start, self.before[-1])
+            self._trial = CalibrationStep(since.start, self.before[-1])
         words = (
             f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
             f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"
@@ -308,7 +310,7 @@ class SelfCalibration:
 
     def _is_believable(self, candidate: DriveCandidate) -> bool:
         largest, few = SELF_CALIBRATION.largest_sigma, SELF_CALIBRATION.fewest_sectors
-        if candidate.kind is Kind.IRON and self._compared is not None:
+        if candidate.kind is CandidateKind.IRON and self._compared is not None:
             few = SELF_CALIBRATION.fewest_for_iron
             # A calibration that is clearly wrong may be replaced by a rough one.
             apart = difference(self._compared, candidate.calibration)
@@ -333,7 +335,7 @@ class SelfCalibration:
         if self.mode is Mode.PROPOSE:
             self.proposal, kind = calibration, DecisionKind.PROPOSED
             if self._in_force is not None:
-                self._trial = Step(clock, self._in_force)
+                self._trial = CalibrationStep(clock, self._in_force)
         return Decision(clock, kind, words, calibration)
 
 

@@ -17,12 +17,12 @@ from magcal_ros.core.errors import Refusal
 from magcal_ros.core.keeping.jobs import (
     METHOD,
     SELF_CALIBRATION,
+    CalibrationStep,
+    CandidateKind,
     DriveCandidate,
     DriveJob,
     DriveResult,
     HeldOutComparison,
-    Kind,
-    Step,
 )
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother import drives
@@ -46,7 +46,7 @@ def answer(job: DriveJob) -> DriveResult:
     whole = tuple(each for each in found if each is not None)
     comparisons = {
         name: compare_held_out(nodes, job.in_force.correction, steps, job.knowledge)
-        for name, steps in job.contests.items()
+        for name, steps in job.contenders.items()
         if job.in_force is not None
     }
     return DriveResult(
@@ -62,7 +62,7 @@ def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate |
     change = find_change(nodes.between(first), job.in_force, job.knowledge)
     if change is None or change.gain < SELF_CALIBRATION.notice_proof:
         return None
-    return candidate_of(change.fit, Kind.IRON, job, change.since, clock)
+    return candidate_of(change.fit, CandidateKind.IRON, job, change.since, clock)
 
 
 def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
@@ -72,7 +72,7 @@ def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandida
         return None
     start = max(job.changed, clock - SELF_CALIBRATION.look_back)
     fitted = drives.fit_iron(nodes.between(start), job.in_force.correction, job.knowledge)
-    return None if fitted is None else candidate_of(fitted, Kind.IRON, job, start, clock)
+    return None if fitted is None else candidate_of(fitted, CandidateKind.IRON, job, start, clock)
 
 
 def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate | None:
@@ -80,11 +80,11 @@ def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveC
         fitted = drives.fit_drive(job.log, nodes.between(start), job.knowledge)
     except Refusal:
         return None
-    return candidate_of(fitted, Kind.ALL, job, start, end)
+    return candidate_of(fitted, CandidateKind.ALL, job, start, end)
 
 
 def compare_held_out(
-    nodes: Nodes, old: Correction, new: tuple[Step, ...], knowledge: Knowledge
+    nodes: Nodes, old: Correction, new: tuple[CalibrationStep, ...], knowledge: Knowledge
 ) -> HeldOutComparison:
     """Compare two calibrations on held-out data.
 
@@ -97,10 +97,12 @@ def compare_held_out(
     before = drives.corrected(road, old, knowledge.mounting.matrix)
     ratio = drives.likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
     seconds = float(np.ptp(road.time))
-    return HeldOutComparison(seconds, ratio.gain, ratio.halves, ratio.elsewhere, ratio.against)
+    return HeldOutComparison(
+        seconds, ratio.gain, ratio.halves, ratio.without_best_quarter, ratio.opposing
+    )
 
 
-def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:
+def _read(nodes: Nodes, steps: tuple[CalibrationStep, ...], knowledge: Knowledge) -> Nodes:
     """Return the nodes, each corrected by the step of its time."""
     field = nodes.field.copy()
     for since, calibration in steps:
@@ -111,12 +113,12 @@ def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:
 
 
 def candidate_of(
-    fitted: drives.DriveFit, kind: Kind, job: DriveJob, start: float, end: float
+    fitted: drives.DriveFit, kind: CandidateKind, job: DriveJob, start: float, end: float
 ) -> DriveCandidate:
     """Return the candidate from a fit to the drive between two stamps."""
     posterior, before, reference = fitted.posterior, job.in_force, job.knowledge.reference
     sigma, covariance = posterior.heading_sigma, posterior.covariance
-    if kind is Kind.IRON and before is not None:
+    if kind is CandidateKind.IRON and before is not None:
         # The matrix and its covariance are those of the old calibration.
         covariance = np.zeros_like(covariance)
         covariance[:9, :9] = before.covariance[:9, :9]

@@ -100,7 +100,7 @@ class Turn:
         return self.found[1].fit
 
 
-def survey(windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge) -> list[Turn]:
+def fit_turns(windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge) -> list[Turn]:
     """Fit each turn alone, and note why it cannot join."""
     turns: list[Turn] = []
     for window, name in zip(windows, names, strict=True):
@@ -142,7 +142,7 @@ def _is_copy(window: Window, other: Window) -> bool:
     return len(one & two) > COPY_SHARE * min(len(one), len(two))
 
 
-def agreement(alone: Sequence[Fit], together: JointFit, sigma: float) -> tuple[float, int | None]:
+def agreement(alone: Sequence[Fit], joint_fit: JointFit, sigma: float) -> tuple[float, int | None]:
     """Compare each turn with all others.
 
     Returns the largest normalised difference of a turn's hard iron from that of all turns, and the
@@ -150,20 +150,20 @@ def agreement(alone: Sequence[Fit], together: JointFit, sigma: float) -> tuple[f
     disagree it is the later one. `alone` are the separate fits, `sigma` (rad) is the prior of the
     installation's yaw.
     """
-    misfit = max(_misfit(one, joint) for one, joint in zip(alone, together.fits, strict=True))
+    misfit = max(_misfit(one, joint) for one, joint in zip(alone, joint_fit.fits, strict=True))
     if misfit < COMPARED_ABOVE or len(alone) < 2:
         return misfit, None
     asked = range(len(alone)) if len(alone) > 2 else [1]
-    gains = {k: _gain(alone, k, together, sigma) for k in asked}
+    gains = {k: _gain(alone, k, joint_fit, sigma) for k in asked}
     odd = max(gains, key=lambda k: gains[k])
     return misfit, odd if gains[odd] > 0.0 else None
 
 
-def _gain(alone: Sequence[Fit], odd: int, together: JointFit, yaw_sigma: float) -> float:
+def _gain(alone: Sequence[Fit], odd: int, joint_fit: JointFit, yaw_sigma: float) -> float:
     """Return twice the log likelihood ratio of a separate calibration for one turn."""
     rest = fit_jointly([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
     own = fit_jointly([alone[odd]], yaw_sigma)
-    return together.evidence - rest.evidence - own.evidence
+    return joint_fit.evidence - rest.evidence - own.evidence
 
 
 def _misfit(alone: Fit, joint: Fit) -> float:
@@ -192,13 +192,13 @@ def agreeing_turns(
     while members := [turn for turn in turns if not turn.unfit]:
         alone = [turn.fit for turn in members]
         try:
-            together = fit_jointly(alone, sigma)
-            misfit, odd = agreement(alone, together, sigma)
+            joint_fit = fit_jointly(alone, sigma)
+            misfit, odd = agreement(alone, joint_fit, sigma)
         except np.linalg.LinAlgError:
             left_out, words = members[-1], "it has no solution together with the others"
         else:
             if odd is None:
-                return turns, together, misfit
+                return turns, joint_fit, misfit
             others = "the other turns" if len(members) > 2 else "the turn before"
             left_out, words = members[odd], CONTRADICTS.format(others, misfit)
         turns[turns.index(left_out)] = replace(left_out, unfit=words)
@@ -206,7 +206,7 @@ def agreeing_turns(
 
 
 def joint_estimate(
-    together: JointFit, misfit: float, turns: Sequence[Turn], knowledge: Knowledge
+    joint_fit: JointFit, misfit: float, turns: Sequence[Turn], knowledge: Knowledge
 ) -> Estimate:
     """Return the estimate of a joint fit.
 
@@ -216,10 +216,10 @@ def joint_estimate(
     until the turns determine it.
     """
     prior_sigma = knowledge.mounting.yaw_sigma
-    is_shown = yaw_sigma(together.fits[-1].covariance) < SHOWN_YAW * prior_sigma
+    is_shown = yaw_sigma(joint_fit.fits[-1].covariance) < SHOWN_YAW * prior_sigma
     if not is_shown:
-        together = fit_jointly([turn.fit for turn in turns], 0.0)
-    fit, (_, own) = together.fits[-1], turns[-1].found
+        joint_fit = fit_jointly([turn.fit for turn in turns], 0.0)
+    fit, (_, own) = joint_fit.fits[-1], turns[-1].found
     found = posterior(fit, knowledge.mounting.matrix)
     offset = rms_sigma(found.heading_jacobian, found.by_offset)
     joint = replace(
@@ -287,7 +287,7 @@ def yaw_sigma(covariance: FloatArray) -> float:
     return math.sqrt(float(covariance[np.ix_(rows, rows)].sum()))
 
 
-def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> TurnAccuracy:
+def accuracy_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> TurnAccuracy:
     """Return the standard deviations that an information matrix (SHARED, SHARED) implies at a fit.
 
     It includes the priors. `mounting` (3, 3) is from nominal body axes to sensor axes.
@@ -338,7 +338,7 @@ def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Tur
 
     def after(body: FloatArray, world: FloatArray) -> TurnAccuracy:
         turned = minimal_rotation(axis, body), minimal_rotation(world, up)
-        return shown_by(information + imagined_information(fit, *turned), fit, mounting)
+        return accuracy_by(information + imagined_information(fit, *turned), fit, mounting)
 
     imagined = [TurnAdvice("on level ground once more", after(Z, Z))]
     for slope, leaning, (roll, pitch) in SIDES:
@@ -358,30 +358,30 @@ def join(
     Returns all turns, the joint estimate (None for less than two turns), and the report; None if
     no turn joined.
     """
-    turns, together, misfit = agreeing_turns(surveyed, knowledge)
+    turns, joint_fit, misfit = agreeing_turns(surveyed, knowledge)
     members = [turn for turn in turns if not turn.unfit]
-    if together is None:
+    if joint_fit is None:
         return turns, None, None
     mounting, count = knowledge.mounting.matrix, len(members)
-    known = [_known(together, first) for first in range(1, count + 1)]
-    shown = [shown_by(each, together.fits[0], mounting) for each in known]
+    known = [_known(joint_fit, first) for first in range(1, count + 1)]
+    shown = [accuracy_by(each, joint_fit.fits[0], mounting) for each in known]
     # The advice repeats the turn with the longest arc at other tilts.
     whole = int(np.argmax([turn.found[0].arc for turn in members]))
-    advice = advise(known[-1], together.fits[whole], mounting)
-    several = MultiTurnReport(_turn_results(turns, shown), shown[-1], advice)
-    joint = joint_estimate(together, misfit, members, knowledge) if count > 1 else None
-    return turns, joint, several
+    advice = advise(known[-1], joint_fit.fits[whole], mounting)
+    multi_turn = MultiTurnReport(_turn_results(turns, shown), shown[-1], advice)
+    joint = joint_estimate(joint_fit, misfit, members, knowledge) if count > 1 else None
+    return turns, joint, multi_turn
 
 
-def _known(together: JointFit, count: int) -> FloatArray:
+def _known(joint_fit: JointFit, count: int) -> FloatArray:
     """Return the information on the common unknowns, by the priors and the first turns.
 
     After one turn, the yaw of the installation is zero by convention, whatever sway shows of it.
     """
-    known = np.asarray(together.prior + np.sum(together.informations[:count], axis=0))
+    known = np.asarray(joint_fit.prior + np.sum(joint_fit.informations[:count], axis=0))
     if count == 1:
         known[TURNED] = known[:, TURNED] = 0.0
-        known[TURNED, TURNED] = together.prior[TURNED, TURNED]
+        known[TURNED, TURNED] = joint_fit.prior[TURNED, TURNED]
     return known
 
 
@@ -392,9 +392,6 @@ def _turn_results(turns: list[Turn], shown: Sequence[TurnAccuracy]) -> tuple[Tur
         now = None if turn.unfit else next(coming)
         words = turn.unfit
         if now is not None:
-            words, before = (
-                now.in_words if before is None else now.improvement_in_words(before),
-                now,
-            )
+            words, before = now.in_words if before is None else now.improvement(before), now
         results.append(TurnResult(turn.name, now is not None, words, now))
     return tuple(results)

@@ -30,10 +30,10 @@ class KeptTurns:
     names: tuple[str, ...] = ()
     count: int = 0  # how many turns were tried, for the next one's name
 
-    def joined(self, window: Window, several: MultiTurnReport) -> KeptTurns:
+    def joined(self, window: Window, multi_turn: MultiTurnReport) -> KeptTurns:
         """Return the kept turns after a turn has joined, without those it has excluded."""
         windows, names = (*self.windows, window), (*self.names, self.next_name)
-        rows = several.joined[-TUNING.most_turns :]
+        rows = multi_turn.joined[-TUNING.most_turns :]
         return KeptTurns(
             tuple(_thinned(windows[row]) for row in rows),
             tuple(names[row] for row in rows),
@@ -114,7 +114,7 @@ class TurnAccuracy:
         facts["soft_iron_percent"] = [round(100.0 * value, 4) for value in self.soft_iron]
         return facts
 
-    def improvement_in_words(self, before: TurnAccuracy) -> str:
+    def improvement(self, before: TurnAccuracy) -> str:
         """Return in words what a turn has improved, compared with `before`."""
         said = self.changes(before)
         if not said:

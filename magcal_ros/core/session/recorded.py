@@ -248,13 +248,13 @@ def fit_several(
         return Outcome.refused(left_out[len(collectors) - 1]), len(collectors) - 1
     used, turns = list(windows), list(windows.values())
     outcome = calibrate_turns(turns, knowledge, method, [names[index] for index in used])
-    if outcome.several is None:
+    if outcome.multi_turn is None:
         return outcome, used[-1]
-    newest = used[outcome.several.newest]
-    results = dict(zip(used, outcome.several.turns, strict=True))
+    newest = used[outcome.multi_turn.newest]
+    results = dict(zip(used, outcome.multi_turn.turns, strict=True))
     results |= {k: TurnResult(names[k], False, str(why).rstrip(".")) for k, why in left_out.items()}
     ordered = tuple(results[index] for index in sorted(results))
-    return replace(outcome, several=replace(outcome.several, turns=ordered)), newest
+    return replace(outcome, multi_turn=replace(outcome.multi_turn, turns=ordered)), newest
 
 
 def _window_or_refusal(collector: SampleCollector, knowledge: Knowledge) -> Window | Refusal:

@@ -173,19 +173,19 @@ class SelfTurn:
         conditions: TurnConditions,
     ) -> ControlStep:
         plan, monitor = stage.plan, stage.monitor
-        seen, commanded = monitor.seen(progress), plan.command
-        plan.note(now, commanded, seen)
+        measured, commanded = monitor.measured(progress), plan.command
+        plan.note(now, commanded, measured)
         objection = self._objection(stage, now, since, conditions) or plan.objection
         if objection:
             return self.abort(objection)
         if plan.is_late(now):
             words = "the robot did not complete its turn in time"
             return ControlStep(self.stop().rate, ended=words)
-        rate = plan.step(now, seen)
+        rate = plan.step(now, measured)
         if plan.fault is not None:
-            return self.abort(monitor.explain(plan.fault, seen, commanded))
+            return self.abort(monitor.explain(plan.fault, measured, commanded))
         if plan.phase is Phase.ENDED:
-            words = "" if seen.is_complete else "the robot has turned once each way"
+            words = "" if measured.is_complete else "the robot has turned once each way"
             return ControlStep(self.stop().rate, ended=words)
         return ControlStep(rate)
 

@@ -318,8 +318,8 @@ class TurnMachine:
         """Put the calibration in force if it is accepted; otherwise name the remedy."""
         self.last_outcome, self._sensors_of_outcome = outcome, self._sensors
         words = outcome.verdict.summary
-        if outcome.several is not None and outcome.calibration is not None:
-            words = f"{words} {outcome.several.in_words}"
+        if outcome.multi_turn is not None and outcome.calibration is not None:
+            words = f"{words} {outcome.multi_turn.in_words}"
         words = _with_ending(words, why, outcome.verdict.accepted)
         report = "" if self.last_window is None else self._report(self.last_window, outcome)
         ending = f" {report}" if report else ""

@@ -252,13 +252,13 @@ class LikelihoodRatio:
         return np.bincount(self.sector, self.by_node, SECTORS).astype(np.float64)
 
     @property
-    def elsewhere(self) -> float:
+    def without_best_quarter(self) -> float:
         """The ratio without the three sectors that favour the new calibration most."""
         quarters = sum(np.roll(self.by_sector, -shift) for shift in range(SECTORS // 4))
         return float(self.gain - np.max(quarters))
 
     @property
-    def against(self) -> float:
+    def opposing(self) -> float:
         """The sum over the sectors that favour the old calibration, as a positive number."""
         return float(-np.sum(np.minimum(self.by_sector, 0.0)))
 

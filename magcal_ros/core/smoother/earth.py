@@ -80,7 +80,7 @@ class EarthFieldPrior:
         information = np.array([LEVEL_SIGMA**-2.0, 0.0])
         return self._given(np.diag(information), information * level)[0]
 
-    def seen(
+    def updated(
         self, prior: GaussianEarthPrior, mean: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, FloatArray, float]:
         """Return the shift of the posterior mean, its covariance, and the gain in log evidence.

@@ -232,7 +232,7 @@ def _with_mixture(
     for model, solution, mean in zip(models, joint.solutions, means, strict=True):
         at, known = model.rows_of_earth, solution.covariance
         spread = known[np.ix_(at, at)]
-        shift, wanted, gain = model.priors.fields.seen(model.earth, mean, spread)
+        shift, wanted, gain = model.priors.fields.updated(model.earth, mean, spread)
         by_earth = np.linalg.solve(spread, known[at]).T
         covariance = known + by_earth @ (wanted - spread) @ by_earth.T
         moved = by_earth @ shift

@@ -333,7 +333,7 @@ def mixed(
     mean = mixture(found, weights, best)
     square = sum(
         weights[name]
-        * (each.apart(mean) ** 2 + rms_sigma(each.heading_jacobian, each.by_offset) ** 2)
+        * (each.distance_to(mean) ** 2 + rms_sigma(each.heading_jacobian, each.by_offset) ** 2)
         for name, each in found.items()
     )
     return Smoothed(nodes, best, fits, weights, mean, math.sqrt(square))

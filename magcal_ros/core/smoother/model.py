@@ -247,13 +247,13 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     # The fluctuation of running motors is independent of the field in the rest before or after.
     still = course.still
     fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
-    keeps = np.exp(-fades)
+    correlation = np.exp(-fades)
     found = {
         "field": measured("field", field, per_node),
         "body_field": changing(
             ("body_field", "motors_noise"),
-            factors.process(state, BODY_FIELD, keeps),
-            1.0 - keeps**2,
+            factors.process(state, BODY_FIELD, correlation),
+            1.0 - correlation**2,
             still[1:],
         ),
     }
@@ -266,7 +266,7 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         )
     force, gyro, unseen = factors.force(course, state), factors.gyro(course, state), nodes.unseen
     stands = still[1:] & still[:-1] & model.kind.traffic
-    keeps = np.where(stands, 1.0, np.exp(-path_between(model, point) / places.length))
+    correlation = np.where(stands, 1.0, np.exp(-path_between(model, point) / places.length))
     return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),
         "force_up": measured("force_up", force.part(UP_AXIS), per_link),
@@ -276,8 +276,8 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         "gyro_up": measured("gyro_up", gyro.part(UP_AXIS), seconds, unseen[:, 2]),
         "street": changing(
             ("traffic", "street"),
-            factors.process(state, STREET, keeps),
-            np.where(stands, seconds, 1.0 - keeps**2),
+            factors.process(state, STREET, correlation),
+            np.where(stands, seconds, 1.0 - correlation**2),
             stands,
         ),
         **_motion(model, point, 0),
@@ -299,12 +299,12 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
     v_square = speed**2 * (1.0 - by_v[0] ** 2) - size**2 * by_v[1] ** 2
     a_square = size**2 * (1.0 - by_a[1] ** 2) - speed**2 * by_a[0] ** 2
     found = {}
-    for kind, keeps, variance, column in (
+    for kind, correlation, variance, column in (
         (VELOCITIES[axis], by_v, v_square, VELOCITY),
         (name, by_a, a_square, ACCELERATION),
     ):
         by = VELOCITY.start + axis, ACCELERATION.start + axis
-        linear = factors.second_order(point.state, column.start + axis, keeps, by)
+        linear = factors.second_order(point.state, column.start + axis, correlation, by)
         sized = {kind: np.ones(len(seconds), dtype=bool)} if kind == name else {}
         found[kind] = Weighted(
             linear, np.maximum(variance, 0.0) + LEAST_VARIANCE, point.freedom(model, name), sized
@@ -318,7 +318,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     assert nodes.tied_to is not None
     per_node = np.median(nodes.count) / nodes.count[:-1]
     force = factors_by_field.force_at_nodes(course, state)
-    keeps = np.exp(-nodes.seconds / model.priors.lengths.sway)
+    correlation = np.exp(-nodes.seconds / model.priors.lengths.sway)
     # At starts and stops the motors turn the field, which looks like a turn of the robot.
     starts = course.still[1:] != course.still[:-1]
 
@@ -326,7 +326,9 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     return {
         "force": sized("force", force.part(LEVEL_AXES), per_node),
         "force_up": sized("force_up", force.part(UP_AXIS), per_node),
-        "lean": sized("lean", factors_by_field.lean(state, nodes.tied_to, keeps), 1.0 - keeps**2),
+        "lean": sized(
+            "lean", factors_by_field.lean(state, nodes.tied_to, correlation), 1.0 - correlation**2
+        ),
         "gyro_up": sized(
             "gyro_up",
             factors_by_field.turning(course, state, nodes.tied_to),

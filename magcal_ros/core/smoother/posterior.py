@@ -78,7 +78,7 @@ class Posterior:
         field = self.strength * np.array([0.0, level, -down])
         return heading_jacobian(self.correction, field, 0.0)
 
-    def apart(self, other: Posterior) -> float:
+    def distance_to(self, other: Posterior) -> float:
         """Return the RMS difference of heading on the level, radians."""
         return rms_apart(self.correction, other.correction, self.strength, self.inclination)
 

@@ -22,11 +22,11 @@ from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, SMALL_CIRCLE
 from magcal_ros.core.smoother.without_gyro import (
-    apart,
     guesses,
     in_a_circle,
     in_a_gradient,
     nodes_by_field,
+    state_distance,
     without_rates,
 )
 
@@ -97,7 +97,7 @@ def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
     """Return the distinct fits whose evidence is near the best, in order of evidence."""
     kept: list[Fit] = []
     for each in sorted(fits, key=lambda fit: fit.evidence):
-        new = all(apart(each.state, other.state) > DISTINCT for other in kept)
+        new = all(state_distance(each.state, other.state) > DISTINCT for other in kept)
         if new and each.evidence < (kept or [each])[0].evidence + furthest:
             kept.append(each)
     return kept
@@ -130,4 +130,4 @@ def rival_gap(found: Smoothed) -> float:
     if len(by_root) < 2 or min(found.weights[name] for name in by_root.values()) < RIVAL:
         return 0.0
     one, other = (posterior(found.fits[name], np.eye(3)) for name in by_root.values())
-    return one.apart(other)
+    return one.distance_to(other)

@@ -145,7 +145,7 @@ def guesses(
     return found
 
 
-def apart(one: State, other: State) -> float:
+def state_distance(one: State, other: State) -> float:
     """Return the larger difference: of installation (radians), or of hard iron over the field."""
     off = np.abs(one.shared - other.shared)
     field = float(np.linalg.norm(one.shared[EARTH]))

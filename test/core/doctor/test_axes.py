@@ -43,7 +43,7 @@ def test_after_a_turn_the_truth_is_among_those_named(which):
 def test_a_turn_and_a_lift_decide_among_all_48(which):
     found, *_ = of(EVERY[which], "lift")
     assert len(found.candidates) == 1
-    assert np.array_equal(found.meant, EVERY[which])
+    assert np.array_equal(found.likeliest, EVERY[which])
     assert (found.mount_rpy_deg is None) == (which >= 24)
 
 
@@ -54,7 +54,7 @@ def test_a_turn_and_a_lift_decide_nearly_every_time_and_never_wrongly():
         axes = EVERY[number % len(EVERY)]
         found, *_ = of(axes, "lift", number)
         assert named(found, axes) or found.right, f"lift {number}: {found.words}"
-        decided.append(len(found.candidates) == 1 and np.array_equal(found.meant, axes))
+        decided.append(len(found.candidates) == 1 and np.array_equal(found.likeliest, axes))
     assert np.mean(decided) > 0.95
 
 

@@ -132,7 +132,7 @@ def test_rates_in_another_unit_are_not_explained_as_they_are(window, monkeypatch
         fastest.append(np.abs(log.rate).max())
         return compare_axes(log, *others)
 
-    monkeypatch.setattr(motion, "explain", explained)
+    monkeypatch.setattr(motion, "compare_axes", explained)
     outcome = calibrate(replace(window, angular_rate=57.3 * window.angular_rate), Knowledge())
     assert "degrees/s published as rad/s" in outcome.verdict.summary
     # That would take four times as long, and nothing fits.

@@ -7,7 +7,7 @@ import pytest
 
 from magcal_ros.core.driving import CourseOffset, MountingYaw
 from magcal_ros.core.geometry import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.heading import VehicleYaw, corrected_pose, driven_yaw
+from magcal_ros.core.heading import VehicleYaw, compare_with_course, corrected_pose
 
 DEGREE = math.pi / 180.0
 EAST = 9.0 * DEGREE, 0.5 * DEGREE
@@ -23,7 +23,7 @@ def course(offset_deg, sigma_deg=1.0):
 
 
 def test_an_askew_imu_shows_in_both_and_they_are_weighed():
-    front = driven_yaw(mounting(5.0), course(9.0 + 6.0), *EAST)
+    front = compare_with_course(mounting(5.0), course(9.0 + 6.0), *EAST)
     assert front.suspicion == ""
     assert 5.0 < math.degrees(front.yaw.offset) < 5.5
     assert front.yaw.sigma < 0.5 * DEGREE
@@ -31,7 +31,7 @@ def test_an_askew_imu_shows_in_both_and_they_are_weighed():
 
 
 def test_a_turned_magnetometer_is_told_from_an_askew_imu():
-    front = driven_yaw(mounting(5.0), course(9.0 + 5.0 + 12.0), *EAST)
+    front = compare_with_course(mounting(5.0), course(9.0 + 5.0 + 12.0), *EAST)
     assert math.degrees(front.yaw.offset) == pytest.approx(5.0)
     assert front.yaw.source == "accelerations"
     assert "the magnetometer is turned against the IMU" in front.suspicion
@@ -40,33 +40,33 @@ def test_a_turned_magnetometer_is_told_from_an_askew_imu():
 
 def test_the_wrong_sign_of_a_declination_is_named():
     """It is -9 degrees in truth: the compass reads 9 less than it is corrected by, twice."""
-    front = driven_yaw(mounting(5.0), course(-9.0 + 5.0), *EAST)
+    front = compare_with_course(mounting(5.0), course(-9.0 + 5.0), *EAST)
     assert "its sign is wrong" in front.suspicion
     assert "reference.declination_deg: -9.0" in front.suspicion
 
 
 def test_an_unknown_declination_is_guessed_and_accuses_nobody():
-    front = driven_yaw(mounting(5.0), course(-9.0 + 5.0), None)
+    front = compare_with_course(mounting(5.0), course(-9.0 + 5.0), None)
     assert front.yaw.source == "accelerations"
     assert "the declination is about -9°" in front.suspicion
-    assert driven_yaw(None, course(3.0), None).yaw is None
+    assert compare_with_course(None, course(3.0), None).yaw is None
 
 
 def test_course_alone_gives_the_front_where_true_north_is_known():
-    front = driven_yaw(None, course(9.0 - 20.0, 1.2), *EAST)
+    front = compare_with_course(None, course(9.0 - 20.0, 1.2), *EAST)
     assert math.degrees(front.yaw.offset) == pytest.approx(-20.0)
     assert math.degrees(front.yaw.sigma) == pytest.approx(1.3)
     assert "20.0° ± 1.3° to the right" in front.yaw.words
 
 
 def test_a_course_that_tells_nothing_is_not_asked():
-    front = driven_yaw(mounting(5.0), course(120.0, 15.0), *EAST)
+    front = compare_with_course(mounting(5.0), course(120.0, 15.0), *EAST)
     assert front.suspicion == ""
     assert front.yaw.source == "accelerations"
 
 
 def test_across_the_turn_of_180_degrees_nothing_breaks():
-    front = driven_yaw(mounting(179.8), course(9.0 - 179.6), *EAST)
+    front = compare_with_course(mounting(179.8), course(9.0 - 179.6), *EAST)
     assert abs(math.degrees(front.yaw.offset)) > 179.0
 
 

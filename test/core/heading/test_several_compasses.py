@@ -94,10 +94,10 @@ class Scene:
 
     @property
     def weights(self):
-        return {number: share.weight for number, share in self.several.shares.items()}
+        return {number: share.weight for number, share in self.several.weights.items()}
 
     def why(self, number):
-        return self.several.shares[number].why
+        return self.several.weights[number].why
 
 
 def freeze(scene, number):

@@ -28,7 +28,7 @@ def test_iron_on_a_city_drive_is_told_within_a_minute(recording, size, way, last
     begun, _ = next(in_force(drive))
     iron = size * np.array([math.cos(way), math.sin(way), 0.0])
     first = drive.everything.time[0]
-    story = replay_drive(
+    replay = replay_drive(
         drive.knowledge,
         begun,
         (
@@ -40,6 +40,6 @@ def test_iron_on_a_city_drive_is_told_within_a_minute(recording, size, way, last
         ),
         (),
     )
-    told = [at for at, made in story.decisions if made.kind is DecisionKind.NOTICED]
+    told = [at for at, made in replay.decisions if made.kind is DecisionKind.NOTICED]
     assert bool(told) == bool(size)
     assert all(at > CAME for at in told)

@@ -14,11 +14,11 @@ from magcal_ros.core.calibration import Evidence, predicted_heading_sigma
 from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
 from magcal_ros.core.keeping import (
     TRIAL,
+    CandidateKind,
     DecisionKind,
     DriveCandidate,
     DriveResult,
     HeldOutComparison,
-    Kind,
     Mode,
     SelfCalibration,
     answer,
@@ -51,7 +51,7 @@ def calibration(iron=(0.0, 0.0, 0.0), sigma=math.radians(0.8), method="maximum_l
     )
 
 
-def candidate(iron, end, kind=Kind.ALL, sigma=math.radians(2.0), sectors=9):
+def candidate(iron, end, kind=CandidateKind.ALL, sigma=math.radians(2.0), sectors=9):
     found = calibration(iron, sigma, "smoother")
     return DriveCandidate(kind, found, sigma, sectors, end - 120.0, end)
 
@@ -142,12 +142,12 @@ def test_what_is_not_proved_within_its_time_is_dropped():
 def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
     keeper = CalibrationStore(calibration())
     first, last = (
-        candidate(iron, clock, Kind.IRON, math.radians(sigma))
+        candidate(iron, clock, CandidateKind.IRON, math.radians(sigma))
         for iron, clock, sigma in ((FAR, 120.0, 2.5), ((8e-6, 0.0, 0.0), 140.0, 2.0))
     )
     assert keeper.note(findings(120.0, since=first)) == [DecisionKind.NOTICED]
     assert keeper.note(findings(140.0, since=last)) == []
-    (steps,) = keeper.machine.job(BOSTON).contests.values()
+    (steps,) = keeper.machine.job(BOSTON).contenders.values()
     assert [step.since for step in steps] == [120.0, 140.0]
     keeper.machine.fail()
     assert keeper.note(findings(160.0, iron=PROVED)) == [DecisionKind.APPLIED]
@@ -156,23 +156,23 @@ def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
 
 def test_iron_that_is_proved_to_have_changed_waits_until_it_is_known():
     keeper = CalibrationStore(calibration())
-    vague = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON, math.radians(4.5))
+    vague = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON, math.radians(4.5))
     keeper.note(findings(120.0, since=vague))
     assert keeper.note(findings(140.0, iron=PROVED)) == []
-    clear = candidate((10e-6, 0.0, 0.0), 160.0, Kind.IRON, math.radians(3.5))
+    clear = candidate((10e-6, 0.0, 0.0), 160.0, CandidateKind.IRON, math.radians(3.5))
     assert keeper.note(findings(160.0, since=clear, iron=PROVED)) == [DecisionKind.APPLIED]
 
 
 def test_iron_that_goes_again_brings_back_what_was_in_force_before_it_came():
     old = calibration()
     keeper = CalibrationStore(old)
-    came = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON)
+    came = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON)
     keeper.note(findings(120.0, since=came))
     keeper.note(findings(140.0, since=came, iron=PROVED))
     keeper.note(findings(460.0, **{TRIAL: HeldOutComparison(310.0)}))
-    went = candidate((0.5e-6, 0.0, 0.0), 900.0, Kind.IRON)
+    went = candidate((0.5e-6, 0.0, 0.0), 900.0, CandidateKind.IRON)
     assert keeper.note(findings(900.0, since=went)) == [DecisionKind.NOTICED]
-    assert keeper.machine.job(BOSTON).contests[TRIAL][0].since == went.start
+    assert keeper.machine.job(BOSTON).contenders[TRIAL][0].since == went.start
     keeper.machine.fail()
     assert keeper.note(findings(910.0, **{TRIAL: PROVED})) == [DecisionKind.ROLLED_BACK]
     assert keeper.machine.decisions[-1].calibration.correction is old.correction
@@ -181,7 +181,7 @@ def test_iron_that_goes_again_brings_back_what_was_in_force_before_it_came():
 
 def test_what_waits_for_a_word_is_offered_once():
     keeper = CalibrationStore(calibration(), Mode.PROPOSE)
-    came = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON)
+    came = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON)
     came.calibration.evidence.figures["heading_sigma"] = came.sigma
     keeper.note(findings(120.0, since=came))
     assert keeper.note(findings(140.0, since=came, iron=PROVED)) == [DecisionKind.PROPOSED]
@@ -217,7 +217,7 @@ def test_a_proposal_is_withdrawn_if_what_is_in_force_is_better_after_all():
     keeper = CalibrationStore(old, Mode.PROPOSE)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     keeper.note(findings(180.0, all=PROVED))
-    (step,) = keeper.machine.job(BOSTON).contests[TRIAL]
+    (step,) = keeper.machine.job(BOSTON).contenders[TRIAL]
     assert step.calibration is old
     keeper.machine.fail()
     assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [DecisionKind.DROPPED]
@@ -347,10 +347,10 @@ def test_after_each_lost_job_the_next_is_asked_for_later():
 
 
 def test_what_one_quarter_of_headings_says_proves_nothing_of_all_twelve():
-    proof = dataclasses.replace(PROVED, elsewhere=-0.1)
-    assert not proof.stands(kind=Kind.ALL)
-    assert proof.stands(kind=Kind.IRON)
-    assert proof.stands()
+    proof = dataclasses.replace(PROVED, without_best_quarter=-0.1)
+    assert not proof.reason_to_accept(kind=CandidateKind.ALL)
+    assert proof.reason_to_accept(kind=CandidateKind.IRON)
+    assert proof.reason_to_accept()
 
 
 @pytest.mark.parametrize(
@@ -363,7 +363,7 @@ def test_what_one_quarter_of_headings_says_proves_nothing_of_all_twelve():
     ],
 )
 def test_a_proof_stands_on_both_halves_of_the_road(proof, stands):
-    assert bool(proof.stands()) is stands
+    assert bool(proof.reason_to_accept()) is stands
 
 
 def driven(seed, legs, **options):

@@ -23,11 +23,11 @@ def test_movement_that_is_forgotten_counts_as_well():
     readings = (each for each in drive.samples() if hasattr(each, "field") or hasattr(each, "rate"))
     machine = SelfCalibration(Mode.APPLY)
     machine.recorder = DriveRecorder(20.0)
-    story = replay_drive(Knowledge(), None, readings, (), machine)
+    replay = replay_drive(Knowledge(), None, readings, (), machine)
     assert machine.recorder.seconds < 25.0
-    assert story.seconds == pytest.approx(2.0 * (STANDS + GOES), abs=1.0)
+    assert replay.seconds == pytest.approx(2.0 * (STANDS + GOES), abs=1.0)
     # Of each rest a few seconds at both ends are kept.
-    assert 2.0 * GOES - 5.0 < story.moved < 2.0 * GOES + 30.0
+    assert 2.0 * GOES - 5.0 < replay.moved < 2.0 * GOES + 30.0
 
 
 def test_what_came_while_the_imu_was_silent_is_no_part_of_the_drive():

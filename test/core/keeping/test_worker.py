@@ -14,7 +14,13 @@ from simulated.travel import travel
 from magcal_ros.core import Belief, Figure, Knowledge, Window
 from magcal_ros.core.assessment import LEVEL_ONLY, NO_REFERENCE
 from magcal_ros.core.earth_field import made_elsewhere
-from magcal_ros.core.keeping import DriveJob, Kind, Step, answer, compare_held_out
+from magcal_ros.core.keeping import (
+    CalibrationStep,
+    CandidateKind,
+    DriveJob,
+    answer,
+    compare_held_out,
+)
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import log_of
 from magcal_ros.core.simulation import Robot
@@ -39,7 +45,7 @@ def driven(**options):
 
 def step(since, correction):
     """Return from when road is read by a correction."""
-    return Step(since, SimpleNamespace(correction=correction))
+    return CalibrationStep(since, SimpleNamespace(correction=correction))
 
 
 def proved(road, *steps, old=OLD):
@@ -71,16 +77,16 @@ def test_a_candidate_says_whether_the_reference_was_known(knowledge):
     assert (LEVEL_ONLY in evidence.not_shown) is not is_known
     found_with = evidence.figure(Figure.REFERENCE_STRENGTH, 0.0)
     assert found_with == pytest.approx(51.3e-6 if is_known else 0.0)
-    elsewhere = replace(
+    without_best_quarter = replace(
         BOSTON.reference, inclination=Belief(0.5, 0.02), strength=Belief(4e-5, 1e-6)
     )
-    assert bool(made_elsewhere(found.calibration, elsewhere)) is is_known
+    assert bool(made_elsewhere(found.calibration, without_best_quarter)) is is_known
 
 
 def test_the_right_one_explains_the_road_in_both_halves(whole):
     assert whole.likelihood > 10.0
     assert min(whole.halves) > 5.0
-    assert "in both halves" in whole.stands(kind=Kind.IRON)
+    assert "in both halves" in whole.reason_to_accept(kind=CandidateKind.IRON)
 
 
 def test_road_before_the_first_fit_does_not_count(road):
@@ -98,7 +104,7 @@ def test_a_fit_counts_only_for_the_road_after_it(road, whole):
 
 
 def test_iron_that_came_is_spoken_against_by_no_heading(whole):
-    assert whole.against < 0.5
+    assert whole.opposing < 0.5
 
 
 @pytest.mark.nightly
@@ -107,8 +113,8 @@ def test_steel_on_one_side_of_the_way_is_no_iron_that_came(heading):
     side = (0.0, 15e-6, 0.0)
     road = driven(fences=(Fence(side, math.radians(heading), math.radians(100.0)),))
     proof = proved(road, step(road.time[0], OLD), old=RIGHT)
-    assert proof.against > 1.5
-    assert proof.stands(kind=Kind.IRON) == ""
+    assert proof.opposing > 1.5
+    assert proof.reason_to_accept(kind=CandidateKind.IRON) == ""
     explained = replace(proof, likelihood=20.0, halves=(5.0, 5.0))
-    assert explained.stands(kind=Kind.IRON) == ""
-    assert replace(explained, against=0.5).stands(kind=Kind.IRON)
+    assert explained.reason_to_accept(kind=CandidateKind.IRON) == ""
+    assert replace(explained, opposing=0.5).reason_to_accept(kind=CandidateKind.IRON)

@@ -6,7 +6,7 @@ from long_form import first_of
 from slope_turns import EAST, KNOWN, LEVEL, ROBOT, window_on
 
 from magcal_ros.core import Reason
-from magcal_ros.core.calibrate import take_turn
+from magcal_ros.core.calibrate import add_turn
 from magcal_ros.core.multi_turn import (
     KeptTurns,
     MultiTurnReport,
@@ -42,7 +42,7 @@ def windows():
 
 @pytest.fixture(scope="module")
 def first(windows):
-    return take_turn(KeptTurns(), windows["level"], KNOWN, METHOD, accumulate=True)
+    return add_turn(KeptTurns(), windows["level"], KNOWN, METHOD, accumulate=True)
 
 
 @pytest.mark.nightly
@@ -50,14 +50,14 @@ def test_turns_join_one_after_another(windows, first):
     outcome, kept = first
     assert outcome.verdict.accepted
     assert kept.names == ("turn 1",)
-    outcome, kept = take_turn(kept, windows["east"], KNOWN, METHOD, accumulate=True)
+    outcome, kept = add_turn(kept, windows["east"], KNOWN, METHOD, accumulate=True)
     assert kept.names == ("turn 1", "turn 2")
     assert outcome.estimate.figures["turns"] == 2.0
 
 
 @pytest.mark.parametrize("kind", first_of(["still", "foreign"]))
 def test_a_refused_turn_does_not_join_and_the_others_stay(windows, first, kind):
-    outcome, kept = take_turn(first[1], windows[kind], KNOWN, METHOD, accumulate=True)
+    outcome, kept = add_turn(first[1], windows[kind], KNOWN, METHOD, accumulate=True)
     assert kept is first[1]
     assert not outcome.verdict.accepted
     assert outcome.calibration is None
@@ -68,14 +68,14 @@ def test_a_refused_turn_does_not_join_and_the_others_stay(windows, first, kind):
 
 
 def test_a_first_turn_that_is_refused_is_not_kept(windows):
-    outcome, kept = take_turn(KeptTurns(), windows["still"], KNOWN, METHOD, accumulate=True)
+    outcome, kept = add_turn(KeptTurns(), windows["still"], KNOWN, METHOD, accumulate=True)
     assert not outcome.verdict.accepted
     assert kept.windows == ()
 
 
 def test_without_accumulation_a_turn_stands_alone_and_nothing_is_kept(windows, first):
-    outcome, kept = take_turn(first[1], windows["east"], KNOWN, METHOD, accumulate=False)
-    assert outcome.several is None
+    outcome, kept = add_turn(first[1], windows["east"], KNOWN, METHOD, accumulate=False)
+    assert outcome.multi_turn is None
     assert kept.windows == ()
 
 

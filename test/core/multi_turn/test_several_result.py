@@ -13,8 +13,8 @@ FATES = (TurnResult("turn 1", True, "x", BEFORE), TurnResult("turn 2", False, "i
 
 
 def test_advice_has_numbers_before_and_after():
-    several = MultiTurnReport(FATES, BEFORE, (TurnAdvice("on a slope", AFTER),))
-    assert several.advice_in_words == (
+    multi_turn = MultiTurnReport(FATES, BEFORE, (TurnAdvice("on a slope", AFTER),))
+    assert multi_turn.advice_in_words == (
         "Next turn on a slope: installation yaw from ±5° to ±0.3°, absolute heading at 10° of "
         "tilt from ±5.1° to ±0.5°."
     )
@@ -31,19 +31,19 @@ def test_enough_is_said():
 
 
 def test_what_did_not_join_is_named_with_its_reason():
-    several = MultiTurnReport(FATES, BEFORE, ())
-    assert several.joined == (0,)
-    assert "Not joined: turn 2: it is a copy." in several.in_words
+    multi_turn = MultiTurnReport(FATES, BEFORE, ())
+    assert multi_turn.joined == (0,)
+    assert "Not joined: turn 2: it is a copy." in multi_turn.in_words
 
 
 def test_what_is_hardly_known_is_not_given_a_number():
     unknown = replace(BEFORE, inclination=50.0, axial_hard_iron=1e-3)
     assert "inclination ±many °" in unknown.in_words
-    assert "many µT" in replace(AFTER, axial_hard_iron=1e-6).brought(unknown)
+    assert "many µT" in replace(AFTER, axial_hard_iron=1e-6).improvement(unknown)
 
 
 def test_the_same_tilt_brings_nothing_new():
-    assert BEFORE.brought(BEFORE).startswith("the same tilt as before")
+    assert BEFORE.improvement(BEFORE).startswith("the same tilt as before")
 
 
 def test_facts_are_plain_json_in_peoples_units():

@@ -21,7 +21,7 @@ class Base:
         self.gyro, self.complete_at = gyro, complete_at
         self.rate = self.turned = self.farthest = 0.0
 
-    def seen(self):
+    def measured(self):
         complete = self.farthest >= self.complete_at
         if not self.gyro and self.farthest < math.radians(60.0):
             return MeasuredTurn(0.0, 0.0, False, complete)
@@ -38,7 +38,7 @@ def run(base, speed=0.4):
     """Let plan and base live until the plan has ended; returns plan, seconds and commands."""
     plan, now, commands = RotationPlan(speed, 100.0), 100.0, []
     while plan.phase is not Phase.ENDED:
-        commands.append(plan.step(now, base.seen()))
+        commands.append(plan.step(now, base.measured()))
         base.obey(commands[-1], now)
         now += PERIOD
         assert now < 1000.0
@@ -96,10 +96,10 @@ def test_a_base_that_stops_in_the_turn_is_found_out(moment):
 def test_after_the_end_nothing_moves_any_more():
     base = Base()
     plan, _, _ = run(base)
-    assert [plan.step(1000.0 + k, base.seen()) for k in range(3)] == [0.0] * 3
+    assert [plan.step(1000.0 + k, base.measured()) for k in range(3)] == [0.0] * 3
 
 
 def test_a_delayed_look_does_not_make_a_jump():
     plan, base = RotationPlan(0.4, 0.0), Base()
-    plan.step(0.05, base.seen())
-    assert plan.step(5.0, base.seen()) <= 0.13
+    plan.step(0.05, base.measured())
+    assert plan.step(5.0, base.measured()) <= 0.13

@@ -29,22 +29,22 @@ def watch(yaw_rate=TOLD, seconds=2.0, mirror_gyro=1.0, seed=1, gyro=True, gap=No
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4])
 @pytest.mark.parametrize("lean", [(0.0, 0.0), (0.2, -0.1), (math.pi, 0.0)])
 def test_the_gyro_tells_rate_and_angle_about_up(yaw_rate, lean):
-    seen = watch(yaw_rate, lean=lean).seen(NOTHING)
-    assert seen.by_gyro
-    assert seen.rate == pytest.approx(yaw_rate, rel=0.02)
-    assert seen.turned == pytest.approx(2.0 * yaw_rate, rel=0.03)
+    measured = watch(yaw_rate, lean=lean).measured(NOTHING)
+    assert measured.by_gyro
+    assert measured.rate == pytest.approx(yaw_rate, rel=0.02)
+    assert measured.turned == pytest.approx(2.0 * yaw_rate, rel=0.03)
 
 
 def test_a_gap_is_not_turned_through_and_the_rate_is_right_after_it():
-    seen = watch(seconds=4.0, gap=(1.0, 2.0)).seen(NOTHING)
-    assert seen.turned == pytest.approx(3.0 * TOLD, rel=0.03)
-    assert seen.rate == pytest.approx(TOLD, rel=0.02)
+    measured = watch(seconds=4.0, gap=(1.0, 2.0)).measured(NOTHING)
+    assert measured.turned == pytest.approx(3.0 * TOLD, rel=0.03)
+    assert measured.rate == pytest.approx(TOLD, rel=0.02)
 
 
 def test_without_a_gyro_the_sessions_compass_speaks():
     coverage = Coverage.of(np.linspace(0.0, 2.0, 50))
     progress = Progress(Stage.COLLECTING, coverage, 50, 5.0, 0.37)
-    assert watch(gyro=False).seen(progress) == MeasuredTurn(2.0, 0.37, False, False)
+    assert watch(gyro=False).measured(progress) == MeasuredTurn(2.0, 0.37, False, False)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -62,7 +62,7 @@ def test_a_robot_at_rest_shows_no_sense():
 def test_a_mirrored_gyro_and_a_mirrored_base_are_told_apart():
     def words(**case):
         monitor = watch(**case)
-        return monitor.explain(Fault.WRONG_WAY, monitor.seen(NOTHING), TOLD)
+        return monitor.explain(Fault.WRONG_WAY, monitor.measured(NOTHING), TOLD)
 
     assert "the gyro is mirrored" in words(mirror_gyro=-1.0)
     assert "the base turns the wrong way" in words(yaw_rate=-TOLD)
@@ -72,6 +72,6 @@ def test_a_mirrored_gyro_and_a_mirrored_base_are_told_apart():
 
 def test_a_gyro_that_misses_the_turn_is_named_and_a_robot_at_rest_too():
     turning, resting = watch(mirror_gyro=1e-6), watch(0.0)
-    seen = MeasuredTurn(0.0, 0.0, True, False)
-    assert "the gyro does not measure" in turning.explain(Fault.NOT_TURNING, seen, TOLD)
-    assert "emergency stop" in resting.explain(Fault.NOT_TURNING, seen, TOLD)
+    measured = MeasuredTurn(0.0, 0.0, True, False)
+    assert "the gyro does not measure" in turning.explain(Fault.NOT_TURNING, measured, TOLD)
+    assert "emergency stop" in resting.explain(Fault.NOT_TURNING, measured, TOLD)

@@ -260,11 +260,11 @@ class TestAnotherSensor:
 def test_what_breaks_ends_the_turn_in_every_state():
     for state in (TurnState.COLLECTING, TurnState.FITTING, TurnState.SAVING):
         scene = Scene()
-        scene.tell("break_off", "no turn")
+        scene.tell("abort", "no turn")
         assert not scene.concluded
         scene.open()
         scene.live(60.0, 0.5, stop=lambda scene=scene, state=state: scene.turn.state is state)
-        scene.tell("break_off", "no room")
+        scene.tell("abort", "no room")
         assert scene.conclusion.message == "no room"
         assert scene.turn.state is TurnState.IDLE
 

@@ -52,7 +52,7 @@ def test_mean_and_evidence_are_those_of_the_mixture(level, down, sigma) -> None:
     at, information = np.array([level, down]), np.diag([1.0, sigma**-2.0])
     prior = ANYWHERE.about(at)
     before, spread = posterior(prior, information, at)
-    shift, covariance, gain = ANYWHERE.seen(prior, before, spread)
+    shift, covariance, gain = ANYWHERE.updated(prior, before, spread)
     off = GRID - at
     likely = np.exp(-0.5 * np.einsum("ni,ij,nj->n", off, information, off))
     by_all = density_anywhere() * likely
@@ -69,7 +69,7 @@ def test_samples_that_show_the_hemisphere_show_the_downward_field() -> None:
     prior = ANYWHERE.about(np.array([20.0, 0.0]))
     information, at = np.diag([1.0, 10.0**-2.0]), np.array([20.0, 30.0])
     before, spread = posterior(prior, information, at)
-    shift, covariance, _ = ANYWHERE.seen(prior, before, spread)
+    shift, covariance, _ = ANYWHERE.updated(prior, before, spread)
     assert 38.0 < (before + shift)[1] < 48.0
     assert covariance[1, 1] < 7.0**2
 
@@ -77,7 +77,7 @@ def test_samples_that_show_the_hemisphere_show_the_downward_field() -> None:
 def test_a_level_turn_shows_no_hemisphere() -> None:
     prior = ANYWHERE.about(np.array([20.0, 0.0]))
     information, at = np.diag([1.0, 1e-9]), np.array([20.0, 0.0])
-    _, covariance, _ = ANYWHERE.seen(prior, *posterior(prior, information, at))
+    _, covariance, _ = ANYWHERE.updated(prior, *posterior(prior, information, at))
     assert covariance[1, 1] > 20.0**2
 
 
@@ -87,7 +87,7 @@ def test_samples_that_show_everything_leave_nothing_to_the_prior() -> None:
     information = turned @ np.diag([1e12, 1e3]) @ turned.T
     prior = ANYWHERE.about(at + 1.0)
     before, spread = posterior(prior, information, at)
-    shift, covariance, _ = ANYWHERE.seen(prior, before, spread)
+    shift, covariance, _ = ANYWHERE.updated(prior, before, spread)
     assert before + shift == pytest.approx(at, abs=0.01)
     assert np.linalg.inv(covariance) == pytest.approx(information, rel=1e-3)
 

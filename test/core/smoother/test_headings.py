@@ -96,9 +96,11 @@ def test_a_street_passed_once_counts_as_one_place(seeds):
         rng = np.random.default_rng(seed)
         robot = replace(ROBOT, yaw=2.0 * DEGREE * rng.standard_normal())
         kept, distance = [], 6.0
-        keeps, here = math.exp(-distance / 30.0), 2e-6 * rng.standard_normal(3)
+        correlation, here = math.exp(-distance / 30.0), 2e-6 * rng.standard_normal(3)
         for yaw in np.repeat(np.linspace(0.0, math.tau, 4, endpoint=False), 10):
-            here = keeps * here + 2e-6 * math.sqrt(1.0 - keeps**2) * rng.standard_normal(3)
+            here = correlation * here + 2e-6 * math.sqrt(
+                1.0 - correlation**2
+            ) * rng.standard_normal(3)
             (measurement,) = measurements([yaw + 0.2 * rng.standard_normal()], rng, 0.0, robot)
             pose = rotation_from_rpy(0.0, 0.0, yaw).T
             bent = measurement.field + robot.distortion @ pose @ here
