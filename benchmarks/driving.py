@@ -247,7 +247,7 @@ def directions(drive: Drive) -> tuple[int, int]:
             if ends and sample.stamp >= ends[0]:
                 true = np.interp(ends.pop(0) - 0.3, drive.time, drive.truth.speed)
                 counted += 1
-                wrong += estimator.own.sign * true < 0.0
+                wrong += estimator.acceleration.sign * true < 0.0
         elif isinstance(sample, SpeedSample):
             estimator.add_travel(sample)
     return counted, wrong

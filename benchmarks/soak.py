@@ -21,12 +21,12 @@ from pathlib import Path
 import rclpy
 from sensor_msgs.msg import MagneticField
 
-from magcal_ros.cli.live_view import keep_traffic_here
+from magcal_ros.cli.live_view import use_local_traffic
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.simulation import Robot
 from magcal_ros.ros.rehearsal import Rehearsal
 
-keep_traffic_here()
+use_local_traffic()
 
 IMU_RATE = 100.0
 """Hertz of stamps; a field sample comes with every second one."""

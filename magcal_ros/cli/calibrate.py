@@ -10,7 +10,7 @@ from typing import Any
 from magcal_ros.cli import live_view
 from magcal_ros.cli.common import Exit, command, tell
 from magcal_ros.core.errors import MagcalError, UsageError
-from magcal_ros.files.disk import plain
+from magcal_ros.files.disk import printable
 
 PATIENCE = 5.0  # longest wait for the discovery of a node, seconds
 SETTLE = 1.0  # seconds to wait for further calibrators after the first
@@ -25,7 +25,7 @@ def node_name(text: str) -> str:
     """Return a node's name from the command line with a leading slash."""
     if not NAME.fullmatch(text) or len(text) > LONGEST_NAME:
         raise argparse.ArgumentTypeError(
-            f"{plain(text, 60)!r} is not the name of a node: use letters, digits and _, as in "
+            f"{printable(text, 60)!r} is not the name of a node: use letters, digits and _, as in "
             "/robot1/calibrator"
         )
     return "/" + text.lstrip("/")
@@ -49,7 +49,7 @@ def find_calibrator(node: Any, wanted: str | None) -> str:
         if has_settled or now - begin >= PATIENCE:
             break
         time.sleep(0.1)
-    listed = ", ".join(map(plain, seen))
+    listed = ", ".join(map(printable, seen))
     if wanted is not None:
         others = f"calibrators found: {listed}" if seen else "no calibrator was found"
         raise MagcalError(
@@ -172,7 +172,7 @@ class _Turn:
 
     def in_full(self, answer: str) -> str:
         """Return the node's answer with all reasons, which the status has a little later."""
-        short = plain(answer, LONGEST_ANSWER)
+        short = printable(answer, LONGEST_ANSWER)
         deadline = time.monotonic() + STATUS_DELAY
         while True:
             message = live_view.with_all_reasons(short, self._status)

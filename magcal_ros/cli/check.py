@@ -19,7 +19,7 @@ from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.core.session.recorded import SampleCollector, fault_of_drive
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.disk import plain, write_atomically
+from magcal_ros.files.disk import printable, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
 from magcal_ros.files.sources import RepairedReadings
 from magcal_ros.report import Subject, write_report
@@ -46,25 +46,25 @@ def run_check(options: argparse.Namespace) -> int:
     """
     calibration, origin = read_calibration(options.calibration)
     with recorded.opened(options, options.recording) as source:
-        gathered = recorded.gather(options, Mounting(), source, calibration)
-        north = gathered.reference.field.declination
+        recording = recorded.collect(options, Mounting(), source, calibration)
+        north = recording.reference.field.declination
         travel, readings = source.travel, RepairedReadings(source, known=calibration)
         course = recorded_course(calibration, readings, travel, north) if travel else None
         own = against_own_yaw(calibration, readings, source.yaw, north)
     folder = common.new_or_named(options.output, "magcal_check")
-    elsewhere = made_elsewhere(calibration, gathered.reference.field)
-    made_for, heard = origin.magnetometer_frame, gathered.source.field_frame
-    notes = gathered.complaints()
+    elsewhere = made_elsewhere(calibration, recording.reference.field)
+    made_for, heard = origin.magnetometer_frame, recording.source.field_frame
+    notes = recording.complaints()
     if made_for and heard and made_for != heard:
-        about = f"made for the magnetometer {plain(made_for)}, but this is {plain(heard)}"
+        about = f"made for the magnetometer {printable(made_for)}, but this is {printable(heard)}"
         notes.insert(0, f"the calibration was {about}")
-    slow = gathered.collector.slow_field
+    slow = recording.collector.slow_field
     notes += [words for words in (slow, elsewhere) if words]
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
     notes += [own] if own else []
     try:
-        window = gathered.collector.window(gathered.reference.field)
-        result = check(window, calibration, drive=gathered.collector.drive())
+        window = recording.collector.window(recording.reference.field)
+        result = check(window, calibration, drive=recording.collector.drive())
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{common.bullets('About the recording:', notes)}"
@@ -73,17 +73,17 @@ def run_check(options: argparse.Namespace) -> int:
     outcome = Outcome(result.verdict, calibration, result.estimate)
     subject = Subject(
         window,
-        Knowledge(gathered.reference.field),
+        Knowledge(recording.reference.field),
         outcome,
-        source=f"{plain(str(options.recording))}, checked against "
-        f"{plain(str(options.calibration))}",
+        source=f"{printable(str(options.recording))}, checked against "
+        f"{printable(str(options.calibration))}",
         method=result.estimate.method,
         title="Compass check",
         magnetometer_frame=heard,
-        imu_frame=gathered.source.imu_frame,
+        imu_frame=recording.source.imu_frame,
     )
     report = write_report(folder, subject)
-    reference = gathered.reference.facts
+    reference = recording.reference.facts
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     facts["course"] = None if course is None else course.facts()
     words = f"{_words(result, notes)}\n\nReport: {report}"
@@ -179,7 +179,7 @@ def run_drive(options: argparse.Namespace) -> int:
         knowledge = Knowledge(reference.field, recorded.mounting_from(options))
         repaired = RepairedReadings(source, for_drive=True, known=begun)
         travel = source.travel
-        with recorded.at_work(
+        with recorded.with_progress(
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it", sys.stderr
         ):
             replay = replay_drive(knowledge, begun, repaired, travel)
@@ -196,7 +196,7 @@ def run_drive(options: argparse.Namespace) -> int:
             north = reference.field.declination
             course = recorded_course(replay.last_calibration, repaired, travel, north)
             replay = replace(replay, course="" if course is None else course.words)
-    page = write_drive_page(folder, replay, plain(str(options.recording)))
+    page = write_drive_page(folder, replay, printable(str(options.recording)))
     files = [page]
     if replay.last_calibration is not None and replay.last_calibration is not begun:
         files.append(folder / common.CALIBRATION)

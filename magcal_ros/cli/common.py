@@ -20,7 +20,7 @@ from typing import Any, TextIO
 from magcal_ros.core.earth_field.reference import GivenReference, Reference, resolve
 from magcal_ros.core.earth_field.wmm import Place, decimal_year, year_of
 from magcal_ros.core.errors import UsageError
-from magcal_ros.files.disk import FileError, plain_lines
+from magcal_ros.files.disk import FileError, printable_lines
 from magcal_ros.ros.parameter_table import PARAMETERS
 
 CALIBRATION = "calibration.yaml"
@@ -106,7 +106,7 @@ HEAD = re.compile(r"(?:.*\s{2,}|\s*)(?:- )?")
 def tell(text: str, out: TextIO | None = None) -> None:
     """Print a text without control characters, wrapped to the width of a terminal."""
     out = sys.stdout if out is None else out
-    shown = plain_lines(text)
+    shown = printable_lines(text)
     if out.isatty():
         shown = wrapped(shown, shutil.get_terminal_size().columns)
     print(shown, file=out, flush=True)

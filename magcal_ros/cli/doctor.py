@@ -39,7 +39,7 @@ from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Reading, SampleCollector
 from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
-from magcal_ros.files.disk import FileError, plain, write_atomically
+from magcal_ros.files.disk import FileError, printable, write_atomically
 from magcal_ros.files.exporters import parameter_file
 from magcal_ros.files.recording import REMEDY
 
@@ -73,7 +73,7 @@ def add_doctor(commands: Any) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
+class DoctorInput:
     """The samples of a recording or of the guided half minute, with further knowledge."""
 
     samples: list[ImuSample | FieldSample]
@@ -144,7 +144,7 @@ def _counted(time: FloatArray) -> str:
     return f"{len(time)} samples" + (f" at {1.0 / gap:.2g} Hz" if gap > 0.0 else "")
 
 
-def _recorded(options: argparse.Namespace) -> Heard:
+def _recorded(options: argparse.Namespace) -> DoctorInput:
     samples: list[ImuSample | FieldSample] = []
     rest = {ImuSample: MOST_SAMPLES, FieldSample: MOST_SAMPLES}
 
@@ -160,7 +160,7 @@ def _recorded(options: argparse.Namespace) -> Heard:
     with recorded.opened(options, options.recording) as source:
         collector = SampleCollector(mounting, source.imu_topic, source.field_topic)
         shares = [0.0]
-        with recorded.at_work(lambda: f"reading, {100.0 * shares[0]:.0f}%", sys.stderr):
+        with recorded.with_progress(lambda: f"reading, {100.0 * shares[0]:.0f}%", sys.stderr):
             collector.take(kept(source.readings()))
         newest = collector.streams.field_stamps.newest
         reference = reference_in_use(options, source.place, newest)
@@ -173,7 +173,7 @@ def _recorded(options: argparse.Namespace) -> Heard:
         complaints = [words for words in complaints if words != largest]
     more = tuple(ok_or_warning("recording", "recording", words, words) for words in complaints)
     left = None if options.turned is None else options.turned == "left"
-    return Heard(samples, Knowledge(reference.field, mounting), left, more, travel=travel)
+    return DoctorInput(samples, Knowledge(reference.field, mounting), left, more, travel=travel)
 
 
 def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> tuple[Belief, Belief]:
@@ -208,7 +208,8 @@ GRADE_MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade
 def page_in_words(page: SensorReport) -> str:
     """Return the page for a terminal: a line for each finding, then the remedies."""
     lines = [
-        f"  {GRADE_MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 1000)}" for f in page.findings
+        f"  {GRADE_MARKS[f.grade]:<6}{f.name:<30}{printable(f.evidence, 1000)}"
+        for f in page.findings
     ]
     # Several lines may have the same cause.
     remedies: dict[str, list[str]] = {}
@@ -216,7 +217,7 @@ def page_in_words(page: SensorReport) -> str:
         if finding.remedy:
             remedies.setdefault(finding.remedy, []).append(finding.name)
     todo = [
-        f"{' and '.join(dict.fromkeys(names))}: {plain(words, 1000)}"
+        f"{' and '.join(dict.fromkeys(names))}: {printable(words, 1000)}"
         for words, names in remedies.items()
     ]
     return "\n".join(lines) + bullets("\nWhat to do:", todo).rstrip("\n")
@@ -266,7 +267,7 @@ SEVERAL_PUBLISHERS = (
 )
 
 
-def listen(options: argparse.Namespace) -> Heard:
+def listen(options: argparse.Namespace) -> DoctorInput:
     """Guide the user through the half minute and collect the samples."""
     with joined("magcal_doctor", []) as node:
         from rclpy.executors import SingleThreadedExecutor
@@ -357,7 +358,7 @@ def gathered(
     listener: Listener,
     samples: list[ImuSample | FieldSample],
     guide: Guide,
-) -> Heard:
+) -> DoctorInput:
     """Return the samples with the knowledge from the user, the graph and the description."""
     newest = max((s.stamp for s in samples if isinstance(s, FieldSample)), default=0.0)
     reference = reference_in_use(options, None, newest)
@@ -371,4 +372,4 @@ def gathered(
         for words in listener.several_publishers
     ]
     known = Knowledge(reference.field, mounting)
-    return Heard(samples, known, guide.turned_left, tuple(more), described)
+    return DoctorInput(samples, known, guide.turned_left, tuple(more), described)

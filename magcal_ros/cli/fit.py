@@ -25,7 +25,7 @@ from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.recorded import LITTLE_DATA, fit_collected, fit_several
 from magcal_ros.files.calibration_file import Origin, write_calibration
-from magcal_ros.files.disk import FileError, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.report import Subject, write_report
 
 
@@ -33,7 +33,7 @@ from magcal_ros.report import Subject, write_report
 class Fitted:
     """A recording, or several that were joined, and the result."""
 
-    gathered: CollectedRecording  # of several recordings, the last that was joined
+    recording: CollectedRecording  # of several recordings, the last that was joined
     knowledge: Knowledge
     outcome: Outcome
     everything: Sequence[CollectedRecording]
@@ -83,10 +83,10 @@ def run(options: argparse.Namespace) -> int:
     mounting, everything = recorded.mounting_from(options), list[CollectedRecording]()
     for path in options.recordings:
         with recorded.opened(options, path) as source:
-            everything.append(recorded.gather(options, mounting, source))
+            everything.append(recorded.collect(options, mounting, source))
     count = sum(sum(each.repaired.read) for each in everything)
     shares = [0.0]
-    with recorded.at_work(
+    with recorded.with_progress(
         lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f}%", sys.stderr
     ):
         fitted = _fit(everything, options, shares.append)
@@ -134,16 +134,16 @@ def _fit(
     names = names_of([str(path) for path in options.recordings])
     collectors = [each.collector for each in everything]
     outcome, newest = fit_several(collectors, names, knowledge, options.method)
-    gathered = replace(everything[newest], reference=known.reference)
-    return Fitted(gathered, knowledge, outcome, everything)
+    recording = replace(everything[newest], reference=known.reference)
+    return Fitted(recording, knowledge, outcome, everything)
 
 
 def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> list[Path]:
     """Write the result into the folder; returns the files."""
     files = []
-    outcome, gathered = fitted.outcome, fitted.gathered
+    outcome, recording = fitted.outcome, fitted.recording
     if outcome.calibration is not None and outcome.verdict.accepted:
-        origin = Origin.now(gathered.source.field_frame, gathered.source.imu_frame)
+        origin = Origin.now(recording.source.field_frame, recording.source.imu_frame)
         files.append(folder / common.CALIBRATION)
         write_calibration(files[-1], outcome.calibration, origin)
     if outcome.window is not None:
@@ -152,16 +152,16 @@ def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> l
 
 
 def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Subject:
-    gathered = fitted.gathered
+    recording = fitted.recording
     return Subject(
         window,
         fitted.knowledge,
         fitted.outcome,
-        source=f"{', '.join(plain(str(path)) for path in options.recordings)} "
-        f"({gathered.source.field_topic} and {gathered.source.imu_topic})",
+        source=f"{', '.join(printable(str(path)) for path in options.recordings)} "
+        f"({recording.source.field_topic} and {recording.source.imu_topic})",
         method=options.method,
-        magnetometer_frame=gathered.source.field_frame,
-        imu_frame=gathered.source.imu_frame,
+        magnetometer_frame=recording.source.field_frame,
+        imu_frame=recording.source.imu_frame,
     )
 
 
@@ -184,7 +184,7 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     text = common.with_options(headline) + "\n"
     against = "But" if verdict.accepted else "The reasons"
     text += common.bullets(f"{against}:", [common.with_options(words) for words in reasons])
-    reference = fitted.gathered.reference
+    reference = fitted.recording.reference
     known = reference.words if reference.is_known else f"{reference.words}: {GIVE_PLACE}"
     text += f"\n{common.table(rows)}\n\nReference field: {known}.\n"
     multi_turn = fitted.outcome.multi_turn
@@ -206,7 +206,7 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
 
 
 def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
-    gathered, outcome = fitted.gathered, fitted.outcome
+    recording, outcome = fitted.recording, fitted.outcome
     verdict = outcome.verdict
     return {
         "summary": verdict.summary,
@@ -221,11 +221,11 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
         "not_shown": list(verdict.not_shown),
         "numbers": {key: float(number) for key, _, number, _ in _numbers(fitted)},
         "recording": {
-            "imu_topic": gathered.source.imu_topic,
-            "mag_topic": gathered.source.field_topic,
+            "imu_topic": recording.source.imu_topic,
+            "mag_topic": recording.source.field_topic,
             "complaints": fitted.complaints,
         },
-        "reference": gathered.reference.facts,
+        "reference": recording.reference.facts,
         "several": None if outcome.multi_turn is None else outcome.multi_turn.facts(),
         "files": [str(file) for file in files],
         "exit": int(fitted.status),
@@ -234,8 +234,8 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
 
 def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
     """Return key, name, number and unit of the printed quantities."""
-    collector, source = fitted.gathered.collector, fitted.gathered.source
-    imus, fields = fitted.gathered.repaired.read
+    collector, source = fitted.recording.collector, fitted.recording.source
+    imus, fields = fitted.recording.repaired.read
     window, estimate = fitted.outcome.window, fitted.outcome.estimate
     used = 0 if window is None else len(window)
     arc = math.degrees(collector.progress().coverage.arc if estimate is None else estimate.arc)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from magcal_ros.cli.common import bullets
 from magcal_ros.core.errors import MagcalError, UsageError
-from magcal_ros.files.disk import plain
+from magcal_ros.files.disk import printable
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -41,7 +41,7 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
     # rclpy has several base classes of errors: arguments, names, the environment.
     except Exception as error:
         rclpy.try_shutdown()
-        words = plain(" ".join(str(error).split()), LONGEST_ERROR)
+        words = printable(" ".join(str(error).split()), LONGEST_ERROR)
         raise UsageError(
             f"ROS does not start: {words}. Check --ros-args, ROS_DOMAIN_ID and the other ROS_ and "
             "RMW_ variables"
@@ -53,7 +53,7 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
         rclpy.try_shutdown()
 
 
-def keep_traffic_here() -> None:
+def use_local_traffic() -> None:
     """Limit DDS to this machine and a separate domain, unless the user has set other values."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if os.environ.get("ROS_DISTRO") == "humble":
@@ -100,7 +100,7 @@ def progress_of(status: str) -> dict[str, Any] | None:
             return None
         found = content["progress"]
         shown: dict[str, Any] = {name: float(found[name]) for name in NUMBERS}
-        shown |= {name: plain(str(found[name])) for name in TEXTS}
+        shown |= {name: printable(str(found[name])) for name in TEXTS}
         shown["samples"] = int(found["samples"])
         sigma = found["heading_sigma_deg"]
         shown["heading_sigma_deg"] = None if sigma is None else float(sigma)
@@ -125,7 +125,7 @@ def with_all_reasons(message: str, status: str | None) -> str:
     try:
         verdict = json.loads(status or "")["verdict"]
         summary, headline = str(verdict["summary"]), str(verdict["headline"])
-        against = [plain(str(words), LONGEST_ERROR) for words in verdict["against"]]
+        against = [printable(str(words), LONGEST_ERROR) for words in verdict["against"]]
         accepted = verdict["accepted"] is True
     except (ValueError, TypeError, LookupError, RecursionError):
         return message
@@ -133,7 +133,7 @@ def with_all_reasons(message: str, status: str | None) -> str:
     if not (found and summary and against):
         return message
     listed = bullets("But:" if accepted else "The reasons:", against)
-    return f"{before}{plain(headline, LONGEST_ERROR)}\n{listed}\n{after.strip()}"
+    return f"{before}{printable(headline, LONGEST_ERROR)}\n{listed}\n{after.strip()}"
 
 
 def best_view() -> Lines:

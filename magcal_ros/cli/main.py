@@ -19,7 +19,7 @@ from magcal_ros.cli.demo import add_demo, add_replay
 from magcal_ros.cli.doctor import add_doctor
 from magcal_ros.cli.fit import add_fit
 from magcal_ros.core.errors import MagcalError, Refusal, UsageError
-from magcal_ros.files.disk import FileError, plain, plain_lines
+from magcal_ros.files.disk import FileError, printable, printable_lines
 from magcal_ros.processes import leave_out_current_folder
 
 COMMANDS = (
@@ -32,7 +32,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End the program with a message; argparse quotes some arguments unchanged."""
-        super().error(plain_lines(message))
+        super().error(printable_lines(message))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -80,7 +80,7 @@ def _run(options: argparse.Namespace) -> Exit:
         if error.filename is None:
             return _fault()
         # The system cannot use the user's path: too long, not permitted, missing.
-        name = plain(os.fsdecode(error.filename))
+        name = printable(os.fsdecode(error.filename))
         return _said(f"cannot use {name}: {error.strerror or error}", Exit.FILE_TROUBLE)
     except Exception:  # an error of this package, reported with the traceback
         return _fault()

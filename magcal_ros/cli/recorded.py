@@ -79,7 +79,7 @@ def add_recording_options(
     ):
         parser.add_argument(option, default="", metavar="TOPIC", help=words)
     words = "pose of a log's or phone's sensors in the vehicle, ° (not of a bag)"
-    add_three(parser, "--imu-rpy-deg", number(-360.0, 360.0), words, metavar=ANGLES)
+    add_vector_option(parser, "--imu-rpy-deg", number(-360.0, 360.0), words, metavar=ANGLES)
     span: dict[str, Any] = {"type": number(0.0, math.inf), "metavar": "SECONDS"}
     before = "leave out the part before this time, counted from the start of the recording"
     after = "leave out the part after this time"
@@ -88,7 +88,7 @@ def add_recording_options(
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
-def add_three(parser: Any, option: str, kind: Any, words: str, **about: Any) -> None:
+def add_vector_option(parser: Any, option: str, kind: Any, words: str, **about: Any) -> None:
     """Add an option with three numbers."""
     parser.add_argument(option, type=kind, nargs=3, help=words, **about)
 
@@ -99,10 +99,10 @@ def add_knowledge_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the sensor (all optional)")
     gains: dict[str, Any] = {"default": [1.0] * 3, "metavar": ("X", "Y", "Z")}
     words = "known gains of the magnetometer's axes"
-    add_three(group, "--soft-iron-gains", number(0.1, 10.0), words, **gains)
+    add_vector_option(group, "--soft-iron-gains", number(0.1, 10.0), words, **gains)
     pose: dict[str, Any] = {"default": [0.0] * 3, "metavar": ANGLES}
     words = "nominal pose of the magnetometer in the IMU's frame, °"
-    add_three(group, "--mount-rpy-deg", number(-360.0, 360.0), words, **pose)
+    add_vector_option(group, "--mount-rpy-deg", number(-360.0, 360.0), words, **pose)
     words = "yaw of the IMU in the vehicle, to the left of the vehicle's front, °"
     turned: dict[str, Any] = {"default": 0.0, "metavar": "YAW", "help": words}
     group.add_argument("--vehicle-yaw-deg", type=number(-360.0, 360.0), **turned)
@@ -124,11 +124,11 @@ def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManag
     angles = options.imu_rpy_deg
     pose = None if angles is None else rotation_from_rpy(*map(math.radians, angles))
     shares = [0.0]
-    with at_work(lambda: f"reading, {100.0 * shares[-1]:.0f}%", sys.stderr):
+    with with_progress(lambda: f"reading, {100.0 * shares[-1]:.0f}%", sys.stderr):
         return open_recording(recording, **chosen, **span, imu_pose=pose, progress=shares.append)
 
 
-def gather(
+def collect(
     options: argparse.Namespace,
     mounting: Mounting,
     source: Source,
@@ -141,7 +141,7 @@ def gather(
     """
     collector = SampleCollector(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
-    with at_work(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
+    with with_progress(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
         # After the field of the motors is subtracted, the current has no further effect.
         collector.take(repaired, source.travel, source.currents if known is None else ())
     newest = collector.streams.field_stamps.newest
@@ -150,7 +150,7 @@ def gather(
 
 
 @contextmanager
-def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
+def with_progress(words: Callable[[], str], out: TextIO) -> Iterator[None]:
     """Show the progress and the duration of a long operation.
 
     On a terminal, one line is redrawn and removed at the end. Elsewhere, new lines are printed

@@ -199,12 +199,12 @@ def calibrate_turns(
     both = zip(windows, batteries, strict=True)
     windows = [w if w.battery is b else replace(w, battery=b) for w, b in both]
     turns, joint, multi_turn = join(fit_turns(windows, called, knowledge), knowledge)
-    members = [turn for turn in turns if not turn.unfit]
+    members = [turn for turn in turns if not turn.refusal_words]
     turn = (members or turns)[-1]
     if joint is not None:
         outcome = judged(joint, knowledge, turn.window)
-    elif turn.unfit and len(turns) > 1:
-        each = "; ".join(f"{turn.name}: {turn.unfit}" for turn in turns)
+    elif turn.refusal_words and len(turns) > 1:
+        each = "; ".join(f"{turn.name}: {turn.refusal_words}" for turn in turns)
         words = f"none of the turns can be used: {each}"
         outcome = Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), turn.window)
     elif turn.estimate is not None and turn.reason is None:

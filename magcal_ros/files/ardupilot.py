@@ -27,7 +27,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.files import logs
 from magcal_ros.files.dataflash import BINARY, DataFlash, read_dataflash
-from magcal_ros.files.disk import FileError, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
@@ -79,10 +79,10 @@ def read_ardupilot(
     is_text = path.suffix.lower() == ".log" and b"FMT," in begun
     if not (telemetry or is_text or begun[:2] == BINARY):
         raise FileError(
-            f"{plain(str(path))} is not a DataFlash log: its first bytes are not those of one"
+            f"{printable(str(path))} is not a DataFlash log: its first bytes are not those of one"
         )
     deadline = logs.Deadline(path, progress)
-    with logs.quietly(path, deadline):
+    with logs.without_output(path, deadline):
         if telemetry:
             logged = _telemetry(path, deadline)
         else:
@@ -174,7 +174,9 @@ def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
     finally:
         reader.close()
     if not known:
-        raise FileError(f"{plain(str(path))} is not a telemetry log: no MAVLink message is in it")
+        raise FileError(
+            f"{printable(str(path))} is not a telemetry log: no MAVLink message is in it"
+        )
     return read.logged()
 
 

@@ -17,7 +17,7 @@ from magcal_ros.core.errors import UsageError
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
-from magcal_ros.files.disk import FileError, damage_in_words, plain
+from magcal_ros.files.disk import FileError, damage_in_words, printable
 from magcal_ros.files.recording import travel_of
 from magcal_ros.files.wire import CDR, ROS1, Format, frame_of, is_plain_cdr
 
@@ -38,7 +38,7 @@ TRAVEL: dict[str, Callable[[Format, bytes], Any]] = {
     FIX_TYPE: Format.fix,
     ODOM_TYPE: Format.speed,
     TWIST_TYPE: Format.velocity,
-    TWIST_COVARIANCE_TYPE: Format.sure_velocity,
+    TWIST_COVARIANCE_TYPE: Format.velocity_with_covariance,
 }
 RECEIVER_TOPICS = ("vel", "fix_velocity")
 """Last part of the topics with a receiver's velocity over ground in ENU. Other twists are commands
@@ -77,10 +77,13 @@ class Bag:
         self._path, self._reader = path, reader
         self._format = CDR if reader.is2 else ROS1
         if not reader.message_count:
-            raise FileError(f"{plain(str(path))} holds no messages: record again")
+            raise FileError(f"{printable(str(path))} holds no messages: record again")
         self._imu = _find(path, reader, IMU_TYPE, imu, "--imu")
         self._field = _find(path, reader, FIELD_TYPE, field, "--mag")
-        self.imu_topic, self.field_topic = plain(self._imu[0].topic), plain(self._field[0].topic)
+        self.imu_topic, self.field_topic = (
+            printable(self._imu[0].topic),
+            printable(self._field[0].topic),
+        )
         self._first: int = reader.start_time + _nanoseconds(max(start, 0.0))
         self._end: int = min(reader.end_time, reader.start_time + _nanoseconds(stop))
         share = (self._end - self._first) / max(reader.end_time - reader.start_time, 1)
@@ -165,7 +168,7 @@ class Bag:
         found = [each for each in read if not isinstance(each, str)]
         if not found:
             why = read[-1] if read else "it is empty"
-            raise FileError(f"{plain(topic)} gives no heading: {why}")
+            raise FileError(f"{printable(topic)} gives no heading: {why}")
         return sorted(found, key=lambda sample: sample.stamp)
 
     def _of(self, *kinds: str) -> list[Connection]:
@@ -295,8 +298,8 @@ def _library_reader(path: Path) -> AnyReader:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise FileError(
-            f"reading {plain(str(path))} needs ROS 2 (source its setup file) or the Python library "
-            "rosbags (in a virtual environment: pip install rosbags)"
+            f"reading {printable(str(path))} needs ROS 2 (source its setup file) or the Python "
+            "library rosbags (in a virtual environment: pip install rosbags)"
         ) from error
     # Bags of old distributions lack type definitions. The types of sensor messages never changed.
     return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
@@ -306,21 +309,21 @@ def _refuse_other_files(path: Path) -> None:
     if path.is_dir():
         if not (path / "metadata.yaml").exists():
             raise FileError(
-                f"{plain(str(path))} is not a recording: a CSV folder has imu.csv and mag.csv, a "
-                "phone's folder accelerometer, gyroscope and magnetometer as CSV, a bag has "
+                f"{printable(str(path))} is not a recording: a CSV folder has imu.csv and mag.csv, "
+                "a phone's folder accelerometer, gyroscope and magnetometer as CSV, a bag has "
                 "metadata.yaml (`ros2 bag reindex` writes it; a single .mcap or .db3 may be named "
                 "itself)"
             )
     elif path.suffix not in REMEDIES:
         raise FileError(
-            f"{plain(str(path))} is not a recording: name a bag (folder, .mcap, .db3, .bag), a "
+            f"{printable(str(path))} is not a recording: name a bag (folder, .mcap, .db3, .bag), a "
             "folder with imu.csv and mag.csv, a log of ArduPilot (.BIN, .log, .tlog) or PX4 "
             "(.ulg), or the unpacked folder of a phone's Sensor Logger or phyphox"
         )
     for file in path.rglob("*") if path.is_dir() else [path]:
         # Opening a pipe would block.
         if file.exists() and not (file.is_file() or file.is_dir()):
-            raise FileError(f"cannot read {plain(str(file))}: it is not a regular file")
+            raise FileError(f"cannot read {printable(str(file))}: it is not a regular file")
 
 
 def _damage_in_words(path: Path) -> contextlib.AbstractContextManager[None]:
@@ -341,28 +344,28 @@ def _find(path: Path, reader: Any, msgtype: str, wanted: str, option: str) -> li
     kind = msgtype.replace("/msg/", "/")
     if not topics:
         raise FileError(
-            f"{plain(str(path))} has no {kind} messages; it has: {_listed(reader)}. "
+            f"{printable(str(path))} has no {kind} messages; it has: {_listed(reader)}. "
             "Record the IMU's and the magnetometer's topics"
         )
     if len(topics) > 1:
-        names = f"{len(topics)} topics of {kind}: {', '.join(map(plain, topics))}"
-        raise UsageError(f"{plain(str(path))} has {names}; choose one with {option}")
+        names = f"{len(topics)} topics of {kind}: {', '.join(map(printable, topics))}"
+        raise UsageError(f"{printable(str(path))} has {names}; choose one with {option}")
     return fitting
 
 
 def _named(path: Path, reader: Any, msgtype: str, wanted: str) -> list[Connection]:
     found = [c for c in reader.connections if c.topic == wanted]
-    wrong = [f"{plain(c.msgtype)}, not {msgtype}" for c in found if c.msgtype != msgtype]
+    wrong = [f"{printable(c.msgtype)}, not {msgtype}" for c in found if c.msgtype != msgtype]
     if wrong:
-        raise FileError(f"{plain(wanted)} is {wrong[0]}; the bag has: {_listed(reader)}")
+        raise FileError(f"{printable(wanted)} is {wrong[0]}; the bag has: {_listed(reader)}")
     if not found:
-        words = f"{plain(str(path))} has no topic {plain(wanted)}"
+        words = f"{printable(str(path))} has no topic {printable(wanted)}"
         raise FileError(f"{words}; it has: {_listed(reader)}")
     return found
 
 
 def _listed(reader: Any) -> str:
-    names = sorted({f"{plain(c.topic)} ({plain(c.msgtype)})" for c in reader.connections})
+    names = sorted({f"{printable(c.topic)} ({printable(c.msgtype)})" for c in reader.connections})
     return ", ".join(names) or "nothing"
 
 

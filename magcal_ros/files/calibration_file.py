@@ -17,7 +17,7 @@ from magcal_ros import __version__
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction, MotorField, MotorInput
 from magcal_ros.core.heading.base_heading import VehicleYaw
-from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.default_paths import identifier
 from magcal_ros.files.disk import FileError, NotRegularFile, read_small, write_atomically
 from magcal_ros.files.plausibility import require_possible
 
@@ -61,7 +61,7 @@ class Origin:
     ) -> Origin:
         """Return the origin of a calibration made at this moment."""
         stamp = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        return cls(known_as(field_frame), known_as(imu_frame), stamp, node, vehicle_yaw)
+        return cls(identifier(field_frame), identifier(imu_frame), stamp, node, vehicle_yaw)
 
 
 class _PlainLoader(yaml.SafeLoader):
@@ -261,7 +261,7 @@ def _motors_entry(motors: MotorField | None) -> dict[str, Any] | None:
         "ripple": float(motors.ripple),
         "reference_current": None if math.isnan(motors.reference) else float(motors.reference),
         "covariance": motors.covariance.tolist(),
-        "covariance_with_calibration": motors.beside.tolist(),
+        "covariance_with_calibration": motors.cross_covariance.tolist(),
     }
 
 

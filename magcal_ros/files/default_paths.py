@@ -67,7 +67,7 @@ def safe_name(text: str) -> str:
     return plain if plain == text and not looks_made else f"{plain}-{_digest(text)}"
 
 
-def known_as(frame: str) -> str:
+def identifier(frame: str) -> str:
     """Return the name of a frame in a calibration; a very long frame is cut, with a digest."""
     if len(frame) <= LONGEST_FRAME:
         return frame

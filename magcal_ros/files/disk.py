@@ -120,7 +120,7 @@ def _trouble(path: Path, error: OSError, remedy: str) -> FileError:
 LONGEST = 200
 
 
-def plain(text: str, longest: int = LONGEST) -> str:
+def printable(text: str, longest: int = LONGEST) -> str:
     """Return `text` without characters that could control a terminal, and cut to a length.
 
     Topics and frames of a bag, and texts from the network, may contain any character. Each one that
@@ -130,9 +130,9 @@ def plain(text: str, longest: int = LONGEST) -> str:
     return shown if len(text) <= longest else shown + "…"
 
 
-def plain_lines(text: str) -> str:
-    """Return a text with `plain` applied to each line, but none cut."""
-    return "\n".join(plain(line, len(line)) for line in text.split("\n"))
+def printable_lines(text: str) -> str:
+    """Return a text with `printable` applied to each line, but none cut."""
+    return "\n".join(printable(line, len(line)) for line in text.split("\n"))
 
 
 PATIENCE = 5.0  # seconds within which any working disk answers
@@ -176,15 +176,15 @@ def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Itera
     except MagcalError:
         raise
     except OSError as error:
-        raise FileError(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
+        raise FileError(f"cannot read {printable(str(path))}: {error.strerror or error}") from error
     except Exception as error:  # a damaged file may cause any error in a parser
-        reason = plain(" ".join(str(error).split()) or type(error).__name__)
+        reason = printable(" ".join(str(error).split()) or type(error).__name__)
         raise FileError(
-            f"{plain(str(path))} is damaged or {damage} ({reason}). {remedy()}"
+            f"{printable(str(path))} is damaged or {damage} ({reason}). {remedy()}"
         ) from error
 
 
-def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:
+def with_time_limit(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:
     """Call `work`, which uses a disk; FileTrouble if it takes longer than `patience`, seconds.
 
     A network mount without its server blocks a thread for hours, and no signal ends this. So the

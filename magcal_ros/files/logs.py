@@ -18,7 +18,7 @@ from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
-from magcal_ros.files.disk import FileError, damage_in_words, open_regular, plain
+from magcal_ros.files.disk import FileError, damage_in_words, open_regular, printable
 from magcal_ros.files.recording import Recording, travel_of
 
 GIGABYTE = LARGEST_LOG = 1 << 30
@@ -56,8 +56,8 @@ class Deadline:
         """Raise FileTrouble if the time is over."""
         if time.monotonic() > self._end:
             raise FileError(
-                f"reading {plain(str(self._path))} takes longer than {LONGEST_READING:g} s: it is "
-                "damaged or too long. Cut it with the autopilot's own tools, or record again"
+                f"reading {printable(str(self._path))} takes longer than {LONGEST_READING:g} s: it "
+                "is damaged or too long. Cut it with the autopilot's own tools, or record again"
             )
 
 
@@ -178,18 +178,19 @@ def _chosen(path: Path, kind: _Kind, wanted: str, notes: list[str]) -> int:
         found = [k for k in numbers if wanted in (kind.name(k), str(k))]
         if not found:
             raise FileError(
-                f"{plain(str(path))} has no {plain(wanted)}; it has: {every or 'none'}. "
+                f"{printable(str(path))} has no {printable(wanted)}; it has: {every or 'none'}. "
                 f"Choose with {option}"
             )
         numbers = found
     if not numbers:
-        raise FileError(f"{plain(str(path))} has no {name} data: {remedy}")
+        raise FileError(f"{printable(str(path))} has no {name} data: {remedy}")
     working = [k for k in numbers if kind.works(k)]
     if not working:
         what = "magnetometer" if option == "--mag" else "accelerometer"
         faults = "; ".join(kind.fault(k) for k in numbers)
         raise FileError(
-            f"{plain(str(path))} has no working {what}: {faults}. {remedy[:1].upper()}{remedy[1:]}"
+            f"{printable(str(path))} has no working {what}: {faults}. "
+            f"{remedy[:1].upper()}{remedy[1:]}"
         )
     chosen = working[0]
     if len(numbers) > 1:
@@ -245,7 +246,7 @@ def library(path: Path, module: str, extra: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise FileError(
-            f"reading {plain(str(path))} needs the Python library {name}: "
+            f"reading {printable(str(path))} needs the Python library {name}: "
             f"pip install 'magcal_ros[{extra}]', or pip install {name}"
         ) from error
 
@@ -259,19 +260,19 @@ def first_bytes(path: Path, count: int) -> bytes:
             begun = handle.read(count)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise FileError(f"cannot read {plain(str(path))}: {reason}") from error
+        raise FileError(f"cannot read {printable(str(path))}: {reason}") from error
     if not size:
-        raise FileError(f"{plain(str(path))} is empty: copy or download it again")
+        raise FileError(f"{printable(str(path))} is empty: copy or download it again")
     if size > LARGEST_LOG:
         raise FileError(
-            f"{plain(str(path))} has {size / GIGABYTE:.1f} GiB, and logs up to "
+            f"{printable(str(path))} has {size / GIGABYTE:.1f} GiB, and logs up to "
             f"{LARGEST_LOG / GIGABYTE:g} GiB are read: record the turn in a log of its own"
         )
     return begun
 
 
 @contextlib.contextmanager
-def quietly(path: Path, deadline: Deadline) -> Iterator[None]:
+def without_output(path: Path, deadline: Deadline) -> Iterator[None]:
     """Discard the output of a library, and raise its errors as `FileError`."""
     heard = _DiscardedOutput(deadline)
     with (

@@ -21,7 +21,7 @@ from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.files import logs
-from magcal_ros.files.disk import FileError, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.recording import Recording, read_header, read_numbers
 
 NANOSECOND = 1e9
@@ -61,14 +61,14 @@ def read_phone(path: Path) -> Recording:
         names = zip(("accelerometer", "gyroscope", "field"), sensors, strict=True)
         missing = [name for name, table in names if table is None]
         raise FileError(
-            f"{plain(str(path))} has no {' and no '.join(missing)}. Record accelerometer (with "
+            f"{printable(str(path))} has no {' and no '.join(missing)}. Record accelerometer (with "
             "gravity), gyroscope and magnetometer with the phone, and unpack what it exports"
         )
     size = float(np.median(np.linalg.norm(force[:, 1:], axis=1)))
     if size < LEAST_GRAVITY:
         raise FileError(
-            f"{plain(str(path))} has acceleration without gravity ({size:.1f} m/s²): record the "
-            "accelerometer with gravity (phyphox: Acceleration with g; Sensor Logger: Total "
+            f"{printable(str(path))} has acceleration without gravity ({size:.1f} m/s²): record "
+            "the accelerometer with gravity (phyphox: Acceleration with g; Sensor Logger: Total "
             "Acceleration, or Gravity beside the accelerometer)"
         )
     tables = logs.LogTables(notes=notes)

@@ -27,7 +27,7 @@ from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotat
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files import logs
-from magcal_ros.files.disk import FileError, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.recording import Recording
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -73,10 +73,12 @@ def read_px4(
 ) -> Recording:
     """Read a ULog; arguments and errors are those of `open_recording`."""
     if logs.first_bytes(path, len(MAGIC)) != MAGIC:
-        raise FileError(f"{plain(str(path))} is not a ULog: its first bytes are not those of one")
+        raise FileError(
+            f"{printable(str(path))} is not a ULog: its first bytes are not those of one"
+        )
     ulog = logs.library(path, "pyulog", "px4").ULog
     deadline = logs.Deadline(path, progress)
-    with logs.quietly(path, deadline), _LimitedFile(path, deadline) as handle:
+    with logs.without_output(path, deadline), _LimitedFile(path, deadline) as handle:
         tables = _tables(ulog(handle, [*TOPICS, *SELECTIONS]))
     return logs.recording_of(path, tables, NAMES, imu, mag)
 

@@ -30,7 +30,7 @@ from magcal_ros.core.samples.streams import (
     TravelSample,
 )
 from magcal_ros.core.samples.window import Window
-from magcal_ros.files.disk import FileError, open_regular, plain, write_atomically
+from magcal_ros.files.disk import FileError, open_regular, printable, write_atomically
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
 FIELD_COLUMNS = ("t", "mx", "my", "mz")
@@ -71,7 +71,7 @@ class Recording:
 
     def headings(self, topic: str) -> list[HeadingSample]:
         """Raise a Misuse: only bags have topics."""
-        raise UsageError(f"{plain(topic)}: only a bag has a topic with headings")
+        raise UsageError(f"{printable(topic)}: only a bag has a topic with headings")
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
         """Yield the samples of both sensors sorted by stamp, at equal stamps the IMU's first.
@@ -213,7 +213,7 @@ def read_numbers(
     stamps = table[:, 0]
     if (np.abs(stamps[np.isfinite(stamps)]) > LATEST_STAMP).any():
         raise FileError(
-            f"{plain(str(path))} is damaged: its stamps must be seconds, and reach "
+            f"{printable(str(path))} is damaged: its stamps must be seconds, and reach "
             f"{np.nanmax(np.abs(stamps)):.3g}"
         )
     return np.asarray(table, dtype=np.float64)
@@ -227,9 +227,9 @@ def _opened(path: Path) -> Iterator[TextIO]:
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
     except ValueError as error:
-        raise FileError(f"{plain(str(path))} is damaged: {error}") from error
+        raise FileError(f"{printable(str(path))} is damaged: {error}") from error
     except IndexError as error:  # numpy before 1.23
-        raise FileError(f"{plain(str(path))} is damaged: a line has too few columns") from error
+        raise FileError(f"{printable(str(path))} is damaged: a line has too few columns") from error
 
 
 def _separator(header: str) -> str:
@@ -317,4 +317,4 @@ def read_samples(path: Path) -> Window:
     try:
         return Window(table[:, 0], table[:, 1:4], table[:, 4:7], rate)
     except ValueError as error:
-        raise FileError(f"{plain(str(path))} is damaged: {error}") from error
+        raise FileError(f"{printable(str(path))} is damaged: {error}") from error

@@ -9,7 +9,7 @@ from xml.parsers import expat
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.frame_tree import FrameJoint
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.default_paths import identifier
 
 LARGEST = 4_000_000  # characters, four times the description of the largest humanoid
 
@@ -64,10 +64,10 @@ class _Reader:
         if len(self._path) == 1:
             self.is_robot = name == "robot"
         elif self._path == ["robot", "joint"]:
-            self._joint = {key: known_as(attributes.get(key, "")) for key in ("name", "type")}
+            self._joint = {key: identifier(attributes.get(key, "")) for key in ("name", "type")}
         elif self._path[:2] == ["robot", "joint"] and len(self._path) == 3:
             if name in ("parent", "child"):
-                self._joint[name] = known_as(attributes.get("link", ""))
+                self._joint[name] = identifier(attributes.get("link", ""))
             elif name == "origin" and "rpy" in attributes:
                 self._joint["rpy"] = attributes["rpy"]
 

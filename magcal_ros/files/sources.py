@@ -18,14 +18,14 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.vec3 import between, length
+from magcal_ros.core.geometry.vec3 import interpolate, length
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 from magcal_ros.core.samples.units import slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import Bag, open_bag
-from magcal_ros.files.disk import FileError, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
@@ -75,9 +75,9 @@ def _read_whole(path: Path, imu: str, field: str, progress: Progress | None) -> 
     if path.is_file() and kind == ".ulg":
         return px4.read_px4(path, imu, field, progress)
     if path.is_file() and kind in PACKED:
-        raise FileError(f"{plain(str(path))} is packed: unpack it, and name the result")
+        raise FileError(f"{printable(str(path))} is packed: unpack it, and name the result")
     if path.is_file() and kind == ".csv":
-        raise FileError(f"{plain(str(path))} is one table of a recording: name its folder")
+        raise FileError(f"{printable(str(path))} is one table of a recording: name its folder")
     is_csv = (path / "imu.csv").exists() or (path / "mag.csv").exists()
     if not is_csv and not phone.is_phone_folder(path):
         return None
@@ -217,6 +217,6 @@ def _between(last: ImuSample, sample: ImuSample, longest: float) -> Iterator[Imu
     parts = math.ceil(gap / (0.5 * STREAMS.max_gap))
     for part in range(1, parts):
         share = part / parts
-        force = between(last.force, sample.force, share)
-        rate = between(last.rate, sample.rate, share)
+        force = interpolate(last.force, sample.force, share)
+        rate = interpolate(last.rate, sample.rate, share)
         yield ImuSample(last.stamp + share * gap, force, rate, is_measured=False)

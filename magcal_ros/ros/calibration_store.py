@@ -21,12 +21,12 @@ from magcal_ros.files.calibration_file import (
 )
 from magcal_ros.files.default_paths import (
     chosen_path,
+    identifier,
     is_missing,
-    known_as,
     numbered,
     sensor_file,
 )
-from magcal_ros.files.disk import FileError, plain, promptly
+from magcal_ros.files.disk import FileError, printable, with_time_limit
 from magcal_ros.ros.announcer import Log
 from magcal_ros.ros.threads import BackgroundThread
 
@@ -125,7 +125,7 @@ class CalibrationStore:
             try:
                 path = self._path(frame)
                 content = (path, calibration, origin, keep if with_backup else None)
-                promptly(lambda: write_calibration(*content), path, WRITE_WITHIN)
+                with_time_limit(lambda: write_calibration(*content), path, WRITE_WITHIN)
             except FileError as error:
                 self.problem = str(error)
                 return f"In force, but not saved: {error}"
@@ -161,9 +161,9 @@ class CalibrationStore:
         """
         try:
             path = self._path(frame, chosen)
-            key = promptly(lambda: _key_of(path), path)
+            key = with_time_limit(lambda: _key_of(path), path)
             if self._last_read is None or key is None or self._last_read[0] != key:
-                found = promptly(lambda: read_calibration(path), path)
+                found = with_time_limit(lambda: read_calibration(path), path)
                 self._last_read = key, Loaded(path, *found)
             loaded = self._last_read[1]
             _require_sensor(path, loaded.origin, frame)
@@ -171,9 +171,9 @@ class CalibrationStore:
             if chosen in ("", self._given):
                 raise
             raise FileError(
-                f"{plain(chosen)} cannot be loaded: it is missing, cannot be read, is not a usable "
-                "calibration, or was made for another sensor. Calibrate, or name another file in "
-                "calibration_file"
+                f"{printable(chosen)} cannot be loaded: it is missing, cannot be read, is not a "
+                "usable calibration, or was made for another sensor. Calibrate, or name another "
+                "file in calibration_file"
             ) from None
         return loaded
 
@@ -182,8 +182,8 @@ class CalibrationStore:
         self.problem = ""
         self.put_in_force(loaded.calibration, loaded.origin)
         origin, method = loaded.origin, loaded.calibration.evidence.method
-        made = f"{plain(origin.created)} by {plain(method)}"
-        where = f" in {plain(origin.node)}" if origin.node else ""
+        made = f"{printable(origin.created)} by {printable(method)}"
+        where = f" in {printable(origin.node)}" if origin.node else ""
         return f"loaded {loaded.path} (made {made}{where})"
 
     def begin(self) -> None:
@@ -237,7 +237,11 @@ class CalibrationStore:
 
         def read_if_there() -> Loaded | None:
             path = self._path(frame, chosen)
-            return None if promptly(lambda: is_missing(path), path) else self.read(chosen, frame)
+            return (
+                None
+                if with_time_limit(lambda: is_missing(path), path)
+                else self.read(chosen, frame)
+            )
 
         def done(found: Loaded | Exception | None) -> None:
             self._is_reading = False
@@ -294,7 +298,7 @@ def _key_of(path: Path) -> object:
 
 def _require_sensor(path: Path, origin: Origin, frame: str) -> None:
     """Raise FileTrouble for a calibration of another sensor: both frames known and different."""
-    made_for, there = origin.magnetometer_frame, known_as(frame)
+    made_for, there = origin.magnetometer_frame, identifier(frame)
     if made_for and there and made_for != there:
         raise FileError(
             f"{path} was made for the magnetometer {made_for!r}, but the field comes from "

@@ -19,11 +19,11 @@ from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, Streams
-from magcal_ros.core.samples.units import Heard, complaints
+from magcal_ros.core.samples.units import InputCounts, complaints
 from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.default_paths import identifier
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.motors import Motors
@@ -99,7 +99,7 @@ class Sensor:
         if self.publishers > 1:
             return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
         if self.changes - self._changes_at_look[0] > 1:
-            frames = map(known_as, sorted((self._frame_before, self.frame)))
+            frames = map(identifier, sorted((self._frame_before, self.frame)))
             names = " and ".join(map(repr, frames))
             return f"the frame of {self.topic} changes between {names}: only one can be the sensor"
         return ""
@@ -112,7 +112,9 @@ class Inputs:
     imu: Sensor
     field: Sensor
     streams: Streams
-    _earlier: deque[tuple[Heard, Heard]] = member(default_factory=lambda: deque(maxlen=DROP_WINDOW))
+    _earlier: deque[tuple[InputCounts, InputCounts]] = member(
+        default_factory=lambda: deque(maxlen=DROP_WINDOW)
+    )
 
     def look(self, count_publishers: Callable[[str], int]) -> None:
         """Note, once a second, the counts of messages and the numbers of publishers."""
@@ -126,14 +128,14 @@ class Inputs:
         found = [text for text in (self.imu.complaint(), self.field.complaint()) if text]
         imu, mag = self._heard()
         if len(self._earlier) == DROP_WINDOW:
-            imu, mag = map(Heard.since, (imu, mag), self._earlier[0])
+            imu, mag = map(InputCounts.since, (imu, mag), self._earlier[0])
         return found + complaints(self.streams, imu, mag)
 
-    def _heard(self) -> tuple[Heard, Heard]:
+    def _heard(self) -> tuple[InputCounts, InputCounts]:
         imu, field, streams = self.imu, self.field, self.streams
         return (
-            Heard(imu.topic, imu.messages, Counter(streams.imu_drops)),
-            Heard(field.topic, field.messages, Counter(streams.field_drops)),
+            InputCounts(imu.topic, imu.messages, Counter(streams.imu_drops)),
+            InputCounts(field.topic, field.messages, Counter(streams.field_drops)),
         )
 
 
@@ -281,23 +283,23 @@ class HeadingPipeline:
         turning = self.up.rate if self.up.is_propagated else None
         return CompassReading.of(compass, sample, up, streams.newest_rate, motor_state, turning)
 
-    def take(self, number: int, moment: CompassReading, arrived: FieldArrival) -> None:
+    def take(self, number: int, reading: CompassReading, arrived: FieldArrival) -> None:
         """Publish the heading computed from a magnetometer's message."""
         if self.fused.is_needed:  # a calibration of a further magnetometer is in force
-            joined = self.compasses.add(number, moment, self.up.newest_stamp, self.fused.yaw)
+            joined = self.compasses.add(number, reading, self.up.newest_stamp, self.fused.yaw)
             if joined is None:
                 return
-            moment = joined
-        self.headings.publish(moment, arrived.stamp, self.body_frame(), self.reference.field)
-        self.fused.on_field(moment)
-        if moment.heading is not None:
-            self.travel.estimator.add_yaw(moment.heading.yaw)
+            reading = joined
+        self.headings.publish(reading, arrived.stamp, self.body_frame(), self.reference.field)
+        self.fused.on_field(reading)
+        if reading.heading is not None:
+            self.travel.estimator.add_yaw(reading.heading.yaw)
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""
         return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
-    def settled(self, number: int = FIRST, frame: str = "") -> Settings:
+    def current_settings(self, number: int = FIRST, frame: str = "") -> Settings:
         """Return the parameters for a turn of one magnetometer.
 
         The reference field in use replaces the one given by the parameters.

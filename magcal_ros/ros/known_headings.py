@@ -111,7 +111,7 @@ class HeadingTopic:
             return
         if view is None:
             return
-        settings = self._pipeline.settled()
+        settings = self._pipeline.current_settings()
         north = settings.heading_is_true, settings.knowledge.reference
         is_enough = collector.on_field(sample, view.pose[0], *north)
         if is_enough and collector.log is not None and not self._is_fitting:
@@ -134,7 +134,7 @@ class HeadingTopic:
         self._heard_at, self.is_heard = time.monotonic(), True
         if self.collected is not None:
             self.collected.append(sample)
-        settings, view = self._pipeline.settled(), self._pipeline.frames.view
+        settings, view = self._pipeline.current_settings(), self._pipeline.frames.view
         given = ExternalHeading(sample.yaw, sample.sigma, settings.heading_is_true)
         shift = given.to_magnetic(settings.knowledge.reference)
         self._fault = NO_DECLINATION if shift is None else ""
@@ -171,7 +171,7 @@ class HeadingTopic:
         if outcome.reason is Reason.HEADING_CONTRADICTED:
             self._doubt = self._answer
         found, before = outcome.calibration, self._magnetometer.store.calibration
-        is_wanted = self._pipeline.settled().self_calibration != Mode.OFF.value
+        is_wanted = self._pipeline.current_settings().self_calibration != Mode.OFF.value
         if found is None or not (is_wanted and outcome.verdict.accepted):
             return
         if not external_heading.replaces(found, before):
@@ -227,7 +227,7 @@ class KnownHeadings:
 
     def calibrate(self, turns: Magnetometers, tell: Tell) -> None:
         """Collect samples of the robot at rest, calibrate, and answer with the result."""
-        settings = self._pipeline.settled()
+        settings = self._pipeline.current_settings()
         refusal = self._why_not(turns, settings)
         if refusal:
             tell(Conclusion(False, refusal))
@@ -293,7 +293,7 @@ class KnownHeadings:
 
     def _fit(self) -> None:
         self._deadline = math.inf
-        settings, follower = self._pipeline.settled(), self._pipeline.up
+        settings, follower = self._pipeline.current_settings(), self._pipeline.up
         heard, self.antenna.collected = self.antenna.collected or [], None
         given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)
         view = self._pipeline.frames.view

@@ -19,12 +19,12 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.monitor import CalibrationMonitor
 from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import Drop, FieldSample, Pairer, Streams
+from magcal_ros.core.samples.streams import DropReason, FieldSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_machine as tm
 from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.session import TurnRequest
-from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.default_paths import identifier
 from magcal_ros.ros.calibration_store import CalibrationStore, Tell
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, Sensor
 from magcal_ros.ros.outputs import FieldOutput
@@ -95,14 +95,14 @@ class Magnetometer:
     def look_at_sensors(self) -> None:
         """Note the first message of a sensor, or a new frame."""
         frames = self.inputs.field.frame, self.inputs.imu.frame
-        self.control.tell(self.control.turn.note_sensors, *map(known_as, frames))
+        self.control.tell(self.control.turn.note_sensors, *map(identifier, frames))
         self._owner.sensors_changed(self)
         if self.inputs.field.last_heard is not None:
             self.store.note_sensor(self.inputs.field.frame)
 
     def start(self, gyro: GyroAtRest | None) -> tm.Conclusion:
         """Start to collect a turn."""
-        settings = self._pipeline.settled(self.number, self.inputs.field.frame)
+        settings = self._pipeline.current_settings(self.number, self.inputs.field.frame)
         return self.control.start(settings, gyro)
 
     @property
@@ -140,7 +140,7 @@ class Magnetometer:
         """Return the prior knowledge for a drive; None while a turn is under way."""
         if self.control.turn.state is not tm.TurnState.IDLE:
             return None
-        return self._pipeline.settled(self.number, self.inputs.field.frame).knowledge
+        return self._pipeline.current_settings(self.number, self.inputs.field.frame).knowledge
 
     def describe_silence(self) -> str:
         """Return which sensor is missing, and what to check."""
@@ -170,7 +170,7 @@ class Magnetometer:
         try:
             arrived = read_field(data)
         except Unreadable:
-            streams.field_drops[Drop.UNREADABLE] += 1
+            streams.field_drops[DropReason.UNREADABLE] += 1
             return
         if self.inputs.field.heard(arrived.frame):
             if self.out is None:
@@ -181,11 +181,11 @@ class Magnetometer:
             return
         self._owner.sample_came(self, sample)
         if self.compass is not None and self.out is not None:
-            moment = self._pipeline.reading_of(self.compass, sample, streams)
-            self.out.publish(moment.field, arrived, self._pipeline.body_frame())
-            self._pipeline.take(self.number, moment, arrived)
+            reading = self._pipeline.reading_of(self.compass, sample, streams)
+            self.out.publish(reading.field, arrived, self._pipeline.body_frame())
+            self._pipeline.take(self.number, reading, arrived)
             if self.monitor is not None:
-                self.monitor.take(moment)
+                self.monitor.take(reading)
         if not streams.is_repeated:
             self.control.add(sample)
 

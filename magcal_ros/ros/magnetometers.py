@@ -19,7 +19,7 @@ from magcal_ros.core.calibration.heading_sigma import known_sigma
 from magcal_ros.core.heading.several_compasses import CompassWeight, SeveralCompasses
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
-from magcal_ros.files.disk import plain
+from magcal_ros.files.disk import printable
 from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.parameters import Settings
@@ -38,7 +38,7 @@ class Magnetometers:
         """The first magnetometer, and the further ones that have published, by number."""
 
     @property
-    def further(self) -> list[Magnetometer]:
+    def others(self) -> list[Magnetometer]:
         """The magnetometers in `heard` without the first."""
         return self.heard[1:]
 
@@ -80,7 +80,7 @@ class Magnetometers:
             words = f"already {self.state.value} the turn of another magnetometer: wait"
             return Conclusion(False, words)
         opened = first.start(gyro)
-        for each in self.further if opened.success else ():
+        for each in self.others if opened.success else ():
             each.start(gyro)
         return opened
 
@@ -94,7 +94,7 @@ class Magnetometers:
 
     def complaints(self) -> list[str]:
         """Return the faults of the further magnetometers and of the common heading, in words."""
-        found = [text for each in self.further for text in each.inputs.complaints()]
+        found = [text for each in self.others for text in each.inputs.complaints()]
         if not self.are_calibrated:
             return found
         topics = {each.number: each.topic for each in self.heard}
@@ -128,14 +128,14 @@ class Magnetometers:
                 "weight": round(weights[each.number].weight, 2),
                 "why": weights[each.number].why,
             }
-            for each in (self.heard if self.further else ())
+            for each in (self.heard if self.others else ())
         ]
 
     def diagnostics(self) -> list[DiagnosticStatus]:
         """Return the diagnostic of the common heading; empty if there is only one magnetometer."""
-        if not self.further:
+        if not self.others:
             return []
-        complaints = [each.store.problem for each in self.further if each.store.problem]
+        complaints = [each.store.problem for each in self.others if each.store.problem]
         complaints += self.complaints()
         words = "all are used for the heading"
         if not self.are_calibrated:
@@ -152,7 +152,7 @@ class Magnetometers:
     @property
     def are_calibrated(self) -> bool:
         """Whether a calibration of a further magnetometer is in force."""
-        return any(each.store.calibration is not None for each in self.further)
+        return any(each.store.calibration is not None for each in self.others)
 
     @property
     def _busy(self) -> list[Magnetometer]:
@@ -203,7 +203,7 @@ def _accept_one(
     def note(conclusion: Conclusion) -> None:
         now = magnetometer.store.calibration
         if now is not None and now is not before:
-            sigma, method = math.degrees(known_sigma(now)), plain(now.evidence.method)
+            sigma, method = math.degrees(known_sigma(now)), printable(now.evidence.method)
             words = f"a calibration by {method}, predicted heading error {shown(sigma)}° (1σ)"
             say(f"~/accept on {magnetometer.topic}: {words}. {conclusion.message}")
         tell(conclusion)

@@ -158,7 +158,7 @@ class Motors:
         before = None if self._compass is None else self._compass.motors
         self._compass, self._learning, self._has_learnt = compass, None, False
         if compass is not None and compass.motors is not None and before is not None:
-            compass.use_motors(compass.motors.and_of(before))
+            compass.use_motors(compass.motors.combined_with(before))
 
     def facts(self, compass: Compass | None) -> dict[str, Any] | None:
         """Return the part of `~/status` on the motors; None if their field is unknown."""

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from magcal_ros.core.samples.streams import Drop, FieldSample
+from magcal_ros.core.samples.streams import DropReason, FieldSample
 from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros import status
@@ -121,19 +121,19 @@ class Calibrator(Node):
         try:
             frame, sample, stamp = read_imu(data)
         except Unreadable:
-            streams.imu_drops[Drop.UNREADABLE] += 1
+            streams.imu_drops[DropReason.UNREADABLE] += 1
             return
         if self._inputs.imu.heard(frame):
             for each in self._magnetometers.heard:
                 each.look_at_sensors()
         if sample is None:
-            streams.imu_drops[Drop.ABSENT] += 1
+            streams.imu_drops[DropReason.ABSENT] += 1
         elif streams.add_imu(sample):
             own = self._travel.estimator.add_imu(sample, self._up.gyro_bias.rate)
             self._up.add(sample, own)
             if self._robot.is_under_way:
-                self._robot.hear(sample.rate, monotonic())
-            for each in self._magnetometers.further:
+                self._robot.add_rate(sample.rate, monotonic())
+            for each in self._magnetometers.others:
                 each.inputs.streams.add_imu(sample)
             self._known.on_imu(sample.stamp)
             self._pipeline.on_imu(sample.stamp, stamp)
@@ -248,7 +248,7 @@ class Calibrator(Node):
         statuses = [
             status.calibration_diagnostic(self._first),
             status.field_diagnostic(
-                self._pipeline.headings.moment, self._pipeline.leading, self._reference.reference
+                self._pipeline.headings.reading, self._pipeline.leading, self._reference.reference
             ),
             self._pipeline.fused.diagnostic(),
             status.watch_diagnostic(self._first.monitor, self._keeping),

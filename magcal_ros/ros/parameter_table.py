@@ -18,7 +18,7 @@ from magcal_ros.core.knowledge import (
     STRENGTH_SIGMA_UT,
 )
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.files.disk import plain
+from magcal_ros.files.disk import printable
 
 Value: TypeAlias = "bool | int | float | str | tuple[float, ...]"
 LONGEST_TEXT = 4096
@@ -185,7 +185,7 @@ def _shown(value: Any) -> str:
         return "[" + ", ".join(map(_shown, items[:MOST_SHOWN])) + more
     if value is None:
         return "nothing"
-    return plain(str(value).lower() if isinstance(value, bool) else repr(value))
+    return printable(str(value).lower() if isinstance(value, bool) else repr(value))
 
 
 MAY_BE_ENABLED = "rotate.may_be_enabled"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.errors import MagcalError, in_words
 from magcal_ros.core.samples.window import Window
-from magcal_ros.files.default_paths import chosen_path, known_as, own_folder
+from magcal_ros.files.default_paths import chosen_path, identifier, own_folder
 from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import BackgroundThread
@@ -64,8 +64,8 @@ class Reporter:
             outcome,
             source=f"{field.topic} and {imu.topic}",
             method=settings.method,
-            magnetometer_frame=known_as(field.frame),
-            imu_frame=known_as(imu.frame),
+            magnetometer_frame=identifier(field.frame),
+            imu_frame=identifier(imu.frame),
             vehicle=yaw.words if yaw else "",
         )
         try:

@@ -146,10 +146,10 @@ class SelfKeeping:
 
 def run_with_low_priority(job: DriveJob) -> DriveResult:
     """Do a job in the worker process at low priority; its modules are imported only there."""
-    from magcal_ros.core.keeping.worker import answer
+    from magcal_ros.core.keeping.worker import examine_drive
 
     os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
-    return answer(job)
+    return examine_drive(job)
 
 
 def write_page(parent: Path, replay: DriveReplay, log: Window) -> Path:

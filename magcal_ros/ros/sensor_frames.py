@@ -31,7 +31,7 @@ from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rotatio
 from magcal_ros.core.heading.base_heading import BaseHeading, VehicleYaw, corrected_pose
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up.follower import UpFollower
-from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.default_paths import identifier
 from magcal_ros.files.robot_description import LARGEST, joints_of
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import BackgroundThread
@@ -112,7 +112,7 @@ def joints_from(transforms: Iterable[TransformStamped]) -> list[FrameJoint]:
     """Return static transforms as fixed joints; one without a rotation is left out."""
     joints = []
     for transform in transforms:
-        parent, child = known_as(transform.header.frame_id), known_as(transform.child_frame_id)
+        parent, child = identifier(transform.header.frame_id), identifier(transform.child_frame_id)
         turn = transform.transform.rotation
         pose = rotation_from_quaternion(turn.x, turn.y, turn.z, turn.w)
         if pose is not None:
@@ -151,8 +151,8 @@ class SensorFrames:
 
     def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames in the messages of the sensors."""
-        self._imu_frame = known_as(imu_frame)
-        self._magnetometer_frame = known_as(magnetometer_frame)
+        self._imu_frame = identifier(imu_frame)
+        self._magnetometer_frame = identifier(magnetometer_frame)
         self._look()
 
     @property
@@ -220,7 +220,7 @@ class SensorFrames:
     @property
     def _frames(self) -> Frames:
         return Frames(
-            known_as(self._settings().base_frame), self._imu_frame, self._magnetometer_frame
+            identifier(self._settings().base_frame), self._imu_frame, self._magnetometer_frame
         )
 
     def _follow_parameters(self) -> None:

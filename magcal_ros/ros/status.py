@@ -18,8 +18,8 @@ from magcal_ros.core.heading.compass import CompassReading
 from magcal_ros.core.monitoring.monitor import CalibrationMonitor, MonitorResult
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_machine import TurnState
-from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.disk import plain
+from magcal_ros.files.default_paths import identifier
+from magcal_ros.files.disk import printable
 from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.magnetometer import Magnetometer
@@ -143,7 +143,7 @@ def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
         values |= {key: facts[key] for key in ("method", "created", "quality", "confidence")}
         if "warn" in (values["quality"], values["confidence"]):
             level = DiagnosticStatus.WARN
-        made_for, there = facts["magnetometer_frame"], known_as(first.inputs.field.frame)
+        made_for, there = facts["magnetometer_frame"], identifier(first.inputs.field.frame)
         if made_for and there and made_for != there:
             level = DiagnosticStatus.ERROR
             message = (
@@ -156,16 +156,16 @@ def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
 
 
 def field_diagnostic(
-    moment: CompassReading | None, calibration: Calibration | None, reference: Reference
+    reading: CompassReading | None, calibration: Calibration | None, reference: Reference
 ) -> DiagnosticStatus:
     """Return the diagnostic of the corrected field, compared with calibration and reference."""
     values, level = dict[str, str](), DiagnosticStatus.OK
     if calibration is None:
         message = "no corrected field before a calibration is in force"
-    elif moment is None:
+    elif reading is None:
         message = "no field message since the calibration was put in force"
     else:
-        strength, heading = math.hypot(*moment.field), moment.heading
+        strength, heading = math.hypot(*reading.field), reading.heading
         shown, calibrated = f"{strength * 1e6:.1f} µT", f"{calibration.strength * 1e6:.1f} µT"
         values = {"corrected strength": shown, "calibrated strength": calibrated}
         values |= yaw_values(heading)
@@ -215,5 +215,5 @@ def diagnostic_array(
     array.header.stamp = stamp
     for status in array.status:
         status.name = f"{node}: {status.name}"
-        status.hardware_id = plain(frame) or "magnetometer"
+        status.hardware_id = printable(frame) or "magnetometer"
     return array

@@ -88,7 +88,7 @@ class Travel:
         self.estimator.forget_compass()
         if kept is not None:
             self.kept = kept
-            self.estimator.believe(kept.offset, kept.sigma)
+            self.estimator.use_mounting_yaw(kept.offset, kept.sigma)
 
     def follow(self, reference: ReferenceField, announcer: Announcer) -> VehicleYaw | None:
         """Estimate the front, once a second, and log changes; returns a yaw to store, if any."""
@@ -113,11 +113,11 @@ class Travel:
     @property
     def complaints(self) -> list[str]:
         """Faults of speeds, compass or declination, in words."""
-        watch = self.estimator.mounting
+        mounting = self.estimator.mounting
         words = [
-            fault_words(self._topics[source], fault, watch.seen[source])
-            for source, fault in watch.faults.items()
-            if source in watch.seen
+            fault_words(self._topics[source], fault, mounting.seen[source])
+            for source, fault in mounting.faults.items()
+            if source in mounting.seen
         ]
         words += [f"{topic}: {why}" for topic, why in self._unusable.items()]
         if self.driven_yaw.suspicion:
@@ -148,7 +148,7 @@ class Travel:
         course = estimator.course
         return {
             "speed_from": self._topics.get(estimator.source),
-            "own_acceleration_taken_off": estimator.own.is_used,
+            "own_acceleration_taken_off": estimator.acceleration.is_used,
             "metres": round(estimator.metres, -1),
             "drifts": estimator.drift.is_drifting,
             "course_gap_deg": _degrees(self.driven_yaw.compass_gap),

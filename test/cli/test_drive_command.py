@@ -63,9 +63,9 @@ def test_a_speed_beside_the_sensors_goes_into_the_log(tmp_path):
     folder = write_csv(tmp_path / "csv", list(drive.samples()))
     assert {each.name for each in folder.iterdir()} >= {"odom.csv", "gps.csv"}
     with open_recording(folder) as source:
-        gathered = SampleCollector(Mounting())
-        gathered.take(source.readings(), source.travel)
-    driven = 0.1 * np.nansum(np.abs(gathered.drive().speed))
+        recording = SampleCollector(Mounting())
+        recording.take(source.readings(), source.travel)
+    driven = 0.1 * np.nansum(np.abs(recording.drive().speed))
     assert driven == pytest.approx(drive.truth.metres[-1], rel=0.1)
 
 

@@ -155,7 +155,7 @@ def test_a_long_fit_shows_that_it_goes_on(monkeypatch):
     monkeypatch.setattr(recorded, "REDRAW", 0.01)
     monkeypatch.setattr(recorded, "LINE_EVERY", 0.05)
     out, shares = io.StringIO(), iter((0, 0, 0, 70, *[70] * 100))
-    with recorded.at_work(lambda: f"fitting 7 messages, {next(shares)} %", out):
+    with recorded.with_progress(lambda: f"fitting 7 messages, {next(shares)} %", out):
         time.sleep(0.5)
     # No line is said twice.
     assert out.getvalue().splitlines() == [f"fitting 7 messages, {n} %: 0 s" for n in (0, 70)]
@@ -165,7 +165,7 @@ def test_on_a_terminal_one_line_is_drawn_again_and_removed(monkeypatch):
     monkeypatch.setattr(recorded, "REDRAW", 0.01)
     out = io.StringIO()
     out.isatty = lambda: True
-    with recorded.at_work(lambda: "reading, 50 %", out):
+    with recorded.with_progress(lambda: "reading, 50 %", out):
         time.sleep(0.1)
     assert "\n" not in out.getvalue()
     assert out.getvalue().count("\rreading, 50 %: 0 s") > 1

@@ -7,7 +7,7 @@ from drives import STORE2, drive, message, text, write_bag, write_csv
 
 from magcal_ros.core.errors import UsageError
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.files import FileError, open_recording, plain
+from magcal_ros.files import FileError, open_recording, printable
 
 pytestmark = pytest.mark.faults
 
@@ -109,9 +109,9 @@ class TestTopics:
 
 
 def test_plain_text_stays_and_long_text_is_cut():
-    assert plain("/imu/data_raw ä µ") == "/imu/data_raw ä µ"
-    assert plain("a\x1b[31mb\x9bc\n") == "a?[31mb?c?"
-    assert len(plain("x" * 10_000)) < 300
+    assert printable("/imu/data_raw ä µ") == "/imu/data_raw ä µ"
+    assert printable("a\x1b[31mb\x9bc\n") == "a?[31mb?c?"
+    assert len(printable("x" * 10_000)) < 300
 
 
 class TestDamage:

@@ -104,7 +104,7 @@ def everything(calibration):
 def everything_of(motors):
     if motors is None:
         return None
-    arrays = motors.gain, motors.covariance, motors.beside
+    arrays = motors.gain, motors.covariance, motors.cross_covariance
     return (
         *(each.tobytes() for each in arrays),
         motors.inputs,

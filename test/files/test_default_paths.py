@@ -9,8 +9,8 @@ from magcal_ros.files import (
     RESERVED,
     FileError,
     chosen_path,
+    identifier,
     is_missing,
-    known_as,
     own_folder,
     safe_name,
     sensor_file,
@@ -112,5 +112,5 @@ def test_only_what_is_surely_not_there_is_missing(tmp_path):
 
 @given(st.text(max_size=3 * LONGEST_FRAME), st.text(max_size=3 * LONGEST_FRAME))
 def test_a_frame_is_known_by_a_short_name_of_its_own(a, b):
-    assert (known_as(a) == known_as(b)) == (a == b)
-    assert len(known_as(a)) < LONGEST_FRAME + 10
+    assert (identifier(a) == identifier(b)) == (a == b)
+    assert len(identifier(a)) < LONGEST_FRAME + 10

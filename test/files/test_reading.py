@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_ros.files import FileError, NotRegularFile, promptly, read_small
+from magcal_ros.files import FileError, NotRegularFile, read_small, with_time_limit
 
 pytestmark = pytest.mark.faults
 
@@ -48,12 +48,12 @@ def test_a_file_that_lies_about_its_size_is_limited_all_the_same():
 
 class TestPromptly:
     def test_it_returns_what_the_work_returns_and_raises_what_it_raises(self):
-        assert promptly(lambda: 5, Path("x")) == 5
+        assert with_time_limit(lambda: 5, Path("x")) == 5
         with pytest.raises(ZeroDivisionError):
-            promptly(lambda: 1 // 0, Path("x"))
+            with_time_limit(lambda: 1 // 0, Path("x"))
 
     def test_a_disk_that_does_not_answer_is_given_up(self):
         answer = threading.Event()
         with pytest.raises(FileError, match=r"/gone/mag\.yaml does not answer within 0\.2 s"):
-            promptly(answer.wait, Path("/gone/mag.yaml"), 0.2)
+            with_time_limit(answer.wait, Path("/gone/mag.yaml"), 0.2)
         answer.set()

@@ -78,7 +78,7 @@ def test_a_receivers_velocity_is_heard_and_a_command_is_not(tmp_path, topic, sur
 def test_a_velocity_is_read_from_its_bytes(frame, sure):
     message = velocity(12.25, 3.5, -0.1, sure, frame)
     data = bytes(STORE2.serialize_cdr(message, message.__msgtype__))
-    read = CDR.sure_velocity if sure else CDR.velocity
+    read = CDR.velocity_with_covariance if sure else CDR.velocity
     assert read(data) == velocity_of(message)
 
 

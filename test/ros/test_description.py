@@ -13,7 +13,7 @@ from std_msgs.msg import String
 from support import PATIENCE, wait_until
 
 from magcal_ros.core.geometry import FrameTree, FrameTreeError, rotation_from_rpy
-from magcal_ros.files import LARGEST, RobotDescriptionError, joints_of, known_as
+from magcal_ros.files import LARGEST, RobotDescriptionError, identifier, joints_of
 from magcal_ros.ros.sensor_frames import LATCHED, DescriptionListener, joints_from
 
 ROBOT = """<robot name="mule"><joint name="imu" type="fixed"><parent link="base_link"/>
@@ -98,7 +98,7 @@ def test_names_are_cut_and_still_found(graph):
     name = 1000 * "imu" + "1"
     joints = joints_of(f"<robot>{JOINT.format(name)}{JOINT.format(name[:-1] + '2')}</robot>")
     tree = FrameTree(joints)
-    assert tree.pose(known_as(name), "base") == pytest.approx(np.eye(3))
+    assert tree.pose(identifier(name), "base") == pytest.approx(np.eye(3))
     with pytest.raises(FrameTreeError) as caught:
         tree.pose("gyro", "base")
     assert len(str(caught.value)) < 1000

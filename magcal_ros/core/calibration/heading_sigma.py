@@ -100,7 +100,7 @@ def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float)
     return yaw_jacobian(correction, poses[:, :, 2], poses @ field_enu)
 
 
-def headings_apart(
+def heading_differences(
     right: Correction, other: Correction, strength: float, inclination: float
 ) -> FloatArray:
     """Return the yaw by another correction minus that by the right one, (24,) level headings."""
@@ -110,9 +110,11 @@ def headings_apart(
     return wrap_angle(seen - yaw_from_up_and_field(up, field))
 
 
-def rms_apart(right: Correction, other: Correction, strength: float, inclination: float) -> float:
-    """Return the RMS of `headings_apart`, radians."""
-    gap = headings_apart(right, other, strength, inclination)
+def rms_heading_difference(
+    right: Correction, other: Correction, strength: float, inclination: float
+) -> float:
+    """Return the RMS of `heading_differences`, radians."""
+    gap = heading_differences(right, other, strength, inclination)
     return math.sqrt(float(np.mean(gap**2)))
 
 

@@ -32,7 +32,7 @@ from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.bursts import bursts_in_words
-from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
+from magcal_ros.core.samples.units import MISLED_BY_AXES, with_explanation
 from magcal_ros.core.samples.window import SensorLog, Window, segment_of_log
 
 UNPAIRED_ONLY = ("bursts", "stamps", "repeats")  # keys of findings that need unpaired samples
@@ -168,7 +168,7 @@ def wrong_stamps(window: Window) -> Refusal | None:
 def refusal_by_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
     """Return the refusal for wrong axes if they caused a method's refusal, else the latter."""
     wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
-    return explained(refusal, window) if wrong is None else wrong
+    return with_explanation(refusal, window) if wrong is None else wrong
 
 
 def refusal_by_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:

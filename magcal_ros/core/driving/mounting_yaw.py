@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.driving.chords import Tick
-from magcal_ros.core.driving.driving_tuning import MOUNTING, OWN, SpeedSource
+from magcal_ros.core.driving.driving_tuning import ACCELERATION, MOUNTING, SpeedSource
 from magcal_ros.core.driving.speed import Speedometer, SpeedRecord
 from magcal_ros.core.geometry.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
@@ -134,7 +134,7 @@ def _at_delay(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
 
 
 def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
-    if record.wild_share > MOUNTING.wild:
+    if record.outlier_share > MOUNTING.outliers:
         return SpeedFault.JUMPS
     if fitted.force_energy < MOUNTING.energy:
         return None
@@ -144,12 +144,12 @@ def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
         return SpeedFault.UNRELATED
     if not fitted.has_scale:
         return SpeedFault.SCALE
-    return SpeedFault.LATE if fitted.delay > OWN.latest else None
+    return SpeedFault.LATE if fitted.delay > ACCELERATION.latest else None
 
 
 def _delay(table: TickTable, record: SpeedRecord) -> float:
     """Return the latency with the largest correlation of force and change of velocity."""
-    step = 2.0 * OWN.seconds
+    step = 2.0 * ACCELERATION.seconds
     if len(table.stamp) < 2 * MOUNTING.highpass:
         return record.delay
     delays = np.arange(-MOUNTING.largest_delay / 8.0, MOUNTING.largest_delay + step, step)
@@ -203,7 +203,7 @@ def _running(sums: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
 def _signs(ticks: TickTable, force: ComplexArray, change: ComplexArray) -> FloatArray:
     """Return the sign of the speed in each row; most of the path counts as forwards."""
     speed = np.abs(np.nan_to_num(ticks.speed))
-    moving = speed > OWN.standing
+    moving = speed > ACCELERATION.speed_at_rest
     label = np.where(moving, np.cumsum(moving & ~np.append(False, moving[:-1])), 0)
     count = int(label.max()) + 1
     product = force * np.conj(change)

@@ -19,7 +19,7 @@ from magcal_ros.core.driving.chords import (
     Tick,
     fit_course_offset,
 )
-from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING, OWN, SpeedSource
+from magcal_ros.core.driving.driving_tuning import ACCELERATION, COURSE, MOUNTING, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import MountingYaw, MountingYawEstimator, SpeedCheck
 from magcal_ros.core.driving.speed import Speedometer, VehicleAcceleration
 from magcal_ros.core.geometry.vec3 import Triple
@@ -109,7 +109,7 @@ class TravelEstimator:
         self.drift = HullDriftDetector()
         self.course: CourseOffset | None = None
         self.metres = 0.0
-        self.own = VehicleAcceleration()
+        self.acceleration = VehicleAcceleration()
         self._frame = GyroFrame()
         self._chords = Chords()
         self._pending: deque[Chord] = deque(maxlen=256)
@@ -150,10 +150,10 @@ class TravelEstimator:
             return math.nan
         return track.last
 
-    def believe(self, yaw: float, sigma: float) -> None:
+    def use_mounting_yaw(self, yaw: float, sigma: float) -> None:
         """Use a yaw of the IMU in the vehicle from elsewhere, radians, until a fit is usable."""
         self._given = (yaw, sigma)
-        self._believe_fit()
+        self._use_fit()
 
     def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> Triple | None:
         """Add an IMU sample; return the vehicle's acceleration, m/s², body axes.
@@ -165,11 +165,11 @@ class TravelEstimator:
         tick = self._frame.add(sample, gyro_bias)
         if self._frame.restarts != self._restarts:
             self._restarts = self._frame.restarts
-            for each in (self.own, self._chords, self.mounting, self.drift):
+            for each in (self.acceleration, self._chords, self.mounting, self.drift):
                 each.restart()
         if tick is not None:
             self._on_tick(tick)
-        return self.own.linear(sample.stamp, sample.force, self._frame)
+        return self.acceleration.linear(sample.stamp, sample.force, self._frame)
 
     def wants_speed(self, stamp: float) -> bool:
         """Whether a speed of wheels at a stamp is used; other messages need not be decoded."""
@@ -212,7 +212,7 @@ class TravelEstimator:
     def _on_tick(self, tick: Tick) -> None:
         track = self.speedometer.track
         is_due = False
-        for met, speed in self.own.add(tick, track):
+        for met, speed in self.acceleration.add(tick, track):
             is_due = self.mounting.add(met, speed) or is_due
             if math.isfinite(speed):
                 self.metres += abs(speed) * met.seconds
@@ -236,20 +236,24 @@ class TravelEstimator:
             self._is_running = False
             self.mounting.take(found[0])
             self.course = found[1]
-            self._believe_fit()
+            self._use_fit()
 
         self._run(work, then)
 
-    def _believe_fit(self) -> None:
-        found, own, given = self.mounting.found, self.own, self._given
+    def _use_fit(self) -> None:
+        found, acceleration, given = self.mounting.found, self.acceleration, self._given
         if found is not None and found.is_usable:
             # A rough yaw is enough: the acceleration is continuously tested against the force.
-            own.yaw, own.noise = found.yaw, found.noise
-            own.scale = min(1.0, found.scale)
-            own.is_yaw_usable = True
-            own.is_yaw_known = found.is_known
+            acceleration.yaw, acceleration.noise = found.yaw, found.noise
+            acceleration.scale = min(1.0, found.scale)
+            acceleration.is_yaw_usable = True
+            acceleration.is_yaw_known = found.is_known
         elif given is not None and given[1] < MOUNTING.believed:
-            own.yaw, own.is_yaw_usable, own.is_yaw_known = given[0], True, True
+            acceleration.yaw, acceleration.is_yaw_usable, acceleration.is_yaw_known = (
+                given[0],
+                True,
+                True,
+            )
 
     def _settle(self) -> None:
         """Use chords once it is known whether the vehicle drove forwards."""
@@ -257,13 +261,13 @@ class TravelEstimator:
         while self._pending:
             chord = self._pending[0]
             moment = chord.stamp - self._chords.delay
-            sign, is_clear, is_open = self.own.trip_at(moment)
+            sign, is_clear, is_open = self.acceleration.trip_at(moment)
             if track is not None and track.is_signed:
                 speed = track.at(moment + track.delay)
                 sign = sign if speed is None else math.copysign(1.0, speed)
-            elif self.own.is_yaw_known and not is_clear and is_open:
+            elif self.acceleration.is_yaw_known and not is_clear and is_open:
                 waits = self._pending[-1].stamp - chord.stamp
-                if waits < OWN.longest:
+                if waits < ACCELERATION.longest:
                     return
             self._pending.popleft()
             chord = chord if sign > 0.0 else chord.backwards
@@ -274,13 +278,14 @@ class TravelEstimator:
 class TravelReplay:
     """Merges travel samples into a recording's readings, and follows up and speed along it.
 
-    `own` is the vehicle's acceleration at the newest IMU sample, m/s², body axes; zero if unknown.
+    `acceleration` is the vehicle's acceleration at the newest IMU sample, m/s², body axes; zero if
+    it is unknown.
     """
 
     def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:
         self._travel, self._streams = list(travel), streams
         self.estimator, self.up = TravelEstimator(), UpFollower()
-        self.own: Triple = ZERO
+        self.acceleration: Triple = ZERO
 
     def readings(
         self, readings: Iterable[ImuSample | FieldSample | None]
@@ -300,9 +305,9 @@ class TravelReplay:
                 newest = reading.stamp
                 if self._streams is not None and not self._streams.add_imu(reading):
                     continue
-                own = self.estimator.add_imu(reading, self.up.gyro_bias.rate)
-                self.up.add(reading, own)
-                self.own = own or ZERO
+                acceleration = self.estimator.add_imu(reading, self.up.gyro_bias.rate)
+                self.up.add(reading, acceleration)
+                self.acceleration = acceleration or ZERO
             elif isinstance(reading, FieldSample):
                 if self._streams is not None and not self._streams.add_field(reading):
                     continue

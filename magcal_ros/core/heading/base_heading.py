@@ -151,7 +151,7 @@ class BaseHeading:
             (float(row[0]), float(row[1]), float(row[2])) for row in imu_in_base
         )
 
-    def heading(self, seen: Heading) -> Heading:
+    def heading(self, imu_heading: Heading) -> Heading:
         """Return the base's heading.
 
         Both attitudes share one small error in world axes; `Compass.heading` gives its effect on
@@ -159,19 +159,21 @@ class BaseHeading:
         have another effect in the base's axes. The component about up is the same for both.
         """
         if self._is_imu:
-            return seen
-        east, north, up = rotation_from_rpy(seen.roll, seen.pitch, seen.yaw).tolist()
+            return imu_heading
+        east, north, up = rotation_from_rpy(
+            imu_heading.roll, imu_heading.pitch, imu_heading.yaw
+        ).tolist()
         forward, left, top = self._forward, self._left, self._up
         fe, fn, fu = dot(east, forward), dot(north, forward), dot(up, forward)
         yaw = math.atan2(fn, fe)
         roll = math.atan2(dot(up, left), dot(up, top))
         pitch = -math.asin(min(1.0, max(-1.0, fu)))
         level = max(fe * fe + fn * fn, SMALLEST_FORWARD)
-        tilt = seen.tilt_variance
-        by_east, by_north = _by_tilt(seen)
-        rest = seen.yaw_variance - tilt * (by_east * by_east + by_north * by_north)
+        tilt = imu_heading.tilt_variance
+        by_east, by_north = _by_tilt(imu_heading)
+        rest = imu_heading.yaw_variance - tilt * (by_east * by_east + by_north * by_north)
         was = max(east[0] * east[0] + north[0] * north[0], SMALLEST_FORWARD)
-        if seen.roll_yaw or seen.pitch_yaw:
+        if imu_heading.roll_yaw or imu_heading.pitch_yaw:
             by_east += east[0] * up[0] / was - fe * fu / level
             by_north += north[0] * up[0] / was - fn * fu / level
         cosine, sine = math.cos(yaw), math.sin(yaw)
@@ -183,18 +185,18 @@ class BaseHeading:
             rest + tilt * (by_east * by_east + by_north * by_north),
             tilt * (by_east * cosine + by_north * sine) / math.sqrt(level),
             tilt * (by_north * cosine - by_east * sine),
-            seen.noise_variance,
-            seen.lasting_variance,
+            imu_heading.noise_variance,
+            imu_heading.lasting_variance,
         )
 
 
-def _by_tilt(seen: Heading) -> tuple[float, float]:
+def _by_tilt(imu_heading: Heading) -> tuple[float, float]:
     """Return the yaw error by an error about east and about north."""
-    if seen.tilt_variance <= 0.0:
+    if imu_heading.tilt_variance <= 0.0:
         return 0.0, 0.0
-    by_roll = seen.roll_yaw * math.cos(seen.pitch) / seen.tilt_variance
-    by_pitch = seen.pitch_yaw / seen.tilt_variance
-    cosine, sine = math.cos(seen.yaw), math.sin(seen.yaw)
+    by_roll = imu_heading.roll_yaw * math.cos(imu_heading.pitch) / imu_heading.tilt_variance
+    by_pitch = imu_heading.pitch_yaw / imu_heading.tilt_variance
+    cosine, sine = math.cos(imu_heading.yaw), math.sin(imu_heading.yaw)
     return by_roll * cosine - by_pitch * sine, by_roll * sine + by_pitch * cosine
 
 

@@ -28,7 +28,7 @@ class MotionDetectorTuning:
     deviation of the natural logarithm. Without reported currents, those of wheels vary by a fifth
     to a third, with the floor and in curves; a field that is switched with the motors hardly
     varies."""
-    unseen_lasts: float = 300.0  # correlation time of this ratio, seconds of motion
+    unseen_time: float = 300.0  # correlation time of this ratio, seconds of motion
     late_share: float = 0.03  # fraction of the time in which motors start or stop undetected
     longest: float = 0.5  # longest such time, seconds
     latency: float = 0.2  # latency of a speed or a current, seconds

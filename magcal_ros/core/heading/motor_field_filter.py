@@ -166,7 +166,7 @@ class MotorFieldFilter:
         """
         values, doubt = self._motors.known(motor_state)
         if not self._is_felt or rate is None:
-            if not motor_state.runs and not doubt.any():
+            if not motor_state.are_on and not doubt.any():
                 return field, MotorCovariance(np.zeros((3, 3)), self._of_sample)
             return self._by_inputs(field, motor_state, values, doubt)
         unknown = self._gains.T @ doubt @ self._gains
@@ -268,7 +268,7 @@ class MotorFieldFilter:
 
     def _may_hold(self, motor_state: MotorState) -> bool:
         """Whether an unmeasured current may hold the robot at rest."""
-        return motor_state.moving == 0.0 and self._motors.may_hold(motor_state)
+        return motor_state.moving == 0.0 and self._motors.may_hold_robot(motor_state)
 
     def _predict(
         self,
@@ -294,11 +294,13 @@ class MotorFieldFilter:
         self._change = self._change + share * (changed / seconds - self._change)
         turned = seconds * moves * (now - 0.5 * faster)
         # Motors may hold a robot at rest.
-        alike = moves is moved and holds is held and (holds or (motor_state.runs and before.runs))
+        alike = (
+            moves is moved and holds is held and (holds or (motor_state.are_on and before.are_on))
+        )
         lasts = math.inf if holds else MOTION.body_length
         keeps = math.exp(-seconds / lasts) if alike else 0.0
         if moves:
-            self.odds = self.odds + seconds / MOTION.unseen_lasts * (ODDS - self.odds)
+            self.odds = self.odds + seconds / MOTION.unseen_time * (ODDS - self.odds)
         step = np.zeros((6, 6))
         step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * EYE
         self._mean = self._mean @ step.T

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.geometry.vec3 import Triple, between, minus, plus, propagated, scaled
+from magcal_ros.core.geometry.vec3 import Triple, interpolate, minus, plus, propagated, scaled
 from magcal_ros.core.heading.compass import Compass, CompassReading, Heading, levelled, yaw_between
 from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
@@ -88,7 +88,7 @@ class _CompassState:
 
     compass: Compass
     deviation: FieldDeviation
-    moment: CompassReading | None = None
+    reading: CompassReading | None = None
     arrived: float = -math.inf  # stamp of the IMU at the last message
     changed: float = -math.inf  # the same for the last message with other values
     extra_variance: float = 0.0  # variance of the yaw by a disturbed field, rad²
@@ -97,11 +97,11 @@ class _CompassState:
     offset_seconds: float = 0.0  # seconds over which the offset was learnt
     weight: CompassWeight = field(default_factory=lambda: CompassWeight(0.0))
 
-    def take(self, moment: CompassReading, now: float) -> None:
+    def take(self, reading: CompassReading, now: float) -> None:
         """Add a message of this magnetometer."""
-        if self.moment is None or moment.field != self.moment.field:
+        if self.reading is None or reading.field != self.reading.field:
             self.changed = now
-        self.moment, self.arrived = moment, now
+        self.reading, self.arrived = reading, now
 
     def learn_deviation(self, stamp: float, turned: tuple[float, float]) -> None:
         """Learn the deviation of its field from calibration and gyro.
@@ -109,17 +109,17 @@ class _CompassState:
         `turned` is its yaw minus that of the gyro, radians, and the variance of the gyro's yaw,
         rad², infinite without one.
         """
-        assert self.moment is not None
-        assert self.moment.up is not None
-        field, up = self.moment.field, self.moment.up
+        assert self.reading is not None
+        assert self.reading.up is not None
+        field, up = self.reading.field, self.reading.up
         self.extra_variance = self.deviation.add(stamp, field, up.direction, up.variance, turned)
 
     @property
     def heading(self) -> Heading:
         """The heading of its last message, which has one."""
-        assert self.moment is not None
-        assert self.moment.heading is not None
-        return self.moment.heading
+        assert self.reading is not None
+        assert self.reading.heading is not None
+        return self.reading.heading
 
     @property
     def own_variance(self) -> float:
@@ -159,26 +159,26 @@ class SeveralCompasses:
         return {number: self._members[number].weight for number in sorted(self._members)}
 
     def add(
-        self, number: int, moment: CompassReading, now: float, fused: FusedYaw | None = None
+        self, number: int, reading: CompassReading, now: float, fused: FusedYaw | None = None
     ) -> CompassReading | None:
         """Add a moment of a magnetometer; return that of all if it is the first that sends.
 
-        The heading has the rate of this sensor. `moment` is a message of magnetometer `number`,
+        The heading has the rate of this sensor. `reading` is a message of magnetometer `number`,
         corrected by its calibration. `now` is the stamp of the newest IMU message, seconds, as the
         clocks of drivers may differ. The gyro's yaw, `fused`, shows which compass is wrong.
         """
         if number not in self._members:
             return None
-        if moment.up is None:
-            return moment
+        if reading.up is None:
+            return reading
         if now < self._now:
             self._forget()
         self._now = now
-        self._members[number].take(moment, now)
+        self._members[number].take(reading, now)
         sending = [k for k, each in self._members.items() if self._is_new(each.arrived)]
         if number != min(sending):
             return None
-        return self._joined(moment, moment.up, fused)
+        return self._joined(reading, reading.up, fused)
 
     def _forget(self) -> None:
         self._now = self._stamp = -math.inf
@@ -199,11 +199,11 @@ class SeveralCompasses:
         newest = max(each.changed for each in self._members.values())
         return newest - member.changed > STREAMS.longest_gyro_step
 
-    def _joined(self, moment: CompassReading, up: Up, fused: FusedYaw | None) -> CompassReading:
-        seconds, self._stamp = moment.stamp - self._stamp, moment.stamp
-        yaws = self._compass_yaws(moment, up.direction, fused, seconds)
+    def _joined(self, reading: CompassReading, up: Up, fused: FusedYaw | None) -> CompassReading:
+        seconds, self._stamp = reading.stamp - self._stamp, reading.stamp
+        yaws = self._compass_yaws(reading, up.direction, fused, seconds)
         if not yaws:
-            return moment._replace(heading=None)
+            return reading._replace(heading=None)
         kept = without_outliers(yaws)
         self._note_disagreement(kept, seconds)
         weights = [1.0 / (each.variance + self._disagreement.variance) for each in kept]
@@ -211,16 +211,16 @@ class SeveralCompasses:
         self._note_shares(yaws, kept, shares)
         joined = _mean([minus(w.field, self._members[w.number].offset) for w in kept], shares)
         self._learn_offsets(kept, shares, seconds)
-        return self._with_heading(moment._replace(field=joined), up, kept, shares)
+        return self._with_heading(reading._replace(field=joined), up, kept, shares)
 
     def _compass_yaws(
-        self, moment: CompassReading, up: Triple, fused: FusedYaw | None, seconds: float
+        self, reading: CompassReading, up: Triple, fused: FusedYaw | None, seconds: float
     ) -> list[CompassYaw]:
         """Return the yaws of magnetometers that send, and do not repeat one value."""
         turned: dict[int, Triple] = {}
         for number, member in sorted(self._members.items()):
             is_heard = self._is_new(member.arrived) and not self._is_frozen(member)
-            seen = self._seen(member, moment, up) if is_heard else None
+            seen = self._seen(member, reading, up) if is_heard else None
             if seen is None:
                 member.weight = CompassWeight(0.0, self._silence(member))
                 member.relative_yaw = math.nan
@@ -228,7 +228,7 @@ class SeveralCompasses:
                 turned[number] = seen
         if not turned:
             return []
-        origin = None if fused is None else fused.north_at(moment.stamp)
+        origin = None if fused is None else fused.north_at(reading.stamp)
         if self._is_by_gyro is (origin is None) or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._is_by_gyro = origin is not None
             for member in self._members.values():
@@ -245,15 +245,15 @@ class SeveralCompasses:
         }
         return [self._compass_yaw(number, seen, yaws, known) for number, seen in turned.items()]
 
-    def _seen(self, member: _CompassState, moment: CompassReading, up: Triple) -> Triple | None:
-        """Return a member's field, as the reference compass would measure it; None if it has none."""
-        then, reference = member.moment, self.reference_compass
+    def _seen(self, member: _CompassState, reading: CompassReading, up: Triple) -> Triple | None:
+        """Return a member's field as if by the reference compass; None if it has none."""
+        then, reference = member.reading, self.reference_compass
         if then is None or then.heading is None or reference is None:
             return None
-        since = moment.stamp - then.stamp
+        since = reading.stamp - then.stamp
         if abs(since) > STREAMS.longest_gyro_step:
             return None
-        seen, rate = then.field, moment.rate
+        seen, rate = then.field, reading.rate
         if since and rate is not None and math.isfinite(rate[0]):
             seen = propagated(seen, scaled(rate, since))
         level = levelled(seen, up)
@@ -319,7 +319,7 @@ class SeveralCompasses:
             step = min(seconds, STREAMS.longest_gyro_step)
             member.offset_seconds = min(member.offset_seconds + step, DISTURBANCE.amplitude_memory)
             new = minus(each.field, mean)
-            member.offset = between(member.offset, new, step / member.offset_seconds)
+            member.offset = interpolate(member.offset, new, step / member.offset_seconds)
 
     def _note_shares(
         self, yaws: list[CompassYaw], kept: list[CompassYaw], shares: list[float]
@@ -336,7 +336,7 @@ class SeveralCompasses:
             member.weight = CompassWeight(weights.get(each.number, 0.0), why)
 
     def _with_heading(
-        self, moment: CompassReading, up: Up, kept: list[CompassYaw], shares: list[float]
+        self, reading: CompassReading, up: Up, kept: list[CompassYaw], shares: list[float]
     ) -> CompassReading:
         """Return the moment with the heading of its joined field, and the variances.
 
@@ -344,25 +344,25 @@ class SeveralCompasses:
         compass. The additional yaw error is constant, like that of a wrong mounting.
         """
         assert self.reference_compass is not None
-        heading = self.reference_compass.heading(moment.field, up.direction, up.variance)
+        heading = self.reference_compass.heading(reading.field, up.direction, up.variance)
         if heading is None:
-            return moment._replace(heading=None)
+            return reading._replace(heading=None)
         by_tilt = heading.yaw_variance - heading.lasting_variance - heading.noise_variance
-        lasting = between = noise = bent = 0.0
+        lasting = differing = noise = bent = 0.0
         for share, each in zip(shares, kept, strict=True):
             own = self._members[each.number].heading
             lasting += share**2 * own.lasting_variance
-            between += share**2 * self._disagreement.variance
+            differing += share**2 * self._disagreement.variance
             noise += share**2 * own.noise_variance
             # If all fields are disturbed differently, their mean may look undisturbed.
             bent += share**2 * self._members[each.number].extra_variance * (len(kept) > 1)
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
-        return moment._replace(
+        return reading._replace(
             heading=heading._replace(
-                yaw_variance=by_tilt + lasting + between + noise + bent,
-                lasting_variance=lasting + between,
+                yaw_variance=by_tilt + lasting + differing + noise + bent,
+                lasting_variance=lasting + differing,
                 noise_variance=noise,
-                lasting=(*(scale * each for each in heading.lasting[:-1]), math.sqrt(between)),
+                lasting=(*(scale * each for each in heading.lasting[:-1]), math.sqrt(differing)),
             )
         )
 
@@ -391,10 +391,10 @@ def without_outliers(yaws: list[CompassYaw]) -> list[CompassYaw]:
 
 def misfit(yaws: list[CompassYaw]) -> float:
     """Return the sum of squared normalised residuals of yaws about their weighted mean."""
-    whole = moment = square = 0.0
+    whole = reading = square = 0.0
     for each in yaws:
         yaw, weight = wrapped(each.relative_yaw - yaws[0].relative_yaw), 1.0 / each.variance
         whole += weight
-        moment += weight * yaw
+        reading += weight * yaw
         square += weight * yaw * yaw
-    return square - moment * moment / whole
+    return square - reading * reading / whole

@@ -10,6 +10,6 @@ __getattr__, __dir__, __all__ = lazy_names(
         HeldOutComparison Mode SELF_CALIBRATION difference
     motor_learning: MotorLearning
     self_calibration: SelfCalibration TRIAL
-    worker: answer compare_held_out
+    worker: compare_held_out examine_drive
     """,
 )

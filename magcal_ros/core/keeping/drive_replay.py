@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.keeping.jobs import SELF_CALIBRATION, Decision, DecisionKind, Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.worker import answer
+from magcal_ros.core.keeping.worker import examine_drive
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.recheck import up_of
 from magcal_ros.core.samples.streams import (
@@ -92,7 +92,7 @@ def replay_drive(
         for pair in pairer.take():
             if not machine.add(pair, speed):
                 continue
-            for decision in machine.note(answer(machine.job(knowledge))):
+            for decision in machine.note(examine_drive(machine.job(knowledge))):
                 decisions.append((last - first, decision))
                 if decision.kind in (
                     DecisionKind.APPLIED,

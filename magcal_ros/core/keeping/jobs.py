@@ -12,7 +12,7 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import (
     calibration_sigma,
-    headings_apart,
+    heading_differences,
     known_sigma,
 )
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
@@ -118,7 +118,7 @@ def difference(old: Calibration, new: Calibration) -> float:
 
     The constant part is subtracted, because a drive cannot show it.
     """
-    apart = headings_apart(new.correction, old.correction, new.strength, new.inclination)
+    apart = heading_differences(new.correction, old.correction, new.strength, new.inclination)
     return math.sqrt(float(np.mean(wrap_angle(apart - mean_angle(apart)) ** 2)))
 
 

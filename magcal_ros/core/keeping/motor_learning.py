@@ -189,14 +189,14 @@ class MotorLearning:
         found = mean[3:] - gain @ mean[:3]
         turn = np.kron(np.eye(count), back)
         by_iron = turn @ gain @ calibration.correction.matrix
-        beside = calibration.covariance[:, 9:] @ by_iron.T
+        cross_covariance = calibration.covariance[:, 9:] @ by_iron.T
         whole = turn @ own @ turn.T / MICROTESLA**2
         whole = whole + by_iron @ calibration.covariance[9:, 9:] @ by_iron.T
         return MotorField(
             tuple(INPUTS[k] for k in which),
             (turn @ found).reshape(-1, 3) / MICROTESLA,
             0.5 * (whole + whole.T),
-            beside,
+            cross_covariance,
             self._ripple / MICROTESLA,
             tuple(math.sqrt(self._squares[k]) for k in which),
             self._reference,

@@ -30,7 +30,7 @@ from magcal_ros.core.smoother.iron_added import find_change
 from magcal_ros.core.smoother.nodes import Nodes
 
 
-def answer(job: DriveJob) -> DriveResult:
+def examine_drive(job: DriveJob) -> DriveResult:
     """Return the findings of a job."""
     nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])

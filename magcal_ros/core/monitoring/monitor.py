@@ -252,9 +252,9 @@ class CalibrationMonitor:
         self._stale_since = 0.0
         self.result = MonitorResult()
 
-    def take(self, moment: CompassReading) -> None:
+    def take(self, reading: CompassReading) -> None:
         """Add a field message, which counts if it has an up, a heading and a rate."""
-        stamp, field, seen, heading, rate = moment
+        stamp, field, seen, heading, rate = reading
         if seen is None or heading is None or rate is None:
             return
         up, yaw = seen.direction, heading.yaw

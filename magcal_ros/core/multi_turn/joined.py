@@ -77,7 +77,8 @@ SIDES = (
 class Turn:
     """One turn with its estimate and fits, None if there are none.
 
-    `reason` is why the turn is not enough alone, `unfit` why it cannot join; empty if it can.
+    `reason` is why the turn is not enough alone, `refusal_words` why it cannot join; empty if it
+    can.
     """
 
     name: str
@@ -85,7 +86,7 @@ class Turn:
     estimate: Estimate | None
     smoothed: Smoothed | None
     reason: Reason | None = None
-    unfit: str = ""
+    refusal_words: str = ""
 
     @property
     def found(self) -> tuple[Estimate, Smoothed]:
@@ -105,14 +106,14 @@ def fit_turns(windows: Sequence[Window], names: Sequence[str], knowledge: Knowle
     turns: list[Turn] = []
     for window, name in zip(windows, names, strict=True):
         twin = next((t for t in turns if _is_copy(window, t.window)), None)
-        turn = _alone(window, name, knowledge)
+        turn = _single_turn(window, name, knowledge)
         if twin is not None:
-            turn = replace(turn, unfit=f"it holds the same samples as {twin.name}")
+            turn = replace(turn, refusal_words=f"it holds the same samples as {twin.name}")
         turns.append(turn)
     return turns
 
 
-def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
+def _single_turn(window: Window, name: str, knowledge: Knowledge) -> Turn:
     found = estimate = None
     try:
         found = smoothed(window, knowledge)
@@ -123,14 +124,14 @@ def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
         reference = knowledge.reference
         guessed = reference.strength.is_unknown and reference.inclination.is_unknown
         mended = estimate is not None and refusal.reason in JOINABLE + ALSO_JOINABLE * guessed
-        unfit = "" if mended else str(why).rstrip(".")
-        return Turn(name, window, estimate, found, why.reason, unfit)
+        refusal_words = "" if mended else str(why).rstrip(".")
+        return Turn(name, window, estimate, found, why.reason, refusal_words)
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
         return Turn(name, window, estimate, found, wrong.reason, str(wrong))
     verdict = judge(estimate, knowledge, window)
-    unfit = verdict.summary.rstrip(".") if verdict.quality is Grade.REFUSED else ""
-    return Turn(name, window, estimate, found, unfit=unfit)
+    refusal_words = verdict.summary.rstrip(".") if verdict.quality is Grade.REFUSED else ""
+    return Turn(name, window, estimate, found, refusal_words=refusal_words)
 
 
 def _is_copy(window: Window, other: Window) -> bool:
@@ -189,7 +190,7 @@ def agreeing_turns(
     the installation free, None if none is left; and their misfit (`agreement`).
     """
     turns, sigma = list(surveyed), knowledge.mounting.yaw_sigma
-    while members := [turn for turn in turns if not turn.unfit]:
+    while members := [turn for turn in turns if not turn.refusal_words]:
         alone = [turn.fit for turn in members]
         try:
             joint_fit = fit_jointly(alone, sigma)
@@ -201,7 +202,7 @@ def agreeing_turns(
                 return turns, joint_fit, misfit
             others = "the other turns" if len(members) > 2 else "the turn before"
             left_out, words = members[odd], CONTRADICTS.format(others, misfit)
-        turns[turns.index(left_out)] = replace(left_out, unfit=words)
+        turns[turns.index(left_out)] = replace(left_out, refusal_words=words)
     return turns, None, 0.0
 
 
@@ -359,7 +360,7 @@ def join(
     no turn joined.
     """
     turns, joint_fit, misfit = agreeing_turns(surveyed, knowledge)
-    members = [turn for turn in turns if not turn.unfit]
+    members = [turn for turn in turns if not turn.refusal_words]
     if joint_fit is None:
         return turns, None, None
     mounting, count = knowledge.mounting.matrix, len(members)
@@ -389,8 +390,8 @@ def _turn_results(turns: list[Turn], shown: Sequence[TurnAccuracy]) -> tuple[Tur
     results: list[TurnResult] = []
     coming, before = iter(shown), None
     for turn in turns:
-        now = None if turn.unfit else next(coming)
-        words = turn.unfit
+        now = None if turn.refusal_words else next(coming)
+        words = turn.refusal_words
         if now is not None:
             words, before = now.in_words if before is None else now.improvement(before), now
         results.append(TurnResult(turn.name, now is not None, words, now))

@@ -194,9 +194,9 @@ def _gap(calibration: Calibration, new: KnownHeadingMeasurement) -> tuple[float,
     yaw = math.atan2(float(north), float(east))
     level = max(float(np.linalg.norm(np.cross(field, up))), 1e-9)
     jacobian = yaw_jacobian(calibration.correction, up, field)
-    by_twelve = float(jacobian @ calibration.covariance @ jacobian)
+    gradient_by_parameters = float(jacobian @ calibration.covariance @ jacobian)
     place = DISTURBANCE_AT_REST.usual * math.exp(DISTURBANCE_AT_REST.spread**2) / MICROTESLA / level
-    return wrapped(yaw - new.heading), math.sqrt(by_twelve + place**2 + new.sigma**2)
+    return wrapped(yaw - new.heading), math.sqrt(gradient_by_parameters + place**2 + new.sigma**2)
 
 
 def _contradicted(gap: float, sigma: float) -> str:

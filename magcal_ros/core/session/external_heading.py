@@ -128,7 +128,7 @@ class GyroTurn(NamedTuple):
             stamp,
             self.seconds + seconds,
             self.angle + turn * seconds,
-            self.variance + FUSION.lost(turn) * seconds,
+            self.variance + FUSION.walk_variance(turn) * seconds,
             self.by_bias + more * seconds,
         )
 

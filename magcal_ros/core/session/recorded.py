@@ -30,7 +30,7 @@ from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.samples.streams import (
     STREAMS,
-    Drop,
+    DropReason,
     FieldSample,
     HeadingSample,
     ImuSample,
@@ -40,7 +40,7 @@ from magcal_ros.core.samples.streams import (
     Streams,
     TravelSample,
 )
-from magcal_ros.core.samples.units import Heard, complaints, slow_field_words
+from magcal_ros.core.samples.units import InputCounts, complaints, slow_field_words
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.at_known_heading import (
     CollectedSamples,
@@ -104,7 +104,7 @@ class SampleCollector:
         for reading in self._replay.readings(readings):
             self.heard[isinstance(reading, FieldSample)] += 1
             if reading is None:
-                streams.imu_drops[Drop.ABSENT] += 1
+                streams.imu_drops[DropReason.ABSENT] += 1
             elif isinstance(reading, ImuSample):
                 streams.add_imu(reading)
             elif streams.add_field(reading) and not streams.is_repeated:
@@ -121,7 +121,7 @@ class SampleCollector:
     @property
     def repeats(self) -> int:
         """Number of field samples that repeat the previous one; they are left out."""
-        return self.streams.field_drops[Drop.REPEATED]
+        return self.streams.field_drops[DropReason.REPEATED]
 
     def drive(self) -> Window:
         """Return the samples of the drive; empty without a gyro or if the field is too slow."""
@@ -137,7 +137,7 @@ class SampleCollector:
     def complaints(self) -> list[str]:
         """Return the faults of the messages in words."""
         drops = (self.streams.imu_drops, self.streams.field_drops)
-        imu, field = map(Heard, self._topics, self.heard, drops)
+        imu, field = map(InputCounts, self._topics, self.heard, drops)
         return complaints(self.streams, imu, field)
 
     def progress(self) -> Progress:

@@ -103,7 +103,7 @@ class SelfTurn:
         self._gyro_heard = None
         self._opened = self._looked = self._paired = now
 
-    def hear(self, rate: Triple, now: float) -> None:
+    def add_rate(self, rate: Triple, now: float) -> None:
         """Note the angular velocity (rad/s, NaN without one) of an IMU message."""
         is_finite = all(map(math.isfinite, rate))
         # Many drivers without a gyro send zeros; after another value, zero is a measured rate.

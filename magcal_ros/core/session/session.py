@@ -199,7 +199,7 @@ class Session:
         self._sigma, self._seen = sigma, self._looked_at
 
     @property
-    def was_seen_whole(self) -> bool:
+    def covers_whole_turn(self) -> bool:
         """Whether a predicted sigma is of a whole turn."""
         return self._seen >= math.tau - COVERAGE.largest_gap
 
@@ -269,7 +269,7 @@ class Session:
         is_near = self._sigma <= TUNING.near * target
         return (
             self._sigma <= target
-            or ((is_near or not self.was_seen_whole) and turns >= TUNING.once_more)
+            or ((is_near or not self.covers_whole_turn) and turns >= TUNING.once_more)
             or turns >= TUNING.most_turns
             or now - self._last_turning > TUNING.stands_still
         )

@@ -228,7 +228,7 @@ class TurnMachine:
 
     def _look_ahead(self, stage: Collecting, progress: Progress, now: float) -> None:
         """Request a preview at intervals, and once the circle is complete."""
-        waits = progress.coverage.is_complete and not stage.session.was_seen_whole
+        waits = progress.coverage.is_complete and not stage.session.covers_whole_turn
         is_due = now > stage.next_preview or waits
         if stage.asked is None and is_due and progress.coverage.arc > TUNING.preview_arc:
             window = self.last_window = stage.session.look()

@@ -18,7 +18,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     headings: fit_headings
     iron_added: find_change
     joint_fit: JointFit fit_jointly imagined_information
-    kinds_of_motion: liveliest_part smooth
+    kinds_of_motion: part_with_most_motion smooth
     known_heading_model: KnownHeadingMeasurement
     nodes: nodes_of
     places: Places

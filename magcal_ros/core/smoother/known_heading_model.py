@@ -55,17 +55,17 @@ class Drift(NamedTuple):
     """The part of a device's headings that drifts."""
 
     sigma: float  # degrees
-    lasts: float  # correlation time, seconds
+    time: float  # correlation time, seconds
     rate: float = 1e-4  # sigma of a constant drift rate, degrees per second
 
 
 INTEGRATED = math.degrees(FUSION.integrated_rate)
-NO_DRIFT = Drift(1e-3, FUSION.wander_lasts)
+NO_DRIFT = Drift(1e-3, FUSION.drift_time)
 DRIFTS: dict[Drift, float] = {
-    Drift(0.7, 0.3 * FUSION.wander_lasts): 0.3,
-    Drift(2.0, FUSION.wander_lasts): 0.3,
-    Drift(6.0, 3.0 * FUSION.wander_lasts): 0.3,
-    Drift(2.0, FUSION.wander_lasts, INTEGRATED): 0.1,
+    Drift(0.7, 0.3 * FUSION.drift_time): 0.3,
+    Drift(2.0, FUSION.drift_time): 0.3,
+    Drift(6.0, 3.0 * FUSION.drift_time): 0.3,
+    Drift(2.0, FUSION.drift_time, INTEGRATED): 0.1,
 }
 """Drifts with their prior odds against none. Reflections from walls and trees turn the heading of
 antennas a metre apart by some degrees for minutes, on half of all robots; larger errors last
@@ -196,7 +196,7 @@ class KnownHeadingModel:
         if len(ones) > 1:
             turn = factors.known_turn(self.turned, self.seconds, self.forward, state)
             found["turn"] = known(turn, self.turned_sigma**2)
-            correlation = np.exp(-self.seconds / drift.lasts)
+            correlation = np.exp(-self.seconds / drift.time)
             variance = drift.sigma**2 * (1.0 - correlation**2) + LEAST_VARIANCE
             found["drift"] = known(
                 factors.heading_drift(state, correlation, self.seconds), variance
@@ -245,7 +245,7 @@ class KnownHeadingModel:
         whole[np.ix_(free, free)] = covariance
         misfit = self._misfit(weighted, prior)
         cost = misfit + solution.log_determinant + _log_steps(self.correlation, size, 3)
-        cost += _log_steps(np.exp(-self.seconds / drift.lasts), drift.sigma, 1)
+        cost += _log_steps(np.exp(-self.seconds / drift.time), drift.sigma, 1)
         cost += 2.0 * math.log(drift.rate)
         return KnownHeadingOptimum(state, whole, cost, misfit)
 

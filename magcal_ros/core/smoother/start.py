@@ -50,7 +50,7 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     per turn rate (w). A current adds a term of the same form. Installation and soft iron start at
     zero.
     """
-    up, level, yaw = held_by_gyro(nodes)
+    up, level, yaw = in_first_axes(nodes)
     run = np.concatenate([[0], np.cumsum(~nodes.is_tied)])
     longest = run == np.bincount(run).argmax()
     piece = _pieces(nodes.time[longest])
@@ -90,7 +90,7 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     return State(turned @ north.T, np.zeros((len(nodes), LOCAL)), shared), about
 
 
-def held_by_gyro(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
+def in_first_axes(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return up in body axes (n, 3), level axes (n, 3, 3), and the yaw (n,) by the gyro alone."""
     up = _up(nodes, chained(nodes.turned[None])[0])
     spin = np.sum(nodes.rate * up, axis=1)

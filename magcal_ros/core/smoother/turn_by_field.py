@@ -15,7 +15,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
-from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_possible, mixed
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_possible, mixture_of_kinds
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.posterior import posterior
 from magcal_ros.core.smoother.priors import Priors, priors_of
@@ -64,7 +64,7 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
         # With exact sensors only a turn on the spot is considered.
         found = {ON_THE_SPOT: each} if knowledge.exact_sensors else _with_gradient(each)
         fits |= {name + root: other for name, other in found.items()}
-    return mixed(fits, roots[0].model.nodes, knowledge, USUAL)
+    return mixture_of_kinds(fits, roots[0].model.nodes, knowledge, USUAL)
 
 
 def _with_gradient(first: Fit) -> dict[str, Fit]:

@@ -10,9 +10,9 @@ import numpy as np
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.vec3 import (
     Triple,
-    between,
     distance,
     dot,
+    interpolate,
     length,
     minus,
     plus,
@@ -109,7 +109,7 @@ class GyroPropagation:
             # Velocity and acceleration of the filter are now residual ones, or no longer so.
             self._is_given = is_given
             self._filter.forget_motion(self._motion(self.is_settled), is_faster=True)
-        self.mean_rate = minus(between(before, rate, 0.5), self.bias)
+        self.mean_rate = minus(interpolate(before, rate, 0.5), self.bias)
         turn = scaled(self.mean_rate, seconds)
         self.up = propagated(self.up, turn)
         count, lasted, forces, ups, rates, turns = self._block

@@ -144,7 +144,7 @@ def directions(drive, after):
         if stamp >= moment:
             true.append(np.sign(np.interp(moment - 0.3, drive.time, drive.truth.speed)))
             # Slow parking is left open, and counts as forwards meanwhile.
-            taken.append(estimator.own.sign if estimator.own.is_clear else 0.0)
+            taken.append(estimator.acceleration.sign if estimator.acceleration.is_clear else 0.0)
             moment = next(moments, math.inf)
 
     follow(drive, watch=watch)

@@ -93,8 +93,8 @@ def test_nonsense_is_left_out(wild):
     drive = driven(city_legs(5, 20.0), 5, VEHICLE)
     for count, sample in enumerate(drive.samples()):
         if isinstance(sample, ImuSample):
-            own = estimator.add_imu(sample, (0.0,) * 3)
-            assert own is None or math.isfinite(sum(own))
+            acceleration = estimator.add_imu(sample, (0.0,) * 3)
+            assert acceleration is None or math.isfinite(sum(acceleration))
         if count % 50 == 0:
             estimator.add_travel(SpeedSample(sample.stamp, wild))
             estimator.add_travel(VelocitySample(sample.stamp, wild, 0.0, 0.1))
@@ -113,8 +113,8 @@ def test_time_that_is_set_back_starts_anew():
     for _ in range(2):
         for sample in drive.samples():
             if isinstance(sample, ImuSample):
-                own = estimator.add_imu(sample, (0.0,) * 3)
-                assert own is None or max(map(abs, own)) < 20.0
+                acceleration = estimator.add_imu(sample, (0.0,) * 3)
+                assert acceleration is None or max(map(abs, acceleration)) < 20.0
             elif isinstance(sample, SpeedSample):
                 estimator.add_travel(sample)
-    assert estimator.own.is_used
+    assert estimator.acceleration.is_used

@@ -46,8 +46,8 @@ def test_a_speed_between_samples_too_far_apart_is_not_told():
 @pytest.mark.parametrize("rate", [10.0, 50.0])
 def test_jumps_no_vehicle_makes_are_counted(rate):
     jumping = track_of(rate, speed=lambda stamp: 8.0 * (int(stamp * 4.0) % 2))
-    assert jumping.record().wild_share > 0.1
-    assert track_of(rate).record().wild_share == 0.0
+    assert jumping.record().outlier_share > 0.1
+    assert track_of(rate).record().outlier_share == 0.0
 
 
 def test_wheels_come_before_the_receiver_until_they_are_silent_or_distrusted():

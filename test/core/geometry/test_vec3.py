@@ -14,7 +14,7 @@ def test_products_and_lengths_are_numpys(a, b):
     assert vec3.cross(a, b) == pytest.approx(np.cross(a, b))
     assert vec3.length(a) == pytest.approx(np.linalg.norm(a))
     assert vec3.distance(a, b) == pytest.approx(np.linalg.norm(np.subtract(a, b)))
-    assert vec3.between(a, b, 0.3) == pytest.approx(0.7 * np.array(a) + 0.3 * np.array(b))
+    assert vec3.interpolate(a, b, 0.3) == pytest.approx(0.7 * np.array(a) + 0.3 * np.array(b))
 
 
 @given(vectors, vectors)

@@ -32,7 +32,7 @@ def test_the_calibrated_field_is_good():
     found = watch()
     assert not look(found, 5.0)
     assert found.trust is Trust.GOOD
-    assert found.departure == pytest.approx(0.0, abs=1e-6)
+    assert found.deviation == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_places_that_differ_widen_what_is_called_good():
         found.add(1.0 + 0.02 * k, field(strength=48e-6 * (1.0 + wave)), UP, 1e-5, 0.5)
         found.learn(0.02, 1e-5, wave**2)
     assert 0.03 < math.sqrt(found.amplitude_variance) < 0.08
-    assert found.departure < 2.0
+    assert found.deviation < 2.0
 
 
 def test_a_poor_calibration_is_no_disturbance():

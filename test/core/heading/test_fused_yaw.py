@@ -480,8 +480,8 @@ def test_a_magnet_that_turns_the_field_is_in_sigma_until_the_robot_turns(angle):
     error, sigma = abs(fusing.errors_deg()[-1]), fusing.sigmas_deg()[-1]
     assert error > 0.8 * abs(math.degrees(angle))
     assert sigma > 0.6 * error
-    assert fusing.fused.is_disputed
-    assert "the next turn of the robot shows which" in fusing.fused.dispute.in_words
+    assert fusing.fused.is_ambiguous
+    assert "the next turn of the robot shows which" in fusing.fused.field_jump.in_words
     fusing.magnet = np.zeros(3)
     course.go(15.0)
     assert abs(fusing.errors_deg()[-1]) < 3.0

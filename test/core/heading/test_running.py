@@ -64,11 +64,11 @@ def test_beyond_a_reference_a_current_at_rest_counts_too():
     for k, (rate, amps) in enumerate([(STILL, -0.5), (STILL, -2.5), (TURNS, -3.5)]):
         found = sense.at(k, rate, True, 0.0, amps, -0.5)
         assert found.current == amps + 0.5
-        assert found.runs is (k > 0)
+        assert found.are_on is (k > 0)
     for stamp in (8.0, 9.0):
         found = sense.at(stamp, STILL, True, 0.0, math.nan, -0.5)
     assert math.isnan(found.current)
-    assert not found.runs
+    assert not found.are_on
 
 
 def test_a_robot_about_to_stop_is_in_doubt():

@@ -35,9 +35,9 @@ def test_headings_show_for_how_long_they_are_wrong_by_the_same(lasts):
         wrong = kept * wrong + new * rng.standard_normal()
         loss.add_heading(2.0 * k, wrong, sigma**2, 10, 2e-6)
     if lasts:
-        assert 8.0 < loss.heading_lasts < 50.0
+        assert 8.0 < loss.heading_error_time < 50.0
     else:
-        assert loss.heading_lasts < 0.3
+        assert loss.heading_error_time < 0.3
 
 
 def test_hard_iron_that_is_left_is_averaged_over_the_headings():
@@ -52,7 +52,7 @@ def test_hard_iron_that_is_left_is_averaged_over_the_headings():
     following.begin(1e-6, 1e-10, 1e-6, compass(0.0))
     for k in range(720):
         following.propagate(0.5, 1e-8, 1e-14)
-        following.move_on(0.9, 1e-6)
+        following.change_disturbance(0.9, 1e-6)
         seen = compass(k * math.tau / 72.0)
         innovation = float(seen[:2] @ iron - seen @ following.errors) - off
         off += following.observe(innovation, 1e-5, seen)
@@ -79,7 +79,7 @@ def test_how_far_compasses_disagree_stays_in_the_yaw_that_comes_from_them():
     compass[-2] = sigma
     for _ in range(200):
         following.propagate(0.5, 1e-6, 1e-14)
-        following.move_on(0.9, 1e-6)
+        following.change_disturbance(0.9, 1e-6)
         following.observe(math.radians(5.0), 1e-6, compass)
     assert following.errors[-2] == 0.0
     assert math.sqrt(following.own_error_variance) == pytest.approx(sigma, rel=0.05)

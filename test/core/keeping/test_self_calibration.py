@@ -21,8 +21,8 @@ from magcal_ros.core.keeping import (
     HeldOutComparison,
     Mode,
     SelfCalibration,
-    answer,
     difference,
+    examine_drive,
 )
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import FieldSample, ImuSample, Pair
@@ -381,7 +381,7 @@ def follow(drive, machine, told=lambda stamp: stamp):
     for stamp, field, force, rate in zip(*(row[::2].tolist() for row in rows), strict=True):
         imu = ImuSample(told(stamp), force, rate)
         if machine.add(Pair(FieldSample(told(stamp), field), imu)):
-            for decision in machine.note(answer(machine.job(BOSTON))):
+            for decision in machine.note(examine_drive(machine.job(BOSTON))):
                 made.append((stamp - drive.time[0], decision))
                 if decision.kind in (
                     DecisionKind.APPLIED,

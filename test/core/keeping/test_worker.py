@@ -18,8 +18,8 @@ from magcal_ros.core.keeping import (
     CalibrationStep,
     CandidateKind,
     DriveJob,
-    answer,
     compare_held_out,
+    examine_drive,
 )
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import log_of
@@ -70,7 +70,7 @@ def test_a_candidate_says_whether_the_reference_was_known(knowledge):
     drive = simulated_drive(travel(city(rng, 130.0), rng, rate=10.0), rng, Vehicle(ROBOT))
     log = log_of(Window(drive.time, drive.field, drive.force, drive.rate))
     job = DriveJob(log, knowledge, None, (120.0,), -math.inf, -math.inf, {})
-    (found,) = answer(job).candidates
+    (found,) = examine_drive(job).candidates
     evidence = found.calibration.evidence
     is_known = knowledge is BOSTON
     assert (NO_REFERENCE in evidence.not_shown) is not is_known

@@ -2,7 +2,14 @@ from collections import Counter
 
 import pytest
 
-from magcal_ros.core.samples import Drop, FieldSample, Heard, ImuSample, Streams, complaints
+from magcal_ros.core.samples import (
+    DropReason,
+    FieldSample,
+    ImuSample,
+    InputCounts,
+    Streams,
+    complaints,
+)
 
 
 def streams(field_ahead=0.0, max_gap=0.2):
@@ -15,7 +22,7 @@ def streams(field_ahead=0.0, max_gap=0.2):
 
 
 def said(both=None, imu=None, mag=None):
-    imu, mag = imu or Heard("/imu", 100), mag or Heard("/mag", 100)
+    imu, mag = imu or InputCounts("/imu", 100), mag or InputCounts("/mag", 100)
     return complaints(both or streams(), imu, mag)
 
 
@@ -23,15 +30,17 @@ def test_there_is_none_where_nothing_is_wrong():
     assert said() == []
 
 
-@pytest.mark.parametrize("drop", [Drop.NOT_FINITE, Drop.ZERO, Drop.BACKWARD_STAMP])
+@pytest.mark.parametrize(
+    "drop", [DropReason.NOT_FINITE, DropReason.ZERO, DropReason.BACKWARD_STAMP]
+)
 def test_a_share_of_dropped_samples_is_said_with_topic_and_count(drop):
-    (words,) = said(imu=Heard("/imu", 100, Counter({drop: 7})))
+    (words,) = said(imu=InputCounts("/imu", 100, Counter({drop: 7})))
     assert words.startswith("/imu: 7 of 100 ")
-    assert said(mag=Heard("/mag", 1000, Counter({drop: 7}))) == []
+    assert said(mag=InputCounts("/mag", 1000, Counter({drop: 7}))) == []
 
 
 def test_an_imu_beyond_every_unit_is_said():
-    (words,) = said(imu=Heard("/imu", 100, Counter({Drop.TOO_LARGE: 50})))
+    (words,) = said(imu=InputCounts("/imu", 100, Counter({DropReason.TOO_LARGE: 50})))
     assert "too large for an acceleration in m/s² or a rate in rad/s" in words
 
 
@@ -72,14 +81,14 @@ def test_the_last_stamp_of_a_sensor_that_died_says_nothing_of_its_clock(dies):
 
 
 def test_what_was_wrong_before_is_no_complaint_any_more():
-    then = Heard("/imu", 1000, Counter({Drop.NOT_FINITE: 900}))
-    now = Heard("/imu", 2000, Counter({Drop.NOT_FINITE: 905}))
+    then = InputCounts("/imu", 1000, Counter({DropReason.NOT_FINITE: 900}))
+    now = InputCounts("/imu", 2000, Counter({DropReason.NOT_FINITE: 905}))
     assert said(imu=now)
     assert said(imu=now.since(then)) == []
 
 
 def test_what_goes_wrong_after_a_good_month_is_one():
-    then = Heard("/mag", 10**8, Counter({Drop.ZERO: 3}))
-    now = Heard("/mag", 10**8 + 3000, Counter({Drop.ZERO: 3003}))
+    then = InputCounts("/mag", 10**8, Counter({DropReason.ZERO: 3}))
+    now = InputCounts("/mag", 10**8 + 3000, Counter({DropReason.ZERO: 3003}))
     assert said(mag=now) == []
     assert said(mag=now.since(then)) == ["/mag: 3000 of 3000 samples are all zero"]

@@ -7,9 +7,9 @@ from magcal_ros.core import Reason, Refusal, Window
 from magcal_ros.core.samples import (
     BurstWatch,
     bursts_in_words,
-    explained,
     spread_bursts,
     spread_each,
+    with_explanation,
 )
 
 
@@ -44,10 +44,10 @@ def test_even_stamps_and_few_are_no_bursts(time):
 
 def test_a_refusal_that_bursts_can_be_the_cause_of_names_them():
     refusal = Refusal(Reason.AXES_DISAGREE, "gyro and compass differ by 28 degrees")
-    assert "bursts" in str(explained(refusal, window(bursts())))
-    assert str(explained(refusal, window(np.arange(800) * 0.025))) == str(refusal)
+    assert "bursts" in str(with_explanation(refusal, window(bursts())))
+    assert str(with_explanation(refusal, window(np.arange(800) * 0.025))) == str(refusal)
     other = Refusal(Reason.TOO_FEW_SAMPLES, "no samples")
-    assert str(explained(other, window(bursts()))) == str(other)
+    assert str(with_explanation(other, window(bursts()))) == str(other)
 
 
 class TestMended:

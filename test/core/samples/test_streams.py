@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from magcal_ros.core.geometry import exp_rotation, exp_rotations
 from magcal_ros.core.samples import (
     STREAMS,
-    Drop,
+    DropReason,
     FieldSample,
     ImuSample,
     Pairer,
@@ -83,33 +83,33 @@ class TestStampGuard:
     @pytest.mark.parametrize("stamp", [0.0, -1.0, math.nan, math.inf, -math.inf])
     def test_refuses_a_stamp_that_is_no_time(self, stamp):
         guard = StampGuard()
-        assert guard.check(stamp) is Drop.ZERO_STAMP
+        assert guard.check(stamp) is DropReason.ZERO_STAMP
         assert guard.check(1e-3) is None
 
     def test_refuses_a_stamp_before_the_newest(self):
         guard = StampGuard()
         guard.check(2.0)
-        assert guard.check(1.0) is Drop.BACKWARD_STAMP
+        assert guard.check(1.0) is DropReason.BACKWARD_STAMP
         assert guard.newest == 2.0
 
     def test_a_stamp_that_stands_still_never_passes(self):
         guard = StampGuard()
         guard.check(2.0)
         frozen = [guard.check(2.0) for _ in range(5 * STREAMS.restart_after)]
-        assert set(frozen) == {Drop.REPEATED}
+        assert set(frozen) == {DropReason.REPEATED}
 
     def test_follows_time_that_was_set_back_for_good(self):
         guard = StampGuard()
         guard.check(100.0)
         answers = [guard.check(1.0 + 0.01 * k) for k in range(STREAMS.restart_after + 5)]
-        assert answers[:9] == [Drop.BACKWARD_STAMP] * (STREAMS.restart_after - 1)
+        assert answers[:9] == [DropReason.BACKWARD_STAMP] * (STREAMS.restart_after - 1)
         assert answers[9:] == [None] * 6
 
     def test_now_and_then_an_old_stamp_never_sets_time_back(self):
         guard = StampGuard()
         for k in range(100):
             assert guard.check(10.0 + k) is None
-            assert guard.check(9.5 + k) is Drop.BACKWARD_STAMP
+            assert guard.check(9.5 + k) is DropReason.BACKWARD_STAMP
         assert guard.newest == 109.0
 
     @given(st.lists(st.floats(0.001, 1e4), min_size=1, max_size=60))
@@ -127,17 +127,17 @@ class TestImuDrops:
     @pytest.mark.parametrize(
         ("sample", "reason"),
         [
-            (imu(1.0, (math.nan, 0.0, 9.8)), Drop.NOT_FINITE),
-            (imu(1.0, (0.0, math.inf, 9.8)), Drop.NOT_FINITE),
-            (imu(1.0, (0.0, 1e200, 9.8)), Drop.NOT_FINITE),
-            (imu(1.0, (0.0, 0.0, 0.0)), Drop.ZERO),
-            (imu(1.0, (0.0, 5e-324, 1e-160)), Drop.ZERO),
-            (imu(1.0, (0.0, 1e6, 9.8)), Drop.TOO_LARGE),
-            (imu(1.0, (0.0, 0.0, 9.8), (1e200, 0.0, 0.0)), Drop.TOO_LARGE),
-            (imu(1.0, (0.0, 0.0, 9.8), (0.0, -math.inf, 0.0)), Drop.TOO_LARGE),
-            (imu(0.0), Drop.ZERO_STAMP),
-            (imu(0.5), Drop.BACKWARD_STAMP),
-            (imu(0.6), Drop.REPEATED),
+            (imu(1.0, (math.nan, 0.0, 9.8)), DropReason.NOT_FINITE),
+            (imu(1.0, (0.0, math.inf, 9.8)), DropReason.NOT_FINITE),
+            (imu(1.0, (0.0, 1e200, 9.8)), DropReason.NOT_FINITE),
+            (imu(1.0, (0.0, 0.0, 0.0)), DropReason.ZERO),
+            (imu(1.0, (0.0, 5e-324, 1e-160)), DropReason.ZERO),
+            (imu(1.0, (0.0, 1e6, 9.8)), DropReason.TOO_LARGE),
+            (imu(1.0, (0.0, 0.0, 9.8), (1e200, 0.0, 0.0)), DropReason.TOO_LARGE),
+            (imu(1.0, (0.0, 0.0, 9.8), (0.0, -math.inf, 0.0)), DropReason.TOO_LARGE),
+            (imu(0.0), DropReason.ZERO_STAMP),
+            (imu(0.5), DropReason.BACKWARD_STAMP),
+            (imu(0.6), DropReason.REPEATED),
         ],
     )
     def test_an_unusable_sample_is_counted_by_its_reason_and_not_used(self, sample, reason):
@@ -165,7 +165,7 @@ class TestImuDrops:
             walk.feed_all(by_stamp(spoiled, fields)),
             whole.feed_all(by_stamp(imus, fields)),
         )
-        assert walk.streams.imu_drops == {Drop.NOT_FINITE: empty[1:].sum()}
+        assert walk.streams.imu_drops == {DropReason.NOT_FINITE: empty[1:].sum()}
         assert all(pair.span is not None for pair in pairs[1:])
         path, true = (
             np.sum([pair.span.velocity for pair in each[1:]], 0) for each in (pairs, best)
@@ -184,14 +184,14 @@ class TestFieldDrops:
     @pytest.mark.parametrize(
         ("sample", "reason"),
         [
-            (mag(1.0, (math.nan, 0.0, 1e-6)), Drop.NOT_FINITE),
-            (mag(1.0, (math.inf, 0.0, 1e-6)), Drop.NOT_FINITE),
-            (mag(1.0, (0.0, 0.0, 0.0)), Drop.ZERO),
-            (mag(1.0, (0.0, 5e-324, 1e-160)), Drop.ZERO),
-            (mag(1.0, (0.0, 0.0, 1.001 * STREAMS.largest_field)), Drop.TOO_LARGE),
-            (mag(0.0), Drop.ZERO_STAMP),
-            (mag(0.5), Drop.BACKWARD_STAMP),
-            (mag(0.6), Drop.REPEATED),
+            (mag(1.0, (math.nan, 0.0, 1e-6)), DropReason.NOT_FINITE),
+            (mag(1.0, (math.inf, 0.0, 1e-6)), DropReason.NOT_FINITE),
+            (mag(1.0, (0.0, 0.0, 0.0)), DropReason.ZERO),
+            (mag(1.0, (0.0, 5e-324, 1e-160)), DropReason.ZERO),
+            (mag(1.0, (0.0, 0.0, 1.001 * STREAMS.largest_field)), DropReason.TOO_LARGE),
+            (mag(0.0), DropReason.ZERO_STAMP),
+            (mag(0.5), DropReason.BACKWARD_STAMP),
+            (mag(0.6), DropReason.REPEATED),
         ],
     )
     def test_an_unusable_sample_is_counted_by_its_reason(self, sample, reason):
@@ -219,7 +219,7 @@ class TestFieldDrops:
         assert not streams.is_repeated
         assert streams.add_field(mag(1.1))
         assert streams.is_repeated
-        assert streams.field_drops == {Drop.REPEATED: 1}
+        assert streams.field_drops == {DropReason.REPEATED: 1}
         assert streams.add_field(mag(1.2, (21e-6, 5e-6, -40e-6)))
         assert not streams.is_repeated
 
@@ -387,13 +387,13 @@ class TestPairs:
         walk = Walk()
         walk.feed_all(by_stamp(holed, fields))
         lost = [sample for sample in fields if 1.8 < sample.stamp < 2.3]
-        assert walk.streams.field_drops[Drop.UNPAIRED] == len(lost) > 20
+        assert walk.streams.field_drops[DropReason.UNPAIRED] == len(lost) > 20
         assert len(walk.pairs) == len(fields) - len(lost)
 
     def test_what_waits_too_long_for_an_imu_is_let_go_and_counted(self):
         walk = Walk()
         walk.feed_all(drive(1.0, 100.0)[1])
-        assert walk.streams.field_drops[Drop.UNPAIRED] == 5000 - STREAMS.remembered
+        assert walk.streams.field_drops[DropReason.UNPAIRED] == 5000 - STREAMS.remembered
 
     def test_repeated_field_samples_make_no_second_pair(self):
         imus, fields = drive(1.0, 2.0)
@@ -402,7 +402,7 @@ class TestPairs:
         walk.feed_all(by_stamp(imus, doubled))
         assert [pair.field for pair in walk.pairs] == fields[: len(walk.pairs)]
         assert len(walk.pairs) >= len(fields) - 1
-        assert walk.streams.field_drops[Drop.REPEATED] == len(fields)
+        assert walk.streams.field_drops[DropReason.REPEATED] == len(fields)
 
     @pytest.mark.parametrize("tail", ["imu", "field"])
     def test_a_bag_that_starts_anew_is_paired_again_after_a_few_samples(self, tail):

@@ -154,7 +154,7 @@ class Scene:
         if isinstance(sample, ImuSample):
             self._heard[ImuSample] = self.now
             if self.streams.add_imu(sample):
-                self.turn.robot.hear(sample.rate, self.now)
+                self.turn.robot.add_rate(sample.rate, self.now)
         else:
             self._heard["field"] = self.now
             if self.streams.add_field(sample):

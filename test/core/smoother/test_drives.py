@@ -32,7 +32,7 @@ from magcal_ros.core.smoother import (
     fit_drive,
     fit_iron,
     likelihood_ratio_of,
-    liveliest_part,
+    part_with_most_motion,
     priors_of,
     smooth,
 )
@@ -112,12 +112,12 @@ def test_the_part_of_a_long_window_is_that_in_which_the_force_changes():
     force = np.tile([0.0, 0.0, 9.8], (len(time), 1))
     force[(time > 620.0) & (time < 700.0), 0] += 1.0
     window = Window(time, force, force, np.zeros_like(force))
-    part = liveliest_part(window)
+    part = part_with_most_motion(window)
     assert part.time[0] <= 620.0
     assert part.time[-1] >= 700.0
     assert np.ptp(part.time) == pytest.approx(200.0, abs=1.0)
-    assert np.array_equal(liveliest_part(log_of(window)).time, part.time)
-    assert liveliest_part(window.take(time < 300.0)) is None
+    assert np.array_equal(part_with_most_motion(log_of(window)).time, part.time)
+    assert part_with_most_motion(window.take(time < 300.0)) is None
 
 
 @pytest.mark.nightly

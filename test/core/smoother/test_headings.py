@@ -10,7 +10,7 @@ import pytest
 from long_form import first_of
 
 from magcal_ros.core import Belief, Knowledge, Reason, ReferenceField, Refusal
-from magcal_ros.core.calibration import heading_jacobian, headings_apart
+from magcal_ros.core.calibration import heading_differences, heading_jacobian
 from magcal_ros.core.geometry import STANDARD_GRAVITY, field_in_enu, rotation_from_rpy, wrapped
 from magcal_ros.core.methods import declination_hint
 from magcal_ros.core.methods.known_headings import fit
@@ -53,7 +53,7 @@ def measurements(
 
 
 def off(correction, robot: Robot = ROBOT) -> np.ndarray:
-    return headings_apart(robot.true_correction, correction, robot.strength, robot.inclination)
+    return heading_differences(robot.true_correction, correction, robot.strength, robot.inclination)
 
 
 def test_three_known_headings_show_all_that_a_turn_does_and_the_yaw_of_the_installation():

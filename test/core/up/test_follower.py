@@ -201,14 +201,14 @@ def test_a_car_that_circles_at_once_stays_upright(recording):
 def test_with_a_known_acceleration_stop_and_go_does_not_tilt_it():
     """Never at rest, pulled by up to 12 degrees; the speed's derivative is a little wrong."""
     errors = TiltErrors(UpFollower())
-    plain = TiltErrors(UpFollower())
+    printable = TiltErrors(UpFollower())
     rng = np.random.default_rng(4)
 
     def listen(sample, ride):
         if isinstance(sample, ImuSample):
             noise = 0.15 * rng.standard_normal(3)
             errors.take(sample, ride, linear_acceleration=tuple(1.03 * pull + noise))
-        plain(sample, ride)
+        printable(sample, ride)
 
     course = Course(listen, rate=50.0)
     for _ in range(6):
@@ -216,7 +216,7 @@ def test_with_a_known_acceleration_stop_and_go_does_not_tilt_it():
             pull = forward * FORWARD + 4.0 * rate * LEFT
             course.go(2.5, acceleration=pull, yaw_rate=rate)
     assert np.percentile(errors.errors, 90) <= 3.0
-    assert np.percentile(errors.errors, 90) < 0.5 * np.percentile(plain.errors, 90)
+    assert np.percentile(errors.errors, 90) < 0.5 * np.percentile(printable.errors, 90)
 
 
 class TestWithoutGyro:
