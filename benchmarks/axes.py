@@ -67,7 +67,7 @@ def count(row: Row, axes: np.ndarray, rng: np.random.Generator, motion: str) -> 
     named = [np.array_equal(axes, each) for each in found.candidates]
     row.among += any(named)
     row.alone += any(named) and len(named) == 1
-    row.meant += found.meant is not None and bool(np.array_equal(axes, found.meant))
+    row.meant += found.likeliest is not None and bool(np.array_equal(axes, found.likeliest))
     row.named += len(named)
 
 

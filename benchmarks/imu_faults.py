@@ -45,8 +45,8 @@ class Row:
     blamed: Counter[str] = field(default_factory=Counter)
 
     def add(self, wanted: set[str], case: Case) -> None:
-        page = examine(case.log, case.knowledge, case.turned_left)
-        lines = [f for f in page.findings if f.is_wrong]
+        report = examine(case.log, case.knowledge, case.turned_left)
+        lines = [f for f in report.findings if f.is_wrong]
         self.runs += 1
         keys = {f.key for f in lines}
         asked = ASKED if "axes" in keys else frozenset[str]()

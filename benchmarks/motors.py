@@ -37,11 +37,11 @@ from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.heading.disturbance import FieldDeviation
 from magcal_ros.core.heading.motion_detector import MotionDetector
-from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.self_calibration.motor_learning import MotorLearning
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up.follower import UpFollower
 

@@ -26,9 +26,9 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.keeping.drive_replay import DriveReplay, replay_drive
-from magcal_ros.core.keeping.jobs import difference
 from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.self_calibration.drive_replay import DriveReplay, replay_drive
+from magcal_ros.core.self_calibration.jobs import difference
 
 WORSE = 0.3
 LONG, CHANGE_AT, ADDED = 360.0, 120.0, 10e-6

@@ -36,14 +36,14 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.keeping.drive_replay import DriveReplay, replay_drive
-from magcal_ros.core.keeping.jobs import Decision, DecisionKind, Mode
-from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.self_calibration.drive_replay import DriveReplay, replay_drive
+from magcal_ros.core.self_calibration.jobs import Decision, DecisionKind, Mode
+from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
+from magcal_ros.core.self_calibration.worker import examine_drive
 from magcal_ros.core.smoother.drives import DriveFit, drive_nodes, fit_drive
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
@@ -86,7 +86,7 @@ class Heard(SelfCalibration):
         machine.put_in_force(begun)
         for row in self.rows:
             if machine.add(*row):
-                for decision in machine.note(answer(machine.job(BOSTON))):
+                for decision in machine.note(examine_drive(machine.job(BOSTON))):
                     made.append((row[0].field.stamp - self.rows[0][0].field.stamp, decision))
                     if decision.calibration is not None:
                         now = decision.calibration

@@ -212,7 +212,7 @@ ORDER_OF_ROOMS = (
     "calibrate",
     "session",
     "monitoring",
-    "keeping",
+    "self_calibration",
 )
 """The rooms of core from the ground up: each imports only what lies below it."""
 

@@ -78,7 +78,7 @@ def test_a_node_that_runs_on_a_saved_calibration_loads_nothing_that_fits_or_draw
         "magcal_ros.report",
         "magcal_ros.core.methods",
         "magcal_ros.core.doctor",
-        "magcal_ros.core.keeping.drive_replay",
+        "magcal_ros.core.self_calibration.drive_replay",
         "magcal_ros.core.smoother",
         "multiprocessing",
     ):

@@ -34,7 +34,7 @@ def node_name(text: str) -> str:
 def find_calibrator(node: Any, wanted: str | None) -> str:
     """Return the full name of the wanted calibrator, or of the only one.
 
-    Raises Misuse if there are several and `wanted` is None, MagcalError if none is found.
+    Raises UsageError if there are several and `wanted` is None, MagcalError if none is found.
     """
     begin = first_seen = time.monotonic()
     seen: list[str] = []

@@ -13,10 +13,10 @@ from magcal_ros.core.assessment.grading import Check, shown
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.keeping.drive_replay import DriveReplay, replay_drive
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
+from magcal_ros.core.self_calibration.drive_replay import DriveReplay, replay_drive
 from magcal_ros.core.session.recorded import SampleCollector, fault_of_drive
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.disk import printable, write_atomically

@@ -221,7 +221,7 @@ def run_replay(options: argparse.Namespace) -> int:
 
 
 def _require_stamps(folder: Path, recording: Recording) -> None:
-    """Raise FileTrouble for a stamp that a ROS message cannot hold."""
+    """Raise FileError for a stamp that a ROS message cannot hold."""
     for name, table in (("imu.csv", recording.imu), ("mag.csv", recording.field)):
         stamps = table[:, 0]
         bad = ~(np.isfinite(stamps) & (np.abs(stamps) < LAST_STAMP))

@@ -83,30 +83,30 @@ class DoctorInput:
     described: str = ""  # the pose by the robot's description, in words; empty if not used
     travel: Sequence[TravelSample] = ()
 
-    def page_of(self, log: SensorLog) -> SensorReport:
+    def report_of(self, log: SensorLog) -> SensorReport:
         """Return all findings, also from the comparison with course and description."""
-        page = examine(log, self.knowledge, self.turned_left)
-        said = [f.remedy for f in page.findings if f.remedy]
-        # A complaint that a line of the page contains already is left out.
+        report = examine(log, self.knowledge, self.turned_left)
+        said = [f.remedy for f in report.findings if f.remedy]
+        # A complaint that a line of the report contains already is left out.
         more = [f for f in self.more if not any(words in f.evidence for words in said)]
-        page = page.with_more(more)
-        if self.travel and page.used is not None:
-            course = recorded_course(page.used.compass, self.samples, self.travel)
-            page = page.with_course(*_course_seen(course, self.knowledge.reference))
-        return page.with_more((self._description(page),)) if self.described else page
+        report = report.with_more(more)
+        if self.travel and report.used is not None:
+            course = recorded_course(report.used.compass, self.samples, self.travel)
+            report = report.with_course(*_course_seen(course, self.knowledge.reference))
+        return report.with_more((self._description(report),)) if self.described else report
 
-    def _description(self, page: SensorReport) -> Finding:
+    def _description(self, report: SensorReport) -> Finding:
         """Compare the described pose of the magnetometer with the measured one."""
         described = f"magnetometer at {self.described}"
-        if page.mount_rpy_deg is not None:
-            radians = " ".join(f"{math.radians(angle):.4g}" for angle in page.mount_rpy_deg)
+        if report.mount_rpy_deg is not None:
+            radians = " ".join(f"{math.radians(angle):.4g}" for angle in report.mount_rpy_deg)
             return severe_finding(
                 "description",
                 "description",
                 f"{described}, but measured differently",
                 f'set rpy="{radians}" in the URDF joint between IMU and magnetometer',
             )
-        if any(f.key in AXIS_FAULTS and f.is_wrong for f in page.findings):
+        if any(f.key in AXIS_FAULTS and f.is_wrong for f in report.findings):
             words = f"{described}; correct the axes first"
             return undetermined("description", "description", words)
         return ok_or_warning("description", "description", described)
@@ -127,8 +127,8 @@ def run(options: argparse.Namespace) -> int:
     heard = listen(options) if options.recording is None else _recorded(options)
     log = SensorLog.of(heard.samples)
     if min(len(log.imu_time), len(log.field_time)) >= TUNING.fewest:
-        return _tell(options, heard.page_of(log), heard.knowledge.mounting.gains)
-    facts = page_as_facts(SensorReport(heard.more), None, Exit.TOO_LITTLE_DATA)
+        return _tell(options, heard.report_of(log), heard.knowledge.mounting.gains)
+    facts = report_as_facts(SensorReport(heard.more), None, Exit.TOO_LITTLE_DATA)
     streams = (("IMU", log.imu_time), ("field", log.field_time))
     counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
     words = (
@@ -168,7 +168,7 @@ def _recorded(options: argparse.Namespace) -> DoctorInput:
     complaints = [*source.notes, *collector.complaints(), *reference.complaints]
     fields = [each.field for each in samples if isinstance(each, FieldSample)]
     if fields and likely_field_unit(usual_size(np.array(fields))):
-        # The page has a line on the unit, by the usual size of the field instead of the largest.
+        # The report has a line on the unit, by the usual size of the field instead of the largest.
         largest = likely_field_unit(collector.streams.largest_field)
         complaints = [words for words in complaints if words != largest]
     more = tuple(ok_or_warning("recording", "recording", words, words) for words in complaints)
@@ -186,11 +186,11 @@ def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> tuple[
     return Belief(gap, math.hypot(offset.sigma, sigma)), imu_yaw
 
 
-def _tell(options: argparse.Namespace, page: SensorReport, gains: FloatArray) -> int:
-    """Print the page and write the parameters that correct faults."""
-    status = Exit.REFUSED if page.misleads else Exit.GOOD
-    written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
-    words = page_in_words(page)
+def _tell(options: argparse.Namespace, report: SensorReport, gains: FloatArray) -> int:
+    """Print the report and write the parameters that correct faults."""
+    status = Exit.REFUSED if report.misleads else Exit.GOOD
+    written = write_parameters(options.write, report, None if np.allclose(gains, 1.0) else gains)
+    words = report_in_words(report)
     if written is not None:
         words += (
             f"\n\nWritten: {written}. Start the calibrator with `--params-file "
@@ -198,22 +198,22 @@ def _tell(options: argparse.Namespace, page: SensorReport, gains: FloatArray) ->
         )
     elif options.write is not None:
         words += "\n\nNo file is written: the faults cannot be corrected by parameters alone."
-    tell_result(page_as_facts(page, written, status), words, as_json=options.json)
+    tell_result(report_as_facts(report, written, status), words, as_json=options.json)
     return status
 
 
 GRADE_MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}
 
 
-def page_in_words(page: SensorReport) -> str:
-    """Return the page for a terminal: a line for each finding, then the remedies."""
+def report_in_words(report: SensorReport) -> str:
+    """Return the report for a terminal: a line for each finding, then the remedies."""
     lines = [
         f"  {GRADE_MARKS[f.grade]:<6}{f.name:<30}{printable(f.evidence, 1000)}"
-        for f in page.findings
+        for f in report.findings
     ]
     # Several lines may have the same cause.
     remedies: dict[str, list[str]] = {}
-    for finding in sorted(page.findings, key=lambda finding: -finding.grade.rank):
+    for finding in sorted(report.findings, key=lambda finding: -finding.grade.rank):
         if finding.remedy:
             remedies.setdefault(finding.remedy, []).append(finding.name)
     todo = [
@@ -223,25 +223,27 @@ def page_in_words(page: SensorReport) -> str:
     return "\n".join(lines) + bullets("\nWhat to do:", todo).rstrip("\n")
 
 
-def page_as_facts(page: SensorReport, written: str | None, status: Exit) -> dict[str, Any]:
-    """Return the page for programs."""
+def report_as_facts(report: SensorReport, written: str | None, status: Exit) -> dict[str, Any]:
+    """Return the report for programs."""
     return {
-        "findings": [asdict(finding) for finding in page.findings],
-        "mount_rpy_deg": page.mount_rpy_deg,
+        "findings": [asdict(finding) for finding in report.findings],
+        "mount_rpy_deg": report.mount_rpy_deg,
         "written": written,
         "exit": int(status),
     }
 
 
-def write_parameters(path: Path | None, page: SensorReport, gains: FloatArray | None) -> str | None:
+def write_parameters(
+    path: Path | None, report: SensorReport, gains: FloatArray | None
+) -> str | None:
     """Write the parameters that correct faults, and the given gains; returns the path.
 
     No file is written if a mounting alone does not correct the axes: faults of a driver must be
     corrected in the driver.
     """
-    if path is None or not page.parameters:
+    if path is None or not report.parameters:
         return None
-    lines = [page.parameters]
+    lines = [report.parameters]
     if gains is not None:
         lines.append(f"soft_iron_gains: [{', '.join(f'{float(gain)!r}' for gain in gains)}]")
     write_atomically(path, parameter_file(*lines), REMEDY)
@@ -310,7 +312,7 @@ def listen(options: argparse.Namespace) -> DoctorInput:
 
 
 def say(line: str) -> None:
-    """Print a line for the user on stderr; only the page goes to standard output."""
+    """Print a line for the user on stderr; only the report goes to standard output."""
     print(line, file=sys.stderr, flush=True)
 
 

@@ -25,7 +25,7 @@ LONGEST_ERROR = 500
 
 @contextlib.contextmanager
 def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
-    """Yield a node; MagcalError without rclpy, Misuse if ROS does not accept name or arguments."""
+    """Yield a node; MagcalError without rclpy, UsageError if ROS refuses name or arguments."""
     try:
         import rclpy
         from rclpy.signals import SignalHandlerOptions

@@ -210,7 +210,7 @@ def add_heading_options(parser: Any) -> None:
 
 
 def check_heading_options(options: argparse.Namespace) -> None:
-    """Raise Misuse for options that exclude each other."""
+    """Raise UsageError for options that exclude each other."""
     angles, topic = options.heading_deg or (), options.heading_topic
     if not (angles or topic):
         if options.north:

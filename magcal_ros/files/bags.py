@@ -59,7 +59,7 @@ LATE = 5_000_000_000
 
 
 class Bag:
-    """The two sensor topics of an open bag; FileTrouble if the bag is damaged.
+    """The two sensor topics of an open bag; FileError if the bag is damaged.
 
     An empty topic means the only topic of the right type. `start` and `stop` are seconds from the
     bag's beginning, by the time of recording. The frames are the newest `frame_id` of each topic,
@@ -161,7 +161,7 @@ class Bag:
     def headings(self, topic: str) -> list[HeadingSample]:
         """Return the yaws of a topic's orientations, sorted by stamp.
 
-        FileTrouble if there is no such topic of IMU messages, or none of them gives a heading.
+        FileError if there is no such topic of IMU messages, or none of them gives a heading.
         """
         heard = _named(self._path, self._reader, IMU_TYPE, topic)
         read = list(self._read(heard, lambda _, __, data: self._format.heading(data)))
@@ -255,7 +255,7 @@ class RosReader:
                 yield channels[topic], stamp, data
 
     def deserialize(self, _: bytes, msgtype: str) -> NoReturn:
-        """Raise a FileTrouble: this reader does not convert big-endian messages."""
+        """Raise a FileError: this reader does not convert big-endian messages."""
         raise FileError(
             f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
             "Python library rosbags is installed and ROS is not"

@@ -99,7 +99,7 @@ def write_calibration(
 ) -> None:
     """Write a calibration in one step, at full precision.
 
-    FileTrouble if the file cannot be written, or exists and is no calibration of this package; it
+    FileError if the file cannot be written, or exists and is no calibration of this package; it
     is then unchanged. `when_written` is as in `write_atomically`.
     """
     require_ours(path)
@@ -121,7 +121,7 @@ def is_free_or_ours(path: Path) -> bool:
 
 
 def require_ours(path: Path) -> None:
-    """Raise a FileTrouble unless `is_free_or_ours`."""
+    """Raise a FileError unless `is_free_or_ours`."""
     if not is_free_or_ours(path):
         raise FileError(
             f"{path} is not a calibration of magcal_ros, and was not changed; choose another name"
@@ -131,7 +131,7 @@ def require_ours(path: Path) -> None:
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
     """Return a calibration and its origin, with exactly the numbers that were written.
 
-    FileTrouble if the file is missing, damaged, of another format or version, or has impossible
+    FileError if the file is missing, damaged, of another format or version, or has impossible
     numbers.
     """
     document = _parse(path)
@@ -343,7 +343,7 @@ def keep_backup(path: Path, successor: Calibration) -> None:
     Nothing is done if the file holds no usable calibration, the successor's numbers, or those of
     the newest backup. If an older backup has the same numbers, the copy replaces it: calibrations
     that alternate use one backup each. Files with these names that are not ours are neither changed
-    nor counted. After a FileTrouble the backups are unchanged.
+    nor counted. After a FileError the backups are unchanged.
     """
     held = _stored_correction(path)
     if held is None:

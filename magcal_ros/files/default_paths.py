@@ -1,4 +1,4 @@
-"""Paths of files that the user has not named; a FileTrouble without a home folder."""
+"""Paths of files that the user has not named; a FileError without a home folder."""
 
 from __future__ import annotations
 

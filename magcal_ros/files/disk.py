@@ -31,7 +31,7 @@ REMEDY = "Choose a writable place with the parameter calibration_file, or correc
 def write_atomically(
     path: Path, text: str, remedy: str = REMEDY, when_written: Callable[[], object] | None = None
 ) -> None:
-    """Replace the content of a file in one step; after a FileTrouble the file is unchanged.
+    """Replace the content of a file in one step; after a FileError the file is unchanged.
 
     If the path is a symbolic link, its target is replaced. Mode and, if allowed, owner of an old
     file are kept; a new file has the mode by the umask. A missing folder is made. `remedy` is the
@@ -145,7 +145,7 @@ class NotRegularFile(ValueError):
 
 
 def read_small(path: Path, largest: int) -> bytes:
-    """Return the content of a regular file; NotOrdinary for anything else or a larger one."""
+    """Return the content of a regular file; NotRegularFile for anything else or a larger one."""
     with open_regular(path) as handle:
         about = os.fstat(handle.fileno())
         # The size of a file that is generated when read (/proc) may be wrong: check both.
@@ -156,7 +156,7 @@ def read_small(path: Path, largest: int) -> bytes:
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading; NotOrdinary for a pipe, a device or a socket."""
+    """Open a regular file for reading; NotRegularFile for a pipe, a device or a socket."""
     # Without O_NONBLOCK, opening a pipe waits for a writer.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     mode = os.fstat(descriptor).st_mode
@@ -170,7 +170,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 @contextlib.contextmanager
 def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Iterator[None]:
-    """Raise any error of a library that reads damaged bytes as a FileTrouble."""
+    """Raise any error of a library that reads damaged bytes as a FileError."""
     try:
         yield
     except MagcalError:
@@ -185,7 +185,7 @@ def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Itera
 
 
 def with_time_limit(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:
-    """Call `work`, which uses a disk; FileTrouble if it takes longer than `patience`, seconds.
+    """Call `work`, which uses a disk; FileError if it takes longer than `patience`, seconds.
 
     A network mount without its server blocks a thread for hours, and no signal ends this. So the
     work is done in a thread that may be left behind. `path` is for the message.

@@ -53,7 +53,7 @@ class Deadline:
             self._progress(share)
 
     def check(self) -> None:
-        """Raise FileTrouble if the time is over."""
+        """Raise FileError if the time is over."""
         if time.monotonic() > self._end:
             raise FileError(
                 f"reading {printable(str(self._path))} takes longer than {LONGEST_READING:g} s: it "
@@ -111,7 +111,7 @@ class Names(NamedTuple):
 def recording_of(
     path: Path, tables: LogTables, names: Names, imu: str = "", mag: str = ""
 ) -> Recording:
-    """Choose the sensors and return their recording; FileTrouble if none gives data."""
+    """Choose the sensors and return their recording; FileError if none gives data."""
     notes = list(tables.notes)
     imus = _Kind(names.imu, tables.imus, tables.unhealthy_imus, tables.imu_order, "--imu")
     one = _chosen(path, imus, imu, notes)
@@ -239,7 +239,7 @@ def velocity(stamp: float, speed: float, course: float) -> VelocitySample:
 
 
 def library(path: Path, module: str, extra: str) -> Any:
-    """Return a module of an optional library; a FileTrouble says how to install it."""
+    """Return a module of an optional library; a FileError says how to install it."""
     name = module.partition(".")[0]
     try:
         importlib.import_module(name)
@@ -252,7 +252,7 @@ def library(path: Path, module: str, extra: str) -> Any:
 
 
 def first_bytes(path: Path, count: int) -> bytes:
-    """Return the first bytes of a log; a FileTrouble if it cannot be read or is too large."""
+    """Return the first bytes of a log; a FileError if it cannot be read or is too large."""
     try:
         with open_regular(path) as handle:
             size = handle.seek(0, io.SEEK_END)

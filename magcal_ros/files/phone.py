@@ -50,7 +50,7 @@ def is_phone_folder(path: Path) -> bool:
 def read_phone(path: Path) -> Recording:
     """Read a folder of Sensor Logger or phyphox.
 
-    FileTrouble, with the sensors to record, if one is missing or gravity was subtracted.
+    FileError, with the sensors to record, if one is missing or gravity was subtracted.
     """
     headers = _headers(path)
     logger = any(map(_is_logger, headers.values()))

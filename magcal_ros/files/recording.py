@@ -70,7 +70,7 @@ class Recording:
         return float(self.imu[0, 0]) if len(self.imu) else 0.0
 
     def headings(self, topic: str) -> list[HeadingSample]:
-        """Raise a Misuse: only bags have topics."""
+        """Raise a UsageError: only bags have topics."""
         raise UsageError(f"{printable(topic)}: only a bag has a topic with headings")
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:

@@ -23,7 +23,7 @@ class RobotDescriptionError(MagcalError):
 def joints_of(text: str) -> tuple[FrameJoint, ...]:
     """Return the joints of a URDF in their order; other elements are skipped.
 
-    DescriptionTrouble if the text is no URDF, is damaged, or declares a document type.
+    RobotDescriptionError if the text is no URDF, is damaged, or declares a document type.
     """
     if len(text) > LARGEST:
         raise RobotDescriptionError(

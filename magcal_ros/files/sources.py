@@ -47,8 +47,8 @@ def open_recording(
     `imu` and `field` are topics of a bag or sensors of a log. If empty, the only topic of the right
     type is used, or the first sensor with data. `start` and `stop` are seconds from the beginning.
     `imu_pose` (3, 3) is the pose of the sensors in the vehicle; bags do not take it. `progress` is
-    called with the share that has been read. FileTrouble if the recording cannot be read, Misuse if
-    the topics are ambiguous.
+    called with the share that has been read. FileError if the recording cannot be read, UsageError
+    if the topics are ambiguous.
     """
     if not path.exists():
         raise FileError(f"cannot read {path}: there is no such file or folder")

@@ -13,8 +13,8 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import known_sigma, predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.keeping.drive_replay import DrivePath, DriveReplay
-from magcal_ros.core.keeping.jobs import DecisionKind, difference
+from magcal_ros.core.self_calibration.drive_replay import DrivePath, DriveReplay
+from magcal_ros.core.self_calibration.jobs import DecisionKind, difference
 from magcal_ros.files.disk import FileError, write_atomically
 from magcal_ros.files.recording import REMEDY
 from magcal_ros.report.page import page_head, table

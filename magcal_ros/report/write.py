@@ -23,7 +23,7 @@ def write_report(folder: Path, subject: Subject) -> Path:
     """Write `report.html` and `samples.csv` into a folder; returns the page.
 
     Thread-safe. Without matplotlib the page has no pictures and names the package to install.
-    Raises FileTrouble if the folder already contains a report, or cannot be written to.
+    Raises FileError if the folder already contains a report, or cannot be written to.
     """
     page = folder / PAGE
     for path in (page, folder / SAMPLES):

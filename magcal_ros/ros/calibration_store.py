@@ -157,7 +157,7 @@ class CalibrationStore:
     def read(self, chosen: str, frame: str) -> Loaded:
         """Read the file of a sensor, in any thread; an unchanged file is not read again.
 
-        Raises FileTrouble if the file is missing, damaged, no calibration or of another sensor.
+        Raises FileError if the file is missing, damaged, no calibration or of another sensor.
         """
         try:
             path = self._path(frame, chosen)
@@ -297,7 +297,7 @@ def _key_of(path: Path) -> object:
 
 
 def _require_sensor(path: Path, origin: Origin, frame: str) -> None:
-    """Raise FileTrouble for a calibration of another sensor: both frames known and different."""
+    """Raise FileError for a calibration of another sensor: both frames known and different."""
     made_for, there = origin.magnetometer_frame, identifier(frame)
     if made_for and there and made_for != there:
         raise FileError(

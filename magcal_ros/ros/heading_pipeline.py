@@ -16,10 +16,10 @@ from magcal_ros.core.earth_field.reference import Fix, Fixes, Reference, made_el
 from magcal_ros.core.earth_field.wmm import year_of
 from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, Streams
 from magcal_ros.core.samples.units import InputCounts, complaints
+from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.calibration_file import Origin

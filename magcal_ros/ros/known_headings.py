@@ -10,8 +10,8 @@ from sensor_msgs.msg import Imu
 
 from magcal_ros.core.errors import Reason, in_words
 from magcal_ros.core.heading.yaw_filter import FUSION
-from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
+from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
@@ -208,7 +208,7 @@ class KnownHeadings:
         self._epoch = 0
         self._answer = ""
         self._turn: GyroTurn | None = None
-        """The turn by the gyro since the last standing; None if it is not known."""
+        """The turn by the gyro since the last measurement; None if it is not known."""
         self._pairs: list[Pair] = []
         self._pairer = Pairer(magnetometer.inputs.streams)
         self._given: ExternalHeading | None = None
@@ -271,7 +271,7 @@ class KnownHeadings:
             known = follower.gyro_bias.variance
             self._turn = turn.after(stamp, follower.newest, follower.mean_rate, known)
         else:
-            # Without the gyro, the turn since the last standing is unknown.
+            # Without the gyro, the turn since the last measurement is unknown.
             self._turn = None
 
     def facts(self) -> dict[str, Any] | None:

@@ -14,11 +14,11 @@ from sensor_msgs.msg import BatteryState
 from magcal_ros.core.calibration.correction import MotorField, MotorInput, MotorState
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.motion_detector import MotionDetector
-from magcal_ros.core.keeping.jobs import Mode
-from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.self_calibration.jobs import Mode
+from magcal_ros.core.self_calibration.motor_learning import MotorLearning
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.travel import BETTER_SIGMA_RATIO, Travel

@@ -24,7 +24,7 @@ from magcal_ros.ros.magnetometers import Ask, Magnetometers, Services
 from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.rotator import PERIOD, Rotator
-from magcal_ros.ros.self_keeping import SelfKeeping
+from magcal_ros.ros.self_calibration_runner import SelfCalibrationRunner
 from magcal_ros.ros.sensor_frames import LATCHED
 from magcal_ros.ros.threads import SENSOR_DATA, Spinner
 from magcal_ros.ros.wire import Unreadable, read_imu
@@ -52,7 +52,7 @@ class Calibrator(Node):
         self._first = first = Magnetometer(self, pipeline, FIRST, self._robot)
         self._inputs = first.inputs
         self._control, self._store = first.control, first.store
-        self._keeping = SelfKeeping(self, first)
+        self._self_calibration = SelfCalibrationRunner(self, first)
         self._known = KnownHeadings(first, pipeline)
         self._magnetometers = Magnetometers(first, pipeline.compasses)
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
@@ -83,7 +83,7 @@ class Calibrator(Node):
         magnetometers = self._magnetometers
         say = self.get_logger().info
         slow: dict[str, Ask] = {
-            "accept": lambda tell: magnetometers.accept(self._keeping.accept, tell, say),
+            "accept": lambda tell: magnetometers.accept(self._self_calibration.accept, tell, say),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),
@@ -95,7 +95,7 @@ class Calibrator(Node):
         """Discard a turn under way; an accepted calibration is on disk already."""
         self.rotator.halt()
         self._magnetometers.shut_down()
-        self._keeping.worker.end()
+        self._self_calibration.worker.end()
         self._known.worker.end()
 
     def spinner(self) -> Spinner:
@@ -143,7 +143,7 @@ class Calibrator(Node):
         if magnetometer is self._first:
             self._up.add_field(sample.stamp, sample.field)
             at_rest = self._pipeline.motors.take(magnetometer.compass, sample)
-            self._keeping.on_field(at_rest, self._travel)
+            self._self_calibration.on_field(at_rest, self._travel)
             self._known.on_field(at_rest)
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
@@ -154,7 +154,7 @@ class Calibrator(Node):
             self._frames.note_sensors(imu, field)
             if self._sensors not in (("", ""), (imu, field)):
                 # Samples of other sensors are not used.
-                self._keeping.machine.forget()
+                self._self_calibration.machine.forget()
                 self._known.forget()
             self._sensors = imu, field
 
@@ -173,7 +173,7 @@ class Calibrator(Node):
     def calibration_changed(self, magnetometer: Magnetometer) -> None:
         """Use the new calibration in force for the heading."""
         if magnetometer is self._first:
-            self._keeping.machine.put_in_force(self._store.calibration)
+            self._self_calibration.machine.put_in_force(self._store.calibration)
         self._pipeline.use({each.number: each.store for each in self._magnetometers.heard})
         self._publish_status()
 
@@ -230,7 +230,7 @@ class Calibrator(Node):
         self._pipeline.follow(self._store, self._control.turn.state)
         self._reference.refresh()
         self._known.look()
-        self._keeping.follow(settings.self_calibration, settings.report_folder)
+        self._self_calibration.follow(settings.self_calibration, settings.report_folder)
         news = self._travel.follow(self._reference.field, self._announcer)
         if news is not None:
             self._store.keep(news)
@@ -251,7 +251,7 @@ class Calibrator(Node):
                 self._pipeline.headings.reading, self._pipeline.leading, self._reference.reference
             ),
             self._pipeline.fused.diagnostic(),
-            status.watch_diagnostic(self._first.monitor, self._keeping),
+            status.monitor_diagnostic(self._first.monitor, self._self_calibration),
             *self._travel.diagnostics(),
             *self._magnetometers.diagnostics(),
             status.inputs_diagnostic(
@@ -269,7 +269,7 @@ class Calibrator(Node):
             "turns_itself": self._table.settings.rotation.enabled,
             "vehicle_yaw_offset": self._travel.yaw_facts(),
             "drive": self._travel.facts(),
-            "self_calibration": self._keeping.facts(),
+            "self_calibration": self._self_calibration.facts(),
             "motors": self._pipeline.motors.facts(self._first.compass),
             "known_headings": self._known.facts(),
         }

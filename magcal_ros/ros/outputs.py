@@ -180,7 +180,7 @@ class HeadingOutput:
                 out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
     def _with_uncertainty(self, reading: CompassReading) -> CompassReading:
-        """Return the moment with a larger yaw variance if its field is disturbed."""
+        """Return the reading with a larger yaw variance if its field is disturbed."""
         heading, up = reading.heading, reading.up
         if heading is None or up is None or self._deviation is None:
             return reading

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple, NoReturn, TypeAlias
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS
 from magcal_ros.core.earth_field.wmm import VALIDITY
 from magcal_ros.core.heading.disturbance import PATIENCE
-from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
 )
 from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.files.disk import printable
 
 Value: TypeAlias = "bool | int | float | str | tuple[float, ...]"

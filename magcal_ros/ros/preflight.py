@@ -188,7 +188,7 @@ USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
 def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
     """Return `wanted`, or the usual topic of a sensor, or the only topic of this type.
 
-    Raises Misuse if several are possible, MagcalError if there is none.
+    Raises UsageError if several are possible, MagcalError if there is none.
     """
     if wanted:
         return node.resolve_topic_name(wanted)

@@ -24,7 +24,7 @@ from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
-from magcal_ros.ros.self_keeping import SelfKeeping
+from magcal_ros.ros.self_calibration_runner import SelfCalibrationRunner
 from magcal_ros.ros.wire import diagnostic, yaw_values
 
 
@@ -180,15 +180,17 @@ def field_diagnostic(
     return diagnostic("Field", words, values, level)
 
 
-def watch_diagnostic(monitor: CalibrationMonitor | None, keeping: SelfKeeping) -> DiagnosticStatus:
+def monitor_diagnostic(
+    monitor: CalibrationMonitor | None, runner: SelfCalibrationRunner
+) -> DiagnosticStatus:
     """Return the diagnostic of the calibration's monitoring and of self-calibration."""
-    values = {"self-calibration": keeping.facts()["doing"], "fits lost": str(keeping.lost)}
-    words, is_wrong = ["nothing to watch before a calibration is in force"], bool(keeping.problem)
+    values = {"self-calibration": runner.facts()["doing"], "fits lost": str(runner.lost)}
+    words, is_wrong = ["nothing to watch before a calibration is in force"], bool(runner.problem)
     if monitor is not None:
         result = monitor.result
         words, is_wrong = [result.summary], is_wrong or result.is_stale
         values |= {f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in result.findings}
-    words += [keeping.problem] if keeping.problem else []
+    words += [runner.problem] if runner.problem else []
     level = DiagnosticStatus.WARN if is_wrong else DiagnosticStatus.OK
     return diagnostic("Watch", "; ".join(words), values, level)
 

@@ -109,9 +109,9 @@ def test_how_the_robot_turned_is_heard(tmp_path, capsys):
 
 
 def test_known_gains_are_written_beside_the_mounting(tmp_path):
-    page = SensorReport((), (180, 0, 0))
+    report = SensorReport((), (180, 0, 0))
     file = tmp_path / "params.yaml"
-    assert write_parameters(file, page, np.array([1.0, 1.05, 0.98])) == str(file)
+    assert write_parameters(file, report, np.array([1.0, 1.05, 0.98])) == str(file)
     content = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
     assert content == {"mount_rpy_deg": [180.0, 0.0, 0.0], "soft_iron_gains": [1.0, 1.05, 0.98]}
     assert write_parameters(tmp_path / "other.yaml", SensorReport(()), None) is None

@@ -17,7 +17,7 @@ from magcal_ros.core import (
     calibrate,
 )
 from magcal_ros.core.calibrate import find_method
-from magcal_ros.core.samples import explained
+from magcal_ros.core.samples import with_explanation
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot()
@@ -133,9 +133,9 @@ def test_a_refusal_that_axes_may_have_caused_names_them(z, told):
     force = np.full((5, 3), [0.0, 0.0, z])
     one = Window(np.arange(5.0), np.full((5, 3), 30e-6), force)
     steep = Refusal(Reason.FIELD_TOO_STEEP, "at an inclination of 86 degrees")
-    assert ("z points down" in str(explained(steep, one))) == told
+    assert ("z points down" in str(with_explanation(steep, one))) == told
     small = Refusal(Reason.TOO_FEW_SAMPLES, "too few")
-    assert explained(small, one) is small
+    assert with_explanation(small, one) is small
 
 
 def test_the_first_method_is_the_default():

@@ -12,8 +12,8 @@ from realistic_robots import collected, heading_error
 from magcal_ros.core import Compass, Correction, calibrate, calibrate_turns
 from magcal_ros.core.calibration import MotorInput, calibration_sigma
 from magcal_ros.core.heading import MotionDetector
-from magcal_ros.core.keeping import MotorLearning
 from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.self_calibration import MotorLearning
 from magcal_ros.core.session import SampleCollector
 
 SIZE = 10e-6

@@ -13,7 +13,7 @@ from simulated.turns import Motion, measure, turn
 from magcal_ros.core import Knowledge, Reason, Refusal, calibrate
 from magcal_ros.core.assessment import LEVEL_ONLY, WHICH_WAY_UP
 from magcal_ros.core.geometry import unit
-from magcal_ros.core.samples import explained, was_turned_over, without_lever_arm
+from magcal_ros.core.samples import was_turned_over, with_explanation, without_lever_arm
 from magcal_ros.core.simulation import Robot, heading_errors
 
 ROBOT = Robot()
@@ -106,7 +106,7 @@ def test_a_slow_turn_and_a_window_without_gyro_keep_their_force():
 
 
 def test_a_refusal_names_the_method_for_it():
-    words = str(explained(Refusal(Reason.AXES_DISAGREE, "the axes disagree"), window_of(1)))
+    words = str(with_explanation(Refusal(Reason.AXES_DISAGREE, "the axes disagree"), window_of(1)))
     assert "ellipsoid" in words
     assert "z points" not in words
 

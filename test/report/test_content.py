@@ -34,7 +34,7 @@ DRIVE_FIGURES = (
 PAGES = {}
 
 
-def page_of(folder, subject):
+def report_of(folder, subject):
     """The page on a subject; drawing takes long, so one that was asked for is kept."""
     if id(subject) not in PAGES:
         page = write_report(folder, subject).read_text(encoding="utf-8")
@@ -61,7 +61,7 @@ def names_of(page):
 
 def test_it_says_the_verdict_and_what_was_not_seen(tmp_path):
     subject = good()
-    words = words_of(page_of(tmp_path, subject))
+    words = words_of(report_of(tmp_path, subject))
     verdict = subject.outcome.verdict
     assert verdict.summary in words
     assert f"quality {verdict.quality.value}" in words
@@ -73,7 +73,7 @@ def test_it_says_the_verdict_and_what_was_not_seen(tmp_path):
 
 def test_numbers_have_units(tmp_path):
     subject = good()
-    words = words_of(page_of(tmp_path, subject))
+    words = words_of(report_of(tmp_path, subject))
     estimate = subject.outcome.estimate
     iron = estimate.correction.hard_iron[0] * 1e6
     assert re.search(rf"hard iron x \(±1σ\) {iron:.2f} ± \d+\.\d+ µT", words)
@@ -86,7 +86,7 @@ def test_numbers_have_units(tmp_path):
 
 
 def test_every_figure_of_the_method_is_named(tmp_path):
-    assert "(SI)" not in words_of(page_of(tmp_path, good()))
+    assert "(SI)" not in words_of(report_of(tmp_path, good()))
 
 
 def driven():
@@ -130,7 +130,7 @@ def test_an_unknown_figure_is_shown_in_si(tmp_path):
 
 
 def test_four_pictures_with_captions(tmp_path):
-    page = page_of(tmp_path, good())
+    page = report_of(tmp_path, good())
     assert names_of(page) == ["views", "around", "heading", "gyro"]
     assert page.count("<svg") == page.count("<figcaption>") == 4
     for label in ("raw field", "corrected field", "ideal circle", "sphere: the field's strength"):
@@ -140,7 +140,7 @@ def test_four_pictures_with_captions(tmp_path):
 
 
 def test_ids_are_unique(tmp_path):
-    found = re.findall(r'\bid="([^"]*)"', page_of(tmp_path, good()))
+    found = re.findall(r'\bid="([^"]*)"', report_of(tmp_path, good()))
     assert len(found) == len(set(found))
 
 
@@ -152,12 +152,12 @@ def test_without_a_gyro_it_says_so(tmp_path):
 
 @pytest.mark.nightly
 def test_without_a_gyro_there_are_three_pictures(tmp_path):
-    assert page_of(tmp_path, good(gyro=False)).count("<svg") == 3
+    assert report_of(tmp_path, good(gyro=False)).count("<svg") == 3
 
 
 @pytest.mark.parametrize("make", first_of([good, refused, troubled], 2))
 def test_it_is_small_and_refers_to_nothing_outside(tmp_path, make):
-    page = page_of(tmp_path, make())
+    page = report_of(tmp_path, make())
     assert len(page.encode()) < LARGEST_PAGE
     assert "://" not in page
     assert not re.search(r"\b(src|srcset|action|data|poster)\s*=", page)
@@ -191,7 +191,7 @@ def test_foreign_text_stays_text(tmp_path, place):
 def test_a_refusal_shows_the_raw_samples_and_the_reason(tmp_path):
     subject = refused()
     assert subject.outcome.estimate is None
-    page = page_of(tmp_path, subject)
+    page = report_of(tmp_path, subject)
     words = words_of(page)
     assert subject.outcome.verdict.summary in words
     assert "quality refused" in words
@@ -213,7 +213,7 @@ def test_hardly_any_samples_are_reported_too(tmp_path, samples):
 def test_pictures_are_drawn_even_of_zeros(tmp_path):
     nothing = np.zeros((30, 3))
     window = Window(np.arange(30), nothing, nothing, nothing)
-    page = page_of(tmp_path, subject_of(window, ROBOT.knowledge()))
+    page = report_of(tmp_path, subject_of(window, ROBOT.knowledge()))
     assert page.count("<svg") == 2
 
 
@@ -229,7 +229,7 @@ def test_a_calibration_accepted_by_a_person_says_so(tmp_path):
 def test_an_estimate_without_calibration_is_enough(tmp_path):
     subject = good()
     outcome = Outcome(subject.outcome.verdict, None, subject.outcome.estimate)
-    assert page_of(tmp_path, replace(subject, outcome=outcome)).count("<svg") == 4
+    assert report_of(tmp_path, replace(subject, outcome=outcome)).count("<svg") == 4
 
 
 def test_samples_that_were_not_believed_are_marked(tmp_path):
@@ -237,7 +237,7 @@ def test_samples_that_were_not_believed_are_marked(tmp_path):
     inliers = np.arange(500) % 10 > 0
     estimate = replace(subject.outcome.estimate, inliers=inliers)
     outcome = replace(subject.outcome, estimate=estimate)
-    page = page_of(tmp_path, replace(subject, outcome=outcome))
+    page = report_of(tmp_path, replace(subject, outcome=outcome))
     assert ">left out<" in page
     assert "450 of 500" in page
     lines = (tmp_path / "samples.csv").read_text().splitlines()[1:]
@@ -248,7 +248,7 @@ def test_samples_that_were_not_believed_are_marked(tmp_path):
 def test_a_nominal_mounting_turns_the_raw_field_into_body_axes(tmp_path):
     robot = Robot(mounting=replace(ROBOT.mounting, pose=np.diag([1.0, -1.0, -1.0])))
     window = measure(robot, turn(samples=200), np.random.default_rng(5), gyro=True)
-    assert page_of(tmp_path, subject_of(window, robot.knowledge())).count("<svg") == 4
+    assert report_of(tmp_path, subject_of(window, robot.knowledge())).count("<svg") == 4
 
 
 def test_a_picture_that_fails_does_not_take_the_report_with_it(tmp_path, monkeypatch):
@@ -292,7 +292,7 @@ def test_matplotlib_is_imported_only_when_a_picture_is_drawn():
 
 
 def test_pyplot_is_never_loaded(tmp_path):
-    page_of(tmp_path, good())
+    report_of(tmp_path, good())
     assert "matplotlib.pyplot" not in sys.modules
 
 

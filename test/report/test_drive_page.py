@@ -9,7 +9,7 @@ import pytest
 
 from magcal_ros.core import Calibration, Correction
 from magcal_ros.core.calibration import Evidence
-from magcal_ros.core.keeping import DrivePath, DriveReplay, path_along
+from magcal_ros.core.self_calibration import DrivePath, DriveReplay, path_along
 from magcal_ros.report.drive_page import render_drive
 
 ERRORS = np.radians([0.5, 3.0, 7.0, 15.0, 40.0])

@@ -128,7 +128,7 @@ def looked(graph):
         parser = argparse.ArgumentParser()
         doctor.add_doctor(parser.add_subparsers())
         heard = gathered(parser.parse_args(["doctor", *PLACE]), listener, samples, Guide(0.0))
-        return heard.page_of(SensorLog.of(samples))
+        return heard.report_of(SensorLog.of(samples))
 
     yield run
     for each in (node, other):

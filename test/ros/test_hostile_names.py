@@ -10,7 +10,7 @@ from support import PATIENCE, REFERENCE, calibrate_quickly
 from magcal_ros.cli.live_view import progress_of, turns_itself
 from magcal_ros.files import LONGEST_FRAME, read_calibration, read_samples
 from magcal_ros.report.write import OURS
-from magcal_ros.ros.preflight import Heard, _describe
+from magcal_ros.ros.preflight import SensorTopic, _describe
 from magcal_ros.ros.sensor_frames import LATCHED
 
 pytestmark = pytest.mark.faults
@@ -91,7 +91,7 @@ def test_what_the_preflight_shows_of_a_frame_is_plain():
     from rclpy.serialization import serialize_message
     from sensor_msgs.msg import Imu
 
-    heard = Heard("/imu", "sensor_msgs/msg/Imu")
+    heard = SensorTopic("/imu", "sensor_msgs/msg/Imu")
     for k in range(100):
         message = Imu()
         message.header.frame_id = f"{k}\x1b[2J\n" + "x" * 1000

@@ -1,4 +1,4 @@
-"""The findings on a page, and the faults that each sensor stream shows by itself."""
+"""The findings of a report, and the faults that each sensor stream shows by itself."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WRONG_UNIT = "field_unit"  # `Finding.key`
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the page."""
+    """One line of the report."""
 
     key: str  # identifier of the check or the fault, for programs
     name: str  # name of the check, for people

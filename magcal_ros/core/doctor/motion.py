@@ -40,7 +40,7 @@ from magcal_ros.core.samples.units import slow_words
 from magcal_ros.core.samples.window import SensorLog, segment_of_log
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
-"""The movement that determines all quantities of a page."""
+"""The movement that determines all quantities of a report."""
 
 FULL_TURN = "stand still, then turn a full circle"
 FASTER = "publish or record the IMU at a higher rate"

@@ -1,4 +1,4 @@
-"""The page of the doctor: every fault of the sensors, graded, with its remedy.
+"""The report of the doctor: every fault of the sensors, graded, with its remedy.
 
 A turn is refused with the same remedies if a fault of the sensors makes it unusable.
 """
@@ -60,15 +60,15 @@ class SensorReport:
         return "" if self.mount_rpy_deg is None else parameter_line(self.mount_rpy_deg)
 
     def with_more(self, findings: Iterable[Finding]) -> SensorReport:
-        """Return the page with more findings."""
+        """Return the report with more findings."""
         return replace(self, findings=(*self.findings, *findings))
 
     def with_course(self, gap: Belief, imu_yaw: Belief) -> SensorReport:
-        """Return the page with findings on the axes' yaw, which needs a course."""
+        """Return the report with findings on the axes' yaw, which needs a course."""
         assert self.used is not None
         lines, mount = course_findings(self.used, gap, imu_yaw)
-        page = self.with_more(lines)
-        return page if mount is None else replace(page, mount_rpy_deg=mount)
+        report = self.with_more(lines)
+        return report if mount is None else replace(report, mount_rpy_deg=mount)
 
 
 def examine(
@@ -101,9 +101,9 @@ def examine(
 @lru_cache(maxsize=1)
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> SensorReport:
     """Check the sensors by the samples of a turn, which are already paired and cleaned."""
-    page = examine(SensorLog.of_window(window), knowledge)
-    kept = [f for f in page.findings if f.key not in UNPAIRED_ONLY]
-    return replace(page, findings=tuple(kept))
+    report = examine(SensorLog.of_window(window), knowledge)
+    kept = [f for f in report.findings if f.key not in UNPAIRED_ONLY]
+    return replace(report, findings=tuple(kept))
 
 
 AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")

@@ -261,7 +261,7 @@ class FusedYaw:
         if covariance[0, 0] > self._filter.yaw_variance:
             bias = self._filter.bias + dot(self._known.rate, self._up.direction)
             off = mean - (self._shift - self._drift, -bias)
-            self._filter.doubt(covariance + np.outer(off, off))
+            self._filter.use_larger_covariance(covariance + np.outer(off, off))
 
     @property
     def has_external_yaw(self) -> bool:
@@ -286,7 +286,7 @@ class FusedYaw:
         then = self._at(stamp)
         if then is None:
             return None
-        # Corrections since then apply to the earlier moment as well.
+        # Corrections since then apply to the earlier record as well.
         return propagated(then.north, scaled(self._up.direction, self._shift - then.shift))
 
     @property
@@ -350,21 +350,21 @@ class FusedYaw:
         by_tilt = self._by_tilt(heading)
         by_noise = heading.noise_variance + FUSION.small_iron * bent
         spread = following.spread(by_tilt + by_noise, compass)
-        doubt = (innovation / DISTURBANCE.gate) ** 2 / spread
+        contradiction = (innovation / DISTURBANCE.gate) ** 2 / spread
         is_good = self.detector.trust is Trust.GOOD
-        clear = min(doubt - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
+        clear = min(contradiction - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
         self._contradicted_seconds = (
             max(0.0, self._contradicted_seconds + clear * seconds) if is_good else 0.0
         )
         is_overruled = self._contradicted_seconds > FUSION.contradicted_after
         if is_overruled:
             following.yaw_variance += innovation**2
-            self._contradicted_seconds = doubt = 0.0
+            self._contradicted_seconds = contradiction = 0.0
         excess = max(1.0, self.detector.deviation**4)
         noise = (by_tilt * FUSION.tilt_tau + by_noise * FUSION.noise_tau) / seconds
         noise += bent * (excess - 1.0) * FUSION.moving_tau / seconds
-        noise *= max(1.0, doubt)
-        momentary = (by_tilt + heading.noise_variance + bent) * max(1.0, doubt) * excess
+        noise *= max(1.0, contradiction)
+        momentary = (by_tilt + heading.noise_variance + bent) * max(1.0, contradiction) * excess
         spread = following.known_spread(noise)
         share = min(1.0, seconds / FUSION.noise_tau)
         if momentary < following.yaw_variance and share * spread > following.yaw_variance:

@@ -164,12 +164,12 @@ class MotorFieldFilter:
         `field` is in tesla, body axes, `rate` in rad/s without the gyro's bias, None without a
         gyro.
         """
-        values, doubt = self._motors.known(motor_state)
+        values, input_covariance = self._motors.known(motor_state)
         if not self._is_felt or rate is None:
-            if not motor_state.are_on and not doubt.any():
+            if not motor_state.are_on and not input_covariance.any():
                 return field, MotorCovariance(np.zeros((3, 3)), self._of_sample)
-            return self._by_inputs(field, motor_state, values, doubt)
-        unknown = self._gains.T @ doubt @ self._gains
+            return self._by_inputs(field, motor_state, values, input_covariance)
+        unknown = self._gains.T @ input_covariance @ self._gains
         level, holds = self._level(motor_state, values), self._may_hold(motor_state)
         if holds:
             # The current that holds a robot is constant, and so is its field.
@@ -201,12 +201,17 @@ class MotorFieldFilter:
         return (x, y, z), MotorCovariance(spread / MICROTESLA**2, noise / MICROTESLA**2)
 
     def _by_inputs(
-        self, field: Triple, motor_state: MotorState, values: FloatArray, doubt: FloatArray
+        self,
+        field: Triple,
+        motor_state: MotorState,
+        values: FloatArray,
+        input_covariance: FloatArray,
     ) -> tuple[Triple, MotorCovariance]:
         """Return a sample minus K u alone, for a residual that samples cannot show."""
         x, y, z = (values @ self._gains / MICROTESLA).tolist()
         spread = (
-            self._mean_of(self._level(motor_state, values)) + self._gains.T @ doubt @ self._gains
+            self._mean_of(self._level(motor_state, values))
+            + self._gains.T @ input_covariance @ self._gains
         )
         known = MotorCovariance(spread / MICROTESLA**2, self._of_sample)
         return (field[0] - x, field[1] - y, field[2] - z), known

@@ -134,7 +134,7 @@ class _CompassState:
 
 
 class SeveralCompasses:
-    """Joins the moments of several magnetometers."""
+    """Joins the readings of several magnetometers."""
 
     def __init__(self) -> None:
         self._members: dict[int, _CompassState] = {}
@@ -161,7 +161,7 @@ class SeveralCompasses:
     def add(
         self, number: int, reading: CompassReading, now: float, fused: FusedYaw | None = None
     ) -> CompassReading | None:
-        """Add a moment of a magnetometer; return that of all if it is the first that sends.
+        """Add a reading of a magnetometer; return that of all if it is the first that sends.
 
         The heading has the rate of this sensor. `reading` is a message of magnetometer `number`,
         corrected by its calibration. `now` is the stamp of the newest IMU message, seconds, as the
@@ -338,7 +338,7 @@ class SeveralCompasses:
     def _with_heading(
         self, reading: CompassReading, up: Up, kept: list[CompassYaw], shares: list[float]
     ) -> CompassReading:
-        """Return the moment with the heading of its joined field, and the variances.
+        """Return the reading with the heading of its joined field, and the variances.
 
         All calibration errors are assumed to depend on the attitude like those of the reference
         compass. The additional yaw error is constant, like that of a wrong mounting.

@@ -224,7 +224,7 @@ class YawFilter:
         self.disturbance += float(self._disturbance_shares @ found)
         return by_yaw * left - float(self._shares @ found)
 
-    def doubt(self, covariance: FloatArray) -> None:
+    def use_larger_covariance(self, covariance: FloatArray) -> None:
         """Use a larger covariance (2, 2) of the yaw and minus the bias."""
         self.yaw_variance, self.bias_variance = float(covariance[0, 0]), float(covariance[1, 1])
         self._yaw_bias = -float(covariance[0, 1])

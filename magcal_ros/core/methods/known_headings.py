@@ -25,7 +25,7 @@ from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, ROLL_PITCH, Y
 
 METHOD = "known_headings"
 DEGREES = 180.0 / math.pi
-MOST_SEARCHED = 24  # most standings among which the contradicting one is searched
+MOST_SEARCHED = 24  # most measurements among which the contradicting one is searched
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def fit(
     Returns
     -------
     Estimate
-        Includes the yaw of the installation. Its samples are the standings.
+        Includes the yaw of the installation. Its samples are the measurements.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def _by_gyro(measurements: Sequence[KnownHeadingMeasurement]) -> str:
 def _without(
     measurements: Sequence[KnownHeadingMeasurement], left_out: int
 ) -> list[KnownHeadingMeasurement]:
-    """Return all standings but one, without the gyro's turn across the gap."""
+    """Return all measurements but one, without the gyro's turn across the gap."""
     rest = [each for k, each in enumerate(measurements) if k != left_out]
     if left_out < len(rest):
         next_ = rest[left_out]
@@ -253,7 +253,7 @@ def next_heading(
 ) -> tuple[float, float]:
     """Return the most informative further heading, and the compass's sigma with it, radians.
 
-    The heading is that of the last standing's `forward`, to magnetic north.
+    The heading is that of the last measurement's `forward`, to magnetic north.
     """
     found = fit_headings(measurements, knowledge)
     last = measurements[-1].heading

@@ -71,7 +71,7 @@ class CollectedSamples:
     knowledge: Knowledge
     """With the declination, if the heading is to true north."""
     forward: FloatArray  # direction to which the heading refers, IMU axes. Shape (3,).
-    since: GyroTurn = field(default_factory=GyroTurn)  # measured since the previous standing
+    since: GyroTurn = field(default_factory=GyroTurn)  # measured since the previous measurement
     bias: Triple = (0.0, 0.0, 0.0)  # estimated bias of the gyro, rad/s; zero if unknown
 
     def measurement(self) -> KnownHeadingMeasurement:
@@ -117,7 +117,7 @@ def calibrate_at_known_heading(
     collected: CollectedSamples,
     in_force: Calibration | None = None,
 ) -> HeadingResult:
-    """Calibrate with the earlier standings and the new samples."""
+    """Calibrate with the earlier measurements and the new samples."""
     try:
         new = collected.measurement()
     except Refusal as refusal:
@@ -137,7 +137,7 @@ def add_known_heading(
     knowledge: Knowledge,
     in_force: Calibration | None = None,
 ) -> HeadingResult:
-    """Add a standing to the earlier ones, fit, and judge; bad data are a refused result.
+    """Add a measurement to the earlier ones, fit, and judge; bad data are a refused result.
 
     A calibration in force from a turn or drive is kept if its heading sigma is smaller. A heading
     that contradicts this calibration is refused.
@@ -172,7 +172,7 @@ def add_known_heading(
 def _without_repeated(
     before: tuple[KnownHeadingMeasurement, ...], new: KnownHeadingMeasurement
 ) -> tuple[KnownHeadingMeasurement, ...]:
-    """Return the earlier standings without those that the new one repeats."""
+    """Return the earlier measurements without those that the new one repeats."""
     kept: list[KnownHeadingMeasurement] = []
     lost = False
     for each in before:
@@ -181,7 +181,7 @@ def _without_repeated(
             near and np.linalg.norm(each.field - new.field) * MICROTESLA < DISTURBANCE_AT_REST.usual
         )
         if not is_same:
-            # The turn since a standing that is left out is not known.
+            # The turn since a measurement that is left out is not known.
             kept.append(replace(each, turned_sigma=math.inf) if lost else each)
         lost = bool(is_same)
     return tuple(kept)
@@ -229,7 +229,7 @@ class _DriveMean(NamedTuple):
     metres: float
 
     def after(self, before: _DriveMean | None) -> KnownHeadingMeasurement:
-        """Return the standing with distance, time and turn since the previous one, if any."""
+        """Return the measurement with distance, time and turn since the previous one, if any."""
         if before is None:
             return self.measurement
         turn = self.turn.since(before.turn)

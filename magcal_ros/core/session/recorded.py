@@ -239,7 +239,7 @@ def fit_several(
     """Join the turns of several recordings into one calibration.
 
     Returns the outcome, and the index of the recording that its window is from. A recording without
-    a turn is left out, with the reason. Raises Misuse if the method cannot join turns.
+    a turn is left out, with the reason. Raises UsageError if the method cannot join turns.
     """
     looked = [_window_or_refusal(collector, knowledge) for collector in collectors]
     windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}

@@ -34,7 +34,7 @@ class HeadingAgreement:
     """How well known headings, field and gyro agree."""
 
     cost: float
-    """Minus twice the logarithm of the evidence, up to a constant of the number of standings."""
+    """Minus twice the logarithm of the evidence, up to a constant of the number of measurements."""
     misfit: float
     """Sum of squared normalised residuals at the usual size of the local disturbance."""
     least: float  # the same at the largest plausible size
@@ -56,7 +56,7 @@ class HeadingAgreement:
 
 @dataclass(frozen=True, eq=False)
 class HeadingFit:
-    """The fit of standings at known headings."""
+    """The fit of measurements at known headings."""
 
     state: State
     covariance: FloatArray  # of the shared unknowns. Shape (SHARED, SHARED).
@@ -72,7 +72,7 @@ def fit_headings(
     knowledge: Knowledge,
     place: Size = DISTURBANCE_AT_REST,
 ) -> HeadingFit:
-    """Return the fit of the shared unknowns to one or more standings at known headings.
+    """Return the fit of the shared unknowns to one or more measurements at known headings.
 
     `place` is the size of the local disturbance. Raises
     `numpy.linalg.LinAlgError` if a matrix is not positive definite.
@@ -126,7 +126,7 @@ def agreement_of(
     knowledge: Knowledge,
     place: Size = DISTURBANCE_AT_REST,
 ) -> HeadingAgreement:
-    """Return the agreement of standings; parameters and errors as for `fit_headings`."""
+    """Return the agreement of measurements; parameters and errors as for `fit_headings`."""
     model = KnownHeadingModel.of(measurements, knowledge)
     middle = model.optimum(rms_size(place))
     size = place.usual * math.exp(place.spread * SPREADS[LARGEST_PLAUSIBLE])
@@ -146,10 +146,10 @@ def sigma_with(
     knowledge: Knowledge,
     heading: float,
 ) -> float:
-    """Return the sigma of the heading on the level after one more standing, radians.
+    """Return the sigma of the heading on the level after one more measurement, radians.
 
-    `fit` is the fit of the standings so far. The next standing has `heading`, radians to magnetic
-    north, and the sigma of the last standing.
+    `fit` is the fit of the measurements so far. The next one has `heading`, radians to magnetic
+    north, and the sigma of the last one.
     """
     last = replace(measurements[-1], heading=heading, turned_sigma=math.inf, distance=math.inf)
     more = KnownHeadingModel.of([*measurements, last], knowledge)

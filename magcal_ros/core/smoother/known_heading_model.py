@@ -1,7 +1,7 @@
-"""Standings at known headings, as nodes of the smoother.
+"""Measurements at known headings, as nodes of the smoother.
 
-Each standing is a node. It has no link to the one before, or only the gyro's turn since then. The
-unknowns and their priors are those of the smoother; unknowns of motion stay zero.
+Each measurement is a node. It has no link to the one before, or only the gyro's turn since then.
+The unknowns and their priors are those of the smoother; unknowns of motion stay zero.
 """
 
 from __future__ import annotations
@@ -86,12 +86,12 @@ class KnownHeadingMeasurement:
     """Direction in body axes that `heading` refers to; body x unless given. Shape (3,)."""
     turned: float = 0.0
     turned_sigma: float = math.inf
-    """Gyro rotation since the previous standing, radians to the left, with an infinite sigma if
+    """Gyro rotation since the previous measurement, radians to the left, with an infinite sigma if
     there is none."""
     distance: float = math.inf
-    """Distance from the previous standing, metres, for the correlation of the local disturbance;
+    """Distance from the previous measurement, metres, for the correlation of the local disturbance;
     infinite for another place."""
-    seconds: float = 0.0  # since the previous standing, for the gyro's bias and a drift
+    seconds: float = 0.0  # since the previous measurement, for the gyro's bias and a drift
     drifts: bool = False  # whether a device gives the heading, with an error that may drift
     common_sigma: float = 0.0  # of the error common to all headings, radians
     noise_field: float = 0.3e-6
@@ -122,7 +122,7 @@ class KnownHeadingOptimum:
 
 @dataclass(frozen=True, eq=False)
 class KnownHeadingModel:
-    """All standings as nodes, with their priors."""
+    """All measurements as nodes, with their priors."""
 
     course: Course
     force: FloatArray
@@ -135,7 +135,7 @@ class KnownHeadingModel:
     seconds: FloatArray
     drifts: bool
     correlation: FloatArray
-    """Correlation of the local disturbance with the previous standing. Shape (n - 1,)."""
+    """Correlation of the local disturbance with the previous measurement. Shape (n - 1,)."""
     common: FloatArray
     priors: Priors
     start: State
@@ -144,7 +144,7 @@ class KnownHeadingModel:
     def of(
         cls, measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge
     ) -> KnownHeadingModel:
-        """Return standings as nodes, with the priors from the knowledge."""
+        """Return measurements as nodes, with the priors from the knowledge."""
         field_ = np.array([each.field for each in measurements]) @ knowledge.mounting.to_body.T
         force = np.array([each.force for each in measurements])
         heading = np.array([each.heading for each in measurements])
@@ -290,7 +290,7 @@ def rms_size(size: Size) -> float:
 
 
 def _priors(knowledge: Knowledge, by_gyro: bool) -> Priors:
-    """Return the priors of standings; uncertain sigmas are replaced by their RMS."""
+    """Return the priors of measurements; uncertain sigmas are replaced by their RMS."""
     priors = priors_of(knowledge)
     scale = priors.scale.copy()
     for name, at in AT.items():

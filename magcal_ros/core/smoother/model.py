@@ -132,7 +132,7 @@ class Point:
     sizes: dict[str, float]  # of the noises (`SIZES`)
     groups: dict[str, float]  # factors of the sigmas of the shared unknowns (`Unknown`)
     places: Places
-    doubt: FloatArray = field(repr=False)
+    velocity_variance: FloatArray = field(repr=False)
     """Variance of the nodes' velocities, both axes together, (m/s)². Shape (n,)."""
     marginal: FloatArray | None = field(default=None, repr=False)
     """Gradient by the shared unknowns of the log determinant of the nodes' information matrix, to
@@ -347,7 +347,9 @@ def path_between(model: Model, point: Point) -> FloatArray:
     """Return the path of the magnetometer between nodes, m, (n - 1,), by the RMS velocity."""
     velocity, nodes, moving = point.state.local[:, VELOCITY], model.nodes, point.course.moving
     mean = 0.5 * (velocity[1:] + velocity[:-1])
-    square = np.sum(mean**2, axis=1) + 0.5 * (point.doubt[1:] + point.doubt[:-1])
+    square = np.sum(mean**2, axis=1) + 0.5 * (
+        point.velocity_variance[1:] + point.velocity_variance[:-1]
+    )
     around = model.priors.lengths.beside * np.linalg.norm(nodes.link_rate, axis=1)
     share = 0.5 * (moving[1:] + moving[:-1])
     return np.asarray(nodes.seconds * np.sqrt(square + around**2) * share + 1e-6)

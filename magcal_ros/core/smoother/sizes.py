@@ -50,8 +50,8 @@ def noise_sizes(
             sizes[name] = _next_size(
                 point.sizes[name], total, shown[name], model.priors.sizes[name]
             )
-    doubt = np.trace(spread.own[:, VELOCITY, VELOCITY], axis1=1, axis2=2)
-    return sizes, shown, doubt
+    velocity_variance = np.trace(spread.own[:, VELOCITY, VELOCITY], axis1=1, axis2=2)
+    return sizes, shown, velocity_variance
 
 
 def _by_centres(point: Point, solution: Solution) -> tuple[float, float]:

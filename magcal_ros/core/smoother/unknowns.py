@@ -24,7 +24,7 @@ local disturbance of the Earth's field (µT, world axes); coloured noise of the 
 correlated change of the velocity (m/s², level axes of the body)."""
 LOCAL = 13
 HEADING_DRIFT, HEADING_RATE = slice(3, 4), slice(4, 5)
-"""At standings, in place of the velocity: the drift of a device's heading, degrees, and its
+"""At known headings, in place of the velocity: the drift of a device's heading, degrees, and its
 constant rate, degrees per second."""
 RATE, CLIMB = slice(5, 6), 6
 """Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s,

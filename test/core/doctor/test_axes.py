@@ -135,9 +135,9 @@ def test_a_gyro_that_belongs_to_nothing_is_said():
     _, window, knowledge = of(np.eye(3), "lift")
     scrambled = np.random.default_rng(2).permutation(window.angular_rate)
     odd = Window(window.time, window.field, window.specific_force, scrambled * 5.0)
-    page = examine_window(odd, knowledge)
-    assert page.axes is None
-    assert any("check that the gyro responds to turns" in f.remedy for f in page.findings)
+    report = examine_window(odd, knowledge)
+    assert report.axes is None
+    assert any("check that the gyro responds to turns" in f.remedy for f in report.findings)
 
 
 def test_angles_are_written_within_half_a_turn():

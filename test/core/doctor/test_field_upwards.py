@@ -49,7 +49,7 @@ def test_a_turn_that_shows_the_field_upright_says_so_itself():
 
 def test_it_is_named_where_a_lift_does_not_show_which_sensor_errs():
     case = good_case(np.random.default_rng([5, 3]), "quarter")
-    page = examine(replace(case.log, field=-case.log.field), case.knowledge)
-    (line,) = (finding for finding in page.findings if finding.key == "axes")
+    report = examine(replace(case.log, field=-case.log.field), case.knowledge)
+    (line,) = (finding for finding in report.findings if finding.key == "axes")
     assert "magnetometer or accelerometer" in line.evidence
     assert line.remedy.endswith(FIELD_POINTS_UP)

@@ -60,9 +60,9 @@ def test_a_gyro_with_dead_axes_accuses_no_other_sensor(knowledge, source, alive)
     drive = simulated_drive(travel(rest, rng, rate=50.0), rng, Vehicle(robot), streets=None)
     rate = np.zeros_like(drive.rate)
     rate[:, alive] = drive.rate[:, source]
-    page = examine(SensorLog(drive.time, drive.force, rate, drive.time, drive.field), knowledge)
-    assert page.mount_rpy_deg is None
-    said = {finding.name: finding.remedy for finding in page.findings if finding.is_wrong}
+    report = examine(SensorLog(drive.time, drive.force, rate, drive.time, drive.field), knowledge)
+    assert report.mount_rpy_deg is None
+    said = {finding.name: finding.remedy for finding in report.findings if finding.is_wrong}
     assert list(said) == ["gyro: axes alive"]
     moved = f"and publishes the turn about z as {'xyz'[alive]}"
     assert (moved in said["gyro: axes alive"]) == (alive != source)

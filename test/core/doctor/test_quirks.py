@@ -26,8 +26,8 @@ def wrong_lines(case, log):
     return lines_of(examine(log, case.knowledge, case.turned_left))
 
 
-def lines_of(page):
-    return [f"{f.name} {f.evidence} {f.remedy}" for f in page.findings if f.is_wrong]
+def lines_of(report):
+    return [f"{f.name} {f.evidence} {f.remedy}" for f in report.findings if f.is_wrong]
 
 
 def scaled(per_tesla):
@@ -98,14 +98,14 @@ def published(name, seed):
 
 
 @functools.cache
-def page_of(name, seed):
+def report_of(name, seed):
     """What is said of good sensors whose driver has such a habit."""
     case = case_of(seed)
     return examine(published(name, seed), case.knowledge, case.turned_left)
 
 
 def is_named(name, seed):
-    return any(name in line for line in lines_of(page_of(name, seed)))
+    return any(name in line for line in lines_of(report_of(name, seed)))
 
 
 ALL = [*CASES, *NORMED]
@@ -128,8 +128,8 @@ def test_the_driver_is_named(name):
     ],
 )
 def test_the_sample_for_the_chip_gives_the_mounting_that_doctor_names(name, line):
-    page = page_of(name, 0)
-    assert np.allclose(*(_rotation(text) for text in (page.parameters, line)), atol=1e-9)
+    report = report_of(name, 0)
+    assert np.allclose(*(_rotation(text) for text in (report.parameters, line)), atol=1e-9)
     sample = Path(__file__).parents[3] / "config" / "sensors" / "icm20948.yaml"
     assert line.partition(": ")[2].replace(".0", "") in sample.read_text().replace(".0", "")
 
@@ -148,13 +148,13 @@ def test_the_driver_is_named_in_99_of_100(name):
 @pytest.mark.parametrize(("name", "seed"), [("Xsens", 0), ("Inertial Sense", 0)])
 def test_a_field_in_a_unit_of_its_own_is_told_without_microtesla(name, seed):
     """Its strength without hard iron tells the unit; nothing is compared with a field in tesla."""
-    page = page_of(name, seed)
-    of_field = [f.evidence + f.remedy for f in page.findings if f.name.startswith("field")]
+    report = report_of(name, seed)
+    of_field = [f.evidence + f.remedy for f in report.findings if f.name.startswith("field")]
     assert not any("µT" in words for words in of_field)
-    unit = next(f for f in page.findings if f.key == "field_unit")
+    unit = next(f for f in report.findings if f.key == "field_unit")
     assert "without hard iron" in unit.evidence
     assert "gauss" not in unit.remedy
-    wrong = {f.key for f in page.findings if f.is_wrong}
+    wrong = {f.key for f in report.findings if f.is_wrong}
     assert not wrong & {"reference", "motors", "resolution"}
 
 

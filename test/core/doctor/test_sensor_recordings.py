@@ -25,7 +25,7 @@ BIASED = "car_neu2024_yash"
 BURSTS = "car_neu2023_aswin_asrec"
 
 
-def page_of(folder):
+def report_of(folder):
     with open_recording(folder) as source:
         return examine(SensorLog.of(r for r in source.readings() if r is not None))
 
@@ -41,12 +41,12 @@ def test_the_axes_of_recordings_are_not_called_wrong(recording, name):
 
 @pytest.mark.parametrize("name", first_of([name for name in GOOD if name != BIASED]))
 def test_nothing_is_wrong_with_good_sensors(recording, name):
-    assert [f for f in page_of(recording(name)).findings if f.is_wrong] == []
+    assert [f for f in report_of(recording(name)).findings if f.is_wrong] == []
 
 
 @pytest.mark.nightly
 def test_stamps_in_bursts_are_named(recording):
-    wrong = [f for f in page_of(recording(BURSTS)).findings if f.is_wrong]
+    wrong = [f for f in report_of(recording(BURSTS)).findings if f.is_wrong]
     assert [f.name for f in wrong] == ["IMU: stamps", "field: stamps"]
     assert all("bursts" in f.remedy for f in wrong)
 
@@ -64,7 +64,7 @@ def test_a_turn_that_they_spoil_is_refused_for_them(recording):
 
 @pytest.mark.nightly
 def test_the_bias_of_a_gyro_is_read_at_rest(recording):
-    (bias,) = [f for f in page_of(recording(BIASED)).findings if f.is_wrong]
+    (bias,) = [f for f in report_of(recording(BIASED)).findings if f.is_wrong]
     assert bias.key == "gyro_bias"
     assert bias.evidence.startswith("(3.5")
 
@@ -86,8 +86,8 @@ def test_a_street_that_bends_the_field_shows_no_unit_of_the_gyro(recording):
     """The car drives straight on; the field changes by 21 µT from place to place."""
     folder = recording("car_drive_neu2022_rahul")
     with open_recording(folder, start=195.2, stop=215.2) as source:
-        page = examine(SensorLog.of(r for r in source.readings() if r is not None))
-    assert [f for f in page.findings if f.is_wrong] == []
+        report = examine(SensorLog.of(r for r in source.readings() if r is not None))
+    assert [f for f in report.findings if f.is_wrong] == []
 
 
 @pytest.mark.nightly
@@ -95,5 +95,5 @@ def test_a_street_that_bends_the_field_shows_no_unit_of_the_gyro(recording):
 def test_a_large_bias_that_a_rest_shows_is_all_that_is_wrong(recording, start):
     """Fits that begin without it end far from the truth, and other axes seem to fit better."""
     with open_recording(recording(BIASED), start=start, stop=start + 60.0) as source:
-        page = examine(SensorLog.of(r for r in source.readings() if r is not None))
-    assert [f.key for f in page.findings if f.is_wrong] == ["gyro_bias"]
+        report = examine(SensorLog.of(r for r in source.readings() if r is not None))
+    assert [f.key for f in report.findings if f.is_wrong] == ["gyro_bias"]

@@ -11,8 +11,8 @@ from streets import BOSTON, driven, heading_error, log_from
 
 from magcal_ros.core import Calibration
 from magcal_ros.core.calibration import Evidence
-from magcal_ros.core.keeping import SELF_CALIBRATION
 from magcal_ros.core.samples import DriveRecorder, FieldSample, ImuSample, Pair
+from magcal_ros.core.self_calibration import SELF_CALIBRATION
 from magcal_ros.core.smoother import drive_nodes, find_change
 
 NOBODY = np.eye(3)

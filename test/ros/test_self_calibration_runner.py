@@ -15,10 +15,10 @@ from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 from test_travel import Car
 
 from magcal_ros.core import calibrate
-from magcal_ros.core.keeping import Decision, DecisionKind, DriveResult
+from magcal_ros.core.self_calibration import Decision, DecisionKind, DriveResult
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import backup_files, read_calibration
-from magcal_ros.ros.status import watch_diagnostic
+from magcal_ros.ros.status import monitor_diagnostic
 from magcal_ros.ros.worker_process import WorkerStopped
 
 
@@ -53,7 +53,7 @@ class TestInTheNode:
         assert stage.status["self_calibration"]["mode"] == "propose"
         iron = calibration.correction.hard_iron + 1e-6
         proposed = replace(calibration, correction=replace(calibration.correction, hard_iron=iron))
-        machine = house._keeping.machine
+        machine = house._self_calibration.machine
         machine.proposal = proposed
         machine.decisions.append(Decision(90.0, DecisionKind.PROPOSED, "it was better", proposed))
         stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"])
@@ -91,26 +91,26 @@ class TestInTheNode:
         assert kept == [before, None, None]
 
     def test_what_a_worker_cannot_do_is_said_and_asked_again(self, house, monkeypatch):
-        keeping, said = house._keeping, []
-        keeping._say = said.append
-        keeping.machine.job(house._first.drive_knowledge())
-        keeping._lost(OSError("no memory"))
+        runner, said = house._self_calibration, []
+        runner._say = said.append
+        runner.machine.job(house._first.drive_knowledge())
+        runner._lost(OSError("no memory"))
         assert "no memory" in said[0]
-        assert keeping.facts()["fits_lost"] == 1
-        status = watch_diagnostic(None, keeping)
+        assert runner.facts()["fits_lost"] == 1
+        status = monitor_diagnostic(None, runner)
         assert status.level == DiagnosticStatus.WARN
         assert "no memory" in status.message
-        keeping.machine.job(house._first.drive_knowledge())
-        keeping._note(DriveResult(0.0, (), None, None, {}))
-        assert watch_diagnostic(None, keeping).level == DiagnosticStatus.OK
-        assert keeping.facts()["fits_lost"] == 1
+        runner.machine.job(house._first.drive_knowledge())
+        runner._note(DriveResult(0.0, (), None, None, {}))
+        assert monitor_diagnostic(None, runner).level == DiagnosticStatus.OK
+        assert runner.facts()["fits_lost"] == 1
 
     def test_what_the_node_ends_itself_is_not_said(self, house):
-        keeping, said = house._keeping, []
-        keeping._say = said.append
-        keeping._lost(WorkerStopped())
+        runner, said = house._self_calibration, []
+        runner._say = said.append
+        runner._lost(WorkerStopped())
         assert not said
-        assert keeping.facts()["fits_lost"] == 0
+        assert runner.facts()["fits_lost"] == 0
 
 
 @pytest.mark.nightly

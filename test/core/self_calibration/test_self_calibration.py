@@ -12,7 +12,9 @@ from simulated.travel import travel
 from magcal_ros.core import Calibration
 from magcal_ros.core.calibration import Evidence, predicted_heading_sigma
 from magcal_ros.core.geometry import rotation_from_rpy, yaw_from_up_and_field
-from magcal_ros.core.keeping import (
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples import FieldSample, ImuSample, Pair
+from magcal_ros.core.self_calibration import (
     TRIAL,
     CandidateKind,
     DecisionKind,
@@ -24,8 +26,6 @@ from magcal_ros.core.keeping import (
     difference,
     examine_drive,
 )
-from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.samples import FieldSample, ImuSample, Pair
 from magcal_ros.core.simulation import Robot
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)

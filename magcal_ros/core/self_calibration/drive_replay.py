@@ -15,9 +15,6 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
-from magcal_ros.core.keeping.jobs import SELF_CALIBRATION, Decision, DecisionKind, Mode
-from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.worker import examine_drive
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.recheck import up_of
 from magcal_ros.core.samples.streams import (
@@ -30,6 +27,9 @@ from magcal_ros.core.samples.streams import (
     TravelSample,
 )
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.self_calibration.jobs import SELF_CALIBRATION, Decision, DecisionKind, Mode
+from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
+from magcal_ros.core.self_calibration.worker import examine_drive
 
 
 @dataclass(frozen=True, eq=False)

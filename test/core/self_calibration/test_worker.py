@@ -14,15 +14,15 @@ from simulated.travel import travel
 from magcal_ros.core import Belief, Figure, Knowledge, Window
 from magcal_ros.core.assessment import LEVEL_ONLY, NO_REFERENCE
 from magcal_ros.core.earth_field import made_elsewhere
-from magcal_ros.core.keeping import (
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples import log_of
+from magcal_ros.core.self_calibration import (
     CalibrationStep,
     CandidateKind,
     DriveJob,
     compare_held_out,
     examine_drive,
 )
-from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.samples import log_of
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.smoother import drive_nodes
 

@@ -7,8 +7,8 @@ from simulated.legs import Leg
 from simulated.travel import travel
 
 from magcal_ros.core import Knowledge
-from magcal_ros.core.keeping import Mode, SelfCalibration, replay_drive
 from magcal_ros.core.samples import DriveRecorder
+from magcal_ros.core.self_calibration import Mode, SelfCalibration, replay_drive
 from magcal_ros.core.simulation import Robot
 
 STANDS, GOES = 30.0, 50.0

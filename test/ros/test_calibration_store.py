@@ -7,7 +7,7 @@ import pytest
 from support import PATIENCE, REFERENCE, store_calibration
 
 from magcal_ros.files import read_calibration
-from magcal_ros.ros import store as keeper_module
+from magcal_ros.ros import calibration_store
 from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.heading_pipeline import Sensor
 
@@ -51,7 +51,7 @@ def reads(monkeypatch):
         paths.append(path.name)
         return read_calibration(path)
 
-    monkeypatch.setattr(keeper_module, "read_calibration", read)
+    monkeypatch.setattr(calibration_store, "read_calibration", read)
     return paths
 
 
@@ -262,7 +262,7 @@ def test_a_slow_disk_and_alternating_names_hold_no_call_up(stage, ros_home, monk
         disk_answers.wait()
         return read_calibration(path)
 
-    monkeypatch.setattr(keeper_module, "read_calibration", crawl)
+    monkeypatch.setattr(calibration_store, "read_calibration", crawl)
     actor = stage(parameters=REFERENCE)
     header = actor.source._field.header
     names = iter(["left", "right"] * 10_000)

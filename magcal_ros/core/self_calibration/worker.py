@@ -14,7 +14,8 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import local_sigma
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.keeping.jobs import (
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.self_calibration.jobs import (
     METHOD,
     SELF_CALIBRATION,
     CalibrationStep,
@@ -24,7 +25,6 @@ from magcal_ros.core.keeping.jobs import (
     DriveResult,
     HeldOutComparison,
 )
-from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother import drives
 from magcal_ros.core.smoother.iron_added import find_change
 from magcal_ros.core.smoother.nodes import Nodes

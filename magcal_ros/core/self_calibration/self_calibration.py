@@ -12,7 +12,10 @@ from dataclasses import replace
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma, known_sigma
-from magcal_ros.core.keeping.jobs import (
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.drive_log import DriveRecorder
+from magcal_ros.core.samples.streams import Pair
+from magcal_ros.core.self_calibration.jobs import (
     METHOD,
     SELF_CALIBRATION,
     CalibrationStep,
@@ -30,9 +33,6 @@ from magcal_ros.core.keeping.jobs import (
     is_finer,
     is_same,
 )
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.drive_log import DriveRecorder
-from magcal_ros.core.samples.streams import Pair
 
 TRIAL = "trial"
 

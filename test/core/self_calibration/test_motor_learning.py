@@ -10,7 +10,7 @@ from magcal_ros.core import Calibration, Correction
 from magcal_ros.core.calibration import INPUTS, Evidence, MotorInput, MotorState
 from magcal_ros.core.geometry import exp_rotation, field_in_enu
 from magcal_ros.core.heading import MotionDetector
-from magcal_ros.core.keeping import MotorLearning
+from magcal_ros.core.self_calibration import MotorLearning
 
 STEP = 0.05
 MATRIX = np.array([[1.02, 0.02, 0.0], [-0.02, 0.98, 0.03], [0.0, -0.03, 1.0]])

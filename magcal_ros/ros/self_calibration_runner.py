@@ -14,10 +14,10 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.keeping.jobs import DecisionKind, DriveJob, DriveResult, Mode
-from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.samples.streams import FieldSample, Pairer
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.self_calibration.jobs import DecisionKind, DriveJob, DriveResult, Mode
+from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
 from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
@@ -26,13 +26,13 @@ from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
-    from magcal_ros.core.keeping.drive_replay import DriveReplay
+    from magcal_ros.core.self_calibration.drive_replay import DriveReplay
 
 NICENESS = 10  # of the worker process, so that other processes have priority
 IDLE_HEARTBEATS = 300  # heartbeats without a job after which the worker process is ended
 
 
-class SelfKeeping:
+class SelfCalibrationRunner:
     """Runs self-calibration for one magnetometer."""
 
     def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
@@ -130,7 +130,7 @@ class SelfKeeping:
         """Start to write a page on the drive, its samples and the decisions."""
         if self._reports == NO_REPORTS:
             return
-        from magcal_ros.core.keeping.drive_replay import DriveReplay
+        from magcal_ros.core.self_calibration.drive_replay import DriveReplay
 
         machine, moved = self.machine, self.machine.recorder.seconds
         decisions = tuple((made.clock, made) for made in machine.decisions)
@@ -146,7 +146,7 @@ class SelfKeeping:
 
 def run_with_low_priority(job: DriveJob) -> DriveResult:
     """Do a job in the worker process at low priority; its modules are imported only there."""
-    from magcal_ros.core.keeping.worker import examine_drive
+    from magcal_ros.core.self_calibration.worker import examine_drive
 
     os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     return examine_drive(job)
@@ -154,7 +154,7 @@ def run_with_low_priority(job: DriveJob) -> DriveResult:
 
 def write_page(parent: Path, replay: DriveReplay, log: Window) -> Path:
     """Write the page on a decision, with a map of the recorded drive; returns its path."""
-    from magcal_ros.core.keeping.drive_replay import path_of_log
+    from magcal_ros.core.self_calibration.drive_replay import path_of_log
     from magcal_ros.report import new_folder
     from magcal_ros.report.drive_page import write_drive_page
 

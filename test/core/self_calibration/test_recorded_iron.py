@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from recorded_truth import in_force, read_drive
 
-from magcal_ros.core.keeping import DecisionKind, replay_drive
 from magcal_ros.core.samples import FieldSample
+from magcal_ros.core.self_calibration import DecisionKind, replay_drive
 
 CAME, TOLD_WITHIN = 120.0, 60.0
 LOOK = 1.0
