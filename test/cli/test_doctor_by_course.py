@@ -1,4 +1,4 @@
-"""`magcal doctor` tells the yaw of the axes where a bag has a course."""
+"""`magcal doctor` reports the yaw of the axes if a bag has a course."""
 
 import json
 import math
@@ -43,7 +43,7 @@ def samples():
     ],
     ids=["magnetometer to the left", "right", "both to the left"],
 )
-def test_a_course_tells_the_yaw(samples, imu, field, wrong, tmp_path, capsys):
+def test_a_course_gives_the_yaw(samples, imu, field, wrong, tmp_path, capsys):
     said = [recorded(turned(sample, imu, field)) for sample in samples]
     bag = write_bag(tmp_path / "bag", [each for each in said if each])
     main(["doctor", str(bag), "--json"])

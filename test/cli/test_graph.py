@@ -15,22 +15,20 @@ def environment(monkeypatch):
 
 
 @pytest.mark.parametrize("distribution", ["jazzy", "kilted", "lyrical"])
-def test_a_distribution_that_knows_the_range_is_not_given_what_it_warns_of(
-    environment, distribution
-):
+def test_a_distribution_with_the_new_variable_gets_no_deprecated_one(environment, distribution):
     environment["ROS_DISTRO"] = distribution
     use_local_traffic()
     assert environment[RANGE] == "LOCALHOST"
     assert LOCAL_ONLY not in environment
 
 
-def test_humble_is_kept_on_this_machine_in_its_own_words(environment):
+def test_humble_is_kept_local_by_its_own_variable(environment):
     environment["ROS_DISTRO"] = "humble"
     use_local_traffic()
     assert environment[LOCAL_ONLY] == "1"
 
 
-def test_what_the_user_chose_stays(environment):
+def test_the_users_choice_is_kept(environment):
     environment.update(ROS_DISTRO="humble", ROS_LOCALHOST_ONLY="0", ROS_DOMAIN_ID="7")
     environment[RANGE] = "SUBNET"
     use_local_traffic()

@@ -1,4 +1,4 @@
-"""What a person sees of a turn, on a terminal and in a log."""
+"""The live view of a turn, on a terminal and in a log."""
 
 import io
 import re
@@ -31,11 +31,11 @@ PROGRESS = {
         ({"stage": "complete"}, "fitting"),
     ],
 )
-def test_the_advice_is_for_this_moment(change, words):
+def test_the_advice_is_for_the_present_state(change, words):
     assert words in advice(PROGRESS | change)
 
 
-def test_covered_headings_lie_to_the_left_of_the_start_on_a_ring():
+def test_measured_headings_are_left_of_the_start_on_the_ring():
     rows = ring(PROGRESS["filled"])
     assert "".join(rows).count("#") >= 7
     middle = len(rows[0]) // 2

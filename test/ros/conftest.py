@@ -1,4 +1,4 @@
-"""The real node in a thread of its own, and a simulated robot that talks to it over DDS."""
+"""The real node in its own thread, and a simulated robot that sends to it over DDS."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Messages that no sensor should send, and a node that is fed without an executor."""
+"""Invalid messages, and a node that receives them without an executor."""
 
 import contextlib
 import inspect

@@ -1,4 +1,4 @@
-"""A base that obeys cmd_vel, and goes on until it is told otherwise, as the worst ones do."""
+"""A base that obeys cmd_vel and keeps its last command, the worst case."""
 
 import time
 

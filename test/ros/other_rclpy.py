@@ -1,4 +1,4 @@
-"""The installed rclpy made into another: parts of its inside renamed, or gone in mid-spin."""
+"""The installed rclpy with internal parts renamed, or removed while it spins."""
 
 import re
 import sys

@@ -1,4 +1,4 @@
-"""The robot of the ROS tests, and how its headings are measured."""
+"""The robot of the ROS tests, and the measurement of its headings."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""A sensor is met: its file is read once, elsewhere, and whatever its name does meanwhile."""
+"""The file of a new sensor is read once, in the background, whatever its frame does."""
 
 import math
 import threading
@@ -63,7 +63,7 @@ def met(ros_home, reads):
     return CalibrationStore(("/", "calibrator"), files, log, lambda *_: None), files, log
 
 
-def test_what_is_met_is_loaded_from_its_file_and_said(met):
+def test_the_file_of_a_new_sensor_is_loaded_and_reported(met):
     store, files, log = met
     store.note_sensor("left")
     assert store.calibration is None
@@ -75,7 +75,7 @@ def test_what_is_met_is_loaded_from_its_file_and_said(met):
     assert "left.yaml" in log[0]
 
 
-def test_alternating_names_read_each_file_once(met, reads):
+def test_alternating_frames_read_each_file_once(met, reads):
     store, files, _ = met
     for _ in range(20):
         for frame in ("right", "left", ""):
@@ -86,7 +86,7 @@ def test_alternating_names_read_each_file_once(met, reads):
     assert store.origin.magnetometer_frame == "left"
 
 
-def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
+def test_many_frames_with_a_slow_disk_start_one_read(met, reads):
     store, files, _ = met
     for k in range(200):
         store.note_sensor(f"name_{k}")
@@ -98,7 +98,7 @@ def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
     assert store.calibration is not None
 
 
-def test_what_was_found_under_a_name_that_has_gone_is_used_when_it_returns(met, reads):
+def test_a_file_read_for_an_earlier_frame_is_used_when_it_returns(met, reads):
     store, files, _ = met
     store.note_sensor("left")
     store.note_sensor("right")
@@ -110,7 +110,7 @@ def test_what_was_found_under_a_name_that_has_gone_is_used_when_it_returns(met, 
     assert reads == ["calibrator.left.yaml"]
 
 
-def test_what_the_user_has_reset_does_not_come_back_by_itself(met):
+def test_a_reset_calibration_is_not_loaded_again(met):
     store, files, _ = met
     store.note_sensor("left")
     files.go()
@@ -123,7 +123,7 @@ def test_what_the_user_has_reset_does_not_come_back_by_itself(met):
     assert store.calibration is None
 
 
-def test_what_is_reset_while_it_is_read_is_not_used(met):
+def test_a_file_read_during_a_reset_is_not_used(met):
     store, files, _ = met
     store.note_sensor("left")
     store.forget()
@@ -134,7 +134,7 @@ def test_what_is_reset_while_it_is_read_is_not_used(met):
     assert store.calibration is None
 
 
-def test_a_chosen_file_that_was_reset_does_not_come_back_with_the_first_message(ros_home):
+def test_a_chosen_file_is_not_loaded_after_a_reset_and_the_first_message(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     files = Elsewhere()
     store = CalibrationStore(
@@ -150,7 +150,7 @@ def test_a_chosen_file_that_was_reset_does_not_come_back_with_the_first_message(
     assert store.calibration is None
 
 
-def test_a_turn_that_is_faster_than_the_disk_wins(met):
+def test_a_calibration_during_the_read_has_priority(met):
     store, files, _ = met
     store.note_sensor("left")
     loaded = store.read("", "left")
@@ -170,7 +170,7 @@ def test_a_file_that_has_changed_is_read_again(met, reads, ros_home):
     assert len(reads) == 2
 
 
-def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
+def test_a_damaged_file_is_reported_until_it_is_replaced(met, ros_home):
     store, files, log = met
     (ros_home / "magcal" / "calibrator.bad.yaml").write_text("format: [")
     store.note_sensor("bad")
@@ -179,7 +179,7 @@ def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
     assert "bad.yaml" in store.problem
 
 
-def test_a_chosen_file_is_in_force_though_a_sensor_is_met_while_it_is_read(ros_home):
+def test_a_chosen_file_is_used_although_a_sensor_appears_during_the_read(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     files = Elsewhere()
     store = CalibrationStore(
@@ -191,7 +191,7 @@ def test_a_chosen_file_is_in_force_though_a_sensor_is_met_while_it_is_read(ros_h
     assert store.calibration is not None
 
 
-def test_a_chosen_file_that_is_not_there_is_said_once(ros_home):
+def test_a_missing_chosen_file_is_reported_once(ros_home):
     chosen, files, log = ros_home / "chosen.yaml", Elsewhere(), Lines()
     store = CalibrationStore(("/", "calibrator"), files, log, lambda *_: None, lambda: str(chosen))
     store.begin()
@@ -202,7 +202,7 @@ def test_a_chosen_file_that_is_not_there_is_said_once(ros_home):
     assert f"{chosen} does not exist: no calibration is in force" in log[0]
 
 
-def test_a_chosen_file_of_another_sensor_goes_out_of_force_when_that_is_met(ros_home):
+def test_a_chosen_file_of_another_sensor_is_removed_when_the_sensor_appears(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     files = Elsewhere()
     store = CalibrationStore(
@@ -221,12 +221,12 @@ class TestSensor:
         now = [0.0]
         return Sensor("/mag", lambda: now[0]), now
 
-    def test_it_is_met_with_its_first_message_and_with_each_new_name(self):
+    def test_the_first_message_and_each_new_frame_are_changes(self):
         sensor, _ = self.sensor()
         met = [sensor.heard(frame) for frame in ("", "", "a", "a", "b", "a")]
         assert met == [True, False, True, False, True, True]
 
-    def test_its_age_and_silence_are_by_the_clock(self):
+    def test_age_and_silence_follow_the_clock(self):
         sensor, now = self.sensor()
         assert sensor.age() == math.inf
         sensor.heard("a")
@@ -234,7 +234,7 @@ class TestSensor:
         assert sensor.age() == 3.5
         assert sensor.complaint() == "/mag has been silent for 4 s: check its driver and cable"
 
-    def test_names_that_alternate_are_a_complaint_until_they_stop(self):
+    def test_alternating_frames_are_a_complaint_until_they_stop(self):
         sensor, _ = self.sensor()
         for k in range(9):
             sensor.heard("ab"[k % 2])
@@ -245,14 +245,14 @@ class TestSensor:
         sensor.look()
         assert sensor.complaint() == ""
 
-    def test_one_new_name_is_none(self):
+    def test_one_new_frame_is_no_complaint(self):
         sensor, _ = self.sensor()
         for frame in ("", "a", "a"):
             sensor.heard(frame)
         assert sensor.complaint() == ""
 
 
-def test_a_slow_disk_and_alternating_names_hold_no_call_up(stage, ros_home, monkeypatch):
+def test_a_slow_disk_and_alternating_frames_delay_no_call(stage, ros_home, monkeypatch):
     for frame in ("left", "right"):
         store_calibration(ros_home / "magcal" / f"calibrator.{frame}.yaml", frame=frame)
     begun, disk_answers = [], threading.Event()

@@ -1,4 +1,4 @@
-"""The robot's description as it comes over the graph."""
+"""The robot's description, received by topic."""
 
 import math
 import time
@@ -20,7 +20,7 @@ ROBOT = """<robot name="mule"><joint name="imu" type="fixed"><parent link="base_
 <child link="imu_link"/><origin rpy="0 0 1.5707963267948966"/></joint></robot>"""
 
 
-def test_a_description_latched_before_the_node_came_is_heard_and_a_damaged_one_said(graph):
+def test_a_latched_description_is_used_and_a_damaged_one_reported(graph):
     robot, node = rclpy.create_node("state_publisher"), rclpy.create_node("calibrator")
     out = robot.create_publisher(String, "robot_description", LATCHED)
     out.publish(String(data=ROBOT))
@@ -57,7 +57,7 @@ def test_a_description_latched_before_the_node_came_is_heard_and_a_damaged_one_s
 JOINT = '<joint name="{0}" type="fixed"><parent link="base"/><child link="{0}"/></joint>'
 
 
-def test_the_largest_description_that_is_read_holds_nobody_up(graph):
+def test_the_largest_description_delays_no_callback(graph):
     node, longest, news = rclpy.create_node("calibrator"), 0.0, []
     description = DescriptionListener(node, lambda: news.append(True))
     executor = SingleThreadedExecutor()
@@ -77,7 +77,7 @@ def test_the_largest_description_that_is_read_holds_nobody_up(graph):
     node.destroy_node()
 
 
-def test_what_cannot_be_read_and_what_comes_too_fast_is_said(graph):
+def test_unreadable_and_too_frequent_descriptions_are_reported(graph):
     node = rclpy.create_node("calibrator")
     description = DescriptionListener(node, lambda: None)
 
@@ -94,7 +94,7 @@ def test_what_cannot_be_read_and_what_comes_too_fast_is_said(graph):
     node.destroy_node()
 
 
-def test_names_are_cut_and_still_found(graph):
+def test_long_names_are_cut_and_still_found(graph):
     name = 1000 * "imu" + "1"
     joints = joints_of(f"<robot>{JOINT.format(name)}{JOINT.format(name[:-1] + '2')}</robot>")
     tree = FrameTree(joints)

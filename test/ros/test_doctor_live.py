@@ -1,4 +1,4 @@
-"""`magcal doctor` without a recording: it asks, the robot does, and the page says what is wrong."""
+"""`magcal doctor` without a recording: guided movements, then a report of the faults."""
 
 import argparse
 import json
@@ -151,7 +151,7 @@ def wrong_lines(page):
     return {finding.key: finding for finding in page.findings if finding.is_wrong}
 
 
-def test_a_description_that_is_right_is_called_so(looked):
+def test_a_correct_description_is_reported_as_correct(looked):
     page = looked("3.14159265 0 0")
     assert wrong_lines(page) == {}
     assert "description" in {finding.key for finding in page.findings}
@@ -179,7 +179,7 @@ def test_the_enter_key_skips_a_step(monkeypatch):
     os.close(keyboard)
 
 
-def test_the_seconds_that_are_left_are_shown_where_a_person_sits(monkeypatch, capsys):
+def test_the_remaining_seconds_are_shown_on_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     asking, guide = GuidePrompts(), Guide(0.0)
     asking.count_down(guide, 0.0)

@@ -1,4 +1,4 @@
-"""`magcal calibrate` as a person at a terminal, or a log file, sees it."""
+"""The output of `magcal calibrate` on a terminal and in a log file."""
 
 import contextlib
 import math
@@ -39,7 +39,7 @@ def run_beside():
             process.communicate()
 
 
-def test_through_a_pipe_it_looks_first_and_then_writes_lines(stage, run_beside):
+def test_in_a_pipe_the_checks_are_followed_by_lines(stage, run_beside):
     actor = stage(speed=2.0)
     process = run_beside(actor, yaw_rate=1.5)
     output, errors = process.communicate()
@@ -55,7 +55,7 @@ def test_through_a_pipe_it_looks_first_and_then_writes_lines(stage, run_beside):
 
 
 @pytest.mark.nightly
-def test_on_a_terminal_it_draws_a_ring(stage, run_beside):
+def test_on_a_terminal_a_ring_is_drawn(stage, run_beside):
     actor = stage()
     leader, follower = pty.openpty()
     os.set_blocking(leader, False)
@@ -114,7 +114,7 @@ def test_a_sensor_that_does_not_arrive_is_explained(stage):
     assert "/imu/mag: nothing arrives (1 publishers)" in found.lines
 
 
-def test_a_sensor_under_another_name_is_found_among_what_the_node_publishes(stage):
+def test_a_sensor_on_another_topic_is_found(stage):
     actor = stage()
     actor.mangle = lambda _: []
     driver = actor.node.create_publisher(Imu, "vendor/imu", 1)
@@ -124,7 +124,7 @@ def test_a_sensor_under_another_name_is_found_among_what_the_node_publishes(stag
     assert told == ["  the same type is published on /vendor/imu: remap to it with -r"]
 
 
-def test_stamps_in_bursts_are_said_before_the_turn(stage):
+def test_stamps_in_bursts_are_reported_before_the_turn(stage):
     actor = stage()
     actor.mangle = lambda sample: [sample._replace(stamp=math.ceil(sample.stamp / 0.4) * 0.4)]
     found = published_for(actor, 2.0)
@@ -132,7 +132,7 @@ def test_stamps_in_bursts_are_said_before_the_turn(stage):
 
 
 @pytest.mark.nightly
-def test_a_node_that_is_not_there_is_said(graph):
+def test_a_missing_node_is_reported(graph):
     done = subprocess.run(
         [*COMMAND, "--node", "nobody"], capture_output=True, text=True, check=False, timeout=60
     )

@@ -1,4 +1,4 @@
-"""What the watch says reaches diagnostics and status, and a new calibration clears it."""
+"""The monitor's result is in diagnostics and status until a new calibration."""
 
 import dataclasses
 
@@ -22,7 +22,7 @@ def scene(start_node, actor):
     return node, robot, lambda: heard.get("calibrator: Watch")
 
 
-def test_it_is_told_and_cleared_by_a_new_calibration(scene, ros_home):
+def test_a_stale_calibration_is_reported_until_a_new_one(scene, ros_home):
     node, robot, said = scene
 
     def wait_for(words):

@@ -1,4 +1,4 @@
-"""A calibration that keeps itself, over real middleware."""
+"""Self-calibration in the node, over real middleware."""
 
 import errno
 import os
@@ -40,7 +40,7 @@ class TestInTheNode:
         path, *_ = known
         return start_node({**REFERENCE, "calibration_file": str(path)})
 
-    def test_a_proposal_is_told_accepted_and_the_old_one_kept(self, house, actor, known, capfd):
+    def test_a_proposal_is_reported_accepted_and_the_old_one_kept(self, house, actor, known, capfd):
         path, calibration, _ = known
         before = path.read_bytes()
         stage = actor()
@@ -70,7 +70,7 @@ class TestInTheNode:
         stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"] is None)
         assert stage.status["self_calibration"]["proposal"] is None
 
-    def test_accepting_again_and_again_loses_nothing(self, house, actor, known, monkeypatch):
+    def test_accepting_repeatedly_loses_nothing(self, house, actor, known, monkeypatch):
         path, *_ = known
         before = path.read_bytes()
         robot = actor()
@@ -90,7 +90,7 @@ class TestInTheNode:
         kept = [file.read_bytes() if file.exists() else None for file in backup_files(path)]
         assert kept == [before, None, None]
 
-    def test_what_a_worker_cannot_do_is_said_and_asked_again(self, house, monkeypatch):
+    def test_a_failed_job_is_reported_and_repeated(self, house, monkeypatch):
         runner, said = house._self_calibration, []
         runner._say = said.append
         runner.machine.job(house._first.drive_knowledge())
@@ -105,7 +105,7 @@ class TestInTheNode:
         assert monitor_diagnostic(None, runner).level == DiagnosticStatus.OK
         assert runner.facts()["fits_lost"] == 1
 
-    def test_what_the_node_ends_itself_is_not_said(self, house):
+    def test_a_job_ended_by_the_node_is_not_reported(self, house):
         runner, said = house._self_calibration, []
         runner._say = said.append
         runner._lost(WorkerStopped())
@@ -114,7 +114,7 @@ class TestInTheNode:
 
 
 @pytest.mark.nightly
-def test_an_ordinary_drive_puts_a_calibration_in_force(start_node, tmp_path):
+def test_a_drive_puts_a_calibration_in_force(start_node, tmp_path):
     rng = np.random.default_rng(1)
     robot = Robot(strength=48e-6, inclination=np.radians(65.0), noise_force=0.05, noise_rate=2e-3)
     drive = simulated_drive(travel(city(rng, 400.0), rng, rate=25.0), rng, Vehicle(robot))

@@ -1,4 +1,4 @@
-"""The ROS graph of a test: the real node, and simulated robots that wait where it is slow."""
+"""The ROS graph of a test: the real node, and simulated robots that wait for it."""
 
 import contextlib
 import shutil

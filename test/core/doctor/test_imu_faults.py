@@ -1,4 +1,4 @@
-"""Each fault put on good sensors is named, and nothing else is."""
+"""Each simulated fault of good sensors is named, and nothing else."""
 
 import math
 import re
@@ -36,7 +36,7 @@ def wrong(report):
 
 
 @pytest.mark.parametrize("motion", first_of(["turn", "half minute", "lift", "quarter"]))
-def test_nothing_is_said_of_good_sensors(motion):
+def test_good_sensors_have_no_fault(motion):
     assert wrong(report_of(good_case(np.random.default_rng(11), motion))) == set()
 
 
@@ -83,7 +83,7 @@ def test_two_faults_at_once_are_both_named(pair):
 
 
 @pytest.mark.parametrize("number", first_of([17, 30, 1, 5, 24, 47]))
-def test_the_magnetometer_is_blamed_where_gyro_and_accelerometer_agree(number):
+def test_the_magnetometer_is_named_if_gyro_and_accelerometer_agree(number):
     case = good_case(np.random.default_rng([5, 3]), MOST_SEEN)
     axes = signed_permutations()[number]
     report = report_of(case, replace(case.log, field=case.log.field @ axes.T))
@@ -91,14 +91,14 @@ def test_the_magnetometer_is_blamed_where_gyro_and_accelerometer_agree(number):
 
 
 @pytest.mark.parametrize("axes", first_of([np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])]))
-def test_the_accelerometer_is_blamed_where_gyro_and_field_agree(axes):
+def test_the_accelerometer_is_named_if_gyro_and_field_agree(axes):
     case = good_case(np.random.default_rng([5, 4]), MOST_SEEN)
     keys = wrong(report_of(case, replace(case.log, force=case.log.force @ axes.T)))
     assert keys & {"force_axes", "imu_axes", "gravity_sign"}
     assert not keys & {"gyro_axes", "field_axes"}
 
 
-def test_an_imu_that_lies_upside_down_is_told_from_gravity_of_the_wrong_sign():
+def test_an_imu_upside_down_is_distinguished_from_gravity_of_the_wrong_sign():
     case = good_case(np.random.default_rng([5, 5]), MOST_SEEN)
     over = np.diag([1.0, -1.0, -1.0])
     turned = replace(
@@ -112,7 +112,7 @@ def test_an_imu_that_lies_upside_down_is_told_from_gravity_of_the_wrong_sign():
 
 
 @pytest.mark.parametrize("seeds", first_of([range(1, 2), range(3)]))
-def test_what_a_level_turn_cannot_tell_is_one_question_and_no_order(seeds):
+def test_an_ambiguity_of_a_level_turn_is_one_finding_with_a_movement(seeds):
     asked = 0
     for seed in seeds:
         case = good_case(np.random.default_rng([6, seed]), "turn")
@@ -128,7 +128,7 @@ def test_what_a_level_turn_cannot_tell_is_one_question_and_no_order(seeds):
     assert asked
 
 
-def test_two_sensors_are_never_accused_at_once():
+def test_two_sensors_are_never_reported_together():
     case = good_case(np.random.default_rng([5, 2]), MOST_SEEN)
     slip = np.array([1.0, 1.0, -1.0])
     other = case.log.field[:, [1, 0, 2]]
@@ -170,7 +170,7 @@ def test_the_latency_of_the_accelerometer_is_measured(samples):
 
 
 @pytest.mark.nightly
-def test_the_sigma_of_a_latency_is_what_it_errs_by():
+def test_the_sigma_of_a_latency_is_correct():
     errors = []
     for seed in range(60):
         case = good_case(np.random.default_rng([8, seed]), MOST_SEEN)
@@ -182,7 +182,7 @@ def test_the_sigma_of_a_latency_is_what_it_errs_by():
 
 
 @pytest.mark.parametrize("off", first_of([-3.0, 2.0, 1000.0]))
-def test_stamps_of_two_clocks_are_named_and_the_rest_is_looked_at(off):
+def test_stamps_of_two_clocks_are_named_and_the_other_checks_are_made(off):
     case = good_case(np.random.default_rng([5, 6]), MOST_SEEN)
     log = replace(case.log, field_time=case.log.field_time + off)
     assert wrong(report_of(case, log)) == {"clocks"}
@@ -193,7 +193,7 @@ def test_stamps_of_two_clocks_are_named_and_the_rest_is_looked_at(off):
 
 
 @pytest.mark.parametrize(("motion", "seed"), [("turn", 2), ("lift", 4), ("half minute", 9)])
-def test_a_frozen_sensor_does_not_stamp_by_another_clock(motion, seed):
+def test_a_frozen_sensor_is_not_taken_for_another_clock(motion, seed):
     """While it is frozen it does not show when the robot turned."""
     freeze, keys = FAULTS["frozen"]
     rng = np.random.default_rng([3401, seed])
@@ -201,7 +201,7 @@ def test_a_frozen_sensor_does_not_stamp_by_another_clock(motion, seed):
     assert wrong(report_of(case, freeze(rng, case.log))) == {*keys}
 
 
-def test_a_person_who_turned_the_other_way_makes_no_sensor_wrong():
+def test_a_turn_in_the_other_direction_is_no_fault_of_a_sensor():
     case = good_case(np.random.default_rng([4, 0]), MOST_SEEN, habit=Habit(left=-1.0))
     (line,) = [f for f in examine(case.log, case.knowledge, True).findings if f.is_wrong]
     assert line.key == "imu_axes"
@@ -209,7 +209,7 @@ def test_a_person_who_turned_the_other_way_makes_no_sensor_wrong():
 
 
 @pytest.mark.parametrize("name", first_of(HABITS))
-def test_good_sensors_of_other_robots_and_movements_are_not_blamed(name):
+def test_good_sensors_of_other_robots_and_movements_have_no_fault(name):
     rng = np.random.default_rng([4, 3])
     report = report_of(good_case(rng, MOST_SEEN, habit=HABITS[name]))
     said = {"bias of 2 °/s": {"gyro_bias"}, "half the field": {"reference"}}
@@ -243,7 +243,7 @@ def test_a_field_that_steps_with_the_motors_is_named():
         assert all("motors off" in f.evidence for f in hidden if f.key in MOTORS_HIDE)
 
 
-def test_without_a_gyro_the_rest_is_looked_at_and_the_movement_said():
+def test_without_a_gyro_the_other_checks_are_made_and_a_movement_is_named():
     case = good_case(np.random.default_rng([5, 8]), MOST_SEEN)
     blind = replace(case.log, rate=np.full_like(case.log.rate, np.nan), force=-case.log.force)
     lines = {f.key: f for f in report_of(case, blind).findings if f.is_wrong}
@@ -251,7 +251,7 @@ def test_without_a_gyro_the_rest_is_looked_at_and_the_movement_said():
     assert "drive straight" in lines["no_gyro"].remedy
 
 
-def test_little_and_still_logs_are_no_crash_and_no_blame():
+def test_short_logs_and_logs_at_rest_give_no_error_and_no_fault():
     case = good_case(np.random.default_rng([5, 9]), MOST_SEEN)
     log = case.log
     still = replace(
@@ -275,7 +275,7 @@ def test_little_and_still_logs_are_no_crash_and_no_blame():
         assert wrong(report_of(case, short)) == set()
 
 
-def test_the_mounting_that_mends_is_offered_alone():
+def test_only_the_correcting_mounting_is_offered():
     rng = np.random.default_rng([5, 10])
     case = good_case(rng, MOST_SEEN)
     ned = replace(case.log, field=case.log.field * np.array([1.0, -1.0, -1.0]))
@@ -294,7 +294,7 @@ def test_the_reference_of_another_place_is_named():
     assert f"an inclination of {math.degrees(dip.value):.0f}°" in line.remedy
 
 
-def test_what_a_piece_of_a_turn_cannot_show_is_asked_for():
+def test_a_part_of_a_turn_asks_for_the_missing_movement():
     robot = Robot()
     window = measure(robot, turn(arc=0.44), np.random.default_rng(1), gyro=True)
     report = examine_window(window, robot.knowledge())
@@ -321,7 +321,7 @@ def test_a_field_that_changes_from_place_to_place_is_no_unit_of_the_gyro():
 
 
 @pytest.mark.parametrize("seed", first_of(range(3)))
-def test_a_lever_arm_is_no_turned_accelerometer(seed):
+def test_a_lever_arm_is_not_taken_for_a_rotated_accelerometer(seed):
     """A hand swings the sensor around an elbow: what it feels is the arm's acceleration."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, 30.0, 0.01)
@@ -338,7 +338,7 @@ def test_a_lever_arm_is_no_turned_accelerometer(seed):
     assert misfit[0] < 5.0
 
 
-def test_a_robot_that_stands_shows_the_bias_of_its_gyro_and_no_quarrel_of_its_axes():
+def test_a_robot_at_rest_shows_the_gyro_bias_and_no_wrong_axes():
     """The field at rest wanders by half a microtesla; the gyro alone tells a turn of 140°."""
     rng, time = np.random.default_rng(8), np.arange(0.0, 30.0, 0.025)
     bias = np.array([3.5, 2.0, 2.0]) * DEGREE
@@ -352,7 +352,7 @@ def test_a_robot_that_stands_shows_the_bias_of_its_gyro_and_no_quarrel_of_its_ax
     assert lines["gyro_bias"].evidence.startswith(("(3.48", "(3.49", "(3.5"))
 
 
-def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():
+def test_a_gyro_scale_error_by_one_turn_asks_for_another_turn():
     """Currents that rise during one turn move the field as another scale would."""
     case = good_case(np.random.default_rng([5, 1]), MOST_SEEN)
     (line,) = [
@@ -365,7 +365,7 @@ def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():
 
 
 @pytest.mark.parametrize("case", first_of([(57.3, "57.3 times too large"), (1.0, "")]))
-def test_the_unit_of_the_gyro_is_told_by_a_slow_turn(case):
+def test_a_slow_turn_determines_the_unit_of_the_gyro(case):
     """In half a second a robot that turns by 15 degrees a second shows too little of it."""
     times, words = case
     rng = np.random.default_rng(4)
@@ -382,7 +382,7 @@ def test_the_unit_of_the_gyro_is_told_by_a_slow_turn(case):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("size", first_of([7e-6, 15e-6]))
-def test_motors_that_follow_the_rate_are_worth_a_look(size):
+def test_a_motor_field_in_proportion_to_the_rate_gives_a_warning(size):
     """A field that is early by .8 s explains the same turn: both are said."""
     rng = np.random.default_rng(4)
     time = np.arange(-6.0, 31.0, 1.0 / 30.0)
@@ -399,7 +399,7 @@ def test_motors_that_follow_the_rate_are_worth_a_look(size):
 
 
 @pytest.mark.nightly
-def test_a_turn_between_rests_says_that_its_motors_hide_the_gyros_scale():
+def test_after_a_turn_between_rests_motors_make_the_gyro_scale_unobservable():
     """It stood still and turned a full circle, and was asked for both."""
     _, window = driven(evenly, ROBOT, 6.0)
     rate = window.angular_rate[:, 2]
@@ -411,7 +411,7 @@ def test_a_turn_between_rests_says_that_its_motors_hide_the_gyros_scale():
     assert re.match(r"not shown: within \d\.\d%; turn once by hand with the motors off ", said)
 
 
-def test_an_imu_in_other_axes_is_not_said_of_the_magnetometer_as_well():
+def test_wrong_axes_of_the_imu_are_not_attributed_to_the_magnetometer():
     case = good_case(np.random.default_rng([5, 7]), "lift")
     forward_right_down = np.array([1.0, -1.0, -1.0])
     force, rate = case.log.force * forward_right_down, case.log.rate * forward_right_down
@@ -420,7 +420,7 @@ def test_an_imu_in_other_axes_is_not_said_of_the_magnetometer_as_well():
     assert report.mount_rpy_deg is None
 
 
-def test_the_movement_that_shows_which_sensor_errs_is_asked_for_once():
+def test_the_distinguishing_movement_is_asked_for_once():
     case = good_case(np.random.default_rng([6, 1]), "turn")
     report = report_of(case, replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0])))
     (line,) = [f for f in report.findings if f.key == "axes"]

@@ -1,4 +1,4 @@
-"""Each habit of a driver is named where it is put on good sensors, and nowhere else."""
+"""Each known fault of a driver is named when it is simulated, and only then."""
 
 import functools
 import re
@@ -127,7 +127,7 @@ def test_the_driver_is_named(name):
         ("ICM-20948", "mount_rpy_deg: [180.0, 0.0, 0.0]"),
     ],
 )
-def test_the_sample_for_the_chip_gives_the_mounting_that_doctor_names(name, line):
+def test_the_parameter_sample_for_the_chip_has_the_mounting_that_doctor_names(name, line):
     report = report_of(name, 0)
     assert np.allclose(*(_rotation(text) for text in (report.parameters, line)), atol=1e-9)
     sample = Path(__file__).parents[3] / "config" / "sensors" / "icm20948.yaml"
@@ -146,7 +146,7 @@ def test_the_driver_is_named_in_99_of_100(name):
 
 
 @pytest.mark.parametrize(("name", "seed"), [("Xsens", 0), ("Inertial Sense", 0)])
-def test_a_field_in_a_unit_of_its_own_is_told_without_microtesla(name, seed):
+def test_a_field_in_an_unknown_unit_is_reported_without_microtesla(name, seed):
     """Its strength without hard iron tells the unit; nothing is compared with a field in tesla."""
     report = report_of(name, seed)
     of_field = [f.evidence + f.remedy for f in report.findings if f.name.startswith("field")]
@@ -178,7 +178,7 @@ def test_no_driver_is_named_where_nothing_is_wrong(seed):
 
 
 @pytest.mark.parametrize("seed", first_of(range(1, 51)))
-def test_a_field_that_points_up_is_told_as_a_simulators(seed):
+def test_a_field_that_points_up_is_named_as_that_of_a_simulator(seed):
     """Gazebo turns the world's north, east and down into the robot's axes as if they were ENU."""
     case = case_of(seed)
     known = case.knowledge.reference

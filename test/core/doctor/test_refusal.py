@@ -1,4 +1,4 @@
-"""A turn whose gyro does not show it, or counts in another unit, is refused in those words."""
+"""A turn with a gyro that does not measure it, or in another unit, is refused with the reason."""
 
 import math
 import sys
@@ -50,7 +50,7 @@ def test_a_good_gyro_is_not_refused(window):
          "turn about z as x"),
     ],
 )  # fmt: skip
-def test_a_dead_z_axis_is_named_with_the_way_out(window, axes, words):
+def test_a_dead_z_axis_is_named_with_the_remedy(window, axes, words):
     turned = with_rate(window, *axes)
     found = wrong_axes(turned, Knowledge())
     assert found.reason is Reason.AXES_DISAGREE
@@ -68,7 +68,7 @@ def test_a_simulator_without_noise_may_turn_about_one_axis_alone():
     assert calibrate(level, robot.knowledge()).verdict.accepted
 
 
-def test_a_fit_with_a_dead_z_axis_is_refused_before_the_work(window, monkeypatch):
+def test_a_dead_z_axis_is_refused_before_the_fit(window, monkeypatch):
     # The package's attribute of that name is the function.
     module = sys.modules["magcal_ros.core.calibrate"]
     monkeypatch.setattr(module, "find_method", pytest.fail)
@@ -107,7 +107,7 @@ def test_without_the_gyro_that_has_dead_axes_the_turn_is_calibrated(window):
 
 
 @pytest.mark.parametrize("since", first_of([100, 0]))
-def test_a_gyro_that_is_stuck_is_said(window, since):
+def test_a_stuck_gyro_is_reported(window, since):
     rate = window.angular_rate.copy()
     rate[since:] = [0.1, 0.02, -0.05]
     outcome = calibrate(replace(window, angular_rate=rate), Knowledge())
@@ -119,7 +119,7 @@ def test_a_gyro_that_is_stuck_is_said(window, since):
     )
 
 
-def test_rates_in_another_unit_are_said_as_such(window):
+def test_rates_in_another_unit_are_reported(window):
     outcome = calibrate(replace(window, angular_rate=562.0 * window.angular_rate), Knowledge())
     assert outcome.reason is Reason.AXES_DISAGREE
     assert "the gyro's rates are 562 times too large" in outcome.verdict.summary

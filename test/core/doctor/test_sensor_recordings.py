@@ -1,4 +1,4 @@
-"""Nothing is wrong with the axes of the good recordings, and the bad stamps are named."""
+"""Recordings with good axes have no fault of axes; bad stamps are named."""
 
 import pytest
 from long_form import first_of
@@ -40,7 +40,7 @@ def test_the_axes_of_recordings_are_not_called_wrong(recording, name):
 
 
 @pytest.mark.parametrize("name", first_of([name for name in GOOD if name != BIASED]))
-def test_nothing_is_wrong_with_good_sensors(recording, name):
+def test_good_recorded_sensors_have_no_fault(recording, name):
     assert [f for f in report_of(recording(name)).findings if f.is_wrong] == []
 
 
@@ -52,7 +52,7 @@ def test_stamps_in_bursts_are_named(recording):
 
 
 @pytest.mark.nightly
-def test_a_turn_that_they_spoil_is_refused_for_them(recording):
+def test_a_turn_with_bad_stamps_is_refused_for_them(recording):
     """As a node would hear it, which cannot wait for a recording's end to spread them."""
     collector = SampleCollector(Mounting())
     with open_recording(recording(BURSTS), start=30.0, stop=80.0) as source:
@@ -63,7 +63,7 @@ def test_a_turn_that_they_spoil_is_refused_for_them(recording):
 
 
 @pytest.mark.nightly
-def test_the_bias_of_a_gyro_is_read_at_rest(recording):
+def test_the_gyro_bias_is_measured_at_rest(recording):
     (bias,) = [f for f in report_of(recording(BIASED)).findings if f.is_wrong]
     assert bias.key == "gyro_bias"
     assert bias.evidence.startswith("(3.5")
@@ -71,7 +71,7 @@ def test_the_bias_of_a_gyro_is_read_at_rest(recording):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seconds", first_of([29.0, 28.0, 31.0]))
-def test_a_car_that_leans_shows_no_inclination(recording, seconds):
+def test_a_leaning_car_does_not_determine_the_inclination(recording, seconds):
     """Its gyro tilts by no more than the bends lean what the accelerometer shows as up."""
     collector = SampleCollector(Mounting())
     with open_recording(recording("car_neu2023_ampomah")) as source:
@@ -82,7 +82,7 @@ def test_a_car_that_leans_shows_no_inclination(recording, seconds):
 
 
 @pytest.mark.nightly
-def test_a_street_that_bends_the_field_shows_no_unit_of_the_gyro(recording):
+def test_a_disturbed_street_does_not_determine_the_gyro_unit(recording):
     """The car drives straight on; the field changes by 21 µT from place to place."""
     folder = recording("car_drive_neu2022_rahul")
     with open_recording(folder, start=195.2, stop=215.2) as source:
@@ -92,7 +92,7 @@ def test_a_street_that_bends_the_field_shows_no_unit_of_the_gyro(recording):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("start", first_of([6.7, 8.0]))
-def test_a_large_bias_that_a_rest_shows_is_all_that_is_wrong(recording, start):
+def test_a_large_bias_at_rest_is_the_only_finding(recording, start):
     """Fits that begin without it end far from the truth, and other axes seem to fit better."""
     with open_recording(recording(BIASED), start=start, stop=start + 60.0) as source:
         report = examine(SensorLog.of(r for r in source.readings() if r is not None))

@@ -1,4 +1,4 @@
-"""Up is right in starts, stops and bends where a speed is told, and never worse by a wrong one."""
+"""With a speed, up is correct in starts, stops and bends; a wrong speed does not make it worse."""
 
 import functools
 import math
@@ -32,7 +32,7 @@ def tilts_without(seed):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("case", first_of([("fixes", 1.2), ("odometry", 0.5), ("velocity", 1.3)]))
-def test_stop_and_go_does_not_tilt_it(case):
+def test_stop_and_go_does_not_tilt_up(case):
     kind, bound = case
     drive = driven(city_legs(1), 1, VEHICLE, **KINDS[kind])
     with_it, without = tilts(drive, TravelEstimator()), tilts_without(1)
@@ -53,7 +53,7 @@ def test_stop_and_go_does_not_tilt_it(case):
         ],
     ),
 )
-def test_wrong_odometry_makes_it_no_worse(wheels):
+def test_wrong_odometry_does_not_make_up_worse(wheels):
     drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)
     with_it, without = tilts(drive, TravelEstimator()), tilts_without(2)
     rms = [math.sqrt(np.mean(np.square(each))) for each in (with_it, without)]
@@ -62,33 +62,33 @@ def test_wrong_odometry_makes_it_no_worse(wheels):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("wheels", first_of([Wheels(rate=1.0), Wheels(jumps=0.01)]))
-def test_wheels_that_speak_seldom_or_glitch_now_and_then_do_no_harm(wheels):
+def test_slow_wheels_and_single_outliers_do_no_harm(wheels):
     drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)
     with_it = np.percentile(tilts(drive, TravelEstimator()), 90)
     assert with_it < 1.3
     assert with_it < np.percentile(tilts_without(2), 90) + 0.2
 
 
-def test_an_imu_that_sits_backwards_is_found_out_before_harm_is_done():
+def test_a_reversed_imu_is_detected_before_it_does_harm():
     drive = driven(city_legs(3), 3, Vehicle(ROBOT, imu_yaw=3.0), receiver=None)
     with_it, without = tilts(drive, TravelEstimator()), tilts(drive)
     assert np.percentile(with_it, 90) < np.percentile(without, 90)
 
 
-def test_a_circle_by_fixes_alone_is_left_to_the_gyro():
+def test_in_a_circle_by_fixes_alone_nothing_is_subtracted():
     drive = driven(circles(60.0), 4, VEHICLE, **KINDS["fixes"])
     with_it, without = tilts(drive, TravelEstimator()), tilts(drive)
     assert np.percentile(with_it, 90) < np.percentile(without, 90) + 0.3
 
 
-def test_nothing_is_done_where_nobody_tells_a_speed():
+def test_without_a_speed_nothing_is_subtracted():
     estimator = TravelEstimator()
     assert estimator.add_imu(ImuSample(1.0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.1)), (0.0,) * 3) is None
     assert not estimator.is_heard
 
 
 @pytest.mark.parametrize("wild", [math.nan, math.inf, -math.inf, 1e300])
-def test_nonsense_is_left_out(wild):
+def test_impossible_speeds_are_left_out(wild):
     estimator = TravelEstimator()
     drive = driven(city_legs(5, 20.0), 5, VEHICLE)
     for count, sample in enumerate(drive.samples()):
@@ -107,7 +107,7 @@ def test_nonsense_is_left_out(wild):
     assert estimator.speedometer.track is not None
 
 
-def test_time_that_is_set_back_starts_anew():
+def test_time_that_is_set_back_restarts_the_estimate():
     estimator = TravelEstimator()
     drive = driven(city_legs(6, 40.0), 6, VEHICLE)
     for _ in range(2):

@@ -50,7 +50,7 @@ def test_a_joint_that_moves_above_both_frames_does_no_harm():
     assert tree.pose("mag", "imu") == pytest.approx(turned)
 
 
-def test_a_frame_that_is_missing_is_named_beside_those_that_are_there():
+def test_a_missing_frame_is_named_with_the_existing_ones():
     tree = FrameTree([fixed("base", "imu_link")])
     with pytest.raises(FrameTreeError, match="no frame 'imu'; it has base, imu_link"):
         tree.pose("imu", "base")
@@ -58,19 +58,19 @@ def test_a_frame_that_is_missing_is_named_beside_those_that_are_there():
         FrameTree().pose("imu", "base")
 
 
-def test_frames_that_nothing_joins_are_told():
+def test_unconnected_frames_are_reported():
     tree = FrameTree([fixed("base", "imu"), fixed("mast", "mag")])
     with pytest.raises(FrameTreeError, match="nothing joins the frames 'mag' and 'base'"):
         tree.pose("mag", "base")
 
 
-def test_a_circle_ends_the_walk():
+def test_a_cycle_of_frames_is_refused():
     tree = FrameTree([fixed("a", "b"), fixed("b", "a")])
     with pytest.raises(FrameTreeError, match="loop of joints"):
         tree.pose("a", "b")
 
 
-def test_the_newest_word_about_a_frame_counts():
+def test_the_newest_transform_of_a_frame_counts():
     turned = rotation_from_rpy(0.0, 0.0, 1.0)
     tree = FrameTree([fixed("base", "imu")]).with_joints([fixed("base", "imu", turned)])
     assert tree.pose("imu", "base") == pytest.approx(turned)

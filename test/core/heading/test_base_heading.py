@@ -31,7 +31,7 @@ def in_base_axes(calibration, pose):
 
 
 @given(angles, tilts, angles, poses)
-def test_the_view_is_what_a_compass_in_base_axes_sees(roll, pitch, yaw, pose):
+def test_the_heading_is_that_of_a_compass_in_base_axes(roll, pitch, yaw, pose):
     calibration = sample_calibration()
     to_world = rotation_from_rpy(roll, pitch, yaw)
     field, up = to_world.T @ FIELD_ENU, to_world.T[:, 2]
@@ -47,22 +47,20 @@ def test_the_view_is_what_a_compass_in_base_axes_sees(roll, pitch, yaw, pose):
     assert found[3:9] == pytest.approx(expected[3:9], rel=1e-6, abs=1e-12)
 
 
-def test_a_base_that_is_the_imu_sees_the_same():
+def test_a_base_equal_to_the_imu_has_the_same_heading():
     heading = Heading(0.1, 0.2, 0.3, 1e-4, 2e-4, 1e-5, 1e-5)
     assert BaseHeading(np.eye(3)).heading(heading) is heading
 
 
 @given(angles, tilts, angles, poses)
-def test_a_heading_whose_yaw_shares_nothing_with_its_tilt_keeps_its_variance(
-    roll, pitch, yaw, pose
-):
+def test_a_yaw_independent_of_tilt_keeps_its_variance(roll, pitch, yaw, pose):
     heading = Heading(roll, pitch, yaw, 1e-4, 2e-4, 0.0, 0.0)
     found = BaseHeading(pose).heading(heading)
     assert found.yaw_variance == pytest.approx(2e-4)
     assert (found.roll_yaw, found.pitch_yaw) == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
-def test_an_imu_that_sits_sideways_yaws_by_a_right_angle_more():
+def test_an_imu_mounted_sideways_has_a_yaw_of_a_right_angle_more():
     sideways = exp_rotation(np.array([0.0, 0.0, math.pi / 2]))
     found = BaseHeading(sideways).heading(Heading(0.05, 0.0, 1.0, 1e-4, 2e-4, 0.0, 0.0))
     assert found.yaw == pytest.approx(1.0 - math.pi / 2)

@@ -50,14 +50,14 @@ def test_a_field_that_agrees_adds_nothing(noise):
         (np.eye(3), [6e-6, 0.0, 0.0]),
     ],
 )
-def test_a_calibration_that_was_edited_keeps_no_small_sigma(matrix, iron):
+def test_an_edited_calibration_has_no_small_sigma(matrix, iron):
     error, added = drive(matrix, iron)
     error, added = error[360:], added[360:]
     assert math.sqrt(np.mean(error**2)) > math.radians(10.0)
     assert np.mean(error**2 / added) < 2.0
 
 
-def test_a_bent_place_is_forgotten_and_no_variance_is_beyond_not_knowing():
+def test_a_disturbed_place_is_forgotten_and_the_variance_is_bounded():
     doubt, up = FieldDeviation(RIGHT), (0.0, 0.0, 1.0)
     x, y, z = field_in_enu(STRENGTH, DIP)
     assert doubt.add(1.0, (x, 0.001 * y, 10.0 * z), up, 1e-5) == UNKNOWN_YAW
@@ -66,7 +66,7 @@ def test_a_bent_place_is_forgotten_and_no_variance_is_beyond_not_knowing():
     assert math.sqrt(added) < math.radians(2.0)
 
 
-def test_time_that_jumps_does_no_harm():
+def test_jumps_of_time_do_no_harm():
     doubt, up = FieldDeviation(RIGHT), (0.0, 0.0, 1.0)
     field = tuple(field_in_enu(STRENGTH, DIP).tolist())
     for stamp in (5.0, 18005.0, 6.0, 6.0, 1e300, 7.0):

@@ -16,17 +16,17 @@ def shares(rates, speed=math.nan, is_at_rest=False):
 
 
 @pytest.mark.parametrize("speed", [0.0, math.nan])
-def test_a_turn_begins_and_ends_with_a_moment_of_doubt(speed):
+def test_a_turn_begins_and_ends_with_a_short_uncertainty(speed):
     found = shares([STILL] * 3 + [TURNS] * 6 + [STILL] * 6, speed, is_at_rest=True)
     assert found == [0.0] * 3 + [0.5] * 3 + [1.0] * 3 + [0.5] * 3 + [0.0] * 3
 
 
-def test_wheels_tell_a_straight_drive():
+def test_wheels_show_a_straight_drive():
     assert shares([STILL], speed=0.5) == [1.0]
     assert shares([STILL], speed=-0.5) == [1.0]
 
 
-def test_without_wheels_a_straight_drive_and_a_rest_are_in_doubt_until_a_rest_is_seen():
+def test_without_wheels_motion_is_uncertain_until_a_rest():
     assert shares([STILL] * 4) == [0.5] * 4
     assert shares([None] * 4, speed=0.0) == [0.5] * 4
     assert shares([STILL] * 4, is_at_rest=True) == [0.0] * 4
@@ -71,7 +71,7 @@ def test_beyond_a_reference_a_current_at_rest_counts_too():
     assert not found.are_on
 
 
-def test_a_robot_about_to_stop_is_in_doubt():
+def test_the_state_of_a_robot_about_to_stop_is_uncertain():
     sense = MotionDetector()
     speeds = [0.5] * 5 + [0.04] * 5 + [0.0] * 5
     found = [sense.at(0.04 * k, STILL, False, v, math.nan).moving for k, v in enumerate(speeds)]
@@ -79,7 +79,7 @@ def test_a_robot_about_to_stop_is_in_doubt():
 
 
 @pytest.mark.parametrize("rate", [0.5, -0.5])
-def test_a_turn_keeps_its_side_until_its_end_is_sure(rate):
+def test_a_turn_keeps_its_side_until_its_end_is_certain(rate):
     sense = MotionDetector()
     rates = [rate] * 10 + [0.1 * rate] * 2 + [0.0] * 10
     plan = [sense.at(0.04 * k, (0.0, 0.0, r), False, 0.0, math.nan) for k, r in enumerate(rates)]
@@ -88,7 +88,7 @@ def test_a_turn_keeps_its_side_until_its_end_is_sure(rate):
     assert [each.side for each in plan if each.moving == 0.0] == [0.0] * 7
 
 
-def test_a_current_that_nobody_reports_is_not_zero_at_rest():
+def test_an_unreported_current_is_not_zero_at_rest():
     sense = MotionDetector()
     assert math.isnan(sense.at(0.0, STILL, True, 0.0, math.nan).current)
     assert sense.at(1.0, STILL, True, 0.0, 2.0).current == 0.0

@@ -1,4 +1,4 @@
-"""What motors add while nobody tells it yet: the field of the place cannot change so fast."""
+"""The field of motors before an input shows it: that of a place cannot change so fast."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def errors(known, told, added, turns, seed=0, now=None):
 
 
 @pytest.mark.parametrize("late", [0.2, 0.0, -0.2])
-def test_a_start_and_a_stop_may_be_seen_late_or_early(late):
+def test_start_and_stop_may_be_detected_late_or_early(late):
     stamps = np.arange(300) * PERIOD
     runs = (stamps > 4.0) & (stamps < 8.0)
     shows = (stamps > 4.0 + late) & (stamps < 8.0 + late)
@@ -52,7 +52,7 @@ def test_a_start_and_a_stop_may_be_seen_late_or_early(late):
     assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
 
 
-def test_a_current_that_ripples_and_comes_late_is_made_up_for():
+def test_ripple_and_latency_of_a_current_are_compensated():
     rng = np.random.default_rng(1)
     stamps = np.arange(500) * PERIOD
     ripple = np.convolve(rng.standard_normal(520), np.ones(10) / np.sqrt(10.0))[:500]
@@ -67,7 +67,7 @@ def test_a_current_that_ripples_and_comes_late_is_made_up_for():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_start_that_is_seen_before_its_current_is_told_is_not_taken_for_the_place(seed):
+def test_a_start_before_its_current_is_not_taken_for_the_place(seed):
     stamps = np.arange(150) * PERIOD
     flows = np.where(stamps > 4.0, 2.0, 0.0)
     told = [
@@ -84,7 +84,7 @@ def test_a_start_that_is_seen_before_its_current_is_told_is_not_taken_for_the_pl
 
 
 @pytest.mark.parametrize("holding", [0.0, 2.0, 4.0])
-def test_a_battery_that_is_silent_at_rest_leaves_the_hold_current_in_doubt(holding):
+def test_a_battery_silent_at_rest_leaves_the_hold_current_uncertain(holding):
     known = replace(motors(), reference=-0.5)
     told = [MotorState(0.0, 0.0, 0.0, np.nan, 0.0)] * 400
     added = np.tile(holding * BY_CURRENT, (400, 1))
@@ -97,7 +97,7 @@ def test_a_battery_that_is_silent_at_rest_leaves_the_hold_current_in_doubt(holdi
 
 
 @pytest.mark.parametrize("later", [2.0, 4.0])
-def test_a_battery_that_falls_silent_at_rest_leaves_the_place_known(later):
+def test_a_battery_that_stops_at_rest_keeps_the_field_of_the_place(later):
     """Also if the motors hold the robot by another current later on."""
     known = replace(motors(), reference=-0.5)
     told = [MotorState(0.0, 0.0, 0.0, 2.0 if k < 200 else np.nan, 0.0) for k in range(600)]
@@ -109,7 +109,7 @@ def test_a_battery_that_falls_silent_at_rest_leaves_the_place_known(later):
 
 
 @pytest.mark.parametrize("seed", first_of(range(6)))
-def test_a_current_that_nobody_reports_differs_from_what_the_speed_shows(seed):
+def test_an_unreported_current_differs_from_the_speed(seed):
     rng = np.random.default_rng(seed)
     inputs, gain = (MotorInput.ABS_SPEED,), 2.0 * STEP[None]
     known = MotorField(inputs, gain, 1e-14 * np.eye(3), np.zeros((12, 3)), 0.3e-6, (1.0,))
@@ -133,7 +133,7 @@ def turning(seconds):
     return stamps, runs, told
 
 
-def test_motors_that_the_inputs_show_are_soon_believed():
+def test_inputs_that_explain_the_motors_soon_reduce_the_residual():
     """They may differ from what inputs show, but by how much is learnt."""
     stamps, runs, told = turning(30.0)
     now = follower(motors())
@@ -165,7 +165,7 @@ def test_iron_along_the_axis_does_not_change_the_field_of_a_robot_that_turns():
     assert np.allclose(*sigmas, rtol=1e-9)
 
 
-def test_another_place_is_not_taken_for_motors_for_long():
+def test_another_place_is_soon_distinguished_from_motors():
     """A field that changes for good beside a robot that stands, just as motors would change it."""
     stamps = np.arange(100) * PERIOD
     now, off = follower(motors()), []
@@ -177,7 +177,7 @@ def test_another_place_is_not_taken_for_motors_for_long():
     assert max(off[int(2.7 / PERIOD) :]) < 0.1e-6
 
 
-def test_motors_that_noise_hides_leave_a_robot_at_rest_as_it_is():
+def test_motors_below_the_noise_do_not_change_a_robot_at_rest():
     inputs = (MotorInput.MOVING,)
     none = MotorField(inputs, np.zeros((1, 3)), np.zeros((3, 3)), np.zeros((12, 3)), 0.0, (1.0,))
     field = (1e-5, 2e-5, -4e-5)

@@ -39,7 +39,7 @@ def doubts(watch):
     ids=["left turns on slopes", "steel", "corridor", "plain"],
 )
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.nightly)])
-def test_an_honest_drive_raises_no_alarm(way, seed):
+def test_a_drive_without_a_change_gives_no_warning(way, seed):
     watch, said = monitored([ROBOT], [15 if seed > 1 else 8], way, seed=seed)
     assert not any(word.is_stale for _, word in said)
     assert said[-1][1].was_judged
@@ -48,7 +48,7 @@ def test_an_honest_drive_raises_no_alarm(way, seed):
 
 @pytest.mark.parametrize("gyro", first_of([False, True]))
 @pytest.mark.parametrize("shift", first_of([(2.5, 0.0), (-1.8, 1.8)]))
-def test_hard_iron_of_a_twentieth_of_the_field_is_found_and_its_size_said(shift, gyro):
+def test_hard_iron_of_a_twentieth_of_the_field_is_found_with_its_size(shift, gyro):
     watch, said = monitored([ROBOT, changed(*shift)], [6, 9], gyro=gyro, seed=3)
     assert not any(word.is_stale for stamp, word in said if stamp < 1000.0 + 6 * 60.0)
     assert watch.result.is_stale
@@ -58,7 +58,7 @@ def test_hard_iron_of_a_twentieth_of_the_field_is_found_and_its_size_said(shift,
     assert "calibrate again" in watch.result.summary
 
 
-def test_a_small_change_is_not_worth_a_word():
+def test_a_small_change_gives_no_warning():
     _, said = monitored([ROBOT, changed(1.0)], [5, 10])
     assert not any(word.is_stale for _, word in said)
 
@@ -78,7 +78,7 @@ def test_a_small_change_is_not_worth_a_word():
         3,
     ),
 )
-def test_each_change_is_called_by_its_name(case):
+def test_each_change_is_named(case):
     robot, figure, size = case
     watch, _ = monitored([ROBOT, robot], [4, 9])
     assert watch.result.is_stale
@@ -94,13 +94,13 @@ def test_a_magnet_that_hides_the_headings_is_found_by_the_gyro():
     assert "gyro_compass_harmonic" in doubts(watch)
 
 
-def test_it_comes_back_when_the_field_does():
+def test_the_warning_ends_when_the_field_returns():
     watch, said = monitored([ROBOT, changed(5.0), ROBOT], [4, 8, 12])
     assert any(word.is_stale for _, word in said)
     assert not watch.result.is_stale
 
 
-def test_parked_beside_a_car_is_no_change_and_later_cannot_be_judged():
+def test_a_rest_beside_a_car_is_no_change_and_later_there_is_no_data():
     watch = CalibrationMonitor(PROMISE)
     way = Route(parked=(300.0, 1500.0))
     said = drive(watch, PROMISE, [ROBOT, changed(8.0, 5.0), ROBOT], [5, 20, 6], way)
@@ -110,13 +110,13 @@ def test_parked_beside_a_car_is_no_change_and_later_cannot_be_judged():
     assert "held when it was last judged" in parked[0].summary
 
 
-def test_nothing_is_said_before_enough_was_seen():
+def test_nothing_is_judged_before_there_is_enough_data():
     watch, _ = monitored([changed(20.0)], [1])
     assert not watch.result.is_stale
     assert watch.result.summary.startswith("Not judged yet: ")
 
 
-def test_a_calibration_that_promised_little_is_not_blamed_for_it():
+def test_an_uncertain_calibration_is_judged_by_its_sigma():
     poor = promise(heading_sigma=math.radians(4.0))
     watch = CalibrationMonitor(poor)
     drive(watch, poor, [changed(2.5)], [10])
@@ -124,7 +124,7 @@ def test_a_calibration_that_promised_little_is_not_blamed_for_it():
     assert not watch.result.is_stale
 
 
-def test_memory_stays_bounded_and_time_that_goes_back_starts_all_over():
+def test_memory_is_bounded_and_time_set_back_restarts_the_monitor():
     watch, _ = monitored([ROBOT], [12])
     assert len(watch._records) <= MonitorTuning.most_records
     drive(watch, PROMISE, [ROBOT], [1], start=10.0)
@@ -133,7 +133,7 @@ def test_memory_stays_bounded_and_time_that_goes_back_starts_all_over():
 
 
 @pytest.mark.parametrize("hours", [5.0, -0.2])
-def test_a_jump_of_time_makes_no_warning_older(hours):
+def test_a_jump_of_time_does_not_age_a_warning(hours):
     watch, _ = monitored([changed(4.0)], [9], seed=3)
     minutes = watch.result.minutes
     assert watch.result.is_stale

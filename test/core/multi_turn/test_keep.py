@@ -73,13 +73,13 @@ def test_a_first_turn_that_is_refused_is_not_kept(windows):
     assert kept.windows == ()
 
 
-def test_without_accumulation_a_turn_stands_alone_and_nothing_is_kept(windows, first):
+def test_without_accumulation_no_turns_are_kept(windows, first):
     outcome, kept = add_turn(first[1], windows["east"], KNOWN, METHOD, accumulate=False)
     assert outcome.multi_turn is None
     assert kept.windows == ()
 
 
-def test_what_is_kept_is_bounded(windows):
+def test_the_kept_turns_are_bounded(windows):
     window = window_on(LEVEL, np.random.default_rng(2), samples=TUNING.most_samples + 1)
     shown = TurnAccuracy(0.1, (0.0,) * 6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     kept = KeptTurns()
@@ -91,5 +91,5 @@ def test_what_is_kept_is_bounded(windows):
     assert kept.names[-1] == f"turn {TUNING.most_turns + 2}"
 
 
-def test_recordings_that_come_twice_are_told_apart():
+def test_recordings_with_equal_names_get_different_names():
     assert names_of(["a", "b", "a"]) == ["a (1)", "b", "a (2)"]

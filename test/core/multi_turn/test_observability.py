@@ -23,7 +23,7 @@ def test_after_a_level_turn_a_slope_across_north_is_advised(level):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("direction", first_of(["north", "east", "west"]))
-def test_the_advised_turn_keeps_its_promise(level, direction):
+def test_the_advised_turn_gives_the_expected_accuracy(level, direction):
     slope = {"east": EAST, "north": NORTH, "west": WEST}[direction]
     promise = next(a.after for a in level.advice if a.pose.endswith(direction))
     # The compass that shows where the slope rises is off by the installation's own yaw.
@@ -38,6 +38,6 @@ def test_after_a_slope_to_the_east_one_to_the_north_or_south_is_advised():
     assert best_slope(multi_turn).pose.endswith(("north", "south"))
 
 
-def test_a_turn_on_the_level_once_more_promises_no_yaw(level):
+def test_another_level_turn_does_not_determine_the_installation_yaw(level):
     again = next(a.after for a in level.advice if "level" in a.pose)
     assert math.degrees(again.installation_yaw) == pytest.approx(5.0, abs=0.1)

@@ -25,28 +25,28 @@ def test_both_kinds_of_turn_are_named():
     assert " Or on a slope: " in MultiTurnReport(FATES, BEFORE, advice).advice_in_words
 
 
-def test_enough_is_said():
+def test_little_improvement_is_reported():
     words = MultiTurnReport(FATES, AFTER, (TurnAdvice("on a slope", AFTER),)).advice_in_words
     assert words.startswith("Another turn would bring little: ")
 
 
-def test_what_did_not_join_is_named_with_its_reason():
+def test_a_turn_that_did_not_join_is_named_with_its_reason():
     multi_turn = MultiTurnReport(FATES, BEFORE, ())
     assert multi_turn.joined == (0,)
     assert "Not joined: turn 2: it is a copy." in multi_turn.in_words
 
 
-def test_what_is_hardly_known_is_not_given_a_number():
+def test_very_uncertain_values_are_written_without_a_number():
     unknown = replace(BEFORE, inclination=50.0, axial_hard_iron=1e-3)
     assert "inclination ±many °" in unknown.in_words
     assert "many µT" in replace(AFTER, axial_hard_iron=1e-6).improvement(unknown)
 
 
-def test_the_same_tilt_brings_nothing_new():
+def test_the_same_tilt_gives_no_improvement():
     assert BEFORE.improvement(BEFORE).startswith("the same tilt as before")
 
 
-def test_facts_are_plain_json_in_peoples_units():
+def test_facts_are_json_in_the_users_units():
     facts = json.loads(
         json.dumps(MultiTurnReport(FATES, BEFORE, (TurnAdvice("a", AFTER),)).facts())
     )

@@ -1,4 +1,4 @@
-"""What is told of a recorded drive counts all of it, and not only what is remembered."""
+"""The replay of a recorded drive counts all of it, also what is no longer in memory."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from magcal_ros.core.simulation import Robot
 STANDS, GOES = 30.0, 50.0
 
 
-def test_movement_that_is_forgotten_counts_as_well():
+def test_discarded_movement_counts_as_well():
     rng = np.random.default_rng(5)
     ride = [Leg(STANDS), Leg(GOES, turn_rate=0.2), Leg(STANDS), Leg(GOES, turn_rate=-0.2)]
     drive = simulated_drive(
@@ -30,7 +30,7 @@ def test_movement_that_is_forgotten_counts_as_well():
     assert 2.0 * GOES - 5.0 < replay.moved < 2.0 * GOES + 30.0
 
 
-def test_what_came_while_the_imu_was_silent_is_no_part_of_the_drive():
+def test_samples_during_a_gap_of_the_imu_are_not_counted():
     """Its last rate was held meanwhile, and where no sample came the fit divided by zero."""
     rng = np.random.default_rng(5)
     drive = simulated_drive(

@@ -1,4 +1,4 @@
-"""What motors add is learnt from a drive, and what they do not add is not."""
+"""The field of motors is learnt from a drive, and other fields are not attributed to motors."""
 
 import math
 
@@ -66,7 +66,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", first_of(CASES, 3))
-def test_what_they_add_is_found_for_every_motion(name):
+def test_the_field_is_found_for_every_motion(name):
     motors = learnt(CASES[name])
     for now in (
         MotorState(1.0, 0.0, 0.6, 2.2),
@@ -82,20 +82,20 @@ def test_what_they_add_is_found_for_every_motion(name):
         assert (sigma < 0.6e-6).all()
 
 
-def test_what_explains_nothing_is_near_zero_with_its_sigma():
+def test_an_irrelevant_input_has_a_gain_near_zero_within_its_sigma():
     motors = learnt({})
     for k, each in enumerate(motors.inputs):
         assert motors.size(k) < 0.15e-6, each
         assert 0.0 < motors.sigma(k) * motors.usual[k] < 0.6e-6, each
 
 
-def test_only_what_was_told_is_named():
+def test_only_measured_inputs_are_named():
     motors = learnt(CASES["step"], current=False)
     assert set(motors.inputs) == set(MotorInput) - {MotorInput.CURRENT}
 
 
 @pytest.mark.parametrize("is_silent_at_rest", [False, True])
-def test_it_is_learnt_without_a_battery(is_silent_at_rest):
+def test_the_field_is_learnt_without_a_battery(is_silent_at_rest):
     learning, sense = MotorLearning(known()), MotionDetector()
     for stamp, raw, rate, now in driven(np.random.default_rng(3), CASES["speed"]):
         rests = now.moving == 0.0
@@ -121,7 +121,7 @@ def test_before_the_first_start_an_input_may_be_anything():
     assert motors.sigma(at) * motors.usual[at] > 1.5e-6
 
 
-def test_a_jump_of_time_is_survived():
+def test_a_jump_of_time_does_no_harm():
     learning = MotorLearning(known())
     for sample in driven(np.random.default_rng(1), CASES["step"], seconds=60.0):
         learning.add(*sample)
@@ -131,7 +131,7 @@ def test_a_jump_of_time_is_survived():
 
 
 @pytest.mark.parametrize("late", [0.0, 0.25])
-def test_the_delay_of_a_current_is_found_with_what_it_adds(late):
+def test_the_latency_of_a_current_is_found_with_its_gain(late):
     gain, learning = np.array([3e-6, -4e-6, 1e-6]), MotorLearning(known())
     drive = list(driven(np.random.default_rng(2), {"current": gain}))
     for k, (stamp, raw, rate, now) in enumerate(drive):

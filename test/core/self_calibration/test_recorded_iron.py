@@ -1,4 +1,4 @@
-"""Iron added on a drive through a city that was recorded is told; skipped without recordings."""
+"""Iron added to a recorded city drive is reported; skipped without the recordings."""
 
 import math
 
@@ -23,7 +23,7 @@ LOOK = 1.0
         (0.0, 0.0, 0.0),
     ],
 )
-def test_iron_on_a_city_drive_is_told_within_a_minute(recording, size, way, lasts):
+def test_iron_on_a_city_drive_is_reported_within_a_minute(recording, size, way, lasts):
     drive = read_drive(recording("car_drive_neu2022_rahul"), None)
     begun, _ = next(in_force(drive))
     iron = size * np.array([math.cos(way), math.sin(way), 0.0])

@@ -1,4 +1,4 @@
-"""A calibration that keeps itself: what is believed, proved, put in force and taken back."""
+"""Self-calibration: candidates, probation, the calibration in force, and its return."""
 
 import dataclasses
 import math
@@ -90,7 +90,7 @@ def test_headings_differ_by_the_iron_over_the_level_field():
     assert predicted_heading_sigma(calibration(sigma=0.02)) == pytest.approx(0.02, rel=0.1)
 
 
-def test_two_windows_that_agree_begin_where_nothing_was_in_force():
+def test_two_agreeing_windows_give_the_first_calibration():
     keeper = CalibrationStore()
     assert keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0))) == [
         DecisionKind.PROBATION
@@ -111,7 +111,7 @@ def test_a_second_window_confirms_the_first_in_these_words():
     assert words.endswith("° apart), and no calibration was in force")
 
 
-def test_two_windows_that_disagree_begin_nothing():
+def test_two_disagreeing_windows_give_no_calibration():
     keeper = CalibrationStore()
     keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0)))
     assert keeper.note(findings(140.0, candidate(FAR, 140.0))) == []
@@ -119,13 +119,13 @@ def test_two_windows_that_disagree_begin_nothing():
 
 
 @pytest.mark.parametrize("bad", [{"sigma": math.radians(4.0)}, {"sectors": 5}])
-def test_a_candidate_that_saw_too_little_is_not_believed(bad):
+def test_a_candidate_with_too_few_headings_is_not_used(bad):
     keeper = CalibrationStore()
     for clock in (120.0, 140.0, 160.0):
         assert keeper.note(findings(clock, candidate(FAR, clock, **bad))) == []
 
 
-def test_a_candidate_that_differs_is_proved_first():
+def test_a_different_candidate_goes_on_probation_first():
     keeper = CalibrationStore(calibration())
     assert keeper.note(findings(120.0, candidate(FAR, 120.0))) == [DecisionKind.PROBATION]
     assert keeper.note(findings(140.0, all=HeldOutComparison(20.0))) == []
@@ -133,7 +133,7 @@ def test_a_candidate_that_differs_is_proved_first():
     assert keeper.machine.before[-1].correction is not None
 
 
-def test_what_is_not_proved_within_its_time_is_dropped():
+def test_an_unproved_candidate_is_dropped_after_a_time():
     keeper = CalibrationStore(calibration())
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     assert keeper.note(findings(310.0, all=HeldOutComparison(190.0))) == [DecisionKind.DROPPED]
@@ -154,7 +154,7 @@ def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
     assert keeper.machine.decisions[-1].calibration.correction is last.calibration.correction
 
 
-def test_iron_that_is_proved_to_have_changed_waits_until_it_is_known():
+def test_a_proved_change_of_iron_waits_for_a_small_sigma():
     keeper = CalibrationStore(calibration())
     vague = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON, math.radians(4.5))
     keeper.note(findings(120.0, since=vague))
@@ -163,7 +163,7 @@ def test_iron_that_is_proved_to_have_changed_waits_until_it_is_known():
     assert keeper.note(findings(160.0, since=clear, iron=PROVED)) == [DecisionKind.APPLIED]
 
 
-def test_iron_that_goes_again_brings_back_what_was_in_force_before_it_came():
+def test_removed_iron_restores_the_previous_calibration():
     old = calibration()
     keeper = CalibrationStore(old)
     came = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON)
@@ -179,7 +179,7 @@ def test_iron_that_goes_again_brings_back_what_was_in_force_before_it_came():
     assert keeper.machine.job(BOSTON).not_before == went.start
 
 
-def test_what_waits_for_a_word_is_offered_once():
+def test_a_proposal_is_made_once():
     keeper = CalibrationStore(calibration(), Mode.PROPOSE)
     came = candidate((10e-6, 0.0, 0.0), 120.0, CandidateKind.IRON)
     came.calibration.evidence.figures["heading_sigma"] = came.sigma
@@ -197,7 +197,7 @@ def test_with_nothing_in_force_it_is_proposed_once():
     assert keeper.machine.proposal is not None
 
 
-def test_the_next_proposal_has_to_be_better_than_the_one_that_waits():
+def test_the_next_proposal_must_be_better_than_the_pending_one():
     keeper = CalibrationStore(calibration(FAR), Mode.PROPOSE)
     keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 2.0)))
     assert keeper.note(findings(180.0, all=PROVED)) == [DecisionKind.PROPOSED]
@@ -212,7 +212,7 @@ def test_the_next_proposal_has_to_be_better_than_the_one_that_waits():
     assert "from what is proposed" in machine.decisions[-1].words
 
 
-def test_a_proposal_is_withdrawn_if_what_is_in_force_is_better_after_all():
+def test_a_proposal_is_withdrawn_if_the_calibration_in_force_is_better():
     old = calibration()
     keeper = CalibrationStore(old, Mode.PROPOSE)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
@@ -232,7 +232,7 @@ def sized(iron, end, sigma_deg, seconds=120.0):
     return dataclasses.replace(found, start=end - seconds)
 
 
-def test_what_is_known_much_better_replaces_what_is_known_roughly_and_agrees():
+def test_a_much_more_certain_candidate_that_agrees_is_used():
     keeper = CalibrationStore(calibration(sigma=math.radians(10.7)))
     assert keeper.note(findings(120.0, sized(FAR, 120.0, 2.9))) == [DecisionKind.APPLIED]
     longer = sized((4e-6, 0.0, 0.0), 420.0, 1.3, 420.0)
@@ -248,7 +248,7 @@ def test_a_calibration_on_probation_keeps_no_rough_one_in_force():
     assert keeper.note(findings(140.0, near)) == [DecisionKind.APPLIED]
 
 
-def test_what_is_known_roughly_and_contradicted_is_proved_first():
+def test_a_contradicting_candidate_goes_on_probation_even_against_a_rough_one():
     keeper = CalibrationStore(calibration(sigma=math.radians(5.0)))
     assert keeper.note(findings(120.0, sized((12e-6, 0.0, 0.0), 120.0, 2.0))) == [
         DecisionKind.PROBATION
@@ -256,19 +256,19 @@ def test_what_is_known_roughly_and_contradicted_is_proved_first():
 
 
 @pytest.mark.parametrize(("sigma", "made"), [(1.3, []), (0.8, [DecisionKind.REFINED])])
-def test_a_good_calibration_is_refined_by_what_is_known_much_better_alone(sigma, made):
+def test_a_good_calibration_is_refined_only_by_a_much_more_certain_one(sigma, made):
     keeper = CalibrationStore()
     keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 1.5)))
     keeper.note(findings(140.0, sized((0.0, 0.0, 0.0), 140.0, 1.5)))
     assert keeper.note(findings(420.0, sized((0.3e-6, 0.0, 0.0), 420.0, sigma, 400.0))) == made
 
 
-def test_what_agrees_mends_nothing():
+def test_an_agreeing_candidate_changes_nothing():
     keeper = CalibrationStore(calibration())
     assert keeper.note(findings(120.0, candidate((0.3e-6, 0.0, 0.0), 120.0))) == []
 
 
-def test_the_old_one_comes_back_when_it_was_better():
+def test_the_old_calibration_returns_if_it_was_better():
     old = calibration()
     keeper = CalibrationStore(old)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
@@ -287,7 +287,7 @@ def test_a_trial_ends():
     ]
 
 
-def test_a_proposal_waits_for_a_word():
+def test_a_proposal_waits_for_the_user():
     old = calibration()
     keeper = CalibrationStore(old, Mode.PROPOSE)
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
@@ -301,7 +301,7 @@ def test_a_proposal_waits_for_a_word():
     assert machine.proposal.correction is old.correction
 
 
-def test_findings_of_another_calibration_do_not_count():
+def test_results_for_another_calibration_are_ignored():
     keeper = CalibrationStore()
     machine = keeper.machine
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
@@ -310,14 +310,14 @@ def test_findings_of_another_calibration_do_not_count():
     assert machine.note(findings(140.0, candidate(FAR, 140.0))) == []
 
 
-def test_only_so_many_are_kept():
+def test_the_number_of_kept_calibrations_is_bounded():
     keeper = CalibrationStore(calibration())
     for number in range(6):
         keeper.machine.put_in_force(calibration((number * 1e-6, 0.0, 0.0)))
     assert len(keeper.machine.before) == 3
 
 
-def test_a_lost_job_is_asked_for_again():
+def test_a_lost_job_is_repeated():
     machine = SelfCalibration()
     machine.job(BOSTON)
     machine.fail()
@@ -326,7 +326,7 @@ def test_a_lost_job_is_asked_for_again():
     assert machine.note(findings(140.0, candidate(FAR, 140.0))) != []
 
 
-def test_after_each_lost_job_the_next_is_asked_for_later():
+def test_the_wait_grows_with_each_lost_job():
     machine, due = SelfCalibration(), []
     for k in range(20 * 400):
         # A robot that drives in a circle, so that all of it counts as movement.
@@ -346,7 +346,7 @@ def test_after_each_lost_job_the_next_is_asked_for_later():
     assert machine.lost == 0
 
 
-def test_what_one_quarter_of_headings_says_proves_nothing_of_all_twelve():
+def test_evidence_of_one_quarter_of_headings_is_no_proof_of_all_twelve_numbers():
     proof = dataclasses.replace(PROVED, without_best_quarter=-0.1)
     assert not proof.reason_to_accept(kind=CandidateKind.ALL)
     assert proof.reason_to_accept(kind=CandidateKind.IRON)
@@ -362,7 +362,7 @@ def test_what_one_quarter_of_headings_says_proves_nothing_of_all_twelve():
         (dataclasses.replace(PROVED, likelihood=11.0), False),
     ],
 )
-def test_a_proof_stands_on_both_halves_of_the_road(proof, stands):
+def test_a_proof_needs_both_halves_of_the_drive(proof, stands):
     assert bool(proof.reason_to_accept()) is stands
 
 
@@ -401,7 +401,7 @@ def heading_error(correction, robot):
 
 
 @pytest.mark.nightly
-def test_an_ordinary_drive_calibrates_from_nothing():
+def test_an_ordinary_drive_gives_a_first_calibration():
     machine = SelfCalibration(Mode.APPLY)
     drive = driven(5, city(np.random.default_rng(5), 200.0))
     made = follow(drive, machine)
@@ -424,7 +424,7 @@ JUMPS = {
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("jump", JUMPS)
-def test_stamps_that_jump_cost_self_calibration_no_more_than_a_minute(jump):
+def test_jumps_of_stamps_delay_self_calibration_by_at_most_a_minute(jump):
     drive = driven(5, city(np.random.default_rng(5), 360.0))
     begun = float(drive.time[0])
     machines = [SelfCalibration(Mode.APPLY) for _ in range(2)]
@@ -438,7 +438,7 @@ def test_stamps_that_jump_cost_self_calibration_no_more_than_a_minute(jump):
     assert machines[1].recorder.seconds == pytest.approx(machines[0].recorder.seconds, abs=15.0)
 
 
-def test_a_magnet_that_stays_less_than_a_minute_is_told():
+def test_a_magnet_of_less_than_a_minute_is_reported():
     magnet = Iron((0.0, 27e-6, 0.0), 30.0, 75.0)
     drive = driven(2, city(np.random.default_rng(4), 75.0), irons=(magnet,))
     machine = SelfCalibration(Mode.APPLY)
@@ -448,7 +448,7 @@ def test_a_magnet_that_stays_less_than_a_minute_is_told():
 
 
 @pytest.mark.nightly
-def test_iron_that_was_added_is_noticed_and_mended():
+def test_added_iron_is_noticed_and_corrected():
     drive = driven(2, city(np.random.default_rng(4), 400.0), irons=(Iron((0.0, 9e-6, 0.0), 150.0),))
     machine = SelfCalibration(Mode.APPLY)
     machine.put_in_force(calibration())
@@ -462,7 +462,7 @@ def test_iron_that_was_added_is_noticed_and_mended():
     assert heading_error(applied[-1][1].calibration.correction, robot) < 4.0
 
 
-def test_a_robot_that_stands_beside_a_car_asks_for_nothing():
+def test_a_robot_at_rest_beside_a_car_starts_no_job():
     drive = driven(3, [Leg(90.0)])
     machine = SelfCalibration(Mode.APPLY)
     assert follow(drive, machine) == []
@@ -470,7 +470,7 @@ def test_a_robot_that_stands_beside_a_car_asks_for_nothing():
     assert machine.recorder.seconds < 10.0
 
 
-def test_nothing_is_remembered_where_it_is_off():
+def test_nothing_is_recorded_if_self_calibration_is_off():
     machine = SelfCalibration(Mode.OFF)
     assert follow(driven(3, city(np.random.default_rng(3), 60.0)), machine) == []
     assert machine.recorder.seconds == 0.0

@@ -1,4 +1,4 @@
-"""What road says of two calibrations, one of them fitted anew on the way."""
+"""Comparison of two calibrations on held-out data, one of them refitted during the drive."""
 
 import math
 from dataclasses import replace
@@ -83,33 +83,33 @@ def test_a_candidate_says_whether_the_reference_was_known(knowledge):
     assert bool(made_elsewhere(found.calibration, without_best_quarter)) is is_known
 
 
-def test_the_right_one_explains_the_road_in_both_halves(whole):
+def test_the_correct_one_is_likelier_in_both_halves(whole):
     assert whole.likelihood > 10.0
     assert min(whole.halves) > 5.0
     assert "in both halves" in whole.reason_to_accept(kind=CandidateKind.IRON)
 
 
-def test_road_before_the_first_fit_does_not_count(road):
+def test_data_before_the_first_fit_do_not_count(road):
     proof = proved(road, step(road.time[-1] - 30.0, RIGHT))
     assert proof.seconds < 30.0
     assert proved(road, step(road.time[-1], RIGHT)).seconds == 0.0
 
 
 @pytest.mark.nightly
-def test_a_fit_counts_only_for_the_road_after_it(road, whole):
+def test_a_fit_is_compared_on_later_data_only(road, whole):
     middle = 0.5 * (road.time[0] + road.time[-1])
     first, last = step(road.time[0], WORSE), step(middle, RIGHT)
     both = proved(road, first, last).likelihood
     assert proved(road, first).likelihood < both < whole.likelihood
 
 
-def test_iron_that_came_is_spoken_against_by_no_heading(whole):
+def test_no_heading_contradicts_added_iron(whole):
     assert whole.opposing < 0.5
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("heading", first_of([90.0, 0.0, 180.0, 270.0]))
-def test_steel_on_one_side_of_the_way_is_no_iron_that_came(heading):
+def test_steel_beside_the_road_is_not_taken_for_added_iron(heading):
     side = (0.0, 15e-6, 0.0)
     road = driven(fences=(Fence(side, math.radians(heading), math.radians(100.0)),))
     proof = proved(road, step(road.time[0], OLD), old=RIGHT)

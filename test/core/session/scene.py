@@ -1,4 +1,4 @@
-"""A turn in virtual time: a simulated robot, its base, and whoever fits and stores."""
+"""A turn in virtual time: a simulated robot, its base, the fit and the storage."""
 
 import math
 from dataclasses import replace

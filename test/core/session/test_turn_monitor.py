@@ -28,20 +28,20 @@ def watch(yaw_rate=TOLD, seconds=2.0, mirror_gyro=1.0, seed=1, gyro=True, gap=No
 
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4])
 @pytest.mark.parametrize("lean", [(0.0, 0.0), (0.2, -0.1), (math.pi, 0.0)])
-def test_the_gyro_tells_rate_and_angle_about_up(yaw_rate, lean):
+def test_the_gyro_gives_rate_and_angle_about_up(yaw_rate, lean):
     measured = watch(yaw_rate, lean=lean).measured(NOTHING)
     assert measured.by_gyro
     assert measured.rate == pytest.approx(yaw_rate, rel=0.02)
     assert measured.turned == pytest.approx(2.0 * yaw_rate, rel=0.03)
 
 
-def test_a_gap_is_not_turned_through_and_the_rate_is_right_after_it():
+def test_a_gap_adds_no_angle_and_the_rate_is_correct_after_it():
     measured = watch(seconds=4.0, gap=(1.0, 2.0)).measured(NOTHING)
     assert measured.turned == pytest.approx(3.0 * TOLD, rel=0.03)
     assert measured.rate == pytest.approx(TOLD, rel=0.02)
 
 
-def test_without_a_gyro_the_sessions_compass_speaks():
+def test_without_a_gyro_the_compass_of_the_session_is_used():
     coverage = Coverage.of(np.linspace(0.0, 2.0, 50))
     progress = Progress(Stage.COLLECTING, coverage, 50, 5.0, 0.37)
     assert watch(gyro=False).measured(progress) == MeasuredTurn(2.0, 0.37, False, False)
@@ -50,7 +50,7 @@ def test_without_a_gyro_the_sessions_compass_speaks():
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4])
-def test_the_compass_tells_its_sense_on_an_arc_of_45_degrees(seed, mirror, yaw_rate):
+def test_an_arc_of_45_degrees_shows_the_sense_of_the_compass(seed, mirror, yaw_rate):
     assert watch(yaw_rate, 2.0, mirror, seed).compass_sense() == mirror
 
 
@@ -59,7 +59,7 @@ def test_a_robot_at_rest_shows_no_sense():
     assert TurnMonitor(np.eye(3)).compass_sense() == 0
 
 
-def test_a_mirrored_gyro_and_a_mirrored_base_are_told_apart():
+def test_a_mirrored_gyro_and_a_mirrored_base_are_distinguished():
     def words(**case):
         monitor = watch(**case)
         return monitor.explain(Fault.WRONG_WAY, monitor.measured(NOTHING), TOLD)
@@ -70,7 +70,7 @@ def test_a_mirrored_gyro_and_a_mirrored_base_are_told_apart():
     assert "-23°/s at a command of +23°/s" in words(yaw_rate=-TOLD)
 
 
-def test_a_gyro_that_misses_the_turn_is_named_and_a_robot_at_rest_too():
+def test_a_gyro_that_misses_the_turn_and_a_robot_at_rest_are_named():
     turning, resting = watch(mirror_gyro=1e-6), watch(0.0)
     measured = MeasuredTurn(0.0, 0.0, True, False)
     assert "the gyro does not measure" in turning.explain(Fault.NOT_TURNING, measured, TOLD)

@@ -81,7 +81,7 @@ def test_a_level_turn_shows_no_hemisphere() -> None:
     assert covariance[1, 1] > 20.0**2
 
 
-def test_samples_that_show_everything_leave_nothing_to_the_prior() -> None:
+def test_precise_samples_make_the_prior_irrelevant() -> None:
     """As several turns on slopes with quiet sensors do."""
     at, turned = np.array([25.0, 43.3]), np.array([[0.8, -0.6], [0.6, 0.8]])
     information = turned @ np.diag([1e12, 1e3]) @ turned.T
@@ -106,7 +106,7 @@ def test_a_known_field_is_one_gaussian() -> None:
     ],
     ids=["strength", "inclination"],
 )
-def test_one_given_number_and_the_level_field_leave_few_fields(reference, at) -> None:
+def test_one_given_number_and_the_level_field_determine_the_field(reference, at) -> None:
     fields = EarthFieldPrior.of(reference)
     assert not fields.is_known
     assert fields.at_level(at[0])[1] == pytest.approx(at[1], abs=4.0)

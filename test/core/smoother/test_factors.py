@@ -143,7 +143,7 @@ def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
 
 
 @pytest.mark.parametrize("factor", FACTORS, ids=lambda f: f.__name__)
-def test_derivatives_by_the_nodes_unknowns(
+def test_derivatives_by_unknowns_of_nodes_are_correct(
     course: Course, state: State, factor: Callable[[Course, State], Linear]
 ) -> None:
     linear = factor(course, state)
@@ -163,7 +163,7 @@ def test_derivatives_by_the_nodes_unknowns(
 
 
 @pytest.mark.parametrize("factor", BY_SHARED, ids=lambda f: f.__name__)
-def test_derivatives_by_the_shared_unknowns(
+def test_derivatives_by_shared_unknowns_are_correct(
     course: Course, state: State, factor: Callable[[Course, State], Linear]
 ) -> None:
     linear = factor(course, state)

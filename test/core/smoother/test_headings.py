@@ -1,4 +1,4 @@
-"""Robots that stand at known headings and never turn."""
+"""Robots at rest at known headings, without a turn."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def off(correction, robot: Robot = ROBOT) -> np.ndarray:
     return heading_differences(robot.true_correction, correction, robot.strength, robot.inclination)
 
 
-def test_three_known_headings_show_all_that_a_turn_does_and_the_yaw_of_the_installation():
+def test_three_known_headings_determine_the_calibration_and_the_installation_yaw():
     found = fit(measurements(), knowledge())
     assert np.abs(off(found.correction)).max() < 0.3 * DEGREE
     assert found.installation is not None
@@ -64,7 +64,7 @@ def test_three_known_headings_show_all_that_a_turn_does_and_the_yaw_of_the_insta
     assert found.arc > 3.5
 
 
-def test_one_known_heading_is_right_near_it_and_says_what_it_does_not_show():
+def test_one_known_heading_is_correct_near_it_and_uncertain_elsewhere():
     found = fit_headings(measurements([0.0]), knowledge()).posterior
     field = field_in_enu(ROBOT.strength, ROBOT.inclination)
     jacobian = heading_jacobian(found.correction, field, 0.0)
@@ -78,7 +78,7 @@ def test_one_known_heading_is_right_near_it_and_says_what_it_does_not_show():
 
 
 @pytest.mark.parametrize("yaws", [(0.5, 3.4), THREE], ids=len)
-def test_sigma_is_honest(yaws, request):
+def test_the_sigma_is_correct(yaws, request):
     many = request.config.getoption("markexpr") == ""
     ratios = []
     for seed in range(120 if many else 4):
@@ -90,7 +90,7 @@ def test_sigma_is_honest(yaws, request):
 
 
 @pytest.mark.parametrize("seeds", first_of([2, 8]))
-def test_a_street_passed_once_counts_as_one_place(seeds):
+def test_a_street_passed_once_counts_once(seeds):
     ratios = []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
@@ -135,7 +135,7 @@ LONG = [pytest.param(drift, 30, marks=pytest.mark.nightly) for drift in (0.0, 2.
 
 
 @pytest.mark.parametrize(("drift", "seeds"), [(4.0, 3), *LONG])
-def test_headings_of_a_device_that_drift_are_in_sigma_and_right_ones_cost_little(drift, seeds):
+def test_drifting_headings_enlarge_the_sigma_and_correct_ones_hardly(drift, seeds):
     squares = []
     for seed in range(seeds):
         robot, kept = by_antennas(50_000 + seed, drift)
@@ -148,7 +148,7 @@ def test_headings_of_a_device_that_drift_are_in_sigma_and_right_ones_cost_little
         assert said < (0.9 * DEGREE) ** 2
 
 
-def test_a_device_that_integrates_a_gyro_may_drift_evenly_from_the_start():
+def test_a_device_that_integrates_a_gyro_may_drift_at_a_constant_rate():
     """By .12°/s, which is 24° in the end."""
     squares = []
     for seed in range(86_200, 86_204):
@@ -174,7 +174,7 @@ def test_a_device_that_integrates_a_gyro_may_drift_evenly_from_the_start():
         pytest.param(lambda yaw: yaw + math.pi, "half a turn", marks=pytest.mark.nightly),
     ],
 )
-def test_headings_that_are_read_wrongly_are_named(read, named):
+def test_wrongly_interpreted_headings_are_named(read, named):
     told = [replace(each, heading=wrapped(read(each.heading))) for each in measurements()]
     with pytest.raises(Refusal, match=named) as refusal:
         fit(told, knowledge())
@@ -188,7 +188,7 @@ def test_the_heading_that_contradicts_the_others_is_named():
         fit(told, knowledge())
 
 
-def test_a_gyro_that_turned_otherwise_is_named():
+def test_a_gyro_that_measured_another_turn_is_named():
     told = measurements()
     for k in (1, 2):
         turned = wrapped(told[k].heading - told[k - 1].heading)
@@ -199,7 +199,7 @@ def test_a_gyro_that_turned_otherwise_is_named():
         fit(told, knowledge())
 
 
-def test_magnetic_north_told_as_true_is_said():
+def test_magnetic_headings_given_as_true_are_reported():
     declination = 12.0 * DEGREE
     right = measurements(robot=Robot(), is_true=True)
     known = knowledge(declination)
@@ -217,7 +217,7 @@ def test_headings_to_true_north_share_the_declinations_error():
     assert shared**2 - alone**2 == pytest.approx((0.5 * DEGREE) ** 2, rel=0.4)
 
 
-def test_standings_add_up_and_one_that_says_the_same_takes_its_place():
+def test_measurements_accumulate_and_a_repeated_one_is_replaced():
     kept, sigmas = (), []
     for each in measurements():
         found = add_known_heading(kept, each, knowledge())

@@ -1,4 +1,4 @@
-"""Iron that is added on the way is told from streets, and when it came is found."""
+"""Iron added during a drive is distinguished from streets, and its time is found."""
 
 import math
 
@@ -43,7 +43,7 @@ def gain(drive, **promise):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([4, 7]))
-def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
+def test_iron_added_half_a_minute_ago_is_found_with_its_time(seed):
     iron = (8e-6, -6e-6, 0.0)
     drive = driven(seed, CAME + 30.0, irons=(Iron(iron, CAME),))
     found = changed(drive)
@@ -62,7 +62,7 @@ def test_streets_are_no_change(seed):
 
 
 @pytest.mark.nightly
-def test_what_the_calibration_itself_is_uncertain_by_is_no_change():
+def test_the_uncertainty_of_the_calibration_is_no_change():
     drive = driven(4, 120.0)
     off = {"iron": (6e-6, 0.0, 0.0)}
     rough, sure = (gain(drive, sigma=math.radians(sigma), **off) for sigma in (10.0, 0.3))
@@ -88,7 +88,7 @@ def from_a_stop(seed):
 
 
 @pytest.mark.parametrize("quarter", first_of(range(4)))
-def test_iron_that_comes_to_a_robot_at_rest_is_told_before_it_turns(quarter):
+def test_iron_added_at_rest_is_found_before_a_turn(quarter):
     drive, start = from_a_stop(5)
     way = 0.5 * math.pi * quarter
     iron = 10e-6 * np.array([math.cos(way), math.sin(way), 0.0])
@@ -100,7 +100,7 @@ def test_iron_that_comes_to_a_robot_at_rest_is_told_before_it_turns(quarter):
 
 
 @pytest.mark.nightly
-def test_steel_that_a_drive_comes_to_is_no_iron():
+def test_steel_beside_the_road_is_not_taken_for_added_iron():
     drive, start = from_a_stop(5)
     steel = (drive.time > start + 15.0)[:, None] * (drive.truth.attitude @ [0.0, 12e-6, -9e-6])
     nodes = drive_nodes(recorded(drive, steel), NOBODY)

@@ -36,7 +36,7 @@ def joint(alone: list[Fit]) -> JointFit:
     return fit_jointly(alone, SIGMA)
 
 
-def test_turns_of_one_robot_agree_on_it_and_keep_what_is_their_own(joint: JointFit) -> None:
+def test_turns_of_one_robot_share_only_the_calibration(joint: JointFit) -> None:
     one, other = (fit.state.shared for fit in joint.fits)
     for name in ("iron", "installation", "turned", "earth", "soft_iron"):
         np.testing.assert_allclose(one[AT[name]], other[AT[name]], rtol=1e-9)
@@ -53,7 +53,7 @@ def test_the_information_of_turns_adds_up_to_the_covariance(joint: JointFit) -> 
     )
 
 
-def test_a_turn_without_another_is_as_sure_as_alone(alone: list[Fit]) -> None:
+def test_a_joint_fit_of_one_turn_has_the_same_sigma(alone: list[Fit]) -> None:
     at = AT["installation"]
     joined = fit_jointly(alone[:1], 1e-4).fits[0].covariance[at, at]
     found = np.sqrt(np.diag(joined) / np.diag(alone[0].covariance[at, at]))
@@ -68,7 +68,7 @@ def test_the_order_of_turns_does_not_matter(alone: list[Fit], joint: JointFit) -
     assert np.all(np.abs(off) < 0.2 * sigma)
 
 
-def test_a_turn_imagined_where_it_was_made_says_what_it_said(joint: JointFit) -> None:
+def test_an_imagined_repetition_has_the_same_information(joint: JointFit) -> None:
     again = imagined_information(joint.fits[1], np.eye(3), np.eye(3))
     found = np.diag(again)[AT["iron"]] / np.diag(joint.informations[1])[AT["iron"]]
     assert np.all((found > 0.7) & (found < 1.5))
