@@ -1,4 +1,4 @@
-"""What every test shares: DDS that stays on this machine, in a domain of the process's own."""
+"""Fixtures of all tests: DDS that stays on this machine, in a separate domain per process."""
 
 import contextlib
 import fcntl

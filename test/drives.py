@@ -1,4 +1,4 @@
-"""Simulated drives, and how they are written as every kind of recording."""
+"""Simulated drives, written as every kind of recording."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""How often a fault is tried: a short form with every test run, a long one with `make soak`."""
+"""The number of repetitions of a fault: few in each test run, many with `make soak`."""
 
 import os
 

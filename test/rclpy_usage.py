@@ -1,4 +1,4 @@
-"""What a module's text takes from rclpy, and what it calls of that."""
+"""The names of rclpy that a module imports, and the calls of them."""
 
 from __future__ import annotations
 

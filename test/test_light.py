@@ -1,4 +1,4 @@
-"""What is not loaded before it is needed; each in a process of its own."""
+"""Modules that are not loaded before they are needed; each in a separate process."""
 
 import subprocess
 import sys

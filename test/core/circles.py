@@ -1,4 +1,4 @@
-"""Circles driven at an uneven rate, with the pull of a vehicle and the bias of a gyro."""
+"""Circles driven at an uneven rate, with centripetal acceleration and a gyro bias."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A robot on a long drive: straights, curves, bumps, passing steel; in moments 0.1 s apart."""
+"""A robot on a long drive: straights, curves, bumps, passing steel; in steps of 0.1 s."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""Follows a simulated drive as the node does, with a compass that knows up and its calibration."""
+"""Follows a simulated drive as the node does, with a calibrated compass."""
 
 import numpy as np
 from simulated import Vehicle, simulated_drive, travel

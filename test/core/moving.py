@@ -1,4 +1,4 @@
-"""Rides that pull, tip and disturb, for tests of what follows a moving robot."""
+"""Rides with acceleration, tilt and disturbance, to test what follows a moving robot."""
 
 import math
 

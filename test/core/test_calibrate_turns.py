@@ -1,4 +1,4 @@
-"""Turns on different tilts show what one cannot; a turn that does not belong is left out."""
+"""Turns with different tilts determine more than one; a contradicting turn is left out."""
 
 import math
 from dataclasses import replace
@@ -55,7 +55,7 @@ def mixed():
     return calibrate_turns([level, other, east, east.take(np.arange(100, 400)), stood], KNOWN)
 
 
-def test_one_turn_is_exactly_what_it_is_alone():
+def test_one_turn_gives_exactly_its_own_estimate():
     window = windows_on([LEVEL], 1)[0]
     together, alone = calibrate_turns([window], KNOWN), calibrate(window, KNOWN)
     np.testing.assert_array_equal(
@@ -68,7 +68,7 @@ def test_one_turn_is_exactly_what_it_is_alone():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("knowledge", [UNKNOWN, KNOWN])
-def test_quiet_sensors_show_everything(knowledge):
+def test_sensors_without_noise_determine_everything(knowledge):
     iron = np.array([[0.03, 0.01, -0.02], [0.01, -0.02, 0.01], [-0.02, 0.01, 0.02]])
     robot = replace(
         ROBOT, soft_iron=iron, yaw=math.radians(-12.0), noise_field=1e-10, noise_force=1e-5
@@ -83,7 +83,7 @@ def test_quiet_sensors_show_everything(knowledge):
 
 
 @pytest.mark.nightly
-def test_heading_is_absolute_and_its_sigma_is_told():
+def test_heading_is_absolute_with_its_sigma():
     outcome = calibrate_turns(windows_on((LEVEL, EAST, NORTH), 101, samples=300), KNOWN)
     assert outcome.verdict.accepted
     off = outcome.estimate.installation.yaw - ROBOT.yaw
@@ -100,7 +100,7 @@ def test_heading_is_absolute_and_its_sigma_is_told():
         pytest.param((EAST, NORTH, WEST, SOUTH), 0.25, id="four ramps"),
     ],
 )
-def test_heading_is_absolute_and_the_covariance_knows_how_well(slopes, bound):
+def test_heading_is_absolute_with_a_correct_covariance(slopes, bound):
     squares, sigmas = [], []
     for seed in range(4):
         outcome = calibrate_turns(windows_on(slopes, 100 + seed), KNOWN)
@@ -116,7 +116,7 @@ def test_heading_is_absolute_and_the_covariance_knows_how_well(slopes, bound):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(2))
-def test_one_turn_more_never_makes_it_worse(seed):
+def test_another_turn_never_increases_the_sigma(seed):
     rng = np.random.default_rng(seed)
     slopes = [[LEVEL, EAST, NORTH, WEST, SOUTH][k] for k in rng.permutation(5)[:3]]
     slopes.append(slopes[0])
@@ -131,7 +131,7 @@ def test_one_turn_more_never_makes_it_worse(seed):
     assert all(outcome.verdict.accepted for outcome in outcomes)
 
 
-def test_the_yaw_of_the_installation_is_not_claimed_before_it_is_shown():
+def test_the_installation_yaw_is_zero_unless_determined():
     flat = calibrate_turns(windows_on([LEVEL, LEVEL], 5, gyro=True), KNOWN)
     assert flat.estimate.installation.yaw == 0.0
     assert "installation_yaw_sigma" not in flat.estimate.figures
@@ -139,13 +139,13 @@ def test_the_yaw_of_the_installation_is_not_claimed_before_it_is_shown():
     assert "the same tilt as before" in flat.multi_turn.turns[1].words
 
 
-def test_the_yaw_of_the_installation_is_claimed_where_a_slope_has_shown_it(mixed):
+def test_the_installation_yaw_is_given_after_a_slope(mixed):
     assert mixed.estimate.figures["installation_yaw_sigma"] < math.radians(0.5)
     assert not any("yaw of the installation" in words for words in mixed.verdict.not_shown)
     assert "yaw " in mixed.verdict.summary
 
 
-class TestTurnsThatDoNotBelong:
+class TestContradictingTurns:
     def test_each_is_left_out_with_its_reason(self, mixed):
         assert fates_of(mixed) == [True, False, True, False, False]
         words = [fate.words for fate in mixed.multi_turn.turns]
@@ -160,7 +160,7 @@ class TestTurnsThatDoNotBelong:
 
     @pytest.mark.nightly
     @pytest.mark.parametrize("place", [1, 0, 2])
-    def test_another_load_is_found_wherever_it_stands(self, place):
+    def test_a_turn_with_another_load_is_found_at_any_position(self, place):
         rng = np.random.default_rng(8)
         windows = [window_on(slope, rng) for slope in (LEVEL, EAST)]
         windows.insert(place, window_on(NORTH, rng, FOREIGN))
@@ -170,7 +170,7 @@ class TestTurnsThatDoNotBelong:
         assert absolute_rms_deg(outcome) < 1.0
 
     @pytest.mark.nightly
-    def test_of_two_that_differ_the_first_stays(self):
+    def test_of_two_contradicting_turns_the_first_is_kept(self):
         rng = np.random.default_rng(9)
         outcome = calibrate_turns(
             [window_on(LEVEL, rng), window_on(EAST, rng, FOREIGN)], KNOWN, names=["a", "b"]
@@ -180,7 +180,7 @@ class TestTurnsThatDoNotBelong:
         assert "Not joined: b: it contradicts the turn before" in outcome.multi_turn.in_words
 
     @pytest.mark.nightly
-    def test_a_copy_adds_nothing_and_is_said(self):
+    def test_a_copy_is_left_out_and_reported(self):
         windows = windows_on([LEVEL, EAST], 10)
         part = windows[1].take(np.arange(100, 400))
         outcome = calibrate_turns([*windows, part, windows[0]], KNOWN)
@@ -188,7 +188,7 @@ class TestTurnsThatDoNotBelong:
         assert outcome.multi_turn.turns[2].words == "it holds the same samples as turn 2"
 
     @pytest.mark.nightly
-    def test_a_robot_that_stood_is_left_out(self):
+    def test_a_window_at_rest_is_left_out(self):
         windows = [
             *windows_on([LEVEL, EAST], 11),
             window_on(NORTH, np.random.default_rng(1), arc=1e-3),
@@ -197,7 +197,7 @@ class TestTurnsThatDoNotBelong:
         assert fates_of(outcome) == [True, True, False]
         assert "did not turn" in outcome.multi_turn.turns[2].words
 
-    def test_nothing_but_bad_turns_is_refused_with_all_reasons(self):
+    def test_bad_turns_alone_are_refused_with_all_reasons(self):
         rng = np.random.default_rng(12)
         still = [window_on(LEVEL, rng, arc=1e-3) for _ in range(2)]
         outcome = calibrate_turns(still, KNOWN)
@@ -208,7 +208,7 @@ class TestTurnsThatDoNotBelong:
 
 
 @pytest.mark.nightly
-def test_a_short_arc_that_cannot_stand_alone_helps_the_others():
+def test_a_short_arc_improves_the_others():
     rng = np.random.default_rng(13)
     full = [window_on(LEVEL, rng), window_on(EAST, rng)]
     short = window_on(NORTH, rng, arc=math.radians(70.0), samples=100)
@@ -240,7 +240,7 @@ def test_the_noisier_turn_weighs_less():
     assert absolute_rms_deg(with_it) < 1.0
 
 
-def test_other_methods_pool_or_say_that_they_do_not_join():
+def test_other_methods_pool_the_samples_or_refuse():
     windows = windows_on([LEVEL, EAST], 17)
     together = pooled(windows)
     assert len(together) == len(windows[0]) + len(windows[1])
@@ -250,7 +250,7 @@ def test_other_methods_pool_or_say_that_they_do_not_join():
 
 
 @pytest.mark.nightly
-def test_a_sigma_knows_of_sensors_with_errors_of_their_own():
+def test_the_sigma_includes_constant_sensor_errors():
     iron = np.array([[0.004, 0.003, -0.002], [0.003, -0.005, 0.002], [-0.002, 0.002, 0.003]])
     robot = replace(ROBOT, soft_iron=iron)
     windows = windows_on([LEVEL, EAST, NORTH], 5, robot, gyro=True)

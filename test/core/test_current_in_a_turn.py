@@ -34,7 +34,7 @@ def at_current(calibration, current):
 
 
 @pytest.mark.parametrize("course", first_of(["even", "stops"]))
-def test_a_robot_that_holds_itself_is_calibrated_for_motors_without_current(course):
+def test_a_robot_held_by_its_motors_is_calibrated_for_zero_current(course):
     scene, outcome = fitted("hold", 3, course=course)
     found = outcome.calibration
     motors = found.motors
@@ -60,7 +60,7 @@ def test_a_battery_of_one_message_a_second_shows_the_field_of_hold_currents(seed
     assert heading_error(scene, without.calibration.correction) > 3.0 * sigma
 
 
-def test_a_current_that_explains_nothing_costs_nothing():
+def test_an_irrelevant_current_does_no_harm():
     for shape, size in (("none", 0.0), ("step, hold", SIZE)):
         _, with_it = fitted(shape, 5, size)
         scene, without = fitted(shape, 5, size, battery=False)
@@ -78,7 +78,7 @@ def test_without_a_battery_the_motors_have_no_current():
     assert math.isnan(motors.reference)
 
 
-def test_learning_while_driving_begins_with_what_the_turn_has_shown():
+def test_learning_while_driving_starts_with_the_result_of_the_turn():
     _, outcome = fitted("hold", 3)
     known = outcome.calibration.motors
     learning = MotorLearning(outcome.calibration).motors
@@ -88,7 +88,7 @@ def test_learning_while_driving_begins_with_what_the_turn_has_shown():
     assert learning.sigma(there) == pytest.approx(known.sigma(here), rel=0.01)
 
 
-def test_several_turns_share_the_current():
+def test_several_turns_share_the_reference_current():
     turns = [turn_with_current("hold", SIZE, number, course="even") for number in (3, 3)]
     windows = [collected(scene.window, messages) for scene, _, messages in turns]
     shifted = replace(windows[1].battery, reference=windows[1].battery.reference - 1.0)
@@ -101,7 +101,7 @@ def test_several_turns_share_the_current():
     assert error < 3.0 * calibration_sigma(found)
 
 
-def test_a_recording_gives_its_currents_to_the_fit():
+def test_the_fit_uses_the_currents_of_a_recording():
     scene, known, messages = turn_with_current("hold", SIZE, 3)
     window = replace(scene.window, time=scene.window.time + 100.0)
     messages = [(stamp + 100.0, current) for stamp, current in messages]

@@ -1,4 +1,4 @@
-"""Turns of a robot that stands, sets off, turns at a speed that varies, and stands again."""
+"""Turns of a robot that rests, turns at a varying rate, and rests again."""
 
 import math
 

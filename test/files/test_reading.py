@@ -31,7 +31,7 @@ def test_a_pipe_without_a_writer_is_not_waited_for(tmp_path):
         read_small(pipe, 100)
 
 
-def test_a_socket_and_a_folder_are_said(tmp_path):
+def test_a_socket_and_a_folder_are_reported(tmp_path):
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(tmp_path / "socket"))
         with pytest.raises((NotRegularFile, OSError)):
@@ -41,18 +41,18 @@ def test_a_socket_and_a_folder_are_said(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="needs /proc")
-def test_a_file_that_lies_about_its_size_is_limited_all_the_same():
+def test_a_file_with_a_wrong_size_is_limited():
     with pytest.raises(NotRegularFile, match="more than 5 bytes"):
         read_small(Path("/proc/self/environ"), 5)
 
 
 class TestPromptly:
-    def test_it_returns_what_the_work_returns_and_raises_what_it_raises(self):
+    def test_result_and_exception_of_the_work_are_passed_on(self):
         assert with_time_limit(lambda: 5, Path("x")) == 5
         with pytest.raises(ZeroDivisionError):
             with_time_limit(lambda: 1 // 0, Path("x"))
 
-    def test_a_disk_that_does_not_answer_is_given_up(self):
+    def test_a_disk_that_does_not_answer_is_an_error(self):
         answer = threading.Event()
         with pytest.raises(FileError, match=r"/gone/mag\.yaml does not answer within 0\.2 s"):
             with_time_limit(answer.wait, Path("/gone/mag.yaml"), 0.2)

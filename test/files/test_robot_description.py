@@ -29,7 +29,7 @@ ROBOT = """<?xml version="1.0"?>
 """
 
 
-def test_the_joints_of_a_robot_are_read_and_nothing_else():
+def test_only_the_joints_of_a_robot_are_read():
     joints = joints_of(ROBOT)
     assert [(j.name, j.kind, j.parent, j.child) for j in joints] == [
         ("imu", "fixed", "base_link", "imu_link"),
@@ -57,12 +57,12 @@ def test_the_joints_of_a_robot_are_read_and_nothing_else():
         (" " * (LARGEST + 1), "at most"),
     ],
 )
-def test_what_is_damaged_is_refused_in_words(text, words):
+def test_a_damaged_description_is_refused_with_the_reason(text, words):
     with pytest.raises(RobotDescriptionError, match=words):
         joints_of(text)
 
 
-def test_an_entity_bomb_is_refused_before_it_goes_off():
+def test_an_entity_bomb_is_refused_before_expansion():
     layers = "".join(
         f'<!ENTITY l{k + 1} "{"&l" + str(k) + ";" * 1}{("&l" + str(k) + ";") * 9}">'
         for k in range(9)

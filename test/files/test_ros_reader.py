@@ -1,4 +1,4 @@
-"""Bags read with ROS's own reader give what the library gives."""
+"""The reader of ROS gives the same as the library."""
 
 import math
 import sys
@@ -41,7 +41,7 @@ def read(path, **options):
 
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
 @pytest.mark.parametrize("span", [{}, {"start": 0.5, "stop": 1.25}])
-def test_it_reads_what_the_library_reads(tmp_path, samples, kind, span, with_ros):
+def test_the_reader_gives_the_same_as_the_library(tmp_path, samples, kind, span, with_ros):
     path = write_bag(tmp_path / "bag", samples, kind)
     expected, by_library = read(path, **span)
     with_ros()
@@ -122,7 +122,7 @@ def test_topics_are_not_guessed_and_missing_ones_listed(tmp_path, samples, with_
         read(path, imu="/nothing")
 
 
-def test_damage_is_said_with_its_remedy(tmp_path, samples, with_ros):
+def test_damage_is_reported_with_its_remedy(tmp_path, samples, with_ros):
     folder = write_bag(tmp_path / "bag", samples)
     (file,) = folder.glob("*.mcap")
     file.write_bytes(file.read_bytes()[:100])
@@ -131,7 +131,7 @@ def test_damage_is_said_with_its_remedy(tmp_path, samples, with_ros):
         read(folder)
 
 
-def test_bags_of_ros_1_are_left_to_the_library(tmp_path, samples, with_ros):
+def test_bags_of_ros_1_are_read_by_the_library(tmp_path, samples, with_ros):
     path = write_bag(tmp_path / "bag", samples, "ros1")
     with_ros()
     with pytest.raises(FileError, match="rosbags"):

@@ -59,7 +59,7 @@ def names_of(page):
     return re.findall(r'<figure id="(\w+)">', page)
 
 
-def test_it_says_the_verdict_and_what_was_not_seen(tmp_path):
+def test_the_report_has_the_verdict_and_what_was_not_shown(tmp_path):
     subject = good()
     words = words_of(report_of(tmp_path, subject))
     verdict = subject.outcome.verdict
@@ -144,7 +144,7 @@ def test_ids_are_unique(tmp_path):
     assert len(found) == len(set(found))
 
 
-def test_without_a_gyro_it_says_so(tmp_path):
+def test_the_report_names_a_missing_gyro(tmp_path):
     subject = good()
     blind = replace(subject, window=replace(subject.window, angular_rate=None))
     assert "there was no gyro in these samples" in text_of(tmp_path, blind)
@@ -156,7 +156,7 @@ def test_without_a_gyro_there_are_three_pictures(tmp_path):
 
 
 @pytest.mark.parametrize("make", first_of([good, refused, troubled], 2))
-def test_it_is_small_and_refers_to_nothing_outside(tmp_path, make):
+def test_the_report_is_small_and_has_no_external_references(tmp_path, make):
     page = report_of(tmp_path, make())
     assert len(page.encode()) < LARGEST_PAGE
     assert "://" not in page
@@ -178,7 +178,7 @@ def test_it_is_small_and_refers_to_nothing_outside(tmp_path, make):
         ),
     ],
 )
-def test_foreign_text_stays_text(tmp_path, place):
+def test_foreign_text_is_escaped(tmp_path, place):
     evil = "<script>alert('x')</script>\"&<img src=x>"
     # A page tells the method that was asked for where none has answered.
     subject = refused() if place == "method" else good()
@@ -217,7 +217,7 @@ def test_pictures_are_drawn_even_of_zeros(tmp_path):
     assert page.count("<svg") == 2
 
 
-def test_a_calibration_accepted_by_a_person_says_so(tmp_path):
+def test_a_calibration_accepted_by_the_user_is_marked(tmp_path):
     subject = good()
     calibration = subject.outcome.calibration.accepted_by_person()
     outcome = replace(subject.outcome, calibration=calibration)
@@ -232,7 +232,7 @@ def test_an_estimate_without_calibration_is_enough(tmp_path):
     assert report_of(tmp_path, replace(subject, outcome=outcome)).count("<svg") == 4
 
 
-def test_samples_that_were_not_believed_are_marked(tmp_path):
+def test_outliers_are_marked(tmp_path):
     subject = good()
     inliers = np.arange(500) % 10 > 0
     estimate = replace(subject.outcome.estimate, inliers=inliers)
@@ -251,7 +251,7 @@ def test_a_nominal_mounting_turns_the_raw_field_into_body_axes(tmp_path):
     assert report_of(tmp_path, subject_of(window, robot.knowledge())).count("<svg") == 4
 
 
-def test_a_picture_that_fails_does_not_take_the_report_with_it(tmp_path, monkeypatch):
+def test_the_report_is_written_although_a_picture_fails(tmp_path, monkeypatch):
     from magcal_ros.report import turn_views
 
     def fail(*_):
@@ -296,7 +296,7 @@ def test_pyplot_is_never_loaded(tmp_path):
     assert "matplotlib.pyplot" not in sys.modules
 
 
-def test_all_thresholds_at_once_still_make_a_page(tmp_path):
+def test_a_page_is_written_with_all_warnings_at_once(tmp_path):
     subject = good()
     figures = {t.figure: 3.0 * t.good / t.scale for t in TURN_BOUNDS}
     estimate = replace(subject.outcome.estimate, figures=figures)
@@ -305,7 +305,7 @@ def test_all_thresholds_at_once_still_make_a_page(tmp_path):
     assert page.count('class="grade refused"') > 3
 
 
-def test_turns_that_were_put_together_have_a_section(tmp_path, monkeypatch):
+def test_joined_turns_have_a_section(tmp_path, monkeypatch):
     monkeypatch.setattr(joined, "wrong_axes", lambda *_: None)
     robot = replace(ROBOT, yaw=math.radians(5.0))
     rng = np.random.default_rng(1)
@@ -324,7 +324,7 @@ def test_turns_that_were_put_together_have_a_section(tmp_path, monkeypatch):
     assert "all samples of the newest turn" in words
 
 
-def test_how_the_imu_sits_in_the_vehicle_is_told_where_driving_showed_it(tmp_path):
+def test_the_yaw_of_the_imu_is_given_if_driving_determined_it(tmp_path):
     words = "the IMU's x points 4.1° ± 0.6° to the left of the vehicle's front, by course"
     assert words in words_of(text_of(tmp_path / "told", replace(good(), vehicle=words)))
     assert "in the vehicle" not in words_of(text_of(tmp_path / "untold", good()))

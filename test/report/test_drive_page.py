@@ -1,4 +1,4 @@
-"""The page on a drive: its map in degrees, and how the compass goes against course."""
+"""The page on a drive: its map in degrees, and the compass compared with course."""
 
 import math
 import re
@@ -28,13 +28,13 @@ def test_the_map_shows_degrees():
     assert "µT:" not in page
 
 
-def test_nothing_in_force_makes_no_empty_table():
+def test_without_a_calibration_there_is_no_empty_table():
     page = render_drive(replay([[k, 0] for k in range(5)]), "a drive")
     assert "<p>None.</p>" in page
     assert "made by" not in page
 
 
-def test_a_narrow_way_stands_in_the_middle_of_the_map():
+def test_a_narrow_path_is_centred_on_the_map():
     page = render_drive(replay([[0, 25 * k] for k in range(5)]), "a drive")
     assert {float(x) for x in re.findall(r'cx="([0-9.]+)"', page)} == {500.0}
 
@@ -48,7 +48,7 @@ def test_start_and_end_of_a_loop_are_named_together():
     assert ">end</text>" not in loop
 
 
-def test_no_name_is_written_over_the_scale():
+def test_names_do_not_overlap_the_scale():
     page = render_drive(replay([[0, 0], [10, 5], [20, 10], [30, 5], [40, 8]]), "a drive")
     start, bar = (
         float(re.search(rf'y="([0-9.]+)"[^>]*>{name}<', page)[1]) for name in ("start", "[0-9]+ m")
@@ -56,12 +56,12 @@ def test_no_name_is_written_over_the_scale():
     assert bar - start > 16.0  # the height of its letters
 
 
-def test_the_offset_against_course_stands_on_the_page():
+def test_the_offset_from_course_is_on_the_page():
     told = replace(replay([[k, 0] for k in range(5)]), course="compass minus course +3.0° ±1.0°")
     assert 'id="course">After: compass minus course +3.0°' in render_drive(told, "a drive")
 
 
-def test_a_disturbance_across_the_level_field_may_turn_the_heading_by_its_angle():
+def test_the_colour_is_the_angle_by_a_disturbance_across_the_field():
     strength, dip = 50e-6, math.radians(60.0)
     correction = Correction(np.eye(3), np.zeros(3))
     evidence = Evidence("smoother", "good", "good", "")

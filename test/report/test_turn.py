@@ -1,4 +1,4 @@
-"""What a report makes of the samples."""
+"""The samples as a report shows them."""
 
 from dataclasses import replace
 

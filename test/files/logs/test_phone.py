@@ -1,4 +1,4 @@
-"""What phones export is recognised by its columns."""
+"""Exports of phones are recognised by their columns."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_a_phones_folder_gives_what_the_sensors_measured(tmp_path, kind):
+def test_the_folder_of_a_phone_gives_its_measurements(tmp_path, kind):
     _, imu, field = numbers(WRITERS[kind](tmp_path / "phone"))
     assert imu == pytest.approx(IMU, abs=1e-6)
     assert field == pytest.approx(FIELD, abs=1e-9)
@@ -59,7 +59,7 @@ def test_location_gives_place_and_course(tmp_path):
     assert [(m.stamp, m.east) for m in moving] == [(1001.0, pytest.approx(2.0))]
 
 
-def test_acceleration_without_gravity_is_refused_with_what_to_record(tmp_path):
+def test_acceleration_without_gravity_is_refused_with_the_sensor_to_record(tmp_path):
     path = WRITERS["ios"](tmp_path / "phone")
     still = (path / "Accelerometer.csv").read_text()
     (path / "Gravity.csv").unlink()
@@ -83,6 +83,6 @@ def test_a_missing_sensor_is_named(tmp_path):
         numbers(path)
 
 
-def test_topics_are_for_bags(tmp_path):
+def test_topics_are_refused_for_a_phone(tmp_path):
     with pytest.raises(UsageError, match="without topics"):
         numbers(WRITERS["phyphox"](tmp_path / "phone"), imu="/imu")
