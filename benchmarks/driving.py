@@ -1,4 +1,4 @@
-"""What a drive tells: up, the front of the vehicle, the compass by course; simulated and recorded.
+"""Results of drives, simulated and recorded: up, the front of the vehicle, the compass by course.
 
 Run it as `python benchmarks/driving.py [drives] [recordings]`. Each row of the simulated table is
 over so many fresh drives (20 unless given); the folder with the recordings is
@@ -47,7 +47,7 @@ RECEIVERS = {"velocity": Receiver(speed_noise=0.1), "fixes": Receiver()}
 
 @dataclass(frozen=True, eq=False)
 class FollowedDrive:
-    """What was made of a drive; `early` is the course's offset by its first half."""
+    """The results of a drive; `early` is the course's offset by its first half."""
 
     stamps: FloatArray
     ups: FloatArray
@@ -65,7 +65,7 @@ class FollowedDrive:
 def follow(
     samples: Iterable[AnySample], calibration: Calibration, half: float = math.inf
 ) -> FollowedDrive:
-    """Walk through a drive as the node does; `half` is the stamp of its middle, seconds."""
+    """Process a drive as the node does; `half` is the stamp of its middle, seconds."""
     up, compass, estimator = UpFollower(), Compass(calibration), TravelEstimator()
     stamps, ups, yaws = [], [], []
     early = None
@@ -100,7 +100,7 @@ def of_robot(drive: Drive) -> Calibration:
 
 
 def city_drive(seed: int, seconds: float, way: str) -> Drive:
-    """Return a fresh drive through a city with an IMU that sits anyhow."""
+    """Return a new drive through a city with an IMU of any orientation."""
     rng = np.random.default_rng(seed)
     vehicle = Vehicle(
         imu_yaw=float(rng.uniform(-math.pi, math.pi)),
@@ -119,7 +119,7 @@ def city_drive(seed: int, seconds: float, way: str) -> Drive:
 
 
 def tilt_errors(drive: Drive, seen: FollowedDrive) -> FloatArray:
-    """Return by how much up is off, degrees."""
+    """Return the errors of up, degrees."""
     truth = drive.up[np.searchsorted(drive.time, seen.stamps)]
     across = np.clip(np.sum(truth * seen.ups, axis=1), -1.0, 1.0)
     return np.asarray(np.degrees(np.arccos(across)))
@@ -183,7 +183,7 @@ def told(found: list[tuple[float, float]], drives: int) -> str:
 
 
 def traps(drives: int) -> None:
-    """Print what must not fool anybody."""
+    """Print cases that must not give a wrong result."""
     print("\nBackwards half of the time, speed without a sign: wrong directions of travel")
     wrong = trips = 0
     for seed in range(drives):
@@ -228,7 +228,7 @@ def odd_ones(drives: int) -> None:
 
 
 def drifting(rng: np.random.Generator) -> list[Leg]:
-    """Look about for four minutes without going anywhere by oneself."""
+    """Turn on the spot for four minutes."""
     return [Leg(rng.uniform(4.0, 8.0), turn_rate=rng.normal(0.0, 0.04)) for _ in range(40)]
 
 

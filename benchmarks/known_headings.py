@@ -65,7 +65,7 @@ TOLD: dict[str, Callable[[float, float], float]] = {
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A robot with its sensors' faults, what is known of its place, and where it has stood."""
+    """A robot with the errors of its sensors, the prior knowledge, and its known headings."""
 
     robot: Robot
     distortion: FloatArray
@@ -150,7 +150,7 @@ def row(robots: int, count: int, sigma: float, declination: float = 0.0) -> str:
 
 
 def told_wrongly(robots: int, count: int, declination: float) -> None:
-    """Print what becomes of headings that are told wrongly."""
+    """Print the results with wrong headings."""
     print(f"\n{count} headings, told wrongly; the declination is {declination:g}°")
     print("| told | taken | named | refused |\n|---|---|---|---|")
     for name, change in TOLD.items():
@@ -177,7 +177,7 @@ PATIENCE = 30.0
 
 
 class Follower:
-    """Walks through a drive as the node does while two antennas tell the heading, and after."""
+    """Processes a drive as the node does, with the headings of two antennas and without."""
 
     def __init__(self, drive: Drive, knowledge: Knowledge, rng: np.random.Generator) -> None:
         self._drive, self._knowledge, self._rng = drive, knowledge, rng
@@ -219,7 +219,7 @@ class Follower:
                     self._on_heading(sample.stamp, self._told(k))
 
     def _told(self, k: int) -> ExternalHeading:
-        """Return what the antennas say, to true north."""
+        """Return the headings of the antennas, to true north."""
         attitude = self._drive.truth.attitude[k]
         yaw = math.atan2(attitude[0, 1], attitude[0, 0])
         return ExternalHeading(yaw + DEGREE * self._rng.standard_normal(), DEGREE, True)
@@ -273,7 +273,7 @@ class Follower:
 
 
 def outages(drives: int, first: int) -> None:
-    """Print how the fused yaw goes on when two antennas fall silent."""
+    """Print the errors of the fused yaw after two antennas stop."""
     print(
         "| silent, s | fused, RMS° (worst) | said° | NEES | gyro alone, RMS° | fused is better",
         end="",

@@ -57,7 +57,7 @@ TURNS = {
 
 
 def legs(rng: np.random.Generator, seconds: float) -> list[Leg]:
-    """Return what a robot does in a hall."""
+    """Return the motion of a robot in a hall."""
     found: list[Leg] = []
     while seconds_of(found) < seconds:
         speed = rng.uniform(0.3, FASTEST)
@@ -147,7 +147,7 @@ def calibrated(robotic: Robotic) -> Calibration | None:
 def headings(
     robotic: Robotic, calibration: Calibration, way: str
 ) -> Iterator[tuple[float, bool, float, float]]:
-    """Yield stamp, whether it moves, error (radians) and variance, as the node would tell it."""
+    """Yield stamp, whether it moves, error (radians) and variance, as in the node."""
     drive = robotic.drive
     calibration = calibration if way != "none" else replace(calibration, motors=None)
     up, sense, compass = UpFollower(), MotionDetector(), Compass(calibration)

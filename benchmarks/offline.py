@@ -34,7 +34,7 @@ TOPICS = {"/imu/data_raw": "sensor_msgs/msg/Imu", "/imu/mag": "sensor_msgs/msg/M
 
 
 def drive(minutes: float, hertz: float) -> Window:
-    """What the sensors measure on the way."""
+    """The samples of the drive."""
     seconds = 60.0 * minutes
     motion = turn(arc=TURN_RATE * seconds, samples=int(seconds * hertz), duration=seconds)
     return measure(ROBOT, motion, np.random.default_rng(1), gyro=True)

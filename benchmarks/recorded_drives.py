@@ -1,4 +1,4 @@
-"""What self-calibration decides on recordings: `python benchmarks/recorded_drives.py [FOLDER...]`.
+"""Decisions of self-calibration on recordings: `python benchmarks/recorded_drives.py [FOLDER...]`.
 
 Each recording is told again as `magcal drive` does, all of it and its halves: from nothing, and
 with the calibration in force that the smoother finds on all of it, which nothing should replace.
@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def roughly(known: Calibration, seed: int) -> Calibration:
-    """Return a calibration as it may be where the level hard iron is known roughly."""
+    """Return a calibration with a roughly known level hard iron."""
     sigma = ROUGH * known.strength * math.cos(known.inclination) * np.array([1.0, 1.0, 0.0])
     off = np.random.default_rng([34, seed]).normal(0.0, 1.0, 3) * sigma
     covariance = known.covariance.copy()

@@ -1,4 +1,4 @@
-"""What self-calibration comes to on simulated drives: `python benchmarks/self_calibration.py`.
+"""Results of self-calibration on simulated drives: `python benchmarks/self_calibration.py`.
 
 Drives through cities with streets that bend the field, as the node would decide on them. Degrees
 of heading on the level, a constant taken off. `--drives N` sets how many of each and
@@ -70,7 +70,7 @@ def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveRe
 
 
 class Heard(SelfCalibration):
-    """Decides nothing, and keeps what it is told, to be decided on several times."""
+    """Makes no decision, and keeps the results, for several decisions."""
 
     def __init__(self) -> None:
         super().__init__(Mode.OFF)
@@ -81,7 +81,7 @@ class Heard(SelfCalibration):
         return False
 
     def decide(self, begun: Calibration) -> tuple[list[tuple[float, Decision]], Calibration]:
-        """Return what the node would decide, by seconds, and what is in force at the end."""
+        """Return the node's decisions with their seconds, and the calibration at the end."""
         machine, now, made = SelfCalibration(Mode.APPLY), begun, []
         machine.put_in_force(begun)
         for row in self.rows:
@@ -117,7 +117,7 @@ def fitted(window: Window, known: Knowledge) -> DriveFit:
 
 
 def calibration_of(correction: Correction, sigma: float = math.radians(0.84)) -> Calibration:
-    """Return what a turn would have left."""
+    """Return the calibration by a turn."""
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = np.eye(3) * (sigma * LEVEL) ** 2
     evidence = Evidence("maximum_likelihood", "good", "good", "")
@@ -268,7 +268,7 @@ def bench_good(seeds: range) -> None:
 
 
 def bench_traps(seeds: range) -> None:
-    """What must not fool it: how often what is in force is changed, and to what."""
+    """Cases without a change: the number of changed calibrations, and their errors."""
     traps: dict[str, Callable[[int], Drive]] = {
         "standing 10 min": lambda seed: drive_of(seed, 600.0, [Leg(600.0)]),
         "parking": lambda seed: drive_of(

@@ -1,4 +1,4 @@
-"""What the benchmarks of the running node share: processes, a simulated robot's bytes, CPU time."""
+"""Common parts of the benchmarks of the running node: processes, simulated messages, CPU time."""
 
 from __future__ import annotations
 

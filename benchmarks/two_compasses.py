@@ -73,7 +73,7 @@ Fault = Callable[[Fields, "World"], Fields]
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A drive, and what else its magnetometers can be made to read."""
+    """A drive, and the changes of its magnetometers' fields."""
 
     drive: Drive
     streets: StreetField
@@ -81,7 +81,7 @@ class World:
 
     @property
     def failed(self) -> BoolArray:
-        """Which moments are after the fault."""
+        """Which stamps are after the fault."""
         return np.asarray(self.drive.time - self.drive.time[0] >= FAILS_AT)
 
     def reading(self, number: int, robot: Robot, irons: tuple[Iron, ...] = ()) -> FloatArray:
@@ -139,7 +139,7 @@ CASES: tuple[tuple[str, Fault], ...] = (
 
 
 def calibrations(rng: np.random.Generator) -> list[Calibration]:
-    """Return a calibration of each that is as wrong as it says."""
+    """Return a calibration of each with an error of its sigma."""
     found = []
     for robot, sigma in zip(ROBOTS, HARD_IRON_SIGMAS, strict=True):
         truth = robot.true_correction
@@ -166,7 +166,7 @@ def world_of(seed: int) -> World:
 
 @dataclass
 class Listener:
-    """A message's walk through the node with some magnetometers."""
+    """The processing of messages as in the node with some magnetometers."""
 
     calibrations: dict[int, Calibration]
     fused_rows: list[tuple[float, float, float]] = field(default_factory=list)
@@ -246,7 +246,7 @@ def errors(drive: Drive, rows: list[tuple[float, float, float]]) -> tuple[FloatA
 
 
 def score(drive: Drive, listener: Listener) -> Score:
-    """Hold what was heard against the truth."""
+    """Compare the published headings with the truth."""
     _, off, variance = errors(drive, listener.fused_rows)
     stamps, published, its_variance = errors(drive, listener.rows)
     failover = step = math.nan
@@ -262,7 +262,7 @@ def score(drive: Drive, listener: Listener) -> Score:
 
 
 def _still_heard(listener: Listener, begins: float) -> float:
-    """Return how long the first magnetometer took part after its fault, at first."""
+    """Return how long the first magnetometer had a weight after its fault."""
     for stamp, weight in listener.weights:
         if stamp >= begins and weight < NO_PART:
             return stamp - begins

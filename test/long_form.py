@@ -8,7 +8,7 @@ IS_LONG = "MAGCAL_SOAK" in os.environ
 
 
 def rounds(short, long):
-    """How often to try."""
+    """The number of repetitions."""
     return long if IS_LONG else short
 
 

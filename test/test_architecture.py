@@ -52,7 +52,7 @@ def room_of(path):
 
 @functools.cache
 def nodes_of(path):
-    """Everything in a file, as Python reads it."""
+    """The syntax tree of a file."""
     return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 
@@ -126,7 +126,7 @@ def needed_modules(path):
 
 def test_there_are_no_circular_imports():
     needs = {module_of(path): set(needed_modules(path)) for path in FILES}
-    # What imports nothing that is left is taken away; a circle never is.
+    # Modules that import none of the rest are removed; a cycle remains.
     while free := {module for module, needed in needs.items() if not needed & set(needs)}:
         needs = {module: needed for module, needed in needs.items() if module not in free}
     assert needs == {}

@@ -48,7 +48,7 @@ STAND_INS = {
 
 
 class Made(SimpleNamespace):
-    """What a launch file has made of one class, with its arguments."""
+    """The objects of one class that a launch file has created, with their arguments."""
 
     def perform(self, context):
         """Return what the user gave for an argument: nothing, unless the context has it."""
@@ -57,7 +57,7 @@ class Made(SimpleNamespace):
 
 @pytest.fixture
 def stand_ins(monkeypatch):
-    """Put the stand-ins in the place of ROS's modules."""
+    """Replace ROS's modules."""
     monkeypatch.setitem(sys.modules, "launch_ros", ModuleType("launch_ros"))
     for name, classes in STAND_INS.items():
         module = ModuleType(name)

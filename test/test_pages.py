@@ -37,7 +37,7 @@ def blocks(page, *languages):
 
 
 def shell_lines(page):
-    """Return what a reader types."""
+    """Return the commands that a reader types."""
     lines = "\n".join(blocks(page, "", "sh")).replace("\\\n", " ").splitlines()
     return [line.partition("#")[0].strip() for line in lines if line.partition("#")[0].strip()]
 

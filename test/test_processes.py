@@ -41,7 +41,7 @@ SHADOWS += ["importlib", "runpy", "geometry_msgs", "numpy", "magcal_ros"]
 
 @pytest.fixture
 def trap(tmp_path, monkeypatch):
-    """Work in a folder whose modules give themselves away; returns what they have done."""
+    """Work in a folder whose modules record that they were run; returns the record."""
     for name in SHADOWS:
         betray = (
             f"open({str(tmp_path / 'was_run')!r}, 'a').write({name!r} + ' ')\nraise ImportError"

@@ -26,7 +26,7 @@ FILES = sorted(path for path in PACKAGE.rglob("*.py") if "rclpy" in path.read_te
 
 
 def faults(text):
-    """Say, by line, what of a module's text some distribution lacks or the table does not know."""
+    """Name, by line, what a distribution lacks or the table does not have."""
     return [f"line {use.line}: {fault}" for use in uses(text, GIVES) for fault in faults_of(use)]
 
 

@@ -24,6 +24,6 @@ def plain_reports(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def one_fit(monkeypatch):
-    """Fit the same samples once, however many commands are given them."""
+    """Fit the same samples once for all commands."""
     monkeypatch.setattr(recorded, "calibrate", CALIBRATE)
     monkeypatch.setattr(recorded, "calibrate_turns", CALIBRATE_TURNS)

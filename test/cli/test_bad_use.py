@@ -205,7 +205,7 @@ def test_names_of_files_cannot_control_the_terminal(call, folder, tmp_path):
 
 
 def test_arguments_cannot_control_the_terminal(call, folder):
-    # As `magcal doctor *` gives them, where a folder holds such names.
+    # As `magcal doctor *` passes them for a folder with such names.
     for arguments in (("doctor", folder, EVIL), (EVIL,), ("fit", f"--output={EVIL}", f"--{EVIL}")):
         said = call(*arguments).stderr.decode()
         assert all(letter.isprintable() or letter == "\n" for letter in said), arguments

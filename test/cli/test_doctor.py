@@ -99,7 +99,7 @@ def test_a_recording_excludes_the_live_option(tmp_path, capsys):
 
 
 def test_the_given_direction_of_the_turn_is_used(tmp_path, capsys):
-    # All sensors agree on the side to which it turned: it is the person who is asked about.
+    # All sensors agree on the direction of the turn: the user may have turned the other way.
     arguments = record(tmp_path / "bag", np.eye(3))
     said = []
     for side in ("left", "right"):

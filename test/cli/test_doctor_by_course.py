@@ -18,7 +18,7 @@ LEFT = rotation_from_rpy(0.0, 0.0, math.pi / 2.0)
 
 
 def turned(sample, imu, field):
-    """A sample as sensors say it that are turned by `imu` and `field` in the vehicle."""
+    """A sample of sensors that are rotated by `imu` and `field` in the vehicle."""
     if isinstance(sample, ImuSample):
         force, rate = (tuple(imu.T @ np.array(v)) for v in (sample.force, sample.rate))
         return sample._replace(force=force, rate=rate)

@@ -134,7 +134,7 @@ def rewritten(folder, name, columns, scale, into):
 
 
 def test_a_drive_with_a_gyro_in_degrees_is_reported(tmp_path, capsys):
-    """And not that it did not show enough."""
+    """The message is not that there was too little data."""
     good = write_csv(tmp_path / "good", drive(800.0))
     folder = rewritten(good, "imu.csv", slice(4, 7), math.degrees(1.0), tmp_path / "csv")
     assert main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
@@ -146,7 +146,7 @@ def test_a_drive_with_a_gyro_in_degrees_is_reported(tmp_path, capsys):
 
 
 def test_a_drive_with_a_field_in_microtesla_is_reported(driven, tmp_path, capsys):
-    """And not that it has no gyro."""
+    """The message is not that there is no gyro."""
     folder = rewritten(driven, "mag.csv", slice(1, 4), 1e6, tmp_path / "csv")
     assert main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
     said = capsys.readouterr().err

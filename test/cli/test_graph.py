@@ -9,7 +9,7 @@ RANGE, LOCAL_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
 
 @pytest.fixture
 def environment(monkeypatch):
-    """Leave the test an environment that says nothing, and put the real one back."""
+    """Give the test an empty environment, and restore the real one."""
     monkeypatch.setattr(os, "environ", {})
     return os.environ
 

@@ -88,7 +88,7 @@ def antenna(stamp, yaw):
 
 
 def driven(path, sign=1.0):
-    """A bag of a robot that turns slowly once, and what its antennas say of it."""
+    """A bag of a robot that turns slowly once, and the headings of its antennas."""
     ride = Ride(ROBOT, np.random.default_rng(5), start=1000.0, imu_rate=25.0)
     samples = []
     for k in range(25 * 75):

@@ -131,7 +131,7 @@ def test_the_doctor_reads_a_log(tmp_path, capsys):
 
 
 def test_an_upright_phone_is_fitted_with_its_mounting(tmp_path, capsys):
-    turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # its x looks up
+    turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # its x points up
     samples = [
         s._replace(field=tuple(turn.T @ s.field))
         if isinstance(s, FieldSample)
@@ -157,7 +157,7 @@ def test_a_long_fit_shows_its_progress(monkeypatch):
     out, shares = io.StringIO(), iter((0, 0, 0, 70, *[70] * 100))
     with recorded.with_progress(lambda: f"fitting 7 messages, {next(shares)} %", out):
         time.sleep(0.5)
-    # No line is said twice.
+    # No line is repeated.
     assert out.getvalue().splitlines() == [f"fitting 7 messages, {n} %: 0 s" for n in (0, 70)]
 
 

@@ -80,9 +80,9 @@ def smooth(rng, moments, seconds):
 
 
 def drive(watch, calibration, robots, minutes, way=Route(), seed=1, start=1000.0, gyro=True):
-    """Drive one robot after the other, each for so many minutes, under the same calibration.
+    """Drive one robot after the other for these minutes each, with the same calibration.
 
-    Returns what the watch said, a (stamp, Watched) each half minute.
+    Returns the results of the monitor, a (stamp, MonitorResult) each half minute.
     """
     rng = np.random.default_rng(seed)
     moments = int(sum(minutes) * 60.0 / PERIOD)
@@ -124,7 +124,7 @@ def feed(watch, *columns):
 
 
 def bodies(yaw, lean):
-    """Rotations ENU to body (n, 3, 3), with small leanings about the body's x and y."""
+    """Rotations ENU to body (n, 3, 3), with small tilts about the body's x and y."""
     c, s, none, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
     level = np.array([[c, s, none], [-s, c, none], [none, none, one]]).transpose(2, 0, 1)
     return exp_rotations(-lean * np.array([1.0, 1.0, 0.0])) @ level

@@ -20,7 +20,7 @@ def driven(legs, seed=1, vehicle=None, rate=25.0, heading=0.3, current=(0.0, 0.0
 
 
 def follow(drive, estimator=None, watch=lambda estimator, stamp: None, added=0.0):
-    """Show everything to a `TravelEstimator`; returns it. `added` turns the compass, radians."""
+    """Pass all samples to a `TravelEstimator`; returns it. `added` rotates the compass, rad."""
     estimator = estimator or TravelEstimator()
     field = drive.correction_at(drive.time[0]).apply(drive.field)
     yaws = iter((yaw_from_up_and_field(drive.up, field) + added).tolist())
@@ -37,7 +37,7 @@ def follow(drive, estimator=None, watch=lambda estimator, stamp: None, added=0.0
 
 
 def tilts(drive, estimator=None):
-    """Return by how much an up that is told the own acceleration is off, degrees."""
+    """Return the error of up with the vehicle's acceleration subtracted, degrees."""
     follower, found = UpFollower(), []
     for sample in drive.samples():
         kind = type(sample)

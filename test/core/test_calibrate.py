@@ -31,7 +31,7 @@ def window_of(robot=ROBOT, **motion):
 
 @functools.cache
 def outcome_of(method):
-    """What a whole turn gives."""
+    """The result of a whole turn."""
     return calibrate(window_of(), ROBOT.knowledge(), method)
 
 
@@ -119,7 +119,7 @@ def test_a_refusal_names_the_wrong_unit():
 
 @pytest.mark.parametrize("case", first_of([(0.1, True), (1.0, False), (3.0, False)]))
 def test_all_methods_agree_on_when_gravity_is_absent(case):
-    """A force in g is weak, and still says where up is."""
+    """A force in g is weak, and still shows the direction of up."""
     size, absent = case
     one = window_of()
     weak = Window(one.time, one.field, size / 9.80665 * one.specific_force)
@@ -184,7 +184,7 @@ def test_after_a_full_circle_no_further_circle_is_asked_for():
 
 @pytest.mark.parametrize("gyro", [True, False])
 def test_a_robot_that_leans_with_the_ground_shows_no_soft_iron(gyro):
-    """It rolls by 6 degrees twice a turn: the raw circle is an ellipse, and no iron's."""
+    """It rolls by 6 degrees twice a turn: the raw ellipse is not by iron."""
     robot = Robot(noise_field=0.2e-6)
     angle = np.arange(500) * (math.tau / 500)
     lean = 6.0 * DEGREE * np.column_stack([np.cos(2 * angle), np.sin(2 * angle), 0.0 * angle])

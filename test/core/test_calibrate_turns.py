@@ -39,7 +39,7 @@ def fates_of(outcome):
 
 @pytest.fixture(autouse=True, scope="module")
 def no_look():
-    """The axes are right here; to look at them takes five times as long as the fit of a turn."""
+    """The axes are correct here; checking them takes five times as long as the fit."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(joined, "wrong_axes", lambda *_: None)
         yield
@@ -47,7 +47,7 @@ def no_look():
 
 @pytest.fixture(scope="module")
 def mixed():
-    """Two turns that belong together; between and after them another load, a copy, and a stand."""
+    """Two turns of one robot; between and after them another load, a copy, and a rest."""
     rng = np.random.default_rng(8)
     level, east = window_on(LEVEL, rng, samples=400, gyro=True), window_on(EAST, rng, gyro=True)
     other = window_on(NORTH, rng, FOREIGN, gyro=True)

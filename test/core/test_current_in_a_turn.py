@@ -39,7 +39,7 @@ def test_a_robot_held_by_its_motors_is_calibrated_for_zero_current(course):
     found = outcome.calibration
     motors = found.motors
     at = motors.inputs.index(MotorInput.CURRENT)
-    # The battery tells currents as negative.
+    # The battery's currents are negative.
     assert np.linalg.norm(motors.gain[at]) == pytest.approx(
         SIZE / LARGEST, abs=3 * motors.sigma(at)
     )

@@ -28,7 +28,7 @@ def test_a_reference_is_complete_with_both_numbers():
 
 
 def test_the_mounting_rotates_before_it_scales():
-    # A board turned by 90° to the left sees the robot's forward on its own -y.
+    # For a board rotated by 90° to the left, the robot's forward is its -y.
     mounting = Mounting(gains=[2.0, 3.0, 4.0], pose=rotation_from_rpy(0.0, 0.0, math.pi / 2))
     np.testing.assert_allclose(mounting.matrix @ [1.0, 0.0, 0.0], [0.0, -3.0, 0.0], atol=1e-15)
 

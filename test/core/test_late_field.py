@@ -38,7 +38,7 @@ def test_a_late_field_between_rests_is_not_taken_for_motors(seconds):
 
 @pytest.mark.nightly
 def test_a_reversed_level_field_is_not_taken_for_soft_iron():
-    """The robot sways while its field is late: 177 degrees wrong, said 2.2, was an optimum."""
+    """The robot sways while its field is late: an error of 177 degrees was an optimum."""
     scene, knowledge = drawn(np.random.default_rng([7, 5002]), evenly)
     scene = SENSORS["typical"](np.random.default_rng([8, 5002]), scene)
     scene = late(0.35)(np.random.default_rng(0), scene)
@@ -49,7 +49,7 @@ def test_a_reversed_level_field_is_not_taken_for_soft_iron():
 
 @pytest.mark.parametrize("seed", first_of([21, 20, 30]))
 def test_weak_motors_in_proportion_to_the_rate_are_not_taken_for_a_late_field(seed):
-    """Between rests at one heading both make the same step; starts and stops tell them apart."""
+    """Between rests at one heading both give the same step; starts and stops differ."""
     rng = np.random.default_rng(seed)
     legs = [Leg(6.0), Leg(25.0, turn_rate=math.tau / 25.0), Leg(6.0)]
     truth = travel(legs, rng, rate=50.0, heading=rng.uniform(-3.0, 3.0))

@@ -37,7 +37,7 @@ def test_the_heading_at_rest_is_correct_and_the_motors_are_reported(case):
 
 @pytest.mark.parametrize("case", first_of([("in step", 20e-6, 504), ("switching", 10e-6, 3000)]))
 def test_a_badly_explained_turn_on_the_spot_is_not_taken_for_a_drive(case):
-    """The drives were 17 and 65 degrees wrong, said 1.9 and .5, and were accepted."""
+    """Drives with errors of 17 and 65 degrees, at sigmas of 1.9 and .5, were accepted."""
     shape, size, number = case
     scene, knowledge = with_motors(shape, size)(number)
     outcome = calibrate(collected(scene.window), knowledge)
@@ -114,7 +114,7 @@ def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
 @pytest.mark.nightly
 @pytest.mark.parametrize("by_rate", first_of([True, False]))
 def test_without_a_gyro_the_unobservable_motor_field_is_reported(by_rate):
-    """It said half as much: an even start seemed to show how far the robot had turned."""
+    """The sigma was half as large: an even start seemed to determine the angle."""
     motion, window = driven(evenly, ROBOT, 6.0)
     rate = motion.angular_rate[:, 2]
     shape = rate / np.abs(rate).max() if by_rate else (np.abs(rate) > 0.02).astype(float)

@@ -28,7 +28,7 @@ def random_times(rng):
 
 
 def random_vectors(rng, n, scale):
-    """Vectors of one size: turning, noise, a line, a point, a lattice, or wildly different."""
+    """Vectors of one size: turning, noise, a line, a point, a lattice; or very different ones."""
     around = rng.uniform(-7.0, 7.0) * np.linspace(0.0, 1.0, n)
     circle = np.column_stack([np.cos(around), np.sin(around), np.full(n, rng.standard_normal())])
     noise = rng.standard_normal((n, 3))

@@ -71,7 +71,7 @@ def test_more_than_a_quarter_turn_between_samples_is_integrated():
     np.testing.assert_allclose(steps.over(np.arange(4)).angle, angle, atol=1e-9)
     scene, knowledge = drawn(np.random.default_rng(7), 0.3)
     window = collected_at(scene.window, 10.0)
-    # The field is silent for a third of the round, as where its driver hangs.
+    # The field is silent for a third of the turn, like a driver that hangs.
     time = window.time - BEGUN
     holed = window.take((time < 9.0) | (time > 16.0))
     assert np.linalg.norm(holed.steps.angle, axis=1).max() > 0.5 * np.pi

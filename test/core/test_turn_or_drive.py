@@ -21,7 +21,7 @@ from magcal_ros.core.samples import log_of
 
 @pytest.fixture(scope="module")
 def ringed():
-    """A robot that drives circles, and what it sees of them; nothing of the stand before them."""
+    """A robot that drives circles, and its window without the rest before them."""
     vehicle = random_vehicle(np.random.default_rng(7))
     robot = replace(vehicle.robot, gyro_bias=np.radians([0.1, 0.0, 0.1]))
     legs = joined(standing(5.0), circles(80.0, 4.0, 8.0))
@@ -59,7 +59,7 @@ def test_nineteen_seconds_of_circles_are_enough_for_a_drive(ringed, start):
 
 @pytest.mark.nightly
 def test_a_large_gyro_bias_by_a_rest_does_no_harm(ringed):
-    """Over a steady circle a bias looks like what pulls in it."""
+    """On a steady circle a bias looks like centripetal acceleration."""
     robot, window = ringed
     rate = window.angular_rate + np.radians([3.5, 2.0, 1.9])
     unknown = calibrate(replace(window, angular_rate=rate), BOSTON)
@@ -95,7 +95,7 @@ def test_a_bias_of_the_gyro_is_not_taken_for_the_acceleration_of_a_drive(turned)
 
 @pytest.mark.nightly
 def test_motors_between_rests_are_not_explained_by_a_drive():
-    """A drive takes their field for that of a place which was left, and says so by its sigma."""
+    """A drive explains their field by the place, with a large sigma."""
     rng = np.random.default_rng([1, 2])
     scene, known = drawn(rng, stop_and_go)
     scene = motors(6e-6)(np.random.default_rng([2, 2]), scene)
@@ -133,7 +133,7 @@ def test_a_drive_with_an_upside_down_accelerometer_is_refused(ned):
 
 
 def of_a_drive(axes):
-    """What is said of a drive whose magnetometer has such axes."""
+    """The verdict on a drive whose magnetometer has such axes."""
     drive = driven(3, 220.0)
     window = Window(drive.time, drive.field @ axes, drive.force, drive.rate)
     return calibrate_drive(log_of(window), BOSTON)

@@ -47,7 +47,7 @@ def outcome_of(seed):
 def test_a_tumble_is_calibrated_without_a_reference(seed):
     outcome = outcome_of(seed)
     assert outcome.verdict.accepted, outcome.verdict.summary
-    # A level field to the south is the same world seen from behind.
+    # A level field to the south is the same world, rotated by half a turn.
     assert abs(outcome.estimate.inclination) < 0.5 * math.pi
     errors = heading_errors(outcome.calibration.correction, ROBOT)
     assert math.degrees(np.sqrt(np.mean((errors - errors.mean()) ** 2))) < 1.0
@@ -120,7 +120,7 @@ def test_the_methods_for_tumbles_accept_any_median_orientation(method):
 
 
 def test_a_rolling_boat_is_advised_to_turn():
-    """Its z points up, and the axis that it rolls about lies."""
+    """Its z points up, and its axis of rotation is horizontal."""
     time = np.arange(0.0, 20.0, 0.05)
     roll = Rotation.from_rotvec(0.95 * np.sin(time)[:, None] * [1.0, 0.0, 0.0])
     window = measure(ROBOT, Motion(time, roll.as_matrix()), np.random.default_rng(1), gyro=False)

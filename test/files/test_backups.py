@@ -38,7 +38,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def irons(path, found):
-    """Return a function that saves a calibration with a hard iron as the node does."""
+    """Return a function that saves a calibration with a hard iron like the node."""
 
     def save(microtesla):
         correction = replace(found.correction, hard_iron=[microtesla * 1e-6, 0.0, 0.0])

@@ -502,7 +502,7 @@ def test_a_large_file_of_another_program_is_not_parsed(tmp_path, monkeypatch):
 
 
 class TestVehicleYaw:
-    """How the IMU sits in the vehicle lies beside the calibration, and never in its matrix."""
+    """The yaw of the IMU in the vehicle is stored separately, not in the matrix."""
 
     ORIGIN = replace(ORIGIN, vehicle_yaw=VehicleYaw(0.123456789, 0.01, "course"))
 

@@ -105,7 +105,7 @@ def test_only_a_certainly_absent_file_is_missing(tmp_path):
     assert is_missing(tmp_path / "nothing")
     assert is_missing(tmp_path / "file" / "below")
     assert not is_missing(tmp_path / "file")
-    # What cannot be looked at is left to whoever reads it, to be said.
+    # A path that cannot be examined is reported by the function that reads it.
     assert not is_missing(tmp_path / ("x" * 300))
     assert not is_missing(Path("a\0b"))
 

@@ -42,7 +42,7 @@ def test_samples_come_in_the_order_of_their_stamps_the_imu_first():
 
 
 def test_streams_with_a_clock_set_back_stay_synchronous():
-    """By their stamps alone all of one stream came before the other, and never met it again."""
+    """Sorted by stamps, all of one stream came before the other."""
     stamps = np.concatenate([1000.0 + 0.1 * np.arange(50), 5.0 + 0.1 * np.arange(50)])
     imu = np.column_stack([stamps, np.ones((100, 6))])
     field = np.column_stack([stamps - 0.05, np.ones((100, 3))])

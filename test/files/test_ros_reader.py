@@ -25,7 +25,7 @@ def samples():
 
 @pytest.fixture(params=[False, True], ids=["since Jazzy", "before Jazzy"])
 def with_ros(request, monkeypatch):
-    """Have ROS and not the library."""
+    """Make ROS available and not the library."""
 
     def switch():
         monkeypatch.setitem(sys.modules, "rosbag2_py", rosbag2_py(request.param))

@@ -35,7 +35,7 @@ PAGES = {}
 
 
 def report_of(folder, subject):
-    """The page on a subject; drawing takes long, so one that was asked for is kept."""
+    """The page on a subject; drawing takes long, so pages are kept."""
     if id(subject) not in PAGES:
         page = write_report(folder, subject).read_text(encoding="utf-8")
         PAGES[id(subject)] = subject, page
@@ -50,7 +50,7 @@ def text_of(folder, subject):
 
 
 def words_of(page):
-    """The text a reader sees, style and tags left out."""
+    """The visible text, without style and tags."""
     body = page[page.index("<body>") :]
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", body)).split())
 
@@ -90,7 +90,7 @@ def test_every_figure_of_the_method_is_named(tmp_path):
 
 
 def driven():
-    """The same samples, said to be of a drive."""
+    """The same samples, as those of a drive."""
     subject = good()
     of_a_drive = {"headings_driven": 12.0, "driving_time": 93.7, "street": 1.4e-6}
     of_a_drive |= {"local_field": 1.5e-6, "metres": 800.0}
@@ -180,7 +180,7 @@ def test_the_report_is_small_and_has_no_external_references(tmp_path, make):
 )
 def test_foreign_text_is_escaped(tmp_path, place):
     evil = "<script>alert('x')</script>\"&<img src=x>"
-    # A page tells the method that was asked for where none has answered.
+    # A page names the requested method if none gave a result.
     subject = refused() if place == "method" else good()
     page = text_of(tmp_path, replace(subject, **{place: evil}))
     assert "<script" not in page

@@ -18,7 +18,7 @@ from magcal_ros.report.turn import Subject, Turn
 
 @pytest.fixture(autouse=True)
 def no_look(monkeypatch):
-    """Nothing is read here of what the page says of the sensors."""
+    """The part of the page on the sensors is not used here."""
     monkeypatch.setattr(turn_module, "examine_window", lambda *_: SensorReport(()))
 
 

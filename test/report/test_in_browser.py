@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def wordy():
-    """As much text as a report can hold: every check falls short, and the names are long."""
+    """The longest report: every check fails, and the names are long."""
     subject = troubled()
     figures = dict(subject.outcome.estimate.figures)
     figures |= {t.figure: 3.0 * t.good / t.scale for t in TURN_BOUNDS}

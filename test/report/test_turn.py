@@ -11,7 +11,7 @@ from magcal_ros.report import turn
 
 
 def test_the_field_of_the_motors_is_subtracted_as_the_node_does(monkeypatch):
-    """A turn with 7 µT of motors looked 17 degrees off the line, at a calibration of .3 degrees."""
+    """With 7 µT of motors the drawn deviation was 17 degrees, with a sigma of .3 degrees."""
     monkeypatch.setattr(turn, "examine_window", lambda *_: SensorReport(()))
     subject = good()
     gain, zeros = np.array([[5e-6, 4e-6, 0.0]]), np.zeros((12, 3))

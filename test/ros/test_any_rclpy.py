@@ -68,7 +68,7 @@ class Run:
                 self.counted["errors"] = int(values["callback errors"])
 
     def meet(self):
-        """Wait until the node hears the robot; what came too early for it is not counted."""
+        """Wait until the node receives messages; earlier ones are not counted."""
         self.actor.wait_for_node()
         self.actor.run(PATIENCE, stop=lambda: self.published["imu/mag"] > 5)
         self.actor.mangle = lambda _: []

@@ -19,7 +19,7 @@ PLACE = ReferenceField(Belief(48e-6, 1e-6), Belief(1.1, 0.01), DECLINATION, 0.01
 
 
 class Azimuth:
-    """As compass_interfaces 3.0.6 lays it out."""
+    """The layout of compass_interfaces 3.0.6."""
 
     UNIT_RAD, UNIT_DEG = 0, 1
     ORIENTATION_ENU, ORIENTATION_NED = 0, 1

@@ -16,7 +16,7 @@ IMPATIENT = {**REFERENCE, "window.silence_s": 1.0, "window.timeout_s": 3.0}
 
 
 def every_fourth(replace):
-    """Replace each fourth sample by what `replace` makes of it: of IMU and field in turn."""
+    """Replace each fourth sample by `replace(sample)`, of IMU and field alternately."""
     count = iter(range(10**9))
 
     def mangle(sample):

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.faults
 
 
 class Elsewhere:
-    """A runner that does its work when it is told to."""
+    """A runner that does its work on request."""
 
     def __init__(self):
         self.waiting = []
@@ -57,7 +57,7 @@ def reads(monkeypatch):
 
 @pytest.fixture
 def met(ros_home, reads):
-    """Return keeper, its runner and log; the file of left is there, no other."""
+    """Return store, its runner and log; only the file of `left` exists."""
     store_calibration(ros_home / "magcal" / "calibrator.left.yaml", frame="left")
     files, log = Elsewhere(), Lines()
     return CalibrationStore(("/", "calibrator"), files, log, lambda *_: None), files, log

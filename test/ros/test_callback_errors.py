@@ -52,7 +52,7 @@ def test_the_same_type_of_error_elsewhere_is_another_kind():
 
 @pytest.fixture
 def watched(loaded):
-    """Return a robot, and what the node last said of errors in callbacks."""
+    """Return a robot, and the node's last diagnostic of errors in callbacks."""
     actor = loaded(parameters={**REFERENCE, "use_sim_time": True})
     counts = []
 

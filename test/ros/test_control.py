@@ -23,7 +23,7 @@ NOBODY = 65534
 
 
 class AtOnce:
-    """Does all work where it is asked for."""
+    """Does all work immediately."""
 
     def run(self, work, then, otherwise):
         try:
@@ -38,7 +38,7 @@ class AtOnce:
 
 
 class House:
-    """What a node does for a turn, where nothing is to be done."""
+    """The functions of a node for a turn, without an effect."""
 
     def __init__(self):
         self.errors, self.reporter = [], self
@@ -73,7 +73,7 @@ def settings_of_a_turn():
 
 
 def begun_in(house):
-    """Return the control of a turn that nobody has ended yet."""
+    """Return the control of an active turn."""
     streams = Streams(0.2)
     control = Control(streams, house, house, SelfTurn(), AtOnce(), AtOnce())
     assert control.start(settings_of_a_turn()).success
@@ -88,7 +88,7 @@ def begun_in(house):
 
 
 def turn_in(house):
-    """Return what everyone is told of a turn, two of them waiting."""
+    """Return the answers to two calls that wait for a turn."""
     control, told = begun_in(house), []
     control.when_done(told.append)
     control.when_done(told.append)
@@ -210,7 +210,7 @@ def test_the_window_has_the_speed_of_the_wheels():
 
 def test_the_window_has_the_current_of_the_battery():
     class Holding(House):
-        """A robot whose battery tells another current with every sample."""
+        """A robot whose battery reports another current with every sample."""
 
         @property
         def currents(self):

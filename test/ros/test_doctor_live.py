@@ -33,7 +33,7 @@ PLACE = ["--reference-strength-ut", "48", "--reference-inclination-deg", "65"]
 
 
 class Patient:
-    """A robot that does what the command asks for on its standard error."""
+    """A robot that makes the movements that the command asks for on its standard error."""
 
     def __init__(self, spoil):
         self.node = rclpy.create_node("patient")
@@ -100,7 +100,7 @@ URDF = """<robot name="mule"><joint name="mag" type="fixed"><parent link="imu_li
 
 @pytest.fixture
 def looked(graph):
-    """The page of a robot whose magnetometer lies x forward, y right, z down."""
+    """The report on a robot whose magnetometer has x forward, y right, z down."""
     node, other = rclpy.create_node("doctor"), rclpy.create_node("robot")
 
     def run(rpy, more=()):
@@ -136,7 +136,7 @@ def looked(graph):
 
 
 def hear(executor, is_heard):
-    """Spin until it is heard; without a pause between the messages, of which there are many."""
+    """Spin until it is received, without a pause between the many messages."""
     deadline = time.monotonic() + PATIENCE
     while not is_heard():
         assert time.monotonic() < deadline, "it was not heard"

@@ -45,7 +45,7 @@ def installed(tmp_path_factory):
 
 
 def before_others(**paths):
-    """What a setup file does: ROS itself may be found by the same variables."""
+    """The variables of a setup file; ROS itself may be found by the same ones."""
     given = {name: os.environ.get(name, "") for name in paths}
     return {
         name: os.pathsep.join(filter(None, [str(path), given[name]]))

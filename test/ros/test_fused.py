@@ -17,7 +17,7 @@ IRON = (0.0, 14e-6, -14e-6)
 
 @pytest.fixture
 def fused(loaded):
-    """Return an actor whose node is calibrated, and what it hears of the fused yaw."""
+    """Return an actor whose node is calibrated, and the received fused yaw."""
     actor = loaded(parameters={**REFERENCE, "fused.patience_s": 100.0})
     heard, reports = [], []
     actor.node.create_subscription(Imu, "compass/fused/enu/imu", heard.append, 100)

@@ -39,13 +39,13 @@ def silence(monkeypatch):
 
 @pytest.fixture
 def topic():
-    """Return a topic of the test's own: the guard of the one before may still be speaking."""
+    """Return a separate topic: the guard of the previous test may still publish."""
     return f"/cmd_vel_{uuid4().hex}"
 
 
 @pytest.fixture
 def base(graph, topic):
-    """Return what a base has heard, and a function that listens for a while."""
+    """Return the received commands, and a function that listens for a while."""
     node = rclpy.create_node("base")
     heard = []
     node.create_subscription(Twist, topic, lambda m: heard.append(m.angular.z), 50)
@@ -62,7 +62,7 @@ def base(graph, topic):
 
 @pytest.fixture
 def doomed(topic):
-    """Return a process that keeps a guard quiet until something happens to it."""
+    """Return a process that keeps a guard inactive until it ends."""
     command = [sys.executable, "-c", NODE, topic, str(SILENCE)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "ready\n"

@@ -42,7 +42,7 @@ def run_node(graph):
 
 
 def wait_for_zero(robot, since):
-    """Let the robot live until it is told to stand."""
+    """Run the robot until it receives a zero."""
     robot.live(AT_ONCE, lambda: robot.commands[-1][0] > since and not robot.moves)
     assert not robot.moves
 
@@ -107,7 +107,7 @@ def test_a_resumed_node_does_not_turn_the_robot(run_node, actor):
 
 
 def fill(pipe):
-    """Make a pipe take no byte more."""
+    """Fill a pipe."""
     fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 4096)
     other = os.open(f"/proc/self/fd/{pipe}", os.O_WRONLY | os.O_NONBLOCK)
     try:
@@ -149,5 +149,5 @@ def test_a_blocked_log_file_does_not_keep_the_robot_turning(run_node, actor, tmp
         abs(rate) * (after - before)
         for (before, rate), (after, _) in zip(robot.commands, robot.commands[1:], strict=False)
     )
-    # The actor's robot lives twice as fast as its commands.
+    # The time of the actor's robot runs twice as fast as its commands.
     assert 2.0 * turned < 2.0 * math.radians(420.0)

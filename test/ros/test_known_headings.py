@@ -35,7 +35,7 @@ def tell(actor, **values):
 
 
 def dock(actor, heading, told=lambda yaw: yaw, north="magnetic_north"):
-    """Turn to about a heading (degrees) and tell the node of it; returns the answer."""
+    """Turn to about a heading (degrees) and give it to the node; returns the answer."""
     way = math.remainder(math.radians(heading) - actor.ride.magnetic_yaw, math.tau)
     goal = actor.ride.magnetic_yaw + way
     rate = math.copysign(1.0, way)
@@ -115,7 +115,7 @@ def test_a_robot_that_turns_during_the_measurement_is_refused(stage):
 
 
 class Antennas:
-    """Two antennas of an actor's robot: they tell its heading to true north, ten times a second."""
+    """Two antennas of an actor's robot: its heading to true north at 10 Hz."""
 
     def __init__(self, actor, read=lambda yaw: yaw):
         self._actor, self._read, self.variance = actor, read, math.radians(1.0) ** 2

@@ -21,7 +21,7 @@ COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate"]
 
 @pytest.fixture
 def run_beside():
-    """Return a function that runs the command while the robot lives."""
+    """Return a function that runs the command while the robot sends."""
     processes = []
 
     def run(actor, *arguments, yaw_rate=0.5, after=lambda _: None, stdout=subprocess.PIPE):
@@ -96,7 +96,7 @@ def test_ctrl_c_cancels_the_turn(stage, run_beside):
 
 
 def published_for(actor, seconds):
-    """What the look at the sensors finds while the robot lives."""
+    """The result of the preflight while the robot sends."""
     looker = rclpy.create_node("looker")
     found = []
     look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", seconds)))

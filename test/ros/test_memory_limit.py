@@ -22,7 +22,7 @@ except MemoryError:
 
 
 def take(megabytes, before=""):
-    """Return what a bounded process says when it takes so much."""
+    """Return the output of a limited process that allocates this much."""
     code = TAKE.format(megabytes=megabytes, before=before)
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return run.stdout.strip()

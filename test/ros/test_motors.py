@@ -43,7 +43,7 @@ def knowing(calibration_of_the_robot, tmp_path):
 
 @pytest.fixture
 def with_motors(knowing):
-    """A calibration of the robot that knows its motors."""
+    """A calibration of the robot with its motor field."""
     return knowing(*INPUTS)
 
 
@@ -122,7 +122,7 @@ def odometry(stamp, speed):
 
 
 def learnt_of_speed(actor, now):
-    """Start and stop at several speeds, and return what the node tells of the field by speed."""
+    """Start and stop at several speeds, and return the node's facts on the field by speed."""
     for _ in range(2):
         for speed in (0.0, 0.5, 0.5, 0.9, 0.9, 0.5):
             now["speed"] = speed
@@ -211,7 +211,7 @@ def test_a_motor_field_by_commands_is_learnt(graph, with_motors, tmp_path, kind)
 
 
 def test_the_node_does_not_count_as_a_subscriber_of_its_commands(graph, with_motors, tmp_path):
-    """A command that it follows for the motors says nothing of a base that would turn."""
+    """A subscription for the motors is no evidence of a base that would turn."""
     settings = {**REFERENCE, **APPLY, "rotate.enabled": True}
     actor = graph.loaded(with_motors, tmp_path, parameters=settings)
     out = actor.node.create_publisher(Twist, "cmd_vel", 1)

@@ -56,7 +56,7 @@ def flat(tree, prefix=""):
 
 
 class Tools:
-    """The user's side."""
+    """The user's node."""
 
     def __init__(self, node, name="/calibrator"):
         self.node, self.name = node, name

@@ -22,7 +22,7 @@ NEW_YORK = Place(40.7, -74.0)
 
 
 class Receiver:
-    """A GPS driver beside the actor."""
+    """A GPS driver in addition to the actor."""
 
     def __init__(self, actor):
         self.actor = actor
@@ -43,7 +43,7 @@ class Receiver:
         return self.reference(lambda _: True)
 
     def reference(self, is_there, patience=PATIENCE):
-        """Wait until the status says something of the reference, and return it."""
+        """Wait until the status has a text on the reference, and return it."""
         self.actor.run(patience, stop=lambda: is_there(self.actor.status["reference"]))
         return self.actor.status["reference"]
 

@@ -16,7 +16,7 @@ BOSTON = {"reference.strength_ut": 51.3, "reference.inclination_deg": 66.3}
 
 
 class Audience:
-    """Hears the compass and calls the node while a drive is replayed."""
+    """Receives the compass and calls the node while a drive is replayed."""
 
     def __init__(self, node):
         self.node = node

@@ -18,7 +18,7 @@ NOW = datetime(2026, 5, 31, 14, 3, 7)
 
 
 class Draws:
-    """Stands for the process that draws: each report ends when the test says so."""
+    """Replaces the process that draws: the test ends each report."""
 
     def __init__(self):
         self.started, self.may_end = [], threading.Semaphore(0)

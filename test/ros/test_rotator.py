@@ -23,7 +23,7 @@ COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-pre
 
 @pytest.fixture
 def leisure(monkeypatch):
-    """Let nothing be stopped because a busy machine is slow; test/core drives the limits."""
+    """Avoid stops by a busy machine; test/core tests the limits."""
     names = ("silence", "gyro_silence", "listeners_within", "guarded_within")
     patient = replace(self_turn.TUNING, stands_first=0.0, **dict.fromkeys(names, PATIENCE))
     monkeypatch.setattr(self_turn, "TUNING", patient)
@@ -47,7 +47,7 @@ def base(stage, leisure):
 
 def test_the_robot_turns_once_each_way_and_ends_at_its_first_heading(base):
     parameters = {**TURNING, "rotate.stamped": True, "rotate.frame_id": "chassis"}
-    # Slower than elsewhere: to a robot that lives many times as fast commands come late.
+    # Slower than elsewhere: with a fast simulated time commands come late.
     robot = base(parameters, stamped=True, speed=2.0)
     robot.live(0.5)
     assert robot.commands == []
@@ -60,7 +60,7 @@ def test_the_robot_turns_once_each_way_and_ends_at_its_first_heading(base):
     assert np.all(np.diff(np.sign(rates[rates != 0.0])) <= 0.0), "left first, then right"
     assert {m.header.frame_id for m in robot.messages} == {"chassis"}
     periods = np.diff([moment for moment, _ in robot.commands])
-    # Many a base stops by itself after a quarter of a second without a word.
+    # Many bases stop after a quarter of a second without a command.
     assert 0.03 < np.median(periods) < 0.25
 
 

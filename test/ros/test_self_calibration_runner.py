@@ -28,7 +28,7 @@ def no_space(_):
 
 @pytest.fixture
 def known(tmp_path):
-    """What a file has: where it lies, the calibration, and where it comes from."""
+    """A file: its path, the calibration, and its origin."""
     path = store_calibration(tmp_path / "calibration.yaml")
     return path, *read_calibration(path)
 

@@ -16,7 +16,7 @@ from magcal_ros.ros.threads import MOST_AT_ONCE, SensorGroup, Spinner
 
 
 class Served:
-    """A node that hears numbers, spun in a thread as the executable spins."""
+    """A node that receives numbers, spun in a thread like the executable."""
 
     def __init__(self):
         self.node = rclpy.create_node("served")
@@ -82,7 +82,7 @@ def number(served):
 
 @pytest.fixture
 def warnings(served, monkeypatch):
-    """Return what the node has warned of."""
+    """Return the warnings of the node."""
     lines = []
     logger = served.node.get_logger()
     monkeypatch.setattr(logger, "warning", lines.append)
@@ -149,7 +149,7 @@ def test_an_rclpy_without_a_wait_set_uses_its_executor(served, number, warnings,
 def test_an_error_in_a_callback_is_not_taken_for_one_of_rclpy(served, number, warnings):
     def fail_at_odd_numbers(value):
         if value % 2.0:
-            # As rclpy's inside would fail.
+            # Like a failure inside rclpy.
             raise AttributeError("of the callback's own")
         served.heard.append(value)
 
@@ -163,7 +163,7 @@ def test_an_error_in_a_callback_is_not_taken_for_one_of_rclpy(served, number, wa
 
 
 def test_a_flood_is_processed_in_parts(served, number, monkeypatch):
-    """Between any two pieces somebody else may have the lock."""
+    """Between any two parts another thread may have the lock."""
     turns = []
 
     class Lock:

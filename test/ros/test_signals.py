@@ -50,7 +50,7 @@ def run_node(graph, ros_home):
 
 
 def end(process, how):
-    """End it; returns what it said."""
+    """End it; returns its output."""
     process.send_signal(how)
     begun = time.monotonic()
     process.wait(PATIENCE)

@@ -53,7 +53,7 @@ def ask(outside):
 
 
 def flood(served):
-    """Let each number that is heard be followed by another at once, a dozen at a time."""
+    """Publish another number for each received one, a dozen at a time."""
     publisher = served.node.create_publisher(Float64, "number", 100)
 
     def follow(value):
@@ -67,7 +67,7 @@ def flood(served):
 
 
 def test_timers_and_services_run_during_a_flood(served, ask):
-    """The flood never ends, so whoever waits for its end waits for ever."""
+    """The flood never ends, so waiting for its end would never return."""
     ticks = []
     served.node.create_timer(0.02, lambda: ticks.append(len(served.heard)))
     served.node.create_service(Trigger, "answer", lambda _, response: response)

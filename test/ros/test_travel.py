@@ -42,7 +42,7 @@ def stamped(kind, stamp, frame):
 
 
 class Car:
-    """Plays a drive to the node as fast as it listens, and hears its status."""
+    """Publishes a drive as fast as the node receives it, and collects its status."""
 
     KINDS = (
         (ImuSample, Imu, "imu/data_raw"),
@@ -135,7 +135,7 @@ def drive():
 
 @pytest.fixture
 def car(start_node, tmp_path):
-    """Return a function that starts the node with a calibration, and a car beside it."""
+    """Return a function that starts the node with a calibration, and a car."""
     cars = []
 
     def set_up(lines=""):

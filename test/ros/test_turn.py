@@ -33,7 +33,7 @@ def test_a_level_turn_gives_a_correct_heading_and_there_is_none_before(stage):
 
 @pytest.mark.nightly
 def test_a_rest_long_before_shows_a_large_gyro_bias(stage):
-    """It drives circles when it is asked, and what pulls in them looks like the gyro's bias."""
+    """It drives circles, and their centripetal acceleration looks like a gyro bias."""
     bias = np.array([3.5, 2.0, 1.9]) * DEGREE
     actor = stage(dataclasses.replace(ROBOT, gyro_bias=bias), speed=8.0)
 

@@ -80,7 +80,7 @@ def entries(actor):
 
 
 def status_after_look(robot):
-    """What the look at the sensors finds while the robot lives."""
+    """The result of the preflight while the robot sends."""
     looker = rclpy.create_node("looker")
     found = []
     look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", 0.5)))

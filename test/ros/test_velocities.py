@@ -12,7 +12,7 @@ PLAIN, STAMPED = Rotation(True, 0.5, False, ""), Rotation(True, 0.5, True, "base
 
 
 class Wire:
-    """A node that writes down what is published, and by which publisher."""
+    """A node that records the published messages with their publishers."""
 
     def __init__(self):
         self.heard = []
@@ -49,7 +49,7 @@ class Line:
 
 
 class Guard:
-    """Writes down what it is told, beside what the base hears."""
+    """Records its events together with the commands to the base."""
 
     is_ready = True
 
@@ -70,7 +70,7 @@ def wire():
 
 @pytest.fixture
 def rotator(wire):
-    """Return a rotator whose guards are not there to be heard."""
+    """Return a rotator with simulated guards."""
     return Rotator(wire, lambda *_: Guard([]))
 
 

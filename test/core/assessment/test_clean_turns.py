@@ -31,7 +31,7 @@ def test_a_good_turn_gives_no_warning(case):
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("gyro", "most"), [(True, 0.1), (False, 0.2)])
 def test_few_good_turns_give_a_warning(gyro, most):
-    """Without a gyro a short way there and back is no full turn, and is said to be none."""
+    """Without a gyro a short turn there and back is not taken for a full turn."""
     scenes = [by_turn(kind, each, "open") for kind in KINDS for each in SENSORS]
     scenes += [by_rested_turn("even", each, "open") for each in SENSORS]
     warned = [bool(warnings_of(*scene(seed), gyro)) for scene in scenes for seed in range(20, 23)]

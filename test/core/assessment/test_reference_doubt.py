@@ -14,7 +14,7 @@ STRENGTH = 48e-6
 
 
 def outcome_of(iron, dip=65.0, told=None, wobble=0.0, seed=1, gyro=True):
-    """Calibrate a robot with a hard iron (µT) where the inclination is one and told another."""
+    """Calibrate a robot with a hard iron (µT) and a wrong reference inclination."""
     rng = np.random.default_rng(seed)
     robot = Robot(
         strength=STRENGTH, inclination=dip * DEGREE, hard_iron=1e-6 * np.array(iron, dtype=float)

@@ -50,12 +50,12 @@ every_threshold = pytest.mark.parametrize(
 
 
 def at(threshold, value):
-    """Check a value given in the unit people see."""
+    """Check a value given in the user's unit."""
     return threshold.check(value / threshold.scale)
 
 
 def refused_value(threshold):
-    """A value beyond the last bound, in the unit people see."""
+    """A value beyond the last bound, in the user's unit."""
     return threshold.warn * (0.5 if threshold.at_least else 2.0)
 
 
@@ -157,7 +157,7 @@ class TestJudge:
         assert verdict.quality is expected.get(Aspect.QUALITY, Grade.EXCELLENT)
         assert verdict.confidence is expected.get(Aspect.CONFIDENCE, Grade.EXCELLENT)
         assert verdict.summary.startswith("Refused (quality")
-        # The flawless estimate saw the full circle.
+        # The perfect estimate has the full circle.
         assert (row.when_refused or row.after_full or row.remedy) in verdict.summary
 
     @pytest.mark.parametrize("field", ["strength", "inclination"])

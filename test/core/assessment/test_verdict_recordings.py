@@ -13,7 +13,7 @@ UNKNOWN = Knowledge()
 
 
 def knowledge(microtesla, degrees):
-    """Return what a world magnetic model says."""
+    """Return the field of a world magnetic model."""
     strength = Belief(microtesla * 1e-6, 0.03 * microtesla * 1e-6)
     return Knowledge(ReferenceField(strength, Belief(math.radians(degrees), math.radians(1.0))))
 

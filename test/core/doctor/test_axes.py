@@ -88,7 +88,7 @@ def test_the_parameter_line_corrects_the_axes():
 
 @pytest.mark.nightly
 def test_a_wrong_mount_parameter_is_replaced_as_a_whole():
-    """The magnetometer sits square, but the parameter says that it lies upside down."""
+    """The magnetometer is parallel to the IMU, but the parameter says that it is upside down."""
     _, window, knowledge = of(np.eye(3), "lift")
     wrong = Knowledge(knowledge.reference, Mounting(pose=rotation_from_rpy(math.pi, 0.0, 0.0)))
     found = find_axes(window, wrong)

@@ -18,7 +18,7 @@ PLACE = knowledge_of(48.0, inclination_deg=64.0)
 
 
 def named(dip, knowledge, iron=(12.0, -7.0, 10.0), wobble=None):
-    """Whether the page names a field that points up."""
+    """Whether the report names a field that points up."""
     robot = Robot(strength=48e-6, inclination=math.radians(dip), hard_iron=1e-6 * np.array(iron))
     window = measure(robot, turn(wobble=wobble), np.random.default_rng(3), gyro=True)
     findings = examine_window(window, knowledge).findings

@@ -109,7 +109,7 @@ def test_a_step_ends_without_samples_too():
 def test_a_step_can_be_skipped_and_gives_its_remaining_time():
     person = Person()
     person.guide.skip(0.0)
-    assert person.guide.current is GuideStep.STAND  # nothing is seen without it
+    assert person.guide.current is GuideStep.STAND  # nothing is detected without it
     person.does(6.0)
     assert person.guide.current is GuideStep.TURN
     assert 30.0 < person.guide.left(6.0) <= 45.0

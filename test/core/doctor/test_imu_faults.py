@@ -214,7 +214,7 @@ def test_good_sensors_of_other_robots_and_movements_have_no_fault(name):
     report = report_of(good_case(rng, MOST_SEEN, habit=HABITS[name]))
     said = {"bias of 2 °/s": {"gyro_bias"}, "half the field": {"reference"}}
     if "clock" in name:
-        # A field that comes later and later; between starts and stops motors look alike.
+        # A field with growing latency; between starts and stops motors look the same.
         late = [each for each in report.findings if each.is_wrong]
         assert [each.key for each in late] in (["latency"], ["motors"])
         assert late[0].key == "latency" or "Late stamps of the field" in late[0].remedy
@@ -238,7 +238,7 @@ def test_a_field_that_steps_with_the_motors_is_named():
         assert words in line.remedy
         assert "° of heading" in line.evidence
         hidden = [f for f in report.findings if f.evidence.startswith("not shown")]
-        # The robot stood, turned a circle and lifted its nose: asking for this again is no help.
+        # The robot has already rested, turned and lifted its nose: asking again is no help.
         assert not [f.evidence for f in hidden if "then turn a full circle" in f.evidence]
         assert all("motors off" in f.evidence for f in hidden if f.key in MOTORS_HIDE)
 
@@ -322,7 +322,7 @@ def test_a_field_that_changes_from_place_to_place_is_no_unit_of_the_gyro():
 
 @pytest.mark.parametrize("seed", first_of(range(3)))
 def test_a_lever_arm_is_not_taken_for_a_rotated_accelerometer(seed):
-    """A hand swings the sensor around an elbow: what it feels is the arm's acceleration."""
+    """A hand swings the sensor around an elbow: it measures the arm's acceleration."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, 30.0, 0.01)
     phases = enumerate(rng.uniform(0.0, 6.0, 3))
@@ -383,7 +383,7 @@ def test_a_slow_turn_determines_the_unit_of_the_gyro(case):
 @pytest.mark.nightly
 @pytest.mark.parametrize("size", first_of([7e-6, 15e-6]))
 def test_a_motor_field_in_proportion_to_the_rate_gives_a_warning(size):
-    """A field that is early by .8 s explains the same turn: both are said."""
+    """A field that is early by .8 s explains the same turn: both are reported."""
     rng = np.random.default_rng(4)
     time = np.arange(-6.0, 31.0, 1.0 / 30.0)
     rate = 0.26 * np.clip(np.minimum(time, 25.0 - time) / 0.5, 0.0, 1.0)
@@ -400,7 +400,7 @@ def test_a_motor_field_in_proportion_to_the_rate_gives_a_warning(size):
 
 @pytest.mark.nightly
 def test_after_a_turn_between_rests_motors_make_the_gyro_scale_unobservable():
-    """It stood still and turned a full circle, and was asked for both."""
+    """A robot that rested and turned a full circle was asked for both again."""
     _, window = driven(evenly, ROBOT, 6.0)
     rate = window.angular_rate[:, 2]
     added = np.outer(7e-6 * rate / np.abs(rate).max(), [0.6, -0.8, 0.0])

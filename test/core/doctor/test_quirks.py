@@ -99,7 +99,7 @@ def published(name, seed):
 
 @functools.cache
 def report_of(name, seed):
-    """What is said of good sensors whose driver has such a habit."""
+    """The findings on good sensors whose driver has such a fault."""
     case = case_of(seed)
     return examine(published(name, seed), case.knowledge, case.turned_left)
 
@@ -147,7 +147,7 @@ def test_the_driver_is_named_in_99_of_100(name):
 
 @pytest.mark.parametrize(("name", "seed"), [("Xsens", 0), ("Inertial Sense", 0)])
 def test_a_field_in_an_unknown_unit_is_reported_without_microtesla(name, seed):
-    """Its strength without hard iron tells the unit; nothing is compared with a field in tesla."""
+    """The strength without hard iron determines the unit; nothing is compared in tesla."""
     report = report_of(name, seed)
     of_field = [f.evidence + f.remedy for f in report.findings if f.name.startswith("field")]
     assert not any("µT" in words for words in of_field)

@@ -53,7 +53,7 @@ def test_stamps_in_bursts_are_named(recording):
 
 @pytest.mark.nightly
 def test_a_turn_with_bad_stamps_is_refused_for_them(recording):
-    """As a node would hear it, which cannot wait for a recording's end to spread them."""
+    """As in a node, which cannot wait for the end of a recording to spread them."""
     collector = SampleCollector(Mounting())
     with open_recording(recording(BURSTS), start=30.0, stop=80.0) as source:
         collector.take(source.readings())
@@ -72,7 +72,7 @@ def test_the_gyro_bias_is_measured_at_rest(recording):
 @pytest.mark.nightly
 @pytest.mark.parametrize("seconds", first_of([29.0, 28.0, 31.0]))
 def test_a_leaning_car_does_not_determine_the_inclination(recording, seconds):
-    """Its gyro tilts by no more than the bends lean what the accelerometer shows as up."""
+    """The gyro shows no more tilt than the bends tilt the accelerometer's up."""
     collector = SampleCollector(Mounting())
     with open_recording(recording("car_neu2023_ampomah")) as source:
         collector.take(source.readings())

@@ -144,7 +144,7 @@ def test_hard_iron_gives_a_first_harmonic_attributed_to_the_calibration():
     assert "made where the field was disturbed" in words
     usual = check_by_course(fitted(walk(rng, 3000.0, street)))
     assert course_fault(usual) == ""
-    # What may be chance is a number, and no finding on the calibration.
+    # A deviation by chance is a number, and no finding on the calibration.
     assert all("within chance" in check.words for check in usual)
     assert not any("disturbed" in check.words or "missing" in check.words for check in usual)
     assert check_by_course(None) == ()

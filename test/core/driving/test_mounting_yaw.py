@@ -68,7 +68,7 @@ def test_after_four_minutes_the_yaw_is_known_to_a_degree():
 
 
 def test_one_circle_and_a_rest_do_not_determine_the_yaw_to_a_degree():
-    """The lever arm turns the pull of an even circle by as much as an askew IMU."""
+    """The lever arm rotates the acceleration of an even circle as a rotated IMU does."""
     circling = driven(circles(90.0), 4, Vehicle(ROBOT, imu_yaw=0.2, imu_ahead=1.0))
     found = follow(circling).known_mounting
     assert found is None or abs(error(found, 0.2)) < 3.0 * math.degrees(found.sigma)
@@ -131,7 +131,7 @@ def test_the_latency_of_a_speed_is_measured(delay):
 
 
 def directions(drive, after):
-    """Signs of travel at the ends of trips: what was taken for it, and the truth."""
+    """Signs of travel at the ends of trips: estimated and true."""
     ends = np.flatnonzero(
         (np.abs(drive.truth.speed[:-1]) > 0.8) & (np.abs(drive.truth.speed[1:]) <= 0.8)
     )
@@ -143,7 +143,7 @@ def directions(drive, after):
         nonlocal moment
         if stamp >= moment:
             true.append(np.sign(np.interp(moment - 0.3, drive.time, drive.truth.speed)))
-            # Slow parking is left open, and counts as forwards meanwhile.
+            # Slow parking stays undecided, and counts as forwards until then.
             taken.append(estimator.acceleration.sign if estimator.acceleration.is_clear else 0.0)
             moment = next(moments, math.inf)
 

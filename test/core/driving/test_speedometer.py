@@ -85,7 +85,7 @@ def test_a_single_outlier_is_ignored_and_a_lasting_speed_is_not():
     assert track.last == 3.0
     track.add(10.3, 20.0)
     assert track.last == 20.0
-    # Between the two no vehicle can have been.
+    # No vehicle can have driven between the two.
     assert track.at(10.2) is None
 
 

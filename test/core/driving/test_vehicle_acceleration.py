@@ -26,7 +26,7 @@ def city_legs(seed, seconds=150.0):
 
 @functools.cache
 def tilts_without(seed):
-    """Nobody tells a speed; what wheels and receiver would have said changes no other sensor."""
+    """Without a speed; the samples of wheels and receiver change no other sensor."""
     return tilts(driven(city_legs(seed), seed, VEHICLE))
 
 
@@ -102,7 +102,7 @@ def test_impossible_speeds_are_left_out(wild):
             estimator.add_travel(SpeedSample(wild, 3.0))
         if isinstance(sample, SpeedSample):
             estimator.add_travel(sample)
-            # A stamp that goes back says nothing new.
+            # A stamp that goes back is ignored.
             estimator.add_travel(sample._replace(stamp=sample.stamp - 1.0, speed=50.0))
     assert estimator.speedometer.track is not None
 

@@ -161,14 +161,14 @@ def window_and_robot():
 
 @pytest.fixture(scope="module")
 def known(window_and_robot):
-    """What the turn gives where the model tells the field."""
+    """The result of the turn with the field by the model."""
     window, _ = window_and_robot
     return calibrate(window, Knowledge(resolve(NOTHING, LOCAL, MUNICH, YEAR).field))
 
 
 @pytest.fixture(scope="module")
 def unknown(window_and_robot):
-    """What the same turn gives where nothing is known of the field."""
+    """The result of the same turn without a reference field."""
     window, _ = window_and_robot
     return calibrate(window, Knowledge())
 

@@ -119,7 +119,7 @@ class TestNoDirection:
 
 
 def attitudes_seen(up, field):
-    """Roll, pitch and yaw of many ups and fields, by the plain formulas."""
+    """Roll, pitch and yaw of many ups and fields, by the direct formulas."""
     roll = np.arctan2(up[:, 1], up[:, 2])
     pitch = np.arctan2(-up[:, 0], np.hypot(up[:, 1], up[:, 2]))
     return np.stack([roll, pitch, yaw_from_up_and_field(up, field)], axis=-1)
@@ -231,7 +231,7 @@ class TestMotors:
 
     @staticmethod
     def numbers(seed):
-        """A calibration with motors, and its joint covariance: what is known of both is apart."""
+        """A calibration with motors, and its joint covariance."""
         rng = np.random.default_rng(seed)
         mix = rng.standard_normal((18, 18)) * np.repeat([0.003, 0.3e-6, 0.3e-6], [9, 3, 6])[:, None]
         joint = mix @ mix.T / 18.0

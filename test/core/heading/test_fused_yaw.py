@@ -35,7 +35,7 @@ IRON = np.array([0.3 * ROBOT.strength, 0.0, 0.0])
 
 
 class Fusing:
-    """A listener that runs messages through the same walk as the node."""
+    """A listener that processes messages as the node does."""
 
     def __init__(self, calibration=CALIBRATED, patience=PATIENCE):
         self.compass = Compass(calibration)
@@ -188,7 +188,7 @@ def test_after_a_gap_the_compass_gives_a_new_north():
 
 @pytest.mark.nightly
 def test_in_streets_the_yaw_is_better_than_the_compass_with_a_correct_sigma():
-    """Streets bend the field by 3 µT an axis over 30 m: the compass is wrong by 9 degrees."""
+    """Streets disturb the field by 3 µT per axis over 30 m: the compass errs by 9 degrees."""
     squares, raws, nees = [], [], []
     for seed in range(1, 7):
         rng = np.random.default_rng(seed)
@@ -340,7 +340,7 @@ def test_an_external_heading_corrects_the_yaw_and_determines_the_bias():
     told, unknown = [0.0, 0.0], GyroBias((0.0, 0.0, 0.0), math.radians(0.5) ** 2)
     for k in range(3000):
         stamp = 100.0 + 0.02 * k
-        # A gyro that turns by 0.3 °/s, of which nobody knows, while the robot stands.
+        # An unknown gyro bias of 0.3 °/s, while the robot stands.
         fused.propagate(stamp, up, (0.0, 0.0, math.radians(0.3)), unknown)
         if k == 0:
             fused.correct(stamp, tuple(field), up, heading)
@@ -401,7 +401,7 @@ def test_external_headings_show_whether_gyro_or_compass_is_better(walk):
 
 
 def test_headings_that_drift_before_they_stop_enlarge_the_variance():
-    """A gyro whose bias walks looks the same: they left the yaw 8.6° wrong at ±2.9°."""
+    """A random walk of the gyro bias looks the same: the yaw erred by 8.6° at ±2.9°."""
     rng = np.random.default_rng(11)
     fused, up = FusedYaw(CALIBRATED, PATIENCE), Up((0.0, 0.0, 1.0), 1e-6)
     field = tuple(CALIBRATED.strength * np.array([0.4, 0.0, -0.9]))
@@ -425,7 +425,7 @@ def test_headings_that_drift_before_they_stop_enlarge_the_variance():
 
 
 def test_headings_by_an_integrated_gyro_that_rests_contradict_enlarge_the_variance():
-    """They drift evenly, as by a constant bias of this gyro: it promised 1° and was 24° off."""
+    """They drift evenly, like a constant gyro bias: the error was 24° at a sigma of 1°."""
     rng = np.random.default_rng(92_000)
     fused, up = FusedYaw(CALIBRATED, PATIENCE), Up((0.0, 0.0, 1.0), 1e-6)
     field = tuple(CALIBRATED.strength * np.array([0.4, 0.0, -0.9]))

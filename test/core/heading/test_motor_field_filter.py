@@ -166,7 +166,7 @@ def test_iron_along_the_axis_does_not_change_the_field_of_a_robot_that_turns():
 
 
 def test_another_place_is_soon_distinguished_from_motors():
-    """A field that changes for good beside a robot that stands, just as motors would change it."""
+    """A permanent change of the field at rest, like one by motors."""
     stamps = np.arange(100) * PERIOD
     now, off = follower(motors()), []
     for k, stamp in enumerate(stamps):

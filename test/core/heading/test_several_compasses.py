@@ -34,7 +34,7 @@ def calibration(robot, sigma=0.3e-6, off=(0.0, 0.0, 0.0), yaw=0.0):
 
 
 class Scene:
-    """A robot with magnetometers that go the way of a message through the node."""
+    """A robot with magnetometers whose messages are processed as in the node."""
 
     def __init__(self, calibrations, gyro=True):
         self.ride = Ride(ROBOT, np.random.default_rng(1), start=100.0, gyro=gyro)
@@ -209,7 +209,7 @@ def test_iron_near_one_does_not_enlarge_the_variance_of_the_other():
 
 
 def test_two_that_agree_against_the_gyro_are_trusted():
-    """It may as well be the carried yaw that is wrong."""
+    """The propagated yaw may be the wrong one."""
     scene = two()
     before = scene.run(10.0, 0.3)
     for number in (1, 2):
@@ -233,7 +233,7 @@ def test_a_constant_disagreement_is_reported_and_in_the_sigma():
 def test_a_constant_disagreement_stays_in_a_disturbed_field():
     scene = two(yaw=math.radians(20.0))
     scene.run(5.0, 0.3)
-    # So far, and for so long, that the doubt in both explains their difference.
+    # So far, and for so long, that the variances of both explain their difference.
     scene.iron = dict.fromkeys((1, 2), np.array([0.0, 0.0, 12e-6]))
     bent = scene.run(10.0, 0.3)
     scene.iron.clear()

@@ -17,7 +17,7 @@ PROMISE = promise()
 
 
 def monitored(robots, minutes, way=Route(), **options):
-    """The watch after the drive, and all that it has said in the course of it."""
+    """The monitor after the drive, and all its results during the drive."""
     watch = CalibrationMonitor(PROMISE)
     return watch, drive(watch, PROMISE, robots, minutes, way, **options)
 
@@ -158,7 +158,7 @@ def test_gaps_and_repeats_do_no_harm():
 
 
 def ride_along(recording, calibration, shift, repeats):
-    """Watch a recording over and over, with a hard iron added from half-way on."""
+    """Monitor a recording repeatedly, with a hard iron added in the second half."""
     watch, compass, carried = CalibrationMonitor(calibration), Compass(calibration), UpFollower()
     imu, mag, length = recording
     for lap in range(repeats):

@@ -43,7 +43,7 @@ def test_a_good_one_holds_on_a_fresh_turn(calibration, gyro, arc):
 
 @pytest.mark.parametrize("said", [(), (LEVEL_ONLY,)])
 def test_one_made_without_a_position_holds_on_level_ground(said):
-    """A turn says so by its sigma on slopes, a drive by what it does not show."""
+    """A turn shows it by its sigma on slopes, a drive by what it does not determine."""
     made = calibrate(window(), Knowledge()).calibration
     if said:
         unseen = (*made.evidence.not_shown, *said)
@@ -87,7 +87,7 @@ def test_hard_iron_along_the_axis_is_doubtful_and_no_heading_error(calibration):
 
 
 def test_a_distorted_room_is_found_by_the_gyro_alone(calibration):
-    """The robot sees a clean circle: the field's direction depends on where it looks."""
+    """The field still forms a circle, but its direction depends on the heading."""
     clean = window(seed=6)
     bent = clean.time * 0.0 + np.radians(15.0) * np.sin(np.linspace(0, math.tau, len(clean)))
     cosine, sine = np.cos(bent), np.sin(bent)

@@ -92,7 +92,7 @@ def test_in_streets_a_good_calibration_holds_and_a_changed_one_is_detected(seed)
 
 @pytest.mark.parametrize(("places", "explained"), [(1, True), (12, False)])
 def test_a_disturbance_at_one_place_is_not_attributed_to_the_calibration(places, explained):
-    """A compass that is drawn aside beside iron is right again elsewhere; a changed one is not."""
+    """A compass disturbed near iron is correct elsewhere; a changed one is not."""
     heading = np.tile(np.arange(0.0, math.tau, math.tau / 12.0), 20)
     is_aside = np.arange(240) // 20 < places
     yaw = heading + 0.3 * np.where(is_aside, np.cos(heading), 0.0)

@@ -23,7 +23,7 @@ def driven():
 
 
 def iron_added(drive, calibration):
-    """What a check finds of it; None where a drive does not show it."""
+    """The result of a check; None if a drive does not determine it."""
     checks = check(drive, calibration, drive=drive).verdict.checks
     return next((each for each in checks if each.figure is Figure.HARD_IRON_CHANGE), None)
 

@@ -22,7 +22,7 @@ METHOD = "maximum_likelihood"
 
 @pytest.fixture(autouse=True, scope="module")
 def no_look():
-    """The axes are right here; to look at them takes five times as long as the fit of a turn."""
+    """The axes are correct here; checking them takes five times as long as the fit."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(joined, "wrong_axes", lambda *_: None)
         yield

@@ -26,7 +26,7 @@ def test_after_a_level_turn_a_slope_across_north_is_advised(level):
 def test_the_advised_turn_gives_the_expected_accuracy(level, direction):
     slope = {"east": EAST, "north": NORTH, "west": WEST}[direction]
     promise = next(a.after for a in level.advice if a.pose.endswith(direction))
-    # The compass that shows where the slope rises is off by the installation's own yaw.
+    # The compass that shows the direction of the slope errs by the installation yaw.
     kept = calibrate_turns(windows_on([LEVEL, slope - ROBOT.yaw], 1), KNOWN).multi_turn.shown
     for name in ("installation_yaw", "inclination", "absolute_level", "absolute_tilted"):
         assert getattr(kept, name) == pytest.approx(getattr(promise, name), rel=0.35)

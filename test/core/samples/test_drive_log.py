@@ -21,7 +21,7 @@ STEP = 0.02
 
 
 class Ride:
-    """Stands and turns, and tells a recorder."""
+    """Stands and turns, and passes the samples to a recorder."""
 
     def __init__(self, recorder, noise=0.002, seed=1):
         self.recorder, self.noise = recorder, noise
@@ -61,7 +61,7 @@ def test_a_rest_shows_the_bias_which_is_subtracted(ride):
     ride.go(8.0)
     ride.go(20.0, rate=0.4)
     log = ride.recorder.log()
-    # The stand is told from the drive only after some seconds.
+    # A rest is recognised only after some seconds.
     turning = span_of(log, log.time[-1] - 15.0, log.time[-1])
     assert np.abs(left_over(turning, 0.4)).max() < 5e-4
     assert log.bias_sigma < 0.035 * np.linalg.norm(BIAS)

@@ -13,7 +13,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def turned(yaw, seconds, bias, seed=1):
-    """What sensors say of a yaw over time."""
+    """The measurements for a yaw over time."""
     time = np.linspace(0.0, seconds, len(yaw))
     robot = Robot(gyro_bias=np.array(bias) * DEGREE, noise_rate=0.003)
     return measure(

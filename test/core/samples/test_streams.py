@@ -406,7 +406,7 @@ class TestPairs:
 
     @pytest.mark.parametrize("tail", ["imu", "field"])
     def test_a_restarted_bag_is_paired_again_after_a_few_samples(self, tail):
-        """Whichever sensor had the last word before the loop."""
+        """Whichever sensor was the last before the loop."""
         imus, fields = drive(50.0, 2.0)
         first = by_stamp(imus, fields)
         first = first[:-5] if tail == "imu" else [*first, numbered(52.5)]

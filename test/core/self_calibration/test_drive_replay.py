@@ -31,7 +31,7 @@ def test_discarded_movement_counts_as_well():
 
 
 def test_samples_during_a_gap_of_the_imu_are_not_counted():
-    """Its last rate was held meanwhile, and where no sample came the fit divided by zero."""
+    """The last rate was held during the gap, and a fit without samples divided by zero."""
     rng = np.random.default_rng(5)
     drive = simulated_drive(
         travel([Leg(STANDS), Leg(90.0, turn_rate=0.2)], rng, rate=20.0),

@@ -25,7 +25,7 @@ def known(sigma=0.3e-6):
 
 
 def driven(rng, gains, seconds=120.0, current=True):
-    """Yield stamps, raw fields, rates and what the motors do, of a robot that stops and goes."""
+    """Yield stamps, raw fields, rates and motor states of a robot in stop and go."""
     attitude, begin = np.eye(3), 100.0
     place = np.zeros(3)
     earth = field_in_enu(48e-6, 1.1)

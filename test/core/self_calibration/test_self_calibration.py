@@ -61,7 +61,7 @@ def findings(clock, *candidates, since=None, finer=None, **comparisons):
 
 
 class CalibrationStore:
-    """A machine that is told findings as if it had asked for them."""
+    """A state machine that receives results as if it had requested them."""
 
     def __init__(self, in_force=None, mode=Mode.APPLY):
         self.machine = SelfCalibration(mode)
@@ -226,7 +226,7 @@ def test_a_proposal_is_withdrawn_if_the_calibration_in_force_is_better():
 
 
 def sized(iron, end, sigma_deg, seconds=120.0):
-    """A candidate that says its sigma in its report as well, as fits do."""
+    """A candidate with its sigma in its report, as of a fit."""
     found = candidate(iron, end, sigma=math.radians(sigma_deg))
     found.calibration.evidence.figures["heading_sigma"] = found.sigma
     return dataclasses.replace(found, start=end - seconds)

@@ -44,7 +44,7 @@ def driven(**options):
 
 
 def step(since, correction):
-    """Return from when road is read by a correction."""
+    """Return from when data are corrected by a correction."""
     return CalibrationStep(since, SimpleNamespace(correction=correction))
 
 
@@ -59,7 +59,7 @@ def road():
 
 @pytest.fixture(scope="module")
 def whole(road):
-    """What all of the road says of the right calibration."""
+    """The comparison on all data for the correct calibration."""
     return proved(road, step(road.time[0], RIGHT))
 
 

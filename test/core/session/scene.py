@@ -33,7 +33,7 @@ NO_RATE = (math.nan,) * 3
 
 
 class Scene:
-    """Lets robot, base and state machine live, and keeps what was said.
+    """Runs robot, base and state machine, and keeps the messages.
 
     The base follows its commands with a lag, times `gain`; `mangle` makes of each sample what
     arrives in its place, or None.
@@ -72,7 +72,7 @@ class Scene:
         return self.tell("open", replace(self.request, **changes), self.now)
 
     def tell(self, happened, *facts):
-        """Tell the machine and do what it says; returns its answer."""
+        """Pass an event to the machine and carry out its commands; returns its answer."""
         answer = getattr(self.turn, happened)(*facts)
         for command in self.turn.commands():
             self.asked.append(command)
@@ -116,7 +116,7 @@ class Scene:
         return self.conclusion
 
     def freeze(self, seconds):
-        """Let the world go on while nobody serves the node."""
+        """Let time pass while the node is not served."""
         for _ in range(round(seconds / STEP)):
             self.now += STEP
             self._move(None)
@@ -163,7 +163,7 @@ class Scene:
             self.tell("take", pair, self.now)
 
     def assert_stopped_and_silent(self):
-        """The last words are zeros, several of them, and then nothing."""
+        """The last commands are several zeros, and then none."""
         self.live(1.5)
         assert [rate for _, rate in self.said[-5:]] == [0.0] * 5
         heard = len(self.said)

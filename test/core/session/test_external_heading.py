@@ -44,7 +44,7 @@ def test_the_turn_since_a_measurement_has_a_correct_sigma():
     assert math.radians(0.3) < turn.sigma < math.radians(1.0)
     later = turn.after(20.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1e-6)
     assert math.isinf(later.sigma)
-    # What comes after a gap is known again.
+    # After a gap the turn is known again.
     assert later.after(20.02, (0.0, 0.0, 1.0), (0.0, 0.0, 0.2), 1e-6).since(later).sigma < 0.01
 
 

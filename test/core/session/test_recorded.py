@@ -33,7 +33,7 @@ def fitted(samples, knowledge=KNOWLEDGE):
 
 
 class House:
-    """A node around a turn, with everything at hand and nothing elsewhere."""
+    """The parts of a node that a turn needs."""
 
     def __init__(self):
         self.reporter = self
@@ -57,7 +57,7 @@ class House:
 
 
 def live(samples, knowledge):
-    """What the node's own control makes of the samples."""
+    """The result of the node's control with the samples."""
     pytest.importorskip("rclpy")
     from magcal_ros.core.samples import Streams
     from magcal_ros.core.session import SelfTurn

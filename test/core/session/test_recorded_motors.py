@@ -21,7 +21,7 @@ MOTORS = MotorField(
 
 
 def told():
-    """Readings without and with motors, what wheels say, and currents."""
+    """Readings without and with motors, speeds of wheels, and currents."""
     ride = Ride(ROBOT, np.random.default_rng(1), start=100.0, imu_rate=50.0)
     clean, loud, speeds, currents = [], [], [], []
     for k in range(1500):

@@ -14,7 +14,7 @@ PERIOD = 0.05
 
 
 class Base:
-    """Follows commands with a lag, times a gain, and stops for good at a moment."""
+    """Follows commands with a lag, times a gain, and stops permanently at a time."""
 
     def __init__(self, gain=1.0, lag=0.1, stops_at=math.inf, gyro=True, complete_at=math.inf):
         self.gain, self.lag, self.stops_at = gain, lag, stops_at
@@ -35,7 +35,7 @@ class Base:
 
 
 def run(base, speed=0.4):
-    """Let plan and base live until the plan has ended; returns plan, seconds and commands."""
+    """Run plan and base until the plan has ended; returns plan, seconds and commands."""
     plan, now, commands = RotationPlan(speed, 100.0), 100.0, []
     while plan.phase is not Phase.ENDED:
         commands.append(plan.step(now, base.measured()))
@@ -79,7 +79,7 @@ def test_rates_change_gradually_and_wheel_slip_is_no_fault(speed, gain, gyro):
 )
 def test_a_base_that_disobeys_is_stopped_in_time(gyro, gain, fault):
     base = Base(gain, gyro=gyro)
-    base.farthest = math.pi if gain < 0.0 else 0.0  # the compass sees either way
+    base.farthest = math.pi if gain < 0.0 else 0.0  # the compass measures both directions
     plan, took, commands = run(base)
     assert plan.fault is fault
     assert took < (4.0 if gyro else 7.0)

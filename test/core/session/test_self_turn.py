@@ -21,7 +21,7 @@ def robot(**options):
 
 
 def with_rate(change):
-    """Let the gyro read what `change` makes of its rate."""
+    """Change the rate of the gyro by `change`."""
 
     def mangle(sample):
         if isinstance(sample, ImuSample):
@@ -202,7 +202,7 @@ def test_a_new_turn_may_begin_while_the_zeros_of_the_last_are_sent():
 
 
 class TestGyro:
-    """A gyro that was heard leads the robot; it must go on to be heard, and to be right."""
+    """A gyro that controls the robot must keep sending, and be correct."""
 
     @pytest.mark.parametrize("rate", [NO_RATE, (math.inf, 0.0, 0.0)])
     @pytest.mark.parametrize("moment", first_of([11.0, 3.0, 16.0]))

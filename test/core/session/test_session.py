@@ -221,7 +221,7 @@ class TestWindow:
         assert not session.was_set_back
 
     def test_the_turn_restarts_if_time_is_set_back(self):
-        """A clock that jumps, or a bag that loops: nobody knows where the robot stands now."""
+        """After a jump of the clock, or a looping bag, the robot's heading is unknown."""
         pairs = list(pairs_of(simulated()))
         session = Session(LIMITS, Mounting(), now=0.0)
         for pair in pairs[len(pairs) // 2 :]:
@@ -262,7 +262,7 @@ class TestMemory:
     @pytest.mark.nightly
     @pytest.mark.parametrize("turns", first_of([0.7, 0.0, 40.0]))
     def test_the_buffer_of_a_hundred_thousand_pairs_is_bounded(self, turns):
-        """Standing, creeping through part of a turn, and going round and round."""
+        """A rest, a slow part of a turn, and many turns."""
         motion = {"arc": turns * math.tau, "samples": 100_000, "duration": 2000.0}
         window = simulated(gyro=False, **motion)
         session, most = Session(LIMITS, Mounting(), now=0.0), 0

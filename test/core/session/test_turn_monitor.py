@@ -12,7 +12,7 @@ NOTHING = Progress(Stage.COLLECTING, Coverage.nothing(), 0, 0.0, 0.0)
 
 
 def watch(yaw_rate=TOLD, seconds=2.0, mirror_gyro=1.0, seed=1, gyro=True, gap=None, lean=(0, 0)):
-    """What the proof has seen after the robot has turned for a while."""
+    """The monitor after the robot has turned for a while."""
     monitor = TurnMonitor(np.eye(3))
     ride = Ride(Robot(), np.random.default_rng(seed), start=1.0, steps_per_field=1, gyro=gyro)
     ride.stand(*lean, 0.3)

@@ -93,7 +93,7 @@ def test_street_disturbances_have_the_requested_size_and_correlation_length(rng)
     fields = fields.swapaxes(1, 2).reshape(-1, 3) * 1e6
     # The quartile of Student's distribution of four degrees of freedom and size one is 0.524.
     assert np.median(np.abs(fields)) == pytest.approx(3.0 * 0.524, rel=0.1)
-    # Signs tell the correlation beneath heavy tails (Greiner's relation).
+    # Signs show the correlation despite heavy tails (Greiner's relation).
     signs = np.sign(fields)
     near, far = (math.sin(0.5 * math.pi * np.mean(signs[:, 0] * signs[:, n])) for n in (1, 2))
     assert near == pytest.approx(0.7 * math.exp(-1.0 / 30.0) + 0.3 * math.exp(-0.5), abs=0.06)

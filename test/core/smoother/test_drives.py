@@ -57,7 +57,7 @@ def fitted(drive):
 
 
 def fit_to(drive, **options):
-    """What the smoother finds in a drive."""
+    """The smoother's result of a drive."""
     return fit_of(log_from(drive, **options), BOSTON)
 
 
@@ -203,7 +203,7 @@ def test_the_true_calibration_is_likelier_than_a_wrong_one(drive, nodes):
 
 
 def test_a_drive_with_bursts_of_stamps_is_refused_with_the_reason(drive):
-    """A buffer that is read once a second: what was turned between, nobody knows."""
+    """A buffer that is read once a second: the rotation in between is unknown."""
     window = Window(drive.time, drive.field, drive.force, drive.rate)
     read = np.floor(window.time)
     bursts = dataclasses.replace(window, time=read + 0.05 * (window.time - read))
@@ -247,7 +247,7 @@ def test_weak_motion_has_a_correct_sigma_over_many_windows(seconds, turns, soft_
 
 
 def test_slow_driving_in_a_street_has_a_correct_sigma():
-    """Nothing pulls here either, but the street is in what is left of the field."""
+    """There is no acceleration here either, but the street is in the residuals of the field."""
     drive = driven(3, legs=city(np.random.default_rng(3), 120.0, fastest=0.4))
     found = fit_to(drive)
     error = heading_error(found.posterior.correction, drive.vehicle.robot)

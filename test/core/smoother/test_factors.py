@@ -134,7 +134,7 @@ def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
     """Return the derivative of a prediction along a step."""
 
     def at(sign: float) -> np.ndarray:
-        # Without a gyro nothing tells where ahead is.
+        # Without a gyro the direction ahead is unknown.
         ahead = sign * STEP * shared[AT["mounting_yaw"]] * (factor is factors.force)
         turned = replace(course, axes=course.axes @ rotation_about(factors.Z, ahead)[0])
         return factor(turned, state.moved(sign * STEP * local, sign * STEP * shared)).residual

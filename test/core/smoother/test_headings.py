@@ -111,7 +111,7 @@ def test_a_street_passed_once_counts_once(seeds):
 
 
 def by_antennas(seed, drift):
-    """What a device's headings show along a street, by a gyro that is off by .03°/s."""
+    """The fit to a device's headings along a street, with a gyro bias of .03°/s."""
     rng = np.random.default_rng(seed)
     robot = replace(ROBOT, yaw=2.0 * DEGREE * rng.standard_normal())
     bias = 0.03 * DEGREE * rng.standard_normal()

@@ -21,7 +21,7 @@ CAME = 110.0
 
 
 def in_force(drive, sigma=math.radians(0.8), iron=(0.0, 0.0, 0.0)):
-    """What a turn left: right but for some iron, tesla, known to sigma, radians of heading."""
+    """A calibration by a turn, correct but for some iron (tesla), with a sigma in radians."""
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = np.eye(3) * (sigma * LEVEL) ** 2
     robot = drive.vehicle.with_iron(np.array(iron)).robot
@@ -70,7 +70,7 @@ def test_the_uncertainty_of_the_calibration_is_no_change():
 
 
 def recorded(drive, added):
-    """What a recorder keeps of a drive to whose field something is added, tesla."""
+    """The log of a drive to whose field something is added, tesla."""
     recorder = DriveRecorder(600.0)
     rows = zip(drive.time, drive.field + added, drive.force, drive.rate, strict=True)
     for stamp, field, force, rate in rows:

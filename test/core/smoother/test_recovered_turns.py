@@ -156,7 +156,7 @@ def slowly(every: int, seed: int, *, means: bool) -> Window:
     ids=str,
 )
 def test_slow_samples_determine_the_turn_but_not_its_sway(every, means, monkeypatch):
-    """The sway alone tells the vertical hard iron, and the gyro sees little of it between them."""
+    """The sway alone determines the vertical hard iron; slow gyro samples miss most of it."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
     estimate = fit(slowly(every, 2, means=means))
     rms = np.sqrt(np.mean(heading_errors(estimate.correction, ROBOT) ** 2, axis=0))
@@ -168,7 +168,7 @@ def test_slow_samples_determine_the_turn_but_not_its_sway(every, means, monkeypa
 @pytest.mark.parametrize("means", [False, True])
 @pytest.mark.parametrize("every", [5, 6])
 def test_tilted_headings_at_5_hz_have_a_correct_sigma(every, means, monkeypatch):
-    """Single readings were 1.5 times as far off as said: half of the sway of 2 Hz was missed."""
+    """Single readings erred 1.5 times the sigma: half of the sway of 2 Hz was missed."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
     ratios = []
     for seed in range(1, 11):
@@ -180,7 +180,7 @@ def test_tilted_headings_at_5_hz_have_a_correct_sigma(every, means, monkeypatch)
 
 @pytest.mark.parametrize("every", first_of([30, 15]))
 def test_a_swaying_turn_sampled_once_a_second_is_refused(every, monkeypatch):
-    """20 degrees wrong at 10 degrees of tilt, at 2.4 said, while a drive answered for them."""
+    """Explained by a drive they erred by 20 degrees at 10 degrees of tilt, sigma 2.4."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
     outcome = calibrate(slowly(every, 2, means=False), Knowledge())
     assert outcome.reason is Reason.TOO_SLOW

@@ -42,7 +42,7 @@ def down_of(estimate) -> float:
 
 @pytest.fixture(scope="module")
 def level():
-    """Return a level turn, and what is found of it."""
+    """Return a level turn and its fit."""
     window = measure(ROBOT, turn(), np.random.default_rng(2))
     return window, fit(window, known(ROBOT))
 

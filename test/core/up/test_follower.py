@@ -22,7 +22,7 @@ MIRRORED = (-1.0, -1.0, -1.0)
 
 @pytest.fixture
 def watched():
-    """Return a robot that can be driven, and the errors of the up that follows it."""
+    """Return a robot that can be driven, and the errors of its estimated up."""
     errors = TiltErrors(UpFollower())
     return Course(errors), errors
 
@@ -199,7 +199,7 @@ def test_a_car_that_circles_from_the_start_has_a_correct_up(recording):
 
 
 def test_with_a_known_acceleration_stop_and_go_does_not_tilt_up():
-    """Never at rest, pulled by up to 12 degrees; the speed's derivative is a little wrong."""
+    """Never at rest, accelerations of up to 12 degrees; the derivative of the speed errs."""
     errors = TiltErrors(UpFollower())
     printable = TiltErrors(UpFollower())
     rng = np.random.default_rng(4)

@@ -56,7 +56,7 @@ def test_engine_vibration_is_not_taken_for_a_mirrored_gyro(recording):
 
 @pytest.mark.parametrize(("sense", "believed"), [(1.0, True), (-1.0, False)])
 def test_a_tilt_is_evidence_despite_vibration(sense, believed):
-    """The rate about x shakes at 5 Hz against the force, ten times stronger than the nod says."""
+    """The rate about x vibrates at 5 Hz against the force, ten times the rate of the tilt."""
     check, rng = GyroCheck(), np.random.default_rng(2)
     for k in range(1500):
         stamp = k * STEP

@@ -24,7 +24,7 @@ class Vehicle:
         self.stamp = self.yaw = 0.0
 
     def go(self, seconds, turn=0.0, pull=(0.0, 0.0), field=True, swing=0.0):
-        """Live on, turning at a rate that swings by a share of it, pulled by m/s²."""
+        """Continue, turning at a varying rate, with an acceleration in m/s²."""
         for _ in range(round(seconds / STEP)):
             self.stamp += STEP
             rate = turn * (1.0 + swing * math.sin(self.stamp))
@@ -79,7 +79,7 @@ def test_circles_after_the_rest_do_not_tilt_up(seed):
 
 
 def shown(**changes):
-    """What six seconds of blocks show; each second's force, rate and field may be changed."""
+    """The result of six seconds of blocks; force, rate and field of each may be changed."""
     watch, said = ShakenRest(), []
     for second in range(6):
         values = {"force": (0.1, 0.0, 0.99), "rate": (0.06, -0.03, 0.02), "field": (2.0, 1.0, -4.0)}

@@ -31,7 +31,7 @@ def test_without_a_gyro_up_is_by_the_accelerometer_alone():
 
 
 def test_a_large_bias_by_a_rest_is_used_after_it():
-    """The past learns it at rest; what begins at a stop in the end has hardly seen any."""
+    """The forward pass learns it at rest; the backward pass starts at a stop."""
     circling = turn(arc=6.0 * np.pi, samples=1500, duration=60.0)
     first, last = circling.attitude[0], circling.attitude[-1]
     ways = [np.broadcast_to(first, (500, 3, 3)), circling.attitude]

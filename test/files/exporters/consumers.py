@@ -88,7 +88,7 @@ def vectornav(text):
 
 
 def c_header(text, folder):
-    """Let a compiler read the header, twice, where there is one; else read it by eye."""
+    """Compile the header, included twice, if there is a compiler; else parse its text."""
     compiler = shutil.which("cc")
     if compiler is None:
         code = re.sub(r"/\*.*?\*/", "", text, flags=re.S)

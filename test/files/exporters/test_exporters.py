@@ -49,7 +49,7 @@ def symmetric_correction(seed):
 
 
 def in_frd(correct):
-    """What a consumer with forward-right-down axes makes of fields in forward-left-up."""
+    """Fields in forward-left-up, corrected by a consumer with forward-right-down axes."""
     return lambda field: correct(field * FLIP) * FLIP
 
 
