@@ -1,4 +1,4 @@
-"""Turns with errors of real sensors: `python benchmarks/realistic.py [--runs N] [--only X] [--turns]`.
+"""Turns with real sensor errors: `python benchmarks/realistic.py [--runs N] [--only X] [--turns]`.
 
 One effect at a time, on full turns of a small robot with a reference field, with the gyro and
 without: how many are refused and warned of, the heading's RMS error on the level (degrees), the
