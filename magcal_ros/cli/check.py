@@ -53,10 +53,10 @@ def run_check(options: argparse.Namespace) -> int:
         own = against_own_yaw(calibration, readings, source.yaw, north)
     folder = common.new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, recording.reference.field)
-    made_for, heard = origin.magnetometer_frame, recording.source.field_frame
+    made_for, frame = origin.magnetometer_frame, recording.source.field_frame
     notes = recording.complaints()
-    if made_for and heard and made_for != heard:
-        about = f"made for the magnetometer {printable(made_for)}, but this is {printable(heard)}"
+    if made_for and frame and made_for != frame:
+        about = f"made for the magnetometer {printable(made_for)}, but this is {printable(frame)}"
         notes.insert(0, f"the calibration was {about}")
     slow = recording.collector.slow_field
     notes += [words for words in (slow, elsewhere) if words]
@@ -79,7 +79,7 @@ def run_check(options: argparse.Namespace) -> int:
         f"{printable(str(options.calibration))}",
         method=result.estimate.method,
         title="Compass check",
-        magnetometer_frame=heard,
+        magnetometer_frame=frame,
         imu_frame=recording.source.imu_frame,
     )
     report = write_report(folder, subject)

@@ -124,11 +124,11 @@ def run(options: argparse.Namespace) -> int:
         raise FileError(f"{options.write} exists already: name another --write")
     if options.recording is not None and options.live:
         raise UsageError("--live is without a recording: leave out --live, or the recording")
-    heard = listen(options) if options.recording is None else _recorded(options)
-    log = SensorLog.of(heard.samples)
+    collected = listen(options) if options.recording is None else _recorded(options)
+    log = SensorLog.of(collected.samples)
     if min(len(log.imu_time), len(log.field_time)) >= TUNING.fewest:
-        return _tell(options, heard.report_of(log), heard.knowledge.mounting.gains)
-    facts = report_as_facts(SensorReport(heard.more), None, Exit.TOO_LITTLE_DATA)
+        return _tell(options, collected.report_of(log), collected.knowledge.mounting.gains)
+    facts = report_as_facts(SensorReport(collected.more), None, Exit.TOO_LITTLE_DATA)
     streams = (("IMU", log.imu_time), ("field", log.field_time))
     counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
     words = (
@@ -349,9 +349,10 @@ class GuidePrompts:
 
     def tick(self, guide: Guide) -> None:
         """Print whether the last step was detected."""
-        last, seen = list(guide.ended.items())[-1]
+        last, detected = list(guide.ended.items())[-1]
         over = "\r\033[K" if self._rewrites else ""
-        say(f"{over}  [{'x' if seen else '-'}] {ASKED[last]}{'' if seen else ': not detected'}")
+        missed = "" if detected else ": not detected"
+        say(f"{over}  [{'x' if detected else '-'}] {ASKED[last]}{missed}")
         self._shown = ""
 
 

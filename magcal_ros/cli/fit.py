@@ -30,7 +30,7 @@ from magcal_ros.report import Subject, write_report
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FitResult:
     """A recording, or several that were joined, and the result."""
 
     recording: CollectedRecording  # of several recordings, the last that was joined
@@ -114,7 +114,7 @@ def _fit(
     everything: Sequence[CollectedRecording],
     options: argparse.Namespace,
     report_share: Callable[[float], object],
-) -> Fitted:
+) -> FitResult:
     frames = sorted({each.source.field_frame for each in everything if each.source.field_frame})
     if len(frames) > 1:
         raise UsageError(
@@ -127,18 +127,18 @@ def _fit(
     knowledge = Knowledge(known.reference.field, known.collector.mounting)
     at_headings = recorded.fit_known(options, knowledge)
     if at_headings is not None:
-        return Fitted(everything[-1], knowledge, at_headings, everything)
+        return FitResult(everything[-1], knowledge, at_headings, everything)
     if len(everything) == 1:
         outcome = fit_collected(known.collector, knowledge, options.method, report_share)
-        return Fitted(known, knowledge, outcome, everything)
+        return FitResult(known, knowledge, outcome, everything)
     names = names_of([str(path) for path in options.recordings])
     collectors = [each.collector for each in everything]
     outcome, newest = fit_several(collectors, names, knowledge, options.method)
     recording = replace(everything[newest], reference=known.reference)
-    return Fitted(recording, knowledge, outcome, everything)
+    return FitResult(recording, knowledge, outcome, everything)
 
 
-def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> list[Path]:
+def _write_files(folder: Path, fitted: FitResult, options: argparse.Namespace) -> list[Path]:
     """Write the result into the folder; returns the files."""
     files = []
     outcome, recording = fitted.outcome, fitted.recording
@@ -151,7 +151,7 @@ def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> l
     return files
 
 
-def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Subject:
+def _subject(fitted: FitResult, window: Window, options: argparse.Namespace) -> Subject:
     recording = fitted.recording
     return Subject(
         window,
@@ -174,7 +174,7 @@ APART = (
 )
 
 
-def _words(fitted: Fitted, files: list[Path]) -> str:
+def _words(fitted: FitResult, files: list[Path]) -> str:
     verdict, estimate = fitted.outcome.verdict, fitted.outcome.estimate
     headline, reasons = verdict.in_full
     is_drive = estimate is not None and Figure.HEADINGS_DRIVEN in estimate.figures
@@ -205,7 +205,7 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     return text.rstrip("\n")
 
 
-def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
+def _facts(fitted: FitResult, files: list[Path]) -> dict[str, Any]:
     recording, outcome = fitted.recording, fitted.outcome
     verdict = outcome.verdict
     return {
@@ -232,7 +232,7 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
     }
 
 
-def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
+def _numbers(fitted: FitResult) -> list[tuple[str, str, str, str]]:
     """Return key, name, number and unit of the printed quantities."""
     collector, source = fitted.recording.collector, fitted.recording.source
     imus, fields = fitted.recording.repaired.read

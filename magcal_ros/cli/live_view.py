@@ -136,14 +136,14 @@ def with_all_reasons(message: str, status: str | None) -> str:
     return f"{before}{printable(headline, LONGEST_ERROR)}\n{listed}\n{after.strip()}"
 
 
-def best_view() -> Lines:
+def best_view() -> ProgressLines:
     """Return a panel on a terminal if rich is installed, else plain lines."""
     if sys.stdout.isatty():
         try:
             return Panel()
         except ImportError:
             pass
-    return Lines()
+    return ProgressLines()
 
 
 def advice(progress: dict[str, Any]) -> str:
@@ -179,26 +179,26 @@ def ring(filled: str) -> list[str]:
     return ["".join(row) for row in canvas]
 
 
-class Lines(contextlib.AbstractContextManager["Lines"]):
+class ProgressLines(contextlib.AbstractContextManager["ProgressLines"]):
     """Shows the progress of a turn in lines, for pipes and logs."""
 
     def __init__(self) -> None:
-        self._second, self._said = -1, ""
+        self._second, self._printed = -1, ""
 
     def show(self, progress: dict[str, Any]) -> None:
         """Print at most one line a second, and no line twice in a row."""
         second, words = int(progress["elapsed_s"]), line(progress)
-        if second != self._second and words != self._said:
+        if second != self._second and words != self._printed:
             # The line is cut to the width of the terminal.
             width = shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else None
             print(words[:width], flush=True)
-            self._second, self._said = second, words
+            self._second, self._printed = second, words
 
     def __exit__(self, *_: object) -> None:
         pass
 
 
-class Panel(Lines):
+class Panel(ProgressLines):
     """Shows the progress of a turn in a panel; raises ImportError if rich is not installed."""
 
     def __init__(self) -> None:

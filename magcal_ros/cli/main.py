@@ -67,13 +67,13 @@ def _run(options: argparse.Namespace) -> Exit:
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
     except UsageError as error:
-        return _said(error, Exit.USAGE)
+        return _print_error(error, Exit.USAGE)
     except FileError as error:
-        return _said(error, Exit.FILE_TROUBLE)
+        return _print_error(error, Exit.FILE_TROUBLE)
     except Refusal as error:
-        return _said(error, Exit.TOO_LITTLE_DATA)
+        return _print_error(error, Exit.TOO_LITTLE_DATA)
     except MagcalError as error:
-        return _said(error, Exit.FAILED)
+        return _print_error(error, Exit.FAILED)
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -81,13 +81,13 @@ def _run(options: argparse.Namespace) -> Exit:
             return _fault()
         # The system cannot use the user's path: too long, not permitted, missing.
         name = printable(os.fsdecode(error.filename))
-        return _said(f"cannot use {name}: {error.strerror or error}", Exit.FILE_TROUBLE)
+        return _print_error(f"cannot use {name}: {error.strerror or error}", Exit.FILE_TROUBLE)
     except Exception:  # an error of this package, reported with the traceback
         return _fault()
     return status
 
 
-def _said(what: object, status: Exit) -> Exit:
+def _print_error(what: object, status: Exit) -> Exit:
     tell(f"magcal: {' '.join(str(what).split())}", sys.stderr)
     return status
 

@@ -160,12 +160,12 @@ def with_progress(words: Callable[[], str], out: TextIO) -> Iterator[None]:
     begin, end, pause = ("\r", "\x1b[K", REDRAW) if is_terminal else ("", "\n", LINE_EVERY)
 
     def tell() -> None:
-        said = ""
+        printed = ""
         while not done.wait(pause):
             seconds, now = time.monotonic() - begun, words()
-            if is_terminal or now != said:
+            if is_terminal or now != printed:
                 print(f"{begin}{now}: {seconds:.0f} s", end=end, file=out, flush=True)
-            said = now
+            printed = now
 
     teller = threading.Thread(target=tell, name="at work", daemon=True)
     teller.start()

@@ -34,21 +34,21 @@ SUFFIXES = (".bin", ".log", ".tlog")
 
 TESLA = 1e-7  # in a milligauss
 
-NAMES = logs.Names(
-    logs.Name("IMU", "let LOG_BITMASK log IMU, and record again", "GH or AH is 0"),
-    logs.Name(
+NAMES = logs.SensorNames(
+    logs.SensorName("IMU", "let LOG_BITMASK log IMU, and record again", "GH or AH is 0"),
+    logs.SensorName(
         "MAG",
         "check COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
         "Health is 0",
     ),
 )
-TELEMETRY_NAMES = logs.Names(
-    logs.Name(
+TELEMETRY_NAMES = logs.SensorNames(
+    logs.SensorName(
         "IMU",
         "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's "
         "card",
     ),
-    logs.Name("MAG", "check COMPASS_ENABLE and the wiring, and record again"),
+    logs.SensorName("MAG", "check COMPASS_ENABLE and the wiring, and record again"),
 )
 REPEATED = -1
 RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU3": 2}

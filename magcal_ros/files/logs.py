@@ -93,7 +93,7 @@ class LogTables:
     notes: list[str] = field(default_factory=list)
 
 
-class Name(NamedTuple):
+class SensorName(NamedTuple):
     """The name of a sensor in a kind of log, and the remedy if the sensor is missing."""
 
     name: str
@@ -101,15 +101,15 @@ class Name(NamedTuple):
     health: str = ""  # how the log marks samples of an unhealthy sensor
 
 
-class Names(NamedTuple):
+class SensorNames(NamedTuple):
     """The names of both sensors."""
 
-    imu: Name
-    field: Name
+    imu: SensorName
+    field: SensorName
 
 
 def recording_of(
-    path: Path, tables: LogTables, names: Names, imu: str = "", mag: str = ""
+    path: Path, tables: LogTables, names: SensorNames, imu: str = "", mag: str = ""
 ) -> Recording:
     """Choose the sensors and return their recording; FileError if none gives data."""
     notes = list(tables.notes)
@@ -136,7 +136,7 @@ def recording_of(
 class _Kind:
     """All accelerometers or all magnetometers of a log, by number."""
 
-    called: Name
+    called: SensorName
     sensors: Mapping[int, FloatArray]
     unhealthy: Mapping[int, int]
     order: Order

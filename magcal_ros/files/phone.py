@@ -27,9 +27,9 @@ from magcal_ros.files.recording import Recording, read_header, read_numbers
 NANOSECOND = 1e9
 FLU_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 METADATA = "Metadata.csv"
-NAMES = logs.Names(
-    logs.Name("phone IMU", "record accelerometer (with gravity) and gyroscope"),
-    logs.Name(
+NAMES = logs.SensorNames(
+    logs.SensorName("phone IMU", "record accelerometer (with gravity) and gyroscope"),
+    logs.SensorName(
         "phone magnetometer", "not every phone has one; record the magnetometer, best uncalibrated"
     ),
 )

@@ -48,9 +48,9 @@ SELECTIONS = ("sensor_selection", "estimator_selector_status", "estimator_status
 
 Topic = Mapping[str, FloatArray]
 Topics = Mapping[tuple[str, int], Topic]
-NAMES = logs.Names(
-    logs.Name("sensor_combined", "set SDLOG_PROFILE to its default and record again"),
-    logs.Name("sensor_mag", "check SYS_HAS_MAG and the wiring, and record again"),
+NAMES = logs.SensorNames(
+    logs.SensorName("sensor_combined", "set SDLOG_PROFILE to its default and record again"),
+    logs.SensorName("sensor_mag", "check SYS_HAS_MAG and the wiring, and record again"),
 )
 RIGHT_ANGLES = (
     *((0, 0, 45 * k) for k in range(8)),

@@ -74,7 +74,7 @@ correlated."""
 
 
 @dataclass(frozen=True, eq=False)
-class Corrected:
+class CorrectedTurn:
     """The samples after the correction, one row per sample."""
 
     estimate: Estimate
@@ -109,7 +109,7 @@ class Turn:
     has_gyro: bool  # whether a gyro measured the angle
     inliers: BoolArray  # inliers of the fit; all without a fit. Shape (n,).
     coverage: Coverage
-    corrected: Corrected | None
+    corrected: CorrectedTurn | None
     sensors: SensorReport
     """The findings of `doctor` for the samples."""
     swing_bound: float | None = None
@@ -170,7 +170,7 @@ class Turn:
 
 def _correct(
     subject: Subject, estimate: Estimate, up: FloatArray, gyro: FloatArray | None
-) -> Corrected:
+) -> CorrectedTurn:
     window = subject.window
     calibration = subject.outcome.calibration
     if calibration is None:
@@ -183,7 +183,7 @@ def _correct(
     axial = residual @ estimate.axis
     model = field - residual
     outward = unit(model - np.outer(model @ estimate.axis, estimate.axis))
-    return Corrected(
+    return CorrectedTurn(
         estimate=estimate,
         field=field,
         circle=_ideal_circle(estimate, up, field),

@@ -41,7 +41,7 @@ NOT_HEARD = (
 )
 
 
-class Loaded(NamedTuple):
+class LoadedCalibration(NamedTuple):
     """A calibration that was read from a file."""
 
     path: Path
@@ -73,9 +73,9 @@ class CalibrationStore:
         self.origin: Origin | None = None
         self.problem = ""  # the last failure with the file; empty after a success
         self._frame, self._was_heard, self._was_named = "", False, False
-        self._last_read: tuple[object, Loaded] | None = None
+        self._last_read: tuple[object, LoadedCalibration] | None = None
         self._is_reading = False
-        self._found: OrderedDict[str, Loaded | None] = OrderedDict()
+        self._found: OrderedDict[str, LoadedCalibration | None] = OrderedDict()
         self._used: Path | None = None
         self._dismissed: Path | None = None
         self._resets = 0
@@ -145,7 +145,7 @@ class CalibrationStore:
             tell(Conclusion(False, NOT_HEARD))
             return
 
-        def done(found: Loaded | Exception) -> None:
+        def done(found: LoadedCalibration | Exception) -> None:
             if isinstance(found, Exception):
                 self.problem = str(found)
                 tell(Conclusion(False, str(found)))
@@ -154,7 +154,7 @@ class CalibrationStore:
 
         self._files.run(lambda: self.read(chosen, frame), done, done)
 
-    def read(self, chosen: str, frame: str) -> Loaded:
+    def read(self, chosen: str, frame: str) -> LoadedCalibration:
         """Read the file of a sensor, in any thread; an unchanged file is not read again.
 
         Raises FileError if the file is missing, damaged, no calibration or of another sensor.
@@ -164,7 +164,7 @@ class CalibrationStore:
             key = with_time_limit(lambda: _key_of(path), path)
             if self._last_read is None or key is None or self._last_read[0] != key:
                 found = with_time_limit(lambda: read_calibration(path), path)
-                self._last_read = key, Loaded(path, *found)
+                self._last_read = key, LoadedCalibration(path, *found)
             loaded = self._last_read[1]
             _require_sensor(path, loaded.origin, frame)
         except FileError:
@@ -177,7 +177,7 @@ class CalibrationStore:
             ) from None
         return loaded
 
-    def use(self, loaded: Loaded) -> str:
+    def use(self, loaded: LoadedCalibration) -> str:
         """Put a calibration that was read in force; returns what was done, in words."""
         self.problem = ""
         self.put_in_force(loaded.calibration, loaded.origin)
@@ -235,7 +235,7 @@ class CalibrationStore:
         self._is_reading = True
         self._remember(frame)
 
-        def read_if_there() -> Loaded | None:
+        def read_if_there() -> LoadedCalibration | None:
             path = self._path(frame, chosen)
             return (
                 None
@@ -243,7 +243,7 @@ class CalibrationStore:
                 else self.read(chosen, frame)
             )
 
-        def done(found: Loaded | Exception | None) -> None:
+        def done(found: LoadedCalibration | Exception | None) -> None:
             self._is_reading = False
             if isinstance(found, Exception):
                 self.problem = str(found)
@@ -264,7 +264,7 @@ class CalibrationStore:
 
         self._files.run(read_if_there, done, done)
 
-    def _use_found(self, loaded: Loaded | None) -> None:
+    def _use_found(self, loaded: LoadedCalibration | None) -> None:
         if loaded is None or self.calibration is not None:
             return
         # After a reset, a chosen file is not loaded again for a sensor that is heard later.

@@ -26,7 +26,7 @@ from magcal_ros.ros.travel import BETTER_SIGMA_RATIO, Travel
 PAUSE = 60  # seconds of learning between two saves
 
 
-class Commands:
+class CommandTopic:
     """Receives the commanded speed, in the message type of its publisher.
 
     There is no subscription while wheels measure the speed, or while this node turns the robot and
@@ -90,7 +90,7 @@ class Motors:
         self._compass: Compass | None = None
         self._learning: MotorLearning | None = None
         self._learns, self._has_learnt, self._waited = False, False, 0
-        self.commands = Commands(node, up)
+        self.commands = CommandTopic(node, up)
         self._topic = node.resolve_topic_name("battery")
         self._odom = node.resolve_topic_name("odom")
         node.create_subscription(BatteryState, "battery", self._on_battery, SENSOR_DATA)

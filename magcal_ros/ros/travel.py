@@ -115,9 +115,9 @@ class Travel:
         """Faults of speeds, compass or declination, in words."""
         mounting = self.estimator.mounting
         words = [
-            fault_words(self._topics[source], fault, mounting.seen[source])
+            fault_words(self._topics[source], fault, mounting.checked[source])
             for source, fault in mounting.faults.items()
-            if source in mounting.seen
+            if source in mounting.checked
         ]
         words += [f"{topic}: {why}" for topic, why in self._unusable.items()]
         if self.driven_yaw.suspicion:

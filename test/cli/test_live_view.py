@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from magcal_ros.cli.live_view import Lines, Panel, advice, best_view, line, ring
+from magcal_ros.cli.live_view import Panel, ProgressLines, advice, best_view, line, ring
 
 PROGRESS = {
     "stage": "collecting",
@@ -47,7 +47,7 @@ def test_measured_headings_are_left_of_the_start_on_the_ring():
 
 
 def test_a_log_gets_a_line_a_second_while_something_changes(capsys):
-    with Lines() as view:
+    with ProgressLines() as view:
         for elapsed, sigma in ((3.2, 0.31), (3.4, 0.3), (3.9, 0.3), (4.1, 0.3), (5.2, 0.3)):
             view.show(PROGRESS | {"elapsed_s": elapsed, "heading_sigma_deg": sigma})
     printed = capsys.readouterr().out.splitlines()
@@ -80,7 +80,7 @@ def test_no_line_is_wider_than_the_terminal(monkeypatch, columns):
     monkeypatch.setenv("COLUMNS", str(columns))
     monkeypatch.setenv("TERM", "xterm")
     wide = PROGRESS | {"arc_deg": 359.0, "samples": 12345, "advice": "", "heading_sigma_deg": 0.5}
-    for kind in (Lines, Panel):
+    for kind in (ProgressLines, Panel):
         monkeypatch.setattr(sys, "stdout", Terminal())
         try:
             view = kind()
@@ -95,6 +95,6 @@ def test_no_line_is_wider_than_the_terminal(monkeypatch, columns):
 def test_without_rich_a_terminal_gets_lines(monkeypatch):
     monkeypatch.setattr(sys, "stdout", Terminal())
     monkeypatch.setitem(sys.modules, "rich.live", None)
-    assert isinstance(best_view(), Lines)
+    assert isinstance(best_view(), ProgressLines)
     monkeypatch.setattr(sys, "stdout", io.StringIO())
-    assert isinstance(best_view(), Lines)
+    assert isinstance(best_view(), ProgressLines)

@@ -57,10 +57,10 @@ def calibration_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> fl
 
 def known_sigma(calibration: Calibration) -> float:
     """Return the sigma of the heading on the level by a calibration's evidence, radians."""
-    said = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
-    if said is None:
+    sigma = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
+    if sigma is None:
         return calibration_sigma(calibration)
-    return math.sqrt(max(said**2 - calibration.evidence.figure(Figure.LOCAL_SIGMA, 0.0) ** 2, 0.0))
+    return math.sqrt(max(sigma**2 - calibration.evidence.figure(Figure.LOCAL_SIGMA, 0.0) ** 2, 0.0))
 
 
 def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:

@@ -162,13 +162,17 @@ class PossibleAxes:
         """The fault and its remedy, if gyro and accelerometer are right; empty without a fault."""
         if self.right:
             return ""
-        return f"{self.ways}. To tell which, {self.movement}" if self.movement else self.ways
+        return (
+            f"{self.alternatives}. To tell which, {self.movement}"
+            if self.movement
+            else self.alternatives
+        )
 
     @property
-    def ways(self) -> str:
+    def alternatives(self) -> str:
         """As `words`, but without the movement that distinguishes the candidates."""
-        ways = named(self.candidates, self._say)
-        return f"the magnetometer's axes do not match the IMU's: {ways}"
+        alternatives = named(self.candidates, self._describe)
+        return f"the magnetometer's axes do not match the IMU's: {alternatives}"
 
     @property
     def movement(self) -> str:
@@ -186,7 +190,7 @@ class PossibleAxes:
         level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)
         return f"{LIFT}{dip}{DRIVE if level else ''}"
 
-    def _say(self, axes: FloatArray) -> str:
+    def _describe(self, axes: FloatArray) -> str:
         whole = np.rint(self.pose.T @ axes)
         if not np.array_equal(np.abs(whole).sum(axis=0), np.ones(3)):
             whole = axes
@@ -227,42 +231,42 @@ class AxesDiagnosis(NamedTuple):
 
 
 def diagnose_axes(
-    explanations: AxesHypotheses,
+    hypotheses: AxesHypotheses,
     knowledge: Knowledge,
     turned_left: bool | None,
     gyro_is_half_dead: bool = False,
 ) -> AxesDiagnosis:
     """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
-    misfit, given = explanations.misfit, explanations.as_given
-    if explanations.rms[explanations.best] > LIMITS.worst_fit:
+    misfit, given = hypotheses.misfit, hypotheses.as_given
+    if hypotheses.rms[hypotheses.best] > LIMITS.worst_fit:
         finding = ok_or_warning("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return AxesDiagnosis((finding,))
     remains = misfit < LIMITS.remains
     contrary = np.zeros(len(misfit), dtype=np.bool_)
     if turned_left is not None:
         # The user may have turned the wrong way while all sensors are right.
-        turned = np.array([explanations.turned(k) for k in range(len(misfit))])
+        turned = np.array([hypotheses.turned(k) for k in range(len(misfit))])
         contrary = (np.abs(turned) > LIMITS.least_turn) & ((turned > 0.0) != turned_left)
     if misfit[given] < 2.0 * LIMITS.remains:
-        return _all_agree(explanations, remains, knowledge, contrary)
+        return _all_agree(hypotheses, remains, knowledge, contrary)
     kept = remains & ~contrary
     remains = kept if kept.any() else remains
     remains[given] = False
     left = [int(k) for k in np.flatnonzero(remains)]
-    rank = {k: _wrong_sensors(explanations, k) for k in left}
+    rank = {k: _wrong_sensors(hypotheses, k) for k in left}
     least = min(len(rank[k]) for k in left)
     fewest = [k for k in left if len(rank[k]) == least]
     # Likely hypotheses are ordered by how common the mistake is.
-    gyro, field = explanations.gyro, explanations.field
+    gyro, field = hypotheses.gyro, hypotheses.field
     fewest.sort(key=lambda k: (misfit[k] > LIMITS.likely, rank_of(gyro[k]), rank_of(field[k])))
     if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
         return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
-    return _findings_on_axes(explanations, fewest, rank, knowledge)
+    return _findings_on_axes(hypotheses, fewest, rank, knowledge)
 
 
-def _wrong_sensors(explanations: AxesHypotheses, k: int) -> tuple[str, ...]:
+def _wrong_sensors(hypotheses: AxesHypotheses, k: int) -> tuple[str, ...]:
     """Return the sensors whose axes are wrong by hypothesis `k`."""
-    gyro, field = explanations.gyro[k], explanations.field[k]
+    gyro, field = hypotheses.gyro[k], hypotheses.field[k]
     axes = {"gyro": gyro, "magnetometer": field}
     wrong = tuple(sensor for sensor, each in axes.items() if not np.array_equal(each, STANDARD))
     # If both differ from the accelerometer in the same way, the accelerometer's axes are wrong.
@@ -271,12 +275,12 @@ def _wrong_sensors(explanations: AxesHypotheses, k: int) -> tuple[str, ...]:
 
 
 def _all_agree(
-    explanations: AxesHypotheses, remains: BoolArray, knowledge: Knowledge, contrary: BoolArray
+    hypotheses: AxesHypotheses, remains: BoolArray, knowledge: Knowledge, contrary: BoolArray
 ) -> AxesDiagnosis:
-    given = explanations.as_given
+    given = hypotheses.as_given
     # The possible axes of the magnetometer if the gyro's are right.
-    alike = (explanations.gyro == explanations.gyro[given]).all(axis=(1, 2))
-    axes = PossibleAxes(explanations.field[remains & alike], True, knowledge)
+    alike = (hypotheses.gyro == hypotheses.gyro[given]).all(axis=(1, 2))
+    axes = PossibleAxes(hypotheses.field[remains & alike], True, knowledge)
     known = np.array_equal(knowledge.mounting.pose, STANDARD)
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
@@ -287,7 +291,7 @@ def _all_agree(
         why = f"{evidence} fit, but so would {rest}; to tell them apart, {axes.movement or LIFT}"
         found = [undetermined("axes", "axes", why)]
     if contrary[given]:
-        others = [_wrong_sensors(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
+        others = [_wrong_sensors(hypotheses, int(k)) for k in np.flatnonzero(remains & ~contrary)]
         alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
         said = TURNED_RIGHT + "".join(f", or only the {sensor} has wrong axes" for sensor in alone)
         found.append(ok_or_warning("imu_axes", "axes: up", "a turn to the right", said))
@@ -295,7 +299,7 @@ def _all_agree(
 
 
 def _findings_on_axes(
-    explanations: AxesHypotheses,
+    hypotheses: AxesHypotheses,
     fewest: list[int],
     rank: dict[int, tuple[str, ...]],
     knowledge: Knowledge,
@@ -309,13 +313,13 @@ def _findings_on_axes(
     is_clear = len(culprits) == 1
     said, axes = {}, None
     for (sensor,) in culprits:
-        ways = [k for k in fewest if rank[k] == (sensor,)]
+        alternatives = [k for k in fewest if rank[k] == (sensor,)]
         if sensor == "magnetometer":
-            axes = PossibleAxes(_distinct(explanations.field[ways]), False, knowledge)
-            said[sensor] = axes.words if is_clear else axes.ways
+            axes = PossibleAxes(_distinct(hypotheses.field[alternatives]), False, knowledge)
+            said[sensor] = axes.words if is_clear else axes.alternatives
             continue
         words, slip = AXES_REMEDIES[sensor]
-        candidates = _distinct(explanations.gyro[ways])
+        candidates = _distinct(hypotheses.gyro[alternatives])
         is_asked = is_clear and len(candidates) > LIMITS.most_named
         which = f". To tell which, {LIFT}" if is_asked else ""
         said[sensor] = words.format(named(candidates, slip)) + which

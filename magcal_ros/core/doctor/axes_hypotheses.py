@@ -274,9 +274,9 @@ def _inclination_misfit(found: Alignment, dip: Belief) -> FloatArray:
     # The gyro's drift looks like a small tilt, which does not determine the field.
     variance += (LIMITS.attitude_error / max(found.least_tilt, 1e-6)) ** 2
     variance += LIMITS.dip_sigma**2 + dip.sigma**2
-    seen = -np.arcsin(np.clip(along, -1.0, 1.0))
+    measured = -np.arcsin(np.clip(along, -1.0, 1.0))
     misfits = [
-        np.where(is_known, (sign * seen - dip.value) ** 2 / variance, 0.0) for sign in (1, -1)
+        np.where(is_known, (sign * measured - dip.value) ** 2 / variance, 0.0) for sign in (1, -1)
     ]
     return np.concatenate(misfits)
 
@@ -299,7 +299,7 @@ def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, Floa
     uneven = float(np.median(np.abs(size[last] - size[first]))) / 0.6745
     up = segment.up / np.maximum(size, 1e-9)
     middle = skews(0.5 * (up[last] + up[first]))
-    seen = up[last] - up[first]
+    measured = up[last] - up[first]
     turned = turn @ axes
     # seen = middle x (turned (1 + scale) - bias seconds) + swung r
     count, n = len(axes), len(first)
@@ -312,7 +312,7 @@ def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, Floa
     swung = -middle @ middle @ (swung[:, last] - swung[:, first])
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
-    target = seen - moved
+    target = measured - moved
     sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [LIMITS.lever] * 3)
     prior = np.diag(sizes**-2.0)
     repeated = max(float(np.mean(last - first)), 1.0)

@@ -102,15 +102,15 @@ def course_findings(
     return [*lines, severe_finding("field_yaw", NAME, evidence, either)], None
 
 
-def _imu_yaw(seen: Belief) -> Finding:
-    degrees = math.degrees(seen.value)
+def _imu_yaw(measured: Belief) -> Finding:
+    degrees = math.degrees(measured.value)
     evidence = (
-        f"x points {abs(degrees):.0f} ± {math.degrees(seen.sigma):.0f}° to the "
+        f"x points {abs(degrees):.0f} ± {math.degrees(measured.sigma):.0f}° to the "
         f"{'left' if degrees >= 0.0 else 'right'} of the front"
     )
     remedy = (
         f"turn the IMU's axes in the driver or its joint in the URDF by {degrees:.0f}° about z, or "
         f"set `vehicle_yaw_deg: {degrees:.0f}.0`"
     )
-    is_off = abs(seen.value) > TUNING.near
+    is_off = abs(measured.value) > TUNING.near
     return ok_or_warning("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)

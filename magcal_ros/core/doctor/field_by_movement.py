@@ -16,7 +16,7 @@ from magcal_ros.core.doctor.motion import (
     FULL_TURN,
     MOVE_THE_SENSOR,
     TURN_BETWEEN_RESTS,
-    MotionFound,
+    MotionResult,
 )
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
@@ -86,7 +86,7 @@ def strength_of_level(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Belie
 
 
 def with_field(
-    lines: list[Finding], prepared: CleanLog, found: MotionFound, knowledge: Knowledge
+    lines: list[Finding], prepared: CleanLog, found: MotionResult, knowledge: Knowledge
 ) -> list[Finding]:
     """Return the lines with findings on the field, if a hypothesis explains the movement."""
     if found.hypothesis is None or found.body is None:

@@ -85,7 +85,7 @@ GRAVITY_FIRST = "correct the accelerometer as said below, then check again"
 
 
 @dataclass(frozen=True, eq=False)
-class MotionFound:
+class MotionResult:
     """The findings of the comparison, and the hypothesis behind them."""
 
     findings: tuple[Finding, ...]
@@ -103,12 +103,12 @@ class MotionFound:
 
 def compare(
     prepared: CleanLog, knowledge: Knowledge, turned_left: bool | None = None
-) -> MotionFound:
+) -> MotionResult:
     """Compare accelerometer, gyro and field."""
     log = prepared.log
     if not log.has_gyro:
         found = ok_or_warning("no_gyro", "gyro", "absent", NO_GYRO)
-        return MotionFound((found, check_gravity_direction(log, None, None, turned_left)[0]))
+        return MotionResult((found, check_gravity_direction(log, None, None, turned_left)[0]))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = segment_of_log(body)
     # The field must change by more than its noise.
@@ -132,15 +132,15 @@ def compare(
     other = replace(given, inclination=Belief(-dip.value, dip.sigma))
     dead = bool(dead_axes(log.rate))
     stands, up_is_down = check_gravity_direction(log, None if dead else given, other, turned_left)
-    explanations = other if up_is_down else given
+    hypotheses = other if up_is_down else given
     if up_is_down and turned_left is not None:
         turned_left = not turned_left
-    blamed = diagnose_axes(explanations, knowledge, turned_left, dead)
-    if stands.is_wrong and not up_is_down and any(each.is_wrong for each in blamed.findings):
+    diagnosis = diagnose_axes(hypotheses, knowledge, turned_left, dead)
+    if stands.is_wrong and not up_is_down and any(each.is_wrong for each in diagnosis.findings):
         # Those findings are in the IMU's axes, which may need a correction themselves.
-        blamed = AxesDiagnosis((undetermined("axes", "axes", GRAVITY_FIRST),), blamed.chosen)
-    findings = [_unit(factor, factors is None), stands, *blamed.findings]
-    hypothesis = None if blamed.chosen is None else explanations.hypothesis(blamed.chosen)
+        diagnosis = AxesDiagnosis((undetermined("axes", "axes", GRAVITY_FIRST),), diagnosis.chosen)
+    findings = [_unit(factor, factors is None), stands, *diagnosis.findings]
+    hypothesis = None if diagnosis.chosen is None else hypotheses.hypothesis(diagnosis.chosen)
     if hypothesis is not None:
         rest = None if rest is None else rest._replace(rate=factor * rest.rate)
         findings += _gyro_errors(hypothesis, factor, rest, prepared.restamped)
@@ -148,7 +148,7 @@ def compare(
             findings.append(undetermined("latency", "field: latency", NO_BURSTS))
         else:
             findings += _latencies(body, hypothesis)
-    return MotionFound(tuple(findings), blamed.axes, hypothesis, factor, up_is_down, body)
+    return MotionResult(tuple(findings), diagnosis.axes, hypothesis, factor, up_is_down, body)
 
 
 def _explained(
@@ -177,7 +177,7 @@ def _explained(
 
 def _nothing_shown(
     log: SensorLog, rest: LongestRest | None, turned_left: bool | None
-) -> MotionFound:
+) -> MotionResult:
     """Return the findings without a comparison; a rest still shows the gyro's bias."""
     why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
     bias = undetermined("gyro_bias", "gyro: bias", why)
@@ -188,7 +188,7 @@ def _nothing_shown(
         undetermined("latency", "field: latency", why),
         check_gravity_direction(log, None, None, turned_left)[0],
     )
-    return MotionFound(findings)
+    return MotionResult(findings)
 
 
 def _unit(factor: float, turns_alike: bool) -> Finding:

@@ -41,7 +41,7 @@ class Quirk:
     """A known fault of a driver."""
 
     driver: str  # names of the drivers
-    habit: str  # description of the fault
+    fault: str  # its description
     remedy: str
     line: str = "driver"  # `Finding.name` of the finding on the fault
     shows: Callable[[SensorLog, FloatArray | None], bool] | None = None
@@ -134,7 +134,7 @@ def known_quirks(log: SensorLog, axes: FloatArray | None = None) -> list[Finding
     Rows of `axes` (3, 3) are the magnetometer's axes in the IMU's, if only these are wrong.
     """
     return [
-        ok_or_warning("driver", "driver", f"as {each.driver}: {each.habit}", each.remedy)
+        ok_or_warning("driver", "driver", f"as {each.driver}: {each.fault}", each.remedy)
         for each in QUIRKS
         if each.shows is not None and each.shows(log, axes)
     ]

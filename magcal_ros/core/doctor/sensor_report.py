@@ -180,5 +180,5 @@ def _refusal_from_page(
     window: Window, knowledge: Knowledge, lines: tuple[str, ...] = AXES, least: Grade = Grade.WARN
 ) -> Refusal | None:
     findings = examine_window(window, knowledge).findings
-    said = [f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines]
-    return Refusal(Reason.AXES_DISAGREE, "; ".join(said)) if any(said) else None
+    remedies = [f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines]
+    return Refusal(Reason.AXES_DISAGREE, "; ".join(remedies)) if any(remedies) else None

@@ -221,15 +221,15 @@ class Chords:
         seconds = math.inf if before is None else fix.stamp - before.stamp
         if not 0.0 < seconds <= COURSE.longest:
             return None
-        way = seconds * complex(fix.east, fix.north)
+        shift = seconds * complex(fix.east, fix.north)
         if fix.stamp - self._placed_at > COURSE.longest:
             x, y = self._place
-            self._place = (x + way.real, y + way.imag)
+            self._place = (x + shift.real, y + shift.imag)
         span = fix.stamp - 0.5, fix.stamp + 0.1
-        return self._chord(span, self._place, way, fix.sigma / max(speed, 1e-9))
+        return self._chord(span, self._place, shift, fix.sigma / max(speed, 1e-9))
 
     def _chord(
-        self, span: tuple[float, float], place: tuple[float, float], way: complex, sigma: float
+        self, span: tuple[float, float], place: tuple[float, float], shift: complex, sigma: float
     ) -> Chord | None:
         """Return the chord of a displacement, metres, if the path is straight with a compass."""
         if sigma > COURSE.largest_sigma:
@@ -248,7 +248,7 @@ class Chords:
         turned = abs(math.remainder(last.yaw - first.yaw, math.tau))
         if not is_whole or turned > COURSE.largest_turn:
             return None
-        course = cmath.phase(way)
+        course = cmath.phase(shift)
         compass_yaw = cmath.phase(sum(compass / abs(compass) for _, compass in among))
         gyro_yaw = cmath.phase(sum(cmath.exp(1j * tick.yaw) for tick, _ in among))
         return Chord(
@@ -258,7 +258,7 @@ class Chords:
             math.remainder(compass_yaw - course, math.tau),
             math.remainder(gyro_yaw - course, math.tau),
             sigma,
-            abs(way),
+            abs(shift),
         )
 
 

@@ -275,8 +275,8 @@ def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> Mounting
 class MountingYawEstimator:
     """Keeps the ticks of some minutes, and fits them periodically.
 
-    `found` is the newest fit of the source in use, `seen` that of each source, and `faults` are the
-    faults by source.
+    `found` is the newest fit of the source in use, `checked` that of each source, and `faults` are
+    the faults by source.
     """
 
     def __init__(self, speedometer: Speedometer) -> None:
@@ -286,7 +286,7 @@ class MountingYawEstimator:
         self._fits = 0
         self.found: MountingYaw | None = None
         self.faults: dict[SpeedSource, SpeedFault] = {}
-        self.seen: dict[SpeedSource, MountingYaw] = {}
+        self.checked: dict[SpeedSource, MountingYaw] = {}
 
     def add(self, tick: Tick, speed: float) -> bool:
         """Add a tick and its speed (m/s, NaN if unknown); return whether a fit is due."""
@@ -335,7 +335,7 @@ class MountingYawEstimator:
         self.found = None
         for source, fitted, fault, delay in judged:
             if fitted is not None:
-                self.seen[source] = fitted
+                self.checked[source] = fitted
             self._speedometer.tracks[source].delay = delay
             if fault is None:
                 self.faults.pop(source, None)

@@ -181,8 +181,10 @@ class Speedometer:
         if before is None or not 0.05 < sample.stamp - before.stamp <= SPEED.receiver_gap:
             return False
         span = sample.stamp - before.stamp
-        way = math.hypot(sample.east - before.east, sample.north - before.north)
-        return self.tracks[SpeedSource.FIXES].add(0.5 * (sample.stamp + before.stamp), way / span)
+        distance = math.hypot(sample.east - before.east, sample.north - before.north)
+        return self.tracks[SpeedSource.FIXES].add(
+            0.5 * (sample.stamp + before.stamp), distance / span
+        )
 
     @property
     def track(self) -> SpeedTrack | None:

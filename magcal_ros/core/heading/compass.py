@@ -73,10 +73,10 @@ def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
     )
 
 
-def yaw_between(north: Triple, seen: Triple, up: Triple) -> float:
-    """Return the yaw by north as `seen` minus the yaw by `north`, radians; `north` is level."""
+def yaw_between(north: Triple, other: Triple, up: Triple) -> float:
+    """Return the yaw by north as `other` minus the yaw by `north`, radians; `north` is level."""
     # North that lies further to the left is a yaw further to the right.
-    return -math.atan2(dot(cross(north, seen), up), dot(north, seen))
+    return -math.atan2(dot(cross(north, other), up), dot(north, other))
 
 
 def levelled(vector: Triple, up: Triple) -> Triple | None:

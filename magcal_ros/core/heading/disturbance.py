@@ -126,10 +126,10 @@ class DisturbanceDetector:
         old = self.amplitude_variance
         strength, dip = self._deviation(self._calibrated)
         most = DISTURBANCE.gate**2 * old
-        seen = min(strength**2, most) + min(max(dip**2 - tilt_variance, 0.0), most)
-        seen = (seen + min(across, most)) / 3.0
+        square = min(strength**2, most) + min(max(dip**2 - tilt_variance, 0.0), most)
+        square = (square + min(across, most)) / 3.0
         share = min(1.0, seconds / DISTURBANCE.amplitude_memory)
-        new = max(old + share * (seen - old), (0.5 * DISTURBANCE.amplitude) ** 2)
+        new = max(old + share * (square - old), (0.5 * DISTURBANCE.amplitude) ** 2)
         self.amplitude_variance = new
         return max(1.0, new / old)
 
@@ -205,7 +205,7 @@ class FieldDeviation:
         self._usual = strength**2 * places + 2.0 * own
         places = DISTURBANCE.dip**2 + DISTURBANCE.amplitude**2
         self._usual_across = strength**2 * places + own
-        self._seen = self._seconds = 0.0
+        self._mean_excess = self._seconds = 0.0
         self._stamp = math.nan
         self.is_turned = False  # whether most of the error turns the yaw
 
@@ -238,7 +238,7 @@ class FieldDeviation:
         seconds = seconds if 0.0 < seconds < 1.0 else 1.0
         self._stamp = stamp
         self._seconds = min(self._seconds + seconds, DISTURBANCE.amplitude_memory)
-        self._seen += seconds / self._seconds * (excess - self._seen)
+        self._mean_excess += seconds / self._seconds * (excess - self._mean_excess)
         # The level field of a disturbance must not count as a strong level field of the Earth.
         level = max(min(level, self._level), 1e-9)
-        return min(max(excess, self._seen) / level**2, UNKNOWN_YAW)
+        return min(max(excess, self._mean_excess) / level**2, UNKNOWN_YAW)

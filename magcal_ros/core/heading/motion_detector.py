@@ -64,12 +64,12 @@ class MotionDetector:
         from that at rest. Several calibrations may ask at one stamp.
         """
         if stamp != self._stamp:
-            self.newest = self._seen(stamp, rate, is_at_rest, speed, current)
+            self.newest = self._inputs_at(stamp, rate, is_at_rest, speed, current)
         if math.isnan(reference):
             return self.newest
         return self.newest._replace(current=current - reference)
 
-    def _seen(
+    def _inputs_at(
         self, stamp: float, rate: Triple | None, is_at_rest: bool, speed: float, current: float
     ) -> MotorState:
         """Return what the motors do at another stamp, and the current beyond that at rest."""

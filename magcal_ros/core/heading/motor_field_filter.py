@@ -44,31 +44,31 @@ class PlaceFieldTuning:
     beside: float = 0.15  # distance of the magnetometer from the pivot, metres
     unknown_speed: float = 0.3  # m/s of a moving robot without a known speed
 
-    def way(self, speed: float, rate: Triple) -> float:
+    def path(self, speed: float, rate: Triple) -> float:
         """Return the speed of the magnetometer, m/s, for that of the robot (or NaN) and a rate."""
         known = self.unknown_speed if math.isnan(speed) else abs(speed)
         return math.hypot(known, self.beside * math.hypot(*rate))
 
     def change(
-        self, place: FloatArray, turned: FloatArray, faster: FloatArray, way: float, seconds: float
+        self, place: FloatArray, turned: FloatArray, faster: FloatArray, path: float, seconds: float
     ) -> FloatArray:
         """Return the process noise of the field of the place, µT², shape (3, 3).
 
-        The local disturbance is not included (`passed`). `place` (3,) is the field in µT, body
-        axes, `turned` (3,) the rotation of the robot, radians, `faster` (3,) the change of the turn
-        rate, rad/s, and `way` the path of the magnetometer, metres, zero at rest.
+        The local disturbance is not included (`path_variance`). `place` (3,) is the field in µT,
+        body axes, `turned` (3,) the rotation of the robot, radians, `faster` (3,) the change of the
+        turn rate, rad/s, and `path` the path of the magnetometer, metres, zero at rest.
         """
         lost = self.turn_error**2 * math.sqrt(float(turned @ turned))
         lost += self.latency**2 * float(faster @ faster)
-        lost += self.walk**2 * seconds if way > 0.0 else 0.0
+        lost += self.walk**2 * seconds if path > 0.0 else 0.0
         passing = self.passing**2 * seconds
         return np.asarray(
             (lost * float(place @ place) + passing) * EYE - lost * place[:, None] * place
         )
 
-    def passed(self, way: float) -> float:
+    def path_variance(self, path: float) -> float:
         """Return the process noise by a path in metres, for a local disturbance of 1 µT, µT²."""
-        return 2.0 * way / self.street_length
+        return 2.0 * path / self.street_length
 
 
 PLACE_FIELD = PlaceFieldTuning()
@@ -310,13 +310,13 @@ class MotorFieldFilter:
         step[PLACE, PLACE], step[RESIDUAL, RESIDUAL] = exp_rotation(-turned), keeps * EYE
         self._mean = self._mean @ step.T
         covariance = step @ self._covariance @ step.T
-        way = seconds * moves * PLACE_FIELD.way(motor_state.speed, rate)
+        path = seconds * moves * PLACE_FIELD.path(motor_state.speed, rate)
         place = self.odds @ self._mean[:, PLACE]
-        covariance[:, PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, way, seconds)
-        passed = PLACE_FIELD.passed(way) * np.square(STREET)
+        covariance[:, PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, path, seconds)
+        path_variance = PLACE_FIELD.path_variance(path) * np.square(STREET)
         across = skew(turned) / math.sqrt(max(math.sqrt(float(turned @ turned)), 1e-12))
         iron = across @ self._iron @ across.T
-        covariance[:, PLACE, PLACE] += passed[:, None, None] * EYE + iron
+        covariance[:, PLACE, PLACE] += path_variance[:, None, None] * EYE + iron
         # Within the latency, the residual changes by as much as the inputs.
         late = 0.5 * MOTION.body_length / MOTION.latency * self._latency**2
         level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains

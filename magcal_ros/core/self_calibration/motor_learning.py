@@ -64,7 +64,7 @@ class _Interval:
     count: int = 0
     field: FloatArray | float = 0.0
     inputs: FloatArray | float = 0.0
-    way: float = 0.0
+    path: float = 0.0
     clear: bool = True
 
 
@@ -115,7 +115,7 @@ class MotorLearning:
         if moves:
             # A robot at rest has a gyro's noise, and no turn.
             block.turned = block.turned + seconds * np.array(rate)
-        block.way += seconds * moves * PLACE_FIELD.way(motor_state.speed, rate)
+        block.path += seconds * moves * PLACE_FIELD.path(motor_state.speed, rate)
         block.seconds += seconds
         block.count += 1
         block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
@@ -142,7 +142,9 @@ class MotorLearning:
         now = np.linalg.inv(self._covariance[np.ix_(here[rows], here[rows])])
         weighted = now @ self._mean[here[rows]] - prior @ prior_mean
         known = np.array([True] * 3 + [k in self._known for k in which for _ in range(3)])
-        seen = _SeenGains(_positive(np.asarray(now - prior)), weighted, prior, prior_mean, known)
+        seen = _GainPosterior(
+            _positive(np.asarray(now - prior)), weighted, prior, prior_mean, known
+        )
         return self._in_sensor_axes(*seen.posterior(self._scales(seen, which)), which)
 
     @property
@@ -153,7 +155,7 @@ class MotorLearning:
     def _is_used(self, which: MotorInput) -> bool:
         return which in self.heard or INPUTS.index(which) in self._known
 
-    def _scales(self, seen: _SeenGains, which: list[int]) -> FloatArray:
+    def _scales(self, seen: _GainPosterior, which: list[int]) -> FloatArray:
         """Return the prior sigmas of gains that the calibration does not contain, µT per unit.
 
         Each is the root mean square under the posterior of the size (`Unknown`), one input after
@@ -250,7 +252,7 @@ class MotorLearning:
             self._ripple = min(max(self._ripple * math.exp(step), TUNING.body), TUNING.most)
 
     def _predict(self, block: _Interval, moves: bool) -> None:
-        way, seconds = block.way, block.seconds
+        path, seconds = block.path, block.seconds
         # From the middle of the block before to the middle of this one.
         turned = self._left + block.mean_turned
         rate = block.turned / seconds
@@ -263,9 +265,9 @@ class MotorLearning:
         self._mean = step @ self._mean
         self._covariance = step @ self._covariance @ step.T
         place = self._mean[PLACE]
-        self._covariance[PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, way, seconds)
-        passed = TUNING.street**2 * PLACE_FIELD.passed(way)
-        self._covariance[PLACE, PLACE] += passed * np.eye(3)
+        self._covariance[PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, path, seconds)
+        path_variance = TUNING.street**2 * PLACE_FIELD.path_variance(path)
+        self._covariance[PLACE, PLACE] += path_variance * np.eye(3)
         level = self._ripple if moves else TUNING.body
         self._covariance[BODY, BODY] += level**2 * (1.0 - correlation**2) * np.eye(3)
         self._covariance[IRON, IRON] += TUNING.iron_walk**2 * seconds * np.eye(3)
@@ -306,7 +308,7 @@ def _positive(matrix: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _SeenGains:
+class _GainPosterior:
     """The likelihood of the iron's error and the gains, and their priors."""
 
     shown: FloatArray  # information of the samples, shape (m, m)

@@ -175,8 +175,8 @@ def test_the_sigma_of_a_latency_is_correct():
     for seed in range(60):
         case = good_case(np.random.default_rng([8, seed]), MOST_SEEN)
         log = prepare(case.log).log
-        explanations = compare_axes(log, case.knowledge.reference.inclination)
-        latency = force_latency(log, explanations.hypothesis(explanations.best))
+        hypotheses = compare_axes(log, case.knowledge.reference.inclination)
+        latency = force_latency(log, hypotheses.hypothesis(hypotheses.best))
         errors.append(latency.lag / latency.sigma)
     assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
