@@ -130,7 +130,7 @@ def _by_message(reader: Any, deadline: logs.Deadline) -> DataFlash:
         count += 1
         kind, stamp = message.get_type(), message._timestamp
         if kind == "PARM":
-            found.parameters.append((stamp, message.SensorName, float(message.Value)))
+            found.parameters.append((stamp, message.Name, float(message.Value)))
         else:
             row = (float(getattr(message, name, np.nan)) for name in COLUMNS[kind])
             flat[kind].extend((stamp, *row))

@@ -97,7 +97,7 @@ def test_wrong_odometry_is_named_and_replaced_by_the_receiver(wheels, fault, wor
     estimator = follow(driven(city_legs(6), 6, vehicle, wheels=wheels))
     watch = estimator.mounting
     assert watch.faults[ODOMETRY] is fault
-    assert words in fault_words("/odom", fault, watch.seen[ODOMETRY])
+    assert words in fault_words("/odom", fault, watch.checked[ODOMETRY])
     assert estimator.source is FIXES
     found = estimator.known_mounting
     assert abs(error(found, 0.3)) < 3.0 * math.degrees(found.sigma)
