@@ -1,4 +1,4 @@
-"""How near the methods come to the limit: `python benchmarks/accuracy.py [--runs N] [--quick]`.
+"""The errors of the methods and the limit: `python benchmarks/accuracy.py [--runs N] [--quick]`.
 
 Each row is one condition; heading errors in degrees are RMS over runs, 24 headings and level or
 nine tilts. NEES/dof is the squared error over its predicted variance and should be one.
@@ -106,7 +106,7 @@ def conditions() -> list[Condition]:
 
 @dataclass
 class Tally:
-    """What the runs of one row came to."""
+    """The results of the runs of one row."""
 
     limit: list[tuple[float, float]]
     likelihood: list[tuple[float, float]]
@@ -180,7 +180,7 @@ def draw(condition: Condition, rng: np.random.Generator) -> tuple[Scene, Window]
 
 
 def draw_knowledge(condition: Condition, robot: Robot, rng: np.random.Generator) -> Knowledge:
-    """Tell the fit of the reference field, as wrong as it is said to be."""
+    """Return the knowledge of the reference field, with an error of its sigma."""
     strength_sigma = condition.strength_sigma * robot.strength
     dip_sigma = condition.dip_sigma * DEGREE
     wrong = [

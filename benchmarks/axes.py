@@ -15,7 +15,7 @@ import numpy as np
 import shared_cases  # noqa: F401
 from axes_cases import MOTIONS, good_case, wrong_case
 
-from magcal_ros.core.doctor.page import examine_window, wrong_axes
+from magcal_ros.core.doctor.sensor_report import examine_window, wrong_axes
 from magcal_ros.core.geometry.rotations import signed_permutations
 
 
@@ -67,7 +67,7 @@ def count(row: Row, axes: np.ndarray, rng: np.random.Generator, motion: str) -> 
     named = [np.array_equal(axes, each) for each in found.candidates]
     row.among += any(named)
     row.alone += any(named) and len(named) == 1
-    row.meant += found.meant is not None and bool(np.array_equal(axes, found.meant))
+    row.meant += found.likeliest is not None and bool(np.array_equal(axes, found.likeliest))
     row.named += len(named)
 
 

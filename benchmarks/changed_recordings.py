@@ -86,7 +86,7 @@ def without_gyro(imu: FloatArray, field: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def with_a_gain(imu: FloatArray, field: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A gyro that reads 3% too much."""
+    """A gyro with a scale error of 3%."""
     imu[:, RATE] *= 1.03
     return imu, field
 

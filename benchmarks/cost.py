@@ -22,7 +22,7 @@ PARTS = (
 
 def main() -> None:
     for domain, (program, size) in enumerate(PARTS, start=50):
-        # What the part before has left in the graph must not be heard by the next.
+        # Messages of the previous part must not be received by the next.
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
         subprocess.run([sys.executable, str(HERE / program), size], check=True, env=environment)
         print()

@@ -1,4 +1,4 @@
-"""What a drive tells: up, the front of the vehicle, the compass by course; simulated and recorded.
+"""Results of drives, simulated and recorded: up, the front of the vehicle, the compass by course.
 
 Run it as `python benchmarks/driving.py [drives] [recordings]`. Each row of the simulated table is
 over so many fresh drives (20 unless given); the folder with the recordings is
@@ -31,13 +31,13 @@ from simulated.travel import travel
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.chords import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
-from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.driving.travel_estimator import TravelEstimator
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, PositionSample, SpeedSample
-from magcal_ros.core.session.recorded import Gathering, fit_gathered
+from magcal_ros.core.session.recorded import SampleCollector, fit_collected
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
 
@@ -46,32 +46,34 @@ RECEIVERS = {"velocity": Receiver(speed_noise=0.1), "fixes": Receiver()}
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What was made of a drive; `early` is the course's offset by its first half."""
+class FollowedDrive:
+    """The results of a drive; `early` is the course's offset by its first half."""
 
     stamps: FloatArray
     ups: FloatArray
     yaws: FloatArray
-    travelling: Travelling
+    estimator: TravelEstimator
     course: CourseOffset | None
     early: CourseOffset | None
 
     @property
     def mounting(self) -> MountingYaw | None:
         """The yaw of the IMU in the vehicle."""
-        return self.travelling.known_mounting
+        return self.estimator.known_mounting
 
 
-def follow(samples: Iterable[AnySample], calibration: Calibration, half: float = math.inf) -> Seen:
-    """Walk through a drive as the node does; `half` is the stamp of its middle, seconds."""
-    up, compass, travelling = UpFollower(), Compass(calibration), Travelling()
+def follow(
+    samples: Iterable[AnySample], calibration: Calibration, half: float = math.inf
+) -> FollowedDrive:
+    """Process a drive as the node does; `half` is the stamp of its middle, seconds."""
+    up, compass, estimator = UpFollower(), Compass(calibration), TravelEstimator()
     stamps, ups, yaws = [], [], []
     early = None
     for sample in samples:
         if sample.stamp >= half:
-            early, half = travelling.fit_course(), math.inf
+            early, half = estimator.fit_course(), math.inf
         if isinstance(sample, ImuSample):
-            up.add(sample, travelling.add_imu(sample, up.gyro_bias.rate))
+            up.add(sample, estimator.add_imu(sample, up.gyro_bias.rate))
         elif isinstance(sample, FieldSample):
             up.add_field(sample.stamp, sample.field)
             now = up.at(sample.stamp, 0.2)
@@ -80,14 +82,14 @@ def follow(samples: Iterable[AnySample], calibration: Calibration, half: float =
             heading = compass.heading(compass.correct(sample.field), now.direction, now.variance)
             if heading is None:
                 continue
-            travelling.add_yaw(heading.yaw)
+            estimator.add_yaw(heading.yaw)
             stamps.append(sample.stamp)
             ups.append(now.direction)
             yaws.append(heading.yaw)
         else:
-            travelling.add_travel(sample)
-    course = travelling.fit_course()
-    return Seen(np.array(stamps), np.array(ups), np.array(yaws), travelling, course, early)
+            estimator.add_travel(sample)
+    course = estimator.fit_course()
+    return FollowedDrive(np.array(stamps), np.array(ups), np.array(yaws), estimator, course, early)
 
 
 def of_robot(drive: Drive) -> Calibration:
@@ -98,7 +100,7 @@ def of_robot(drive: Drive) -> Calibration:
 
 
 def city_drive(seed: int, seconds: float, way: str) -> Drive:
-    """Return a fresh drive through a city with an IMU that sits anyhow."""
+    """Return a new drive through a city with an IMU of any orientation."""
     rng = np.random.default_rng(seed)
     vehicle = Vehicle(
         imu_yaw=float(rng.uniform(-math.pi, math.pi)),
@@ -116,8 +118,8 @@ def city_drive(seed: int, seconds: float, way: str) -> Drive:
     )
 
 
-def tilt_errors(drive: Drive, seen: Seen) -> FloatArray:
-    """Return by how much up is off, degrees."""
+def tilt_errors(drive: Drive, seen: FollowedDrive) -> FloatArray:
+    """Return the errors of up, degrees."""
     truth = drive.up[np.searchsorted(drive.time, seen.stamps)]
     across = np.clip(np.sum(truth * seen.ups, axis=1), -1.0, 1.0)
     return np.asarray(np.degrees(np.arccos(across)))
@@ -181,7 +183,7 @@ def told(found: list[tuple[float, float]], drives: int) -> str:
 
 
 def traps(drives: int) -> None:
-    """Print what must not fool anybody."""
+    """Print cases that must not give a wrong result."""
     print("\nBackwards half of the time, speed without a sign: wrong directions of travel")
     wrong = trips = 0
     for seed in range(drives):
@@ -226,7 +228,7 @@ def odd_ones(drives: int) -> None:
 
 
 def drifting(rng: np.random.Generator) -> list[Leg]:
-    """Look about for four minutes without going anywhere by oneself."""
+    """Turn on the spot for four minutes."""
     return [Leg(rng.uniform(4.0, 8.0), turn_rate=rng.normal(0.0, 0.04)) for _ in range(40)]
 
 
@@ -234,20 +236,20 @@ def directions(drive: Drive) -> tuple[int, int]:
     """Return how many trips ended with a direction that the force had decided, and how many of
     those were wrong.
     """
-    up, travelling = UpFollower(), Travelling()
+    up, estimator = UpFollower(), TravelEstimator()
     speeds = np.abs(drive.truth.speed)
     ends = drive.time[np.flatnonzero((speeds[:-1] > 0.7) & (speeds[1:] <= 0.7))]
     ends = ends[ends > drive.time[0] + 90.0].tolist()
     counted = wrong = 0
     for sample in drive.samples():
         if isinstance(sample, ImuSample):
-            travelling.add_imu(sample, up.gyro_bias.rate)
+            estimator.add_imu(sample, up.gyro_bias.rate)
             if ends and sample.stamp >= ends[0]:
                 true = np.interp(ends.pop(0) - 0.3, drive.time, drive.truth.speed)
                 counted += 1
-                wrong += travelling.own.sign * true < 0.0
+                wrong += estimator.acceleration.sign * true < 0.0
         elif isinstance(sample, SpeedSample):
-            travelling.add_travel(sample)
+            estimator.add_travel(sample)
     return counted, wrong
 
 
@@ -285,12 +287,12 @@ def angle(value: float, sigma: float) -> str:
 
 def turned_before(folder: Path) -> Calibration | None:
     """Return the calibration of a recorded turn."""
-    gathering = Gathering(Mounting())
-    gathering.take(read_csv_folder(folder).samples())
+    collector = SampleCollector(Mounting())
+    collector.take(read_csv_folder(folder).samples())
     reference = ReferenceField(
         Belief(51.3e-6, 1.5e-6), Belief(math.radians(66.3), math.radians(1.0))
     )
-    return fit_gathered(gathering, Knowledge(reference)).calibration
+    return fit_collected(collector, Knowledge(reference)).calibration
 
 
 def merged(recording: Recording, truth: FloatArray) -> list[AnySample]:
@@ -299,7 +301,7 @@ def merged(recording: Recording, truth: FloatArray) -> list[AnySample]:
     return sorted([*recording.samples(), *fixes], key=lambda sample: sample.stamp)
 
 
-def heading_rms(seen: Seen, truth: FloatArray) -> str:
+def heading_rms(seen: FollowedDrive, truth: FloatArray) -> str:
     """Return the yaw's RMS against course, one constant and the best lag removed, degrees."""
     good = truth[truth[:, 2] > 2.0]
     yaws, best = np.unwrap(seen.yaws), math.inf

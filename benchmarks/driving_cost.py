@@ -41,7 +41,7 @@ KINDS = {
 
 
 class Car:
-    """Publishes a drive in its own time, as if it began now."""
+    """Publishes a drive in real time, starting now."""
 
     def __init__(self, drive: Drive) -> None:
         self._node = rclpy.create_node("car")

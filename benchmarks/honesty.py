@@ -1,4 +1,4 @@
-"""Whether the verdict can be believed: `python benchmarks/honesty.py [--runs N] [--seed S]`.
+"""Whether the verdict is correct: `python benchmarks/honesty.py [--runs N] [--seed S]`.
 
 Random turns, good and bad, are fitted and judged. What counts is a *miss*: a calibration accepted
 without a warning whose heading on the level is wrong by more than five times what it predicts, or

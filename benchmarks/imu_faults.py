@@ -20,7 +20,7 @@ import numpy as np
 import shared_cases  # noqa: F401
 from imu_faults_cases import FAULTS, MOTIONS, Case, Fault, good_case
 
-from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.doctor.sensor_report import examine
 
 CANNOT_SHOW = {
     "turn": (
@@ -45,8 +45,8 @@ class Row:
     blamed: Counter[str] = field(default_factory=Counter)
 
     def add(self, wanted: set[str], case: Case) -> None:
-        page = examine(case.log, case.knowledge, case.turned_left)
-        lines = [f for f in page.findings if f.is_wrong]
+        report = examine(case.log, case.knowledge, case.turned_left)
+        lines = [f for f in report.findings if f.is_wrong]
         self.runs += 1
         keys = {f.key for f in lines}
         asked = ASKED if "axes" in keys else frozenset[str]()

@@ -47,7 +47,7 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.at_known_heading import HeadingLog, fit_log
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
 from magcal_ros.core.simulation import DEGREE, Robot
-from magcal_ros.core.smoother.standings import Standing
+from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.propagation import GyroBias
 
@@ -65,17 +65,19 @@ TOLD: dict[str, Callable[[float, float], float]] = {
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A robot with its sensors' faults, what is known of its place, and where it has stood."""
+    """A robot with the errors of its sensors, the prior knowledge, and its known headings."""
 
     robot: Robot
     distortion: FloatArray
     offset: FloatArray
     knowledge: Knowledge
-    standings: list[Standing]
+    measurements: list[KnownHeadingMeasurement]
 
-    def errors(self, standings: list[Standing] | None = None) -> tuple[FloatArray, FloatArray]:
+    def errors(
+        self, measurements: list[KnownHeadingMeasurement] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the heading's errors on the level, and the variances that are promised."""
-        estimate = fit(self.standings if standings is None else standings, self.knowledge)
+        estimate = fit(self.measurements if measurements is None else measurements, self.knowledge)
         yaws = np.arange(HEADINGS) * math.tau / HEADINGS
         poses = np.array([rotation_from_rpy(0.0, 0.0, yaw).T for yaw in yaws])
         field = poses @ self.robot.field_enu @ self.distortion.T + self.robot.hard_iron
@@ -102,7 +104,7 @@ def drawn(
     distortion = (np.eye(3) + axes) @ robot.distortion
     offset = 0.05 * rng.standard_normal(3)
     place = 0.7e-6 * math.exp(0.5 * rng.standard_normal())
-    first, standings = rng.uniform(0.0, math.tau), []
+    first, measurements = rng.uniform(0.0, math.tau), []
     for k in range(count):
         yaw = first + k * math.tau / count + rng.normal(0.0, 0.3)
         slope = abs(rng.normal(0.0, 2.0)) * DEGREE
@@ -111,8 +113,8 @@ def drawn(
         field = distortion @ (pose @ here) + robot.hard_iron + 0.15e-6 * rng.standard_normal(3)
         force = STANDARD_GRAVITY * pose[:, 2] + offset + 0.005 * rng.standard_normal(3)
         told = math.atan2(pose[0, 1], pose[0, 0]) + sigma * DEGREE * rng.standard_normal()
-        standings.append(
-            Standing(
+        measurements.append(
+            KnownHeadingMeasurement(
                 field,
                 force,
                 wrapped(told + robot.declination),
@@ -123,7 +125,7 @@ def drawn(
     strength = Belief(robot.strength + rng.normal(0.0, 1.5e-6), 1.5e-6)
     dip = Belief(robot.inclination + rng.normal(0.0, 1.0) * DEGREE, DEGREE)
     reference = ReferenceField(strength, dip, declination * DEGREE, 0.5 * DEGREE)
-    return Scene(robot, distortion, offset, Knowledge(reference), standings)
+    return Scene(robot, distortion, offset, Knowledge(reference), measurements)
 
 
 def row(robots: int, count: int, sigma: float, declination: float = 0.0) -> str:
@@ -148,7 +150,7 @@ def row(robots: int, count: int, sigma: float, declination: float = 0.0) -> str:
 
 
 def told_wrongly(robots: int, count: int, declination: float) -> None:
-    """Print what becomes of headings that are told wrongly."""
+    """Print the results with wrong headings."""
     print(f"\n{count} headings, told wrongly; the declination is {declination:g}°")
     print("| told | taken | named | refused |\n|---|---|---|---|")
     for name, change in TOLD.items():
@@ -158,7 +160,7 @@ def told_wrongly(robots: int, count: int, declination: float) -> None:
             shift = scene.robot.declination
             told = [
                 replace(each, heading=wrapped(change(each.heading - shift, shift) + shift))
-                for each in scene.standings
+                for each in scene.measurements
             ]
             try:
                 estimate = fit(told, scene.knowledge)
@@ -175,7 +177,7 @@ PATIENCE = 30.0
 
 
 class Follower:
-    """Walks through a drive as the node does while two antennas tell the heading, and after."""
+    """Processes a drive as the node does, with the headings of two antennas and without."""
 
     def __init__(self, drive: Drive, knowledge: Knowledge, rng: np.random.Generator) -> None:
         self._drive, self._knowledge, self._rng = drive, knowledge, rng
@@ -217,7 +219,7 @@ class Follower:
                     self._on_heading(sample.stamp, self._told(k))
 
     def _told(self, k: int) -> ExternalHeading:
-        """Return what the antennas say, to true north."""
+        """Return the headings of the antennas, to true north."""
         attitude = self._drive.truth.attitude[k]
         yaw = math.atan2(attitude[0, 1], attitude[0, 0])
         return ExternalHeading(yaw + DEGREE * self._rng.standard_normal(), DEGREE, True)
@@ -271,7 +273,7 @@ class Follower:
 
 
 def outages(drives: int, first: int) -> None:
-    """Print how the fused yaw goes on when two antennas fall silent."""
+    """Print the errors of the fused yaw after two antennas stop."""
     print(
         "| silent, s | fused, RMS° (worst) | said° | NEES | gyro alone, RMS° | fused is better",
         end="",

@@ -30,7 +30,7 @@ STAMP = slice(4, 12)
 
 
 class Probe:
-    """Publishes for one or both and notes when each answer comes."""
+    """Publishes for one or both and records the time of each answer."""
 
     def __init__(self, node: Node, imu_rate: int, field_rate: int) -> None:
         self.relay = stage.Load(node, imu_rate, field_rate, (APART,))

@@ -78,7 +78,7 @@ def covariance_limit(
 
 
 def _prior(knowledge: Knowledge, robot: Robot, *, soft_iron: bool, yaw: bool) -> FloatArray:
-    """Return the information beforehand on the shared parameters; infinite where they are known."""
+    """Return the prior information on the shared parameters; infinite if they are known."""
     reference, believed = knowledge.reference, knowledge.soft_iron
 
     def of(belief: Belief, unit: float) -> float:
@@ -119,7 +119,7 @@ def _slope(of: Callable[[float], FloatArray]) -> FloatArray:
 
 
 def _information(scene: Scene, free: IntArray, *, gyro: bool) -> FloatArray:
-    """Return what a turn says of the free shared parameters: its attitudes are eliminated."""
+    """Return the information of a turn on the free shared parameters, without attitudes."""
     robot, attitude = scene.robot, scene.motion.attitude
     noise = np.repeat([robot.noise_force / STANDARD_GRAVITY, robot.noise_field], 3)
 

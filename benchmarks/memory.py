@@ -26,7 +26,7 @@ HOUR = 3600
 
 
 class Count:
-    """How many messages the node says it has taken."""
+    """The number of messages that the node reports."""
 
     def __init__(self) -> None:
         self._node = rclpy.create_node("count")

@@ -34,14 +34,14 @@ from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.heading.compass import Compass, Moment
-from magcal_ros.core.heading.disturbance import FieldDoubt
-from magcal_ros.core.heading.motion_sense import MotionSense
-from magcal_ros.core.keeping.motor_learning import MotorLearning
+from magcal_ros.core.heading.compass import Compass, CompassReading
+from magcal_ros.core.heading.disturbance import FieldDeviation
+from magcal_ros.core.heading.motion_detector import MotionDetector
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.self_calibration.motor_learning import MotorLearning
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up.follower import UpFollower
 
@@ -57,7 +57,7 @@ TURNS = {
 
 
 def legs(rng: np.random.Generator, seconds: float) -> list[Leg]:
-    """Return what a robot does in a hall."""
+    """Return the motion of a robot in a hall."""
     found: list[Leg] = []
     while seconds_of(found) < seconds:
         speed = rng.uniform(0.3, FASTEST)
@@ -147,12 +147,12 @@ def calibrated(robotic: Robotic) -> Calibration | None:
 def headings(
     robotic: Robotic, calibration: Calibration, way: str
 ) -> Iterator[tuple[float, bool, float, float]]:
-    """Yield stamp, whether it moves, error (radians) and variance, as the node would tell it."""
+    """Yield stamp, whether it moves, error (radians) and variance, as in the node."""
     drive = robotic.drive
     calibration = calibration if way != "none" else replace(calibration, motors=None)
-    up, sense, compass = UpFollower(), MotionSense(), Compass(calibration)
+    up, sense, compass = UpFollower(), MotionDetector(), Compass(calibration)
     learning = MotorLearning(calibration) if way == "drive" else None
-    doubt = FieldDoubt(calibration)
+    doubt = FieldDeviation(calibration)
     yaws = dict(zip(drive.time.tolist(), drive.imu_yaw.tolist(), strict=True))
     moves = dict(zip(drive.time.tolist(), _moves(drive.truth).tolist(), strict=True))
     speed = current = math.nan
@@ -176,7 +176,7 @@ def headings(
                     compass.use_motors(learning.motors)
             turning = up.rate if up.is_propagated else None
             above = up.at(sample.stamp, 0.2)
-            seen = Moment.of(compass, sample, above, up.rate, now, turning)
+            seen = CompassReading.of(compass, sample, above, up.rate, now, turning)
             if sample.stamp > robotic.turn_until and seen.heading is not None:
                 error = wrapped(seen.heading.yaw - yaws[sample.stamp])
                 assert seen.up is not None

@@ -27,7 +27,7 @@ from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
-from magcal_ros.core.session.recorded import Gathering, fit_gathered
+from magcal_ros.core.session.recorded import SampleCollector, fit_collected
 from magcal_ros.core.simulation import DEGREE, Ride, Robot
 from magcal_ros.core.up.follower import Up, UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
@@ -54,7 +54,7 @@ def exact(correction: Correction, noise: float, strength: float, dip: float) -> 
 
 
 class Walk:
-    """A message's walk through the node, with one of the ways to find up."""
+    """The processing of messages as in the node, with one of the methods for up."""
 
     def __init__(self, calibration: Calibration, way: str) -> None:
         self.way = way
@@ -146,7 +146,7 @@ def streets(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:
 
 
 def moved(ride: Ride, seconds: float, **motion: object) -> Iterator[list[ImuSample | FieldSample]]:
-    """Yield what the sensors say while the robot moves."""
+    """Yield the samples while the robot moves."""
     for _ in range(int(seconds / ride.period)):
         yield ride.step(**motion)  # type: ignore[arg-type]
 
@@ -220,12 +220,12 @@ def car(folder: Path, turned: Path) -> None:
     recording = read_csv_folder(folder)
     truth = np.genfromtxt(folder / "truth.csv", delimiter=",", skip_header=1)
     truth = truth[truth[:, 2] > 2.0]
-    gathering = Gathering(Mounting())
-    gathering.take(read_csv_folder(turned).samples())
+    collector = SampleCollector(Mounting())
+    collector.take(read_csv_folder(turned).samples())
     reference = ReferenceField(
         Belief(51.3e-6, 1.5e-6), Belief(math.radians(66.3), math.radians(1.0))
     )
-    outcome = fit_gathered(gathering, Knowledge(reference))
+    outcome = fit_collected(collector, Knowledge(reference))
     if outcome.calibration is None:
         show((folder.name, f"no calibration: {outcome.verdict.summary}"))
         return
@@ -254,7 +254,7 @@ def recorded_figures(error: FloatArray, variance: FloatArray) -> str:
 def recorded(
     name: str, recording: Recording, calibration: Calibration, score: Callable[[Rows], str]
 ) -> None:
-    """Print one row: each way to find up, the fused yaw, and vqf where it is installed."""
+    """Print one row: each method for up, the fused yaw, and vqf if it is installed."""
     cells = []
     for way in ("accelerometer", "low-pass", "propagated"):
         walk = Walk(calibration, way)
@@ -266,7 +266,7 @@ def recorded(
 
 
 def vqf_score(recording: Recording, calibration: Calibration, score: Callable[[Rows], str]) -> str:
-    """Return what the 9-axis filter of vqf makes of the corrected field; "-" without it."""
+    """Return the error of the 9-axis filter of vqf with the corrected field; "-" without it."""
     try:
         from vqf import VQF
     except ImportError:

@@ -22,7 +22,7 @@ from simulated.turns import measure, turn
 
 from magcal_ros.cli.main import main as magcal
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.recorded import Gathering
+from magcal_ros.core.session.recorded import SampleCollector
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files.sources import open_recording
 
@@ -34,7 +34,7 @@ TOPICS = {"/imu/data_raw": "sensor_msgs/msg/Imu", "/imu/mag": "sensor_msgs/msg/M
 
 
 def drive(minutes: float, hertz: float) -> Window:
-    """What the sensors measure on the way."""
+    """The samples of the drive."""
     seconds = 60.0 * minutes
     motion = turn(arc=TURN_RATE * seconds, samples=int(seconds * hertz), duration=seconds)
     return measure(ROBOT, motion, np.random.default_rng(1), gyro=True)
@@ -87,8 +87,8 @@ def time_gathering(path: Path) -> float:
     """Seconds until everything lies in the session, before the fit."""
     begun = time.perf_counter()
     with open_recording(path) as source:
-        gathering = Gathering(ROBOT.mounting)
-        gathering.take(source.readings())
+        collector = SampleCollector(ROBOT.mounting)
+        collector.take(source.readings())
     return time.perf_counter() - begun
 
 
@@ -108,11 +108,11 @@ def main() -> None:
         path = Path(folder) / "bag"
         write_bag(path, drive(minutes, hertz))
         reading = time_reading(path)
-        gathering = time_gathering(path)
+        collector = time_gathering(path)
         fit = time_fit(path, Path(folder) / "fit")
         print(f"bag: {minutes:g} min, IMU and field at {hertz:g} Hz")
         print(f"reading    {reading:7.2f} s")
-        print(f"gathering  {gathering:7.2f} s  ratio {gathering / reading:.2f}")
+        print(f"gathering  {collector:7.2f} s  ratio {collector / reading:.2f}")
         print(f"magcal fit {fit:7.2f} s  ratio {fit / reading:.2f} (want 1.5 or less)")
 
 

@@ -1,4 +1,4 @@
-"""What real sensors do to a turn: `python benchmarks/realistic.py [--runs N] [--only X] [--turns]`.
+"""Turns with real sensor errors: `python benchmarks/realistic.py [--runs N] [--only X] [--turns]`.
 
 One effect at a time, on full turns of a small robot with a reference field, with the gyro and
 without: how many are refused and warned of, the heading's RMS error on the level (degrees), the
@@ -56,7 +56,7 @@ from magcal_ros.core.simulation import DEGREE
 
 @dataclass
 class Row:
-    """What became of the turns of one row, with the gyro or without."""
+    """The results of the turns of one row, with the gyro or without."""
 
     gyro: bool
     refused: int = 0

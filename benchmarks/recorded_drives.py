@@ -1,4 +1,4 @@
-"""What self-calibration decides on recordings: `python benchmarks/recorded_drives.py [FOLDER...]`.
+"""Decisions of self-calibration on recordings: `python benchmarks/recorded_drives.py [FOLDER...]`.
 
 Each recording is told again as `magcal drive` does, all of it and its halves: from nothing, and
 with the calibration in force that the smoother finds on all of it, which nothing should replace.
@@ -26,9 +26,9 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.keeping.jobs import difference
-from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.self_calibration.drive_replay import DriveReplay, replay_drive
+from magcal_ros.core.self_calibration.jobs import difference
 
 WORSE = 0.3
 LONG, CHANGE_AT, ADDED = 360.0, 120.0, 10e-6
@@ -51,9 +51,9 @@ def main() -> None:
         _tell("from nothing", drive, None, told(drive, None, 0.0, 1.0))
         for begun, name in in_force(drive):
             for first, last in ((0.0, 1.0), (0.0, 0.6), (0.4, 1.0)):
-                story = told(drive, begun, first, last)
+                replay = told(drive, begun, first, last)
                 windows += 1
-                worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, begun, story)
+                worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, begun, replay)
             if drive.everything.time[-1] - drive.everything.time[0] > LONG:
                 for seed in DRAWS:
                     rough = roughly(begun, seed)
@@ -64,7 +64,7 @@ def main() -> None:
 
 
 def roughly(known: Calibration, seed: int) -> Calibration:
-    """Return a calibration as it may be where the level hard iron is known roughly."""
+    """Return a calibration with a roughly known level hard iron."""
     sigma = ROUGH * known.strength * math.cos(known.inclination) * np.array([1.0, 1.0, 0.0])
     off = np.random.default_rng([34, seed]).normal(0.0, 1.0, 3) * sigma
     covariance = known.covariance.copy()
@@ -75,18 +75,18 @@ def roughly(known: Calibration, seed: int) -> Calibration:
 
 def told(
     drive: Drive, begun: Calibration | None, first: float = 0.0, last: float = 1.0
-) -> DriveStory:
+) -> DriveReplay:
     time = drive.everything.time
     start, stop = (time[0] + share * (time[-1] - time[0]) for share in (first, last))
     samples = (each for each in drive.recording.samples() if start <= each.stamp <= stop)
-    return replayed(drive.knowledge, begun, samples, ())
+    return replay_drive(drive.knowledge, begun, samples, ())
 
 
 def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
     """Add iron on the way, and say what comes of it: degrees from what is then right."""
     iron = ADDED * np.array([math.cos(way), math.sin(way), 0.0])
     start = drive.everything.time[0] + CHANGE_AT
-    story = replayed(
+    replay = replay_drive(
         drive.knowledge,
         begun,
         (
@@ -101,11 +101,11 @@ def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
     right = replace(begun, correction=Correction(old.matrix, old.hard_iron + iron))
     print(f"{drive.name:28s}10 µT added at {CHANGE_AT:.0f} s, off by", end=" ")
     print(f"{math.degrees(difference(begun, right)):.0f}°:", end=" ")
-    for at, made in story.decisions:
+    for at, made in replay.decisions:
         left = ""
         if made.calibration is not None:
             left = f" ({math.degrees(difference(made.calibration, right)):.1f}°)"
-        print(f"{made.verb.value} after {at - CHANGE_AT:.0f} s{left}", end=" ")
+        print(f"{made.kind.value} after {at - CHANGE_AT:.0f} s{left}", end=" ")
     print(flush=True)
 
 
@@ -117,14 +117,18 @@ def score(drive: Drive, calibration: Calibration | None) -> float:
     return found.rms if found else math.nan
 
 
-def _tell(name: str, drive: Drive, begun: Calibration | None, story: DriveStory) -> bool:
-    before, after = score(drive, begun), score(drive, story.ended)
-    said = math.degrees(predicted_heading_sigma(story.ended)) if story.ended else math.nan
-    first = next((at for at, made in story.decisions if made.calibration is not None), math.nan)
-    made = " ".join(each.verb.value for _, each in story.decisions)
+def _tell(name: str, drive: Drive, begun: Calibration | None, replay: DriveReplay) -> bool:
+    before, after = score(drive, begun), score(drive, replay.last_calibration)
+    said = (
+        math.degrees(predicted_heading_sigma(replay.last_calibration))
+        if replay.last_calibration
+        else math.nan
+    )
+    first = next((at for at, made in replay.decisions if made.calibration is not None), math.nan)
+    made = " ".join(each.kind.value for _, each in replay.decisions)
     is_worse = after > before + WORSE
     print(
-        f"{drive.name:28s}{name:32s}{story.moved:5.0f} s moved, changed after {first:4.0f} s, said"
+        f"{drive.name:28s}{name:32s}{replay.moved:5.0f} s moved, changed after {first:4.0f} s, said"
         f" {said:4.1f}, rms {before:5.2f} -> {after:5.2f}{' WORSE' if is_worse else ''} {made}",
         flush=True,
     )

@@ -1,4 +1,4 @@
-"""How real recordings fare: `python benchmarks/recordings.py [FOLDER...] [--only NAME]`.
+"""Calibrations of real recordings: `python benchmarks/recordings.py [FOLDER...] [--only NAME]`.
 
 Each row is a window of a recording: the verdict, the promised heading sigma, the heading's RMS and
 median against the truth, what five usual methods reach with the same samples and the same up, and
@@ -77,7 +77,7 @@ class Line:
 
     @property
     def is_wrong(self) -> bool:
-        """Whether it was answered and the truth lies far outside of what was promised.
+        """Whether there was a result, and the error is far beyond its sigma.
 
         A truth has errors of its own, of which the floor tells.
         """
@@ -137,7 +137,7 @@ def run(drive: Drive, only: str, asked_every: float | None) -> list[Line]:
         if only in name:
             found.append(fitted(drive, name, window, floor))
     if only in "drive" and drive.everything.angular_rate is not None:
-        # All of it by the smoother, whatever turns are in it.
+        # The whole recording by the smoother, whatever turns it contains.
         log = log_of(drive.everything)
         found.append(fitted(drive, "drive", log, floor, calibrate_drive(log, drive.knowledge)))
     return found

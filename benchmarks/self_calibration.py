@@ -1,4 +1,4 @@
-"""What self-calibration comes to on simulated drives: `python benchmarks/self_calibration.py`.
+"""Results of self-calibration on simulated drives: `python benchmarks/self_calibration.py`.
 
 Drives through cities with streets that bend the field, as the node would decide on them. Degrees
 of heading on the level, a constant taken off. `--drives N` sets how many of each and
@@ -36,14 +36,14 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
-from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.story import DriveStory, replayed
-from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.self_calibration.drive_replay import DriveReplay, replay_drive
+from magcal_ros.core.self_calibration.jobs import Decision, DecisionKind, Mode
+from magcal_ros.core.self_calibration.self_calibration import SelfCalibration
+from magcal_ros.core.self_calibration.worker import examine_drive
 from magcal_ros.core.smoother.drives import DriveFit, drive_nodes, fit_drive
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
@@ -65,12 +65,12 @@ def some_fence(seed: int) -> Fence:
     return Fence((12e-6 * math.cos(way), 12e-6 * math.sin(way), 0.0), heading)
 
 
-def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveStory:
-    return replayed(BOSTON, begun, drive._sensors(), drive.speeds if speed else ())
+def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveReplay:
+    return replay_drive(BOSTON, begun, drive._sensors(), drive.speeds if speed else ())
 
 
 class Heard(SelfCalibration):
-    """Decides nothing, and keeps what it is told, to be decided on several times."""
+    """Makes no decision, and keeps the results, for several decisions."""
 
     def __init__(self) -> None:
         super().__init__(Mode.OFF)
@@ -81,12 +81,12 @@ class Heard(SelfCalibration):
         return False
 
     def decide(self, begun: Calibration) -> tuple[list[tuple[float, Decision]], Calibration]:
-        """Return what the node would decide, by seconds, and what is in force at the end."""
+        """Return the node's decisions with their seconds, and the calibration at the end."""
         machine, now, made = SelfCalibration(Mode.APPLY), begun, []
         machine.put_in_force(begun)
         for row in self.rows:
             if machine.add(*row):
-                for decision in machine.note(answer(machine.job(BOSTON))):
+                for decision in machine.note(examine_drive(machine.job(BOSTON))):
                     made.append((row[0].field.stamp - self.rows[0][0].field.stamp, decision))
                     if decision.calibration is not None:
                         now = decision.calibration
@@ -96,7 +96,7 @@ class Heard(SelfCalibration):
 
 def heard(drive: Drive) -> Heard:
     taken = Heard()
-    replayed(BOSTON, None, drive._sensors(), drive.speeds, taken)
+    replay_drive(BOSTON, None, drive._sensors(), drive.speeds, taken)
     return taken
 
 
@@ -117,7 +117,7 @@ def fitted(window: Window, known: Knowledge) -> DriveFit:
 
 
 def calibration_of(correction: Correction, sigma: float = math.radians(0.84)) -> Calibration:
-    """Return what a turn would have left."""
+    """Return the calibration by a turn."""
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = np.eye(3) * (sigma * LEVEL) ** 2
     evidence = Evidence("maximum_likelihood", "good", "good", "")
@@ -125,8 +125,8 @@ def calibration_of(correction: Correction, sigma: float = math.radians(0.84)) ->
     return Calibration(correction, covariance, 5e-7, 0.01, 51.3e-6, dip, evidence)
 
 
-def changes(story: DriveStory) -> Iterator[tuple[float, Calibration]]:
-    for seconds, made in story.decisions:
+def changes(replay: DriveReplay) -> Iterator[tuple[float, Calibration]]:
+    for seconds, made in replay.decisions:
         if made.calibration is not None:
             yield seconds, made.calibration
 
@@ -219,17 +219,19 @@ def bench_jump(seeds: range) -> None:
         iron = (10e-6 * math.cos(angle), 10e-6 * math.sin(angle), 0.0)
         drive = drive_of(seed, 540.0, irons=(Iron(iron, CHANGE_AT),))
         begun = calibration_of(drive.vehicle.robot.true_correction)
-        story = told(drive, begun)
-        seen = [at for at, m in story.decisions if m.verb is Verb.NOTICED and at > CHANGE_AT]
+        replay = told(drive, begun)
+        seen = [
+            at for at, m in replay.decisions if m.kind is DecisionKind.NOTICED and at > CHANGE_AT
+        ]
         noticed.append(min(seen, default=math.inf) - CHANGE_AT)
         good = [
             at
-            for at, each in changes(story)
+            for at, each in changes(replay)
             if at > CHANGE_AT and error(each.correction, drive, at) < 3.0
         ]
         repaired.append(min(good, default=math.inf) - CHANGE_AT)
-        assert story.ended is not None
-        left.append(error(story.ended.correction, drive, 540.0))
+        assert replay.last_calibration is not None
+        left.append(error(replay.last_calibration.correction, drive, 540.0))
     late, never = (sum(t > limit for t in repaired) for limit in (180.0, 540.0))
     print(
         f"10 µT added: noticed after {np.median(noticed):.0f} s (median; worst"
@@ -250,10 +252,12 @@ def bench_good(seeds: range) -> None:
             way = np.random.default_rng(seed + 5).normal(0.0, 1.0, 2)
             way *= math.radians(off) * math.sqrt(2.0) * LEVEL / float(np.linalg.norm(way))
             begun = drive.vehicle.with_iron(np.array([*way, 0.0])).robot.true_correction
-            made, ended = taken.decide(calibration_of(begun))
-            gains[off].append(error(begun, drive, 0.0) - error(ended.correction, drive, 420.0))
+            made, last_calibration = taken.decide(calibration_of(begun))
+            gains[off].append(
+                error(begun, drive, 0.0) - error(last_calibration.correction, drive, 420.0)
+            )
             changed[off] += any(each.calibration is not None for _, each in made)
-            noticed[off] += any(each.verb is Verb.NOTICED for _, each in made)
+            noticed[off] += any(each.kind is DecisionKind.NOTICED for _, each in made)
     for off, gained in gains.items():
         worse = sum(gain < -WORSE for gain in gained)
         print(
@@ -264,7 +268,7 @@ def bench_good(seeds: range) -> None:
 
 
 def bench_traps(seeds: range) -> None:
-    """What must not fool it: how often what is in force is changed, and to what."""
+    """Cases without a change: the number of changed calibrations, and their errors."""
     traps: dict[str, Callable[[int], Drive]] = {
         "standing 10 min": lambda seed: drive_of(seed, 600.0, [Leg(600.0)]),
         "parking": lambda seed: drive_of(
@@ -283,11 +287,11 @@ def bench_traps(seeds: range) -> None:
         left, changed, noticed, worse = [], 0, 0, 0
         for seed in seeds:
             drive = make(seed)
-            story = told(drive, calibration_of(drive.vehicle.robot.true_correction))
-            changed += any(True for _ in changes(story))
-            noticed += any(made.verb is Verb.NOTICED for _, made in story.decisions)
-            assert story.ended is not None
-            left.append(error(story.ended.correction, drive, float(np.ptp(drive.time))))
+            replay = told(drive, calibration_of(drive.vehicle.robot.true_correction))
+            changed += any(True for _ in changes(replay))
+            noticed += any(made.kind is DecisionKind.NOTICED for _, made in replay.decisions)
+            assert replay.last_calibration is not None
+            left.append(error(replay.last_calibration.correction, drive, float(np.ptp(drive.time))))
             worse += left[-1] > WORSE
         print(
             f"{name}: changed {changed} of {len(seeds)}, told of a change {noticed}; at the end"

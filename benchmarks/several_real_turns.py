@@ -120,8 +120,8 @@ def run(slopes: Sequence[float | None], options: argparse.Namespace, seed: int) 
     began = time.process_time()
     outcome = calibrate_turns(windows, knowledge)
     seconds = time.process_time() - began
-    found, several = outcome.estimate, outcome.several
-    if found is None or several is None or len(several.joined) < len(slopes):
+    found, multi_turn = outcome.estimate, outcome.multi_turn
+    if found is None or multi_turn is None or len(multi_turn.joined) < len(slopes):
         return None
     errors = heading_errors(scenes[0], found.correction)
     field = field_in_enu(found.strength, found.inclination)

@@ -75,20 +75,20 @@ def run(slopes: Sequence[float | None], options: argparse.Namespace, seed: int) 
     began = time.process_time()
     outcome = calibrate_turns(windows, knowledge)
     seconds = time.process_time() - began
-    estimate, several = outcome.estimate, outcome.several
+    estimate, multi_turn = outcome.estimate, outcome.multi_turn
     assert estimate is not None
     assert estimate.installation is not None
-    assert several is not None
+    assert multi_turn is not None
     errors = heading_errors(estimate.correction, robot)
     level = errors[:, LEVEL_TILT]
     covariance = covariance_limit(made, knowledge, soft_iron=True, yaw=True)
     least, least_tilted = heading_rms(covariance, robot)
-    shown = several.shown.installation_yaw
+    shown = multi_turn.shown.installation_yaw
     return Run(
         level=float(np.mean(level**2)),
         tilted=float(np.mean(errors**2)),
         relative=float(np.var(level)),
-        predicted=several.shown.absolute_level**2,
+        predicted=multi_turn.shown.absolute_level**2,
         limit=math.radians(least) ** 2,
         limit_tilted=math.radians(least_tilted) ** 2,
         yaw_sigmas=(estimate.installation.yaw - robot.yaw) / shown,

@@ -183,7 +183,7 @@ def rows() -> dict[str, Scenes]:
 
 @dataclass
 class Tally:
-    """What one method made of a row; with a tilt (radians), on slopes to all sides."""
+    """The results of one method for a row; with a tilt (radians), on slopes to all sides."""
 
     tilt: float = 0.0
     errors: list[float] = field(default_factory=list)

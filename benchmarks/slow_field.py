@@ -1,4 +1,4 @@
-"""How a shaking robot fares whose field is slow: `python benchmarks/slow_field.py [--seeds N]`.
+"""Turns of a shaking robot with a slow field: `python benchmarks/slow_field.py [--seeds N]`.
 
 An IMU of 100 Hz, one turn from rest to rest. The turn rate varies by so many percent (RMS) at 1 to
 8 Hz. Each row: answered turns, RMS of the heading on the level in degrees, NEES, largest error in

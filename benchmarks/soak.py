@@ -21,12 +21,12 @@ from pathlib import Path
 import rclpy
 from sensor_msgs.msg import MagneticField
 
-from magcal_ros.cli.live_view import keep_traffic_here
+from magcal_ros.cli.live_view import use_local_traffic
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.simulation import Robot
 from magcal_ros.ros.rehearsal import Rehearsal
 
-keep_traffic_here()
+use_local_traffic()
 
 IMU_RATE = 100.0
 """Hertz of stamps; a field sample comes with every second one."""
@@ -47,7 +47,7 @@ WORST_YAW = math.radians(5.0)
 
 @dataclass(frozen=True)
 class Mark:
-    """How the node stood after some hours of stamps."""
+    """The state of the node after some hours of stamps."""
 
     hours: float
     messages: int
@@ -75,7 +75,7 @@ class Feeder:
         self._back += 1
 
     def step(self, yaw_rate: float = 0.0) -> None:
-        """Let the robot live for a few samples."""
+        """Run the robot for a few samples."""
         awaited = 0
         for _ in range(STEPS_AT_ONCE):
             samples = self._actor.ride.step(yaw_rate)
@@ -161,7 +161,7 @@ def _live(
 
 
 def faults(marks: list[Mark], most_growth_mb: float = MOST_GROWTH_MB) -> list[str]:
-    """Return what went wrong, in words."""
+    """Return the faults, in words."""
     found = []
     growth = marks[-1].resident_mb - marks[min(1, len(marks) - 1)].resident_mb
     if growth > most_growth_mb:

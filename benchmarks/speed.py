@@ -1,4 +1,4 @@
-"""How long a fit takes: `python benchmarks/speed.py [--repeats N]`.
+"""Time of a fit: `python benchmarks/speed.py [--repeats N]`.
 
 Milliseconds of processor time for one fit, everything on, and the time relative to 500 samples. Set
 OMP_NUM_THREADS=1 to measure one thread.

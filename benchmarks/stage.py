@@ -1,4 +1,4 @@
-"""What the benchmarks of the running node share: processes, a simulated robot's bytes, CPU time."""
+"""Common parts of the benchmarks of the running node: processes, simulated messages, CPU time."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 from simulated.turns import measure, turn
 
-from magcal_ros.cli.live_view import keep_traffic_here
+from magcal_ros.cli.live_view import use_local_traffic
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.files.calibration_file import Origin, write_calibration
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-keep_traffic_here()
+use_local_traffic()
 
 HERE = Path(__file__).parent
 TURN_RATE = 0.5

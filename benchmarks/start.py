@@ -40,7 +40,7 @@ class Listener:
         self._heard.set()
 
     def _drain(self) -> None:
-        """Take what the program before has left in the queue."""
+        """Discard messages of the previous program in the queue."""
         self._heard.set()
         while self._heard.is_set():
             self._heard.clear()

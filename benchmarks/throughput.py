@@ -70,7 +70,7 @@ def measure_rates(listener: str, seconds: float) -> None:
 
 
 def listen(outputs: tuple[tuple[type, str], ...]) -> None:
-    """Subscribe to outputs of both, and do nothing with them."""
+    """Subscribe to the outputs of both, and ignore them."""
     rclpy.init()
     node = rclpy.create_node("listener")
     for kind, topic in outputs:

@@ -1,4 +1,4 @@
-"""The calibration that the truth itself tells: what no calibration of a recording does better."""
+"""The calibration fitted to the truth: no calibration of a recording can be better."""
 
 from __future__ import annotations
 

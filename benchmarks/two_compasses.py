@@ -37,8 +37,8 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.heading.compass import Compass, Moment
-from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt
+from magcal_ros.core.heading.compass import Compass, CompassReading
+from magcal_ros.core.heading.disturbance import PATIENCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
@@ -73,7 +73,7 @@ Fault = Callable[[Fields, "World"], Fields]
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A drive, and what else its magnetometers can be made to read."""
+    """A drive, and the changes of its magnetometers' fields."""
 
     drive: Drive
     streets: StreetField
@@ -81,7 +81,7 @@ class World:
 
     @property
     def failed(self) -> BoolArray:
-        """Which moments are after the fault."""
+        """Which stamps are after the fault."""
         return np.asarray(self.drive.time - self.drive.time[0] >= FAILS_AT)
 
     def reading(self, number: int, robot: Robot, irons: tuple[Iron, ...] = ()) -> FloatArray:
@@ -139,7 +139,7 @@ CASES: tuple[tuple[str, Fault], ...] = (
 
 
 def calibrations(rng: np.random.Generator) -> list[Calibration]:
-    """Return a calibration of each that is as wrong as it says."""
+    """Return a calibration of each with an error of its sigma."""
     found = []
     for robot, sigma in zip(ROBOTS, HARD_IRON_SIGMAS, strict=True):
         truth = robot.true_correction
@@ -166,7 +166,7 @@ def world_of(seed: int) -> World:
 
 @dataclass
 class Listener:
-    """A message's walk through the node with some magnetometers."""
+    """The processing of messages as in the node with some magnetometers."""
 
     calibrations: dict[int, Calibration]
     fused_rows: list[tuple[float, float, float]] = field(default_factory=list)
@@ -179,7 +179,7 @@ class Listener:
         for number, calibration in self.calibrations.items():
             self.several.put_in_force(number, calibration)
         lead = next(iter(self.calibrations.values()))
-        self.fused, self.doubt = FusedYaw(lead, PATIENCE), FieldDoubt(lead)
+        self.fused, self.doubt = FusedYaw(lead, PATIENCE), FieldDeviation(lead)
 
     def hear(self, drive: Drive, fields: Fields) -> None:
         """Take a whole drive; the second magnetometer is half as fast."""
@@ -209,13 +209,13 @@ class Listener:
         if number == 0 or len(self.compasses) == 1:
             self.follower.add_field(sample.stamp, sample.field)
         up = self.follower.at(sample.stamp, STREAMS.max_gap)
-        moment = Moment.of(self.compasses[number], sample, up, rate)
+        moment = CompassReading.of(self.compasses[number], sample, up, rate)
         if len(self.compasses) > 1:
             joined = self.several.add(number, moment, now, self.fused)
             if joined is None:
                 return
             moment = joined
-            self.weights.append((sample.stamp, self.several.shares[0].weight))
+            self.weights.append((sample.stamp, self.several.weights[0].weight))
         if moment.up is not None and moment.heading is not None:
             self.fused.correct(moment.stamp, moment.field, moment.up, moment.heading)
             heading, up = moment.heading, moment.up
@@ -246,7 +246,7 @@ def errors(drive: Drive, rows: list[tuple[float, float, float]]) -> tuple[FloatA
 
 
 def score(drive: Drive, listener: Listener) -> Score:
-    """Hold what was heard against the truth."""
+    """Compare the published headings with the truth."""
     _, off, variance = errors(drive, listener.fused_rows)
     stamps, published, its_variance = errors(drive, listener.rows)
     failover = step = math.nan
@@ -262,7 +262,7 @@ def score(drive: Drive, listener: Listener) -> Score:
 
 
 def _still_heard(listener: Listener, begins: float) -> float:
-    """Return how long the first magnetometer took part after its fault, at first."""
+    """Return how long the first magnetometer had a weight after its fault."""
     for stamp, weight in listener.weights:
         if stamp >= begins and weight < NO_PART:
             return stamp - begins

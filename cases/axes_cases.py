@@ -1,4 +1,4 @@
-"""Robots with good and with wrongly turned magnetometers, drawn at random."""
+"""Robots with correct and with wrong axes of the magnetometer, drawn at random."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ def cheap_robot(rng: np.random.Generator, axes: FloatArray) -> Robot:
 
 
 def wrong_case(axes: FloatArray, rng: np.random.Generator, kind: str) -> tuple[Window, Knowledge]:
-    """Return what a magnetometer with these axes measures, and what its owner knows."""
+    """Return the samples of a magnetometer with these axes, and the prior knowledge."""
     robot = cheap_robot(rng, axes)
     window = measure(robot, movement(rng, kind), rng, gyro=True)
     return window, Knowledge(robot.knowledge(2e-6, 2.0 * DEGREE).reference)
 
 
 def good_case(rng: np.random.Generator) -> tuple[Window, Knowledge]:
-    """Return a turn of good sensors with what troubles them in the world."""
+    """Return a turn of good sensors with disturbances."""
     iron = rng.uniform(-0.1, 0.1, (3, 3)) * rng.uniform(0.0, 1.0)
     robot = replace(cheap_robot(rng, np.eye(3)), soft_iron=0.5 * (iron + iron.T))
     trouble = Trouble(

@@ -1,4 +1,4 @@
-"""Turns from rest to rest of robots whose battery tells its current."""
+"""Turns from rest to rest of robots whose battery reports its current."""
 
 from __future__ import annotations
 

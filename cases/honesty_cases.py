@@ -1,4 +1,4 @@
-"""Random turns and what goes wrong with them, for `honesty.py`."""
+"""Random turns and their faults, for `honesty.py`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MIRRORS = {
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One turn as it is measured, and the truth behind it."""
+    """One measured turn, and its truth."""
 
     robot: Robot
     motion: Motion
@@ -47,7 +47,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Draw:
-    """The numbers of one turn before anything goes wrong beyond them."""
+    """The numbers of one turn without further faults."""
 
     robot: Robot
     motion: Motion
@@ -119,7 +119,7 @@ def draw_turn(rng: np.random.Generator, wild: bool) -> Draw:
 
 
 def draw_knowledge(rng: np.random.Generator, robot: Robot, reference: str) -> Knowledge:
-    """Tell the estimator of the reference field, as wrong as it says."""
+    """Return the knowledge of the reference field, with an error of its sigma."""
     if reference == "exact":
         return replace(robot.knowledge(), exact_sensors=False)
     if reference == "unknown":
@@ -153,7 +153,7 @@ def leave(_: np.random.Generator, case: Case) -> Case:
 
 
 def swing(rng: np.random.Generator, case: Case) -> Case:
-    """A room that turns the field once a turn and keeps its length: the circle stays clean."""
+    """A room that rotates the field periodically and keeps its length: the circle is unchanged."""
     angle = rng.uniform(3, 25) * DEGREE * np.sin(headings(case) + rng.uniform(0, math.tau))
     straight = case.robot.field_enu
     turned = rotation_about(np.array([0.0, 0.0, 1.0]), angle) @ straight
@@ -287,7 +287,7 @@ WORST = 3.0 * DEGREE
 
 @dataclass
 class Row:
-    """The count of one kind of trouble."""
+    """The count of one kind of fault."""
 
     runs: int = 0
     refused: int = 0

@@ -36,7 +36,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Habit:
-    """What a robot and its person do otherwise than most.
+    """Unusual properties of a robot and its user.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def _sway(
     moving: FloatArray,
     habit: Habit,
 ) -> Drive:
-    """Add what a real robot does beside what it is asked for."""
+    """Add the unintended motion of a real robot."""
     n, span = len(time), float(time[-1])
     sway = moving[:, None] * smooth_wobble(rng, n, span, rng.uniform(0.1, 1.0) * DEGREE)
     tilt = sway + np.outer(pitch, [0.0, 1.0, 0.0])
@@ -153,7 +153,7 @@ def _sway(
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What came from the sensors, and what their owner knows and did."""
+    """The samples, and what the user knows and did."""
 
     log: SensorLog
     knowledge: Knowledge

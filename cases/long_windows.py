@@ -70,7 +70,7 @@ def swaying(seconds: float, *, turns: bool) -> Motion:
 
 
 def swaying_window(robot: Robot, motion: Motion, rng: np.random.Generator) -> Window:
-    """Return what its sensors read on the way."""
+    """Return the samples of the motion."""
     shape = (len(motion.time), 3)
     field, force, rate = rng.standard_normal((3, *shape))
     return Window(

@@ -1,4 +1,4 @@
-"""Where robots turn, for `realistic.py`: in the open, beside a piece of steel, indoors.
+"""Places of turns, for `realistic.py`: in the open, next to a piece of steel, indoors.
 
 The magnetometer does not turn on the spot: it sits beside the robot's axis and goes around in a
 field that bends from place to place.
@@ -20,7 +20,7 @@ PERMEABILITY = 1e-7
 
 @dataclass(frozen=True)
 class Place:
-    """What stands around.
+    """The steel around a robot.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ PLACES: dict[str, Place | None] = {
 
 
 def added_field(rng: np.random.Generator, motion: Motion, place: Place) -> FloatArray:
-    """Return what a place adds at the magnetometer on its way, tesla in body axes, shape (n, 3)."""
+    """Return the field of a place at the magnetometer, tesla in body axes, shape (n, 3)."""
     count = int(rng.integers(place.pieces[0], place.pieces[1] + 1))
     side = rng.uniform(0.0, math.tau)
     beside = rng.uniform(0.0, 0.25)

@@ -1,4 +1,4 @@
-"""Turns of robots with the sensors that there are: one error at a time, or all together.
+"""Turns of robots with real sensors: one error at a time, or all together.
 
 A fifth of the robots that are drawn with `by_turn` have no reference field. Some errors have a
 course of their own: a rest before and after the turn, stops on the way, an uneven speed. Such turns
@@ -38,7 +38,7 @@ RUNS_FROM = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A turn as it is measured, and what of the sensors stays wrong when they are used."""
+    """A measured turn, and the sensor errors that remain in use."""
 
     robot: Robot
     motion: Motion
@@ -99,7 +99,7 @@ def driven(
 
 
 def collected(window: Window, currents: Messages = ()) -> Window:
-    """Return what a session makes of samples, and of a battery's messages."""
+    """Return the window that a session collects from samples and a battery's messages."""
     session = Session(Limits(), Mounting(), 0.0)
     session.note_currents(*currents)
     rates = window.angular_rate
@@ -307,7 +307,7 @@ TYPICAL = together(
 
 
 def of_sizes(share: float = 1.0) -> Spoil:
-    """Return what MEMS sensors do together: so much of the usual size, drawn for each robot."""
+    """Return all errors of MEMS sensors, as a multiple of the usual size, drawn for each robot."""
     return together(
         scattered(axes, share * 0.005),
         scattered(drifting, share * 0.2e-6),

@@ -1,4 +1,4 @@
-"""Recordings with a truth, the windows that are cut from them, and what others would have fitted.
+"""Recordings with a truth, their windows, and the fits of usual methods.
 
 The truth is a yaw over time: of motion capture, or the course of a GPS at 1 Hz. A course is late,
 and off by one constant (declination, mounting): the delay is found against the gyro's yaw, and the
@@ -117,20 +117,20 @@ class Drive:
 
     @cached_property
     def delay(self) -> float:
-        """Seconds by which the truth comes late: where the gyro's yaw strays least from it."""
+        """Latency of the truth, seconds: the one with the smallest residual of the gyro's yaw."""
         if self.truth is None or not self.truth.is_course or self.gyro_yaw is None:
             return 0.0
         delays = np.arange(0.0, 1.6, 0.05)
         return float(min(delays, key=lambda delay: np.median(np.abs(self._drifted(delay)))))
 
     def floor(self) -> Score | None:
-        """Return how the gyro alone does, a linear drift taken off."""
+        """Return the error of the gyro alone, without a linear drift."""
         if self.truth is None or self.gyro_yaw is None:
             return None
         return _score(self._drifted(self.delay))
 
     def score(self, heading: Heading) -> Score | None:
-        """Return how a heading does on all of the recording."""
+        """Return the error of a heading on the whole recording."""
         if self.truth is None:
             return None
         yaw = np.unwrap(heading(self.up, self.everything.field))
@@ -138,7 +138,7 @@ class Drive:
         return _score(gap) if len(gap) >= LEAST_SCORED else None
 
     def _gap(self, yaw: FloatArray, delay: float) -> tuple[FloatArray, FloatArray]:
-        """Return yaw less truth, the middle taken off, and its stamps."""
+        """Return yaw minus truth without its mean, and its stamps."""
         assert self.truth is not None
         stamps = self.everything.time
         time = self.truth.time - delay
@@ -197,7 +197,7 @@ def windows(drive: Drive) -> Iterator[tuple[str, Window | MagcalError]]:
 
 
 def asked_on_the_way(drive: Drive, every: float) -> Iterator[tuple[str, Window | MagcalError]]:
-    """Yield what the node would take if it were asked again and again, seconds from the start."""
+    """Yield the windows of the node in repeated turns, with seconds from the start."""
     stamps = np.array([pair.field.stamp for pair in drive.pairs])
     up, heard = UpFollower(), 0
     for moment in np.arange(0.0, float(np.ptp(stamps)) if len(stamps) else 0.0, every):
@@ -250,7 +250,7 @@ def turning_span(drive: Drive) -> tuple[float, float] | None:
 def _live_window(
     pairs: list[Pair], knowledge: Knowledge, gyro: GyroAtRest | None = None
 ) -> Window | MagcalError:
-    """Return what a calibration asked for at the first of the samples takes."""
+    """Return the window of a calibration that starts with the first of the samples."""
     if not pairs:
         return _session_window([])
     begun = pairs[0].field.stamp
@@ -272,7 +272,7 @@ def _live_window(
 
 
 def peers(window: Window) -> dict[str, Heading | None]:
-    """Fit what others would to the same samples with the same up; None where a fit fails."""
+    """Fit the usual methods to the same samples with the same up; None if a fit fails."""
     up = propagated_up(window)
     ways: dict[str, Callable[[FloatArray, FloatArray], Heading]] = {
         "minmax2": _min_max_level,
@@ -329,7 +329,7 @@ def _quadric(field: FloatArray, shape: QuadricFit) -> Heading:
 
 
 def in_force(drive: Drive) -> Iterator[tuple[Calibration, str]]:
-    """Yield what may be in force: what all of the drive shows."""
+    """Yield possible calibrations in force: fitted to the whole drive."""
     found = calibrate_drive(log_of(drive.everything), drive.knowledge).calibration
     if found is not None:
         yield found, "its own in force"

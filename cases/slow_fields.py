@@ -1,4 +1,4 @@
-"""Turns of a shaking robot whose field comes more slowly than its IMU."""
+"""Turns of a shaking robot whose field has a lower rate than its IMU."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def drawn(rng: np.random.Generator, shake: float) -> tuple[Scene, Knowledge]:
 
 
 def collected_at(window: Window, field_hz: float) -> Window:
-    """Return what a session makes of all IMU samples, and of the field so many times a second."""
+    """Return the window that a session collects from all IMU samples and a slower field."""
     streams, session = Streams(STREAMS.max_gap), Session(Limits(), Mounting(), 0.0)
     pairer, every = Pairer(streams), round(IMU_HZ / field_hz)
     assert window.angular_rate is not None

@@ -1,4 +1,4 @@
-"""Turns as robots make them, for `realistic.py`: there and back, with stops, on bent ground.
+"""Kinds of turns for `realistic.py`: there and back, with stops, on uneven ground.
 
 None of them is a fault, and a verdict has to bear them all.
 """

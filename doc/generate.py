@@ -66,7 +66,7 @@ def parameters_as_markdown() -> str:
 def drivers_as_markdown() -> str:
     """Return the known faults of drivers as they stand in doc/drivers.md."""
     rows = ["| driver | what it does | what corrects it | named in |", "|---|---|---|---|"]
-    rows += [f"| {each.driver} | {each.habit} | {each.remedy} | `{each.line}` |" for each in QUIRKS]
+    rows += [f"| {each.driver} | {each.fault} | {each.remedy} | `{each.line}` |" for each in QUIRKS]
     return "\n".join(rows) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""What every test shares: DDS that stays on this machine, in a domain of the process's own."""
+"""Fixtures of all tests: DDS that stays on this machine, in a separate domain per process."""
 
 import contextlib
 import fcntl
@@ -13,7 +13,7 @@ import pytest
 # As `make test` has it: threads of the linear algebra add the same numbers in another order.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# What tests share lies beside them; pytest before 7 has no setting for it.
+# Shared modules are next to the tests; pytest before 7 has no setting for it.
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "core"), str(HERE), str(HERE.parent / "cases")]
 

@@ -1,4 +1,4 @@
-"""Simulated drives, and how they are written as every kind of recording."""
+"""Simulated drives, written as every kind of recording."""
 
 import math
 
@@ -26,7 +26,7 @@ STORE1, STORE2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HU
 
 
 def drive(turned=400.0, robot=ROBOT, seed=1, start=1000.0, rate=0.5, gyro=True, hertz=25.0):
-    """What the sensors say while the robot turns by so many degrees; the IMU at a rate."""
+    """The samples while the robot turns by these degrees, with the IMU at a rate."""
     ride = Ride(robot, np.random.default_rng(seed), start=start, imu_rate=hertz, gyro=gyro)
     steps = max(round(hertz), int(math.radians(turned) / rate * hertz))
     speed = rate if turned else 0.0
@@ -55,7 +55,7 @@ def text(store, words):
 
 
 def bag_message(store, sample, frames):
-    """The topic of a sample and its message; a pair of topic and message passes as it is."""
+    """The topic of a sample and its message; a pair of topic and message is unchanged."""
     if isinstance(sample, ImuSample):
         return "/imu/data_raw", message(store, sample, frames[0])
     if hasattr(sample, "field"):

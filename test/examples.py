@@ -1,4 +1,4 @@
-"""How many random cases a property tries: ten times as many with `make nightly`."""
+"""The number of random cases of a property: ten times as many with `make nightly`."""
 
 from hypothesis import settings
 

@@ -1,4 +1,4 @@
-"""How often a fault is tried: a short form with every test run, a long one with `make soak`."""
+"""The number of repetitions of a fault: few in each test run, many with `make soak`."""
 
 import os
 
@@ -8,7 +8,7 @@ IS_LONG = "MAGCAL_SOAK" in os.environ
 
 
 def rounds(short, long):
-    """How often to try."""
+    """The number of repetitions."""
     return long if IS_LONG else short
 
 

@@ -1,4 +1,4 @@
-"""What a module's text takes from rclpy, and what it calls of that."""
+"""The names of rclpy that a module imports, and the calls of them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Reader(ast.NodeVisitor):
         self.found: set[Use] = set()
 
     def kind(self, node: ast.AST | None) -> str | None:
-        """Return what an expression is of rclpy, or None."""
+        """Return the name in rclpy of an expression's value, or None."""
         if isinstance(node, ast.Attribute):
             name = self.name(node)
             return self.kinds.get(ast.unparse(node), name and self.gives.get(name, name))

@@ -1,4 +1,4 @@
-"""What is a function of its arguments alone need be worked out once."""
+"""Results that depend on arguments only are computed once."""
 
 import functools
 import pickle

@@ -52,7 +52,7 @@ def room_of(path):
 
 @functools.cache
 def nodes_of(path):
-    """Everything in a file, as Python reads it."""
+    """The syntax tree of a file."""
     return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 
@@ -73,7 +73,7 @@ def source_of(module):
     return parts[1] if parts[0] == "magcal_ros" and len(parts) > 1 else parts[0]
 
 
-def test_core_and_files_load_neither_ros_nor_what_is_optional():
+def test_core_and_files_load_neither_ros_nor_optional_packages():
     done = subprocess.run(
         [sys.executable, "-c", LOAD_ALL], capture_output=True, text=True, check=True
     )
@@ -98,7 +98,7 @@ def where_not(finds, paths=FILES):
     return {str(path.relative_to(ROOT)): found for path in paths if (found := finds(path))}
 
 
-def test_rooms_import_only_what_lies_below_them():
+def test_rooms_import_only_lower_rooms():
     def foreign(path):
         room = room_of(path)
         sources = {source_of(module) for module in imported_modules(path)}
@@ -124,9 +124,9 @@ def needed_modules(path):
             yield from {name.name for name in node.names} & known
 
 
-def test_no_modules_import_one_another_in_a_circle():
+def test_there_are_no_circular_imports():
     needs = {module_of(path): set(needed_modules(path)) for path in FILES}
-    # What imports nothing that is left is taken away; a circle never is.
+    # Modules that import none of the rest are removed; a cycle remains.
     while free := {module for module, needed in needs.items() if not needed & set(needs)}:
         needs = {module: needed for module, needed in needs.items() if module not in free}
     assert needs == {}
@@ -135,7 +135,7 @@ def test_no_modules_import_one_another_in_a_circle():
 MAY_SIMULATE = {"cli/demo.py", "ros/rehearsal.py"}
 
 
-def test_only_the_demo_and_the_rehearsal_simulate():
+def test_only_the_demo_and_the_rehearsal_import_the_simulation():
     def simulates(path):
         return {name for name in imported_modules(path) if "core.simulation" in name}
 
@@ -166,7 +166,7 @@ def test_the_core_reads_no_clock_and_prints_nothing():
     assert where_not(unlike_core, CORE_FILES) == {}
 
 
-def test_one_module_alone_starts_processes():
+def test_only_one_module_starts_processes():
     """It leaves out the current folder, which Python would take modules from."""
 
     def starts(path):
@@ -212,7 +212,7 @@ ORDER_OF_ROOMS = (
     "calibrate",
     "session",
     "monitoring",
-    "keeping",
+    "self_calibration",
 )
 """The rooms of core from the ground up: each imports only what lies below it."""
 
@@ -238,7 +238,7 @@ def test_the_rooms_of_core_are_in_one_order():
     assert upwards == set()
 
 
-def test_no_room_of_core_leans_on_its_public_face():
+def test_no_room_of_core_imports_from_the_public_names_of_core():
     assert not [path for path in CORE_FILES if "magcal_ros.core" in imported_modules(path)]
 
 
@@ -276,7 +276,7 @@ else:
 """
 
 
-def test_the_public_face_of_core_gives_what_it_names():
+def test_core_exports_the_names_that_it_lists():
     subprocess.run([sys.executable, "-c", FACE], check=True)
 
 
@@ -287,7 +287,7 @@ FACES = [
 
 
 @pytest.mark.parametrize("face", FACES)
-def test_each_room_gives_the_names_that_it_offers(face):
+def test_each_room_exports_the_names_that_it_lists(face):
     room = importlib.import_module(face)
     for name in room.__all__:
         assert getattr(room, name) is not None
@@ -296,7 +296,7 @@ def test_each_room_gives_the_names_that_it_offers(face):
         _ = room.no_such_name
 
 
-def test_tests_import_what_a_room_offers_from_the_room():
+def test_tests_import_public_names_from_the_room():
     offered = {face: set(importlib.import_module(face).__all__) for face in FACES}
     deep = [
         f"{path.name}: {name.name} of {node.module}"
@@ -309,7 +309,7 @@ def test_tests_import_what_a_room_offers_from_the_room():
     assert deep == []
 
 
-def test_the_public_face_loads_nothing_before_it_is_asked():
+def test_core_loads_nothing_before_a_name_is_used():
     script = "import sys, magcal_ros.core; print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True

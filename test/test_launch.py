@@ -48,7 +48,7 @@ STAND_INS = {
 
 
 class Made(SimpleNamespace):
-    """What a launch file has made of one class, with its arguments."""
+    """The objects of one class that a launch file has created, with their arguments."""
 
     def perform(self, context):
         """Return what the user gave for an argument: nothing, unless the context has it."""
@@ -57,7 +57,7 @@ class Made(SimpleNamespace):
 
 @pytest.fixture
 def stand_ins(monkeypatch):
-    """Put the stand-ins in the place of ROS's modules."""
+    """Replace ROS's modules."""
     monkeypatch.setitem(sys.modules, "launch_ros", ModuleType("launch_ros"))
     for name, classes in STAND_INS.items():
         module = ModuleType(name)
@@ -141,7 +141,7 @@ def test_every_argument_is_declared_used_and_explained(described):
     assert all(each["description"] for each in arguments.values())
 
 
-def test_an_argument_that_is_not_given_leaves_the_parameter_to_the_file(stand_ins):
+def test_an_omitted_argument_leaves_the_parameter_to_the_file(stand_ins):
     _, nodes = description_of(CALIBRATOR, {})
     assert set(nodes["calibrator"]["parameters"][1]) == {"use_sim_time"}
     _, nodes = description_of(CALIBRATOR, TEXTS)
@@ -150,7 +150,7 @@ def test_an_argument_that_is_not_given_leaves_the_parameter_to_the_file(stand_in
 
 
 @pytest.mark.parametrize("path", LAUNCHES, ids=lambda path: path.name)
-def test_a_place_that_is_given_is_a_number_of_the_reference(stand_ins, path):
+def test_a_given_place_is_a_number(stand_ins, path):
     """Without a point in it, too: the parameter refuses whole numbers."""
     _, nodes = description_of(path, PLACE)
     given = nodes["calibrator"]["parameters"][1]
@@ -160,7 +160,7 @@ def test_a_place_that_is_given_is_a_number_of_the_reference(stand_ins, path):
     assert set(place) <= set(OURS)
 
 
-def test_the_example_that_includes_our_launch_file_gives_arguments_it_has(stand_ins):
+def test_the_example_gives_only_declared_arguments(stand_ins):
     page = (CHECKOUT / "doc" / "questions.md").read_text()
     (block,) = re.findall(r"(?ms)^```python\n(.*?)^```$", page)
     scope = {}
@@ -187,7 +187,7 @@ def test_every_parameter_is_one_of_its_node(described):
         assert set(parameters) <= set(known), name
 
 
-def test_the_filters_take_each_quantity_from_where_it_is_known():
+def test_the_filters_take_each_quantity_from_its_source():
     found = parameters_in(CHECKOUT / "config" / "robot_localization.yaml")
     yaw, yaw_rate = 5, 11
     taken = {}
@@ -211,7 +211,7 @@ def test_the_filters_take_each_quantity_from_where_it_is_known():
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
-def test_a_sample_for_a_sensor_sets_what_there_is_and_names_habits(path):
+def test_a_sample_for_a_sensor_sets_existing_parameters_and_names_known_faults(path):
     assert set(parameters_in(path)["/**"]) <= set(OURS)
     assert "# Habits\n# - " in path.read_text()
 

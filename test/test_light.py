@@ -1,4 +1,4 @@
-"""What is not loaded before it is needed; each in a process of its own."""
+"""Modules that are not loaded before they are needed; each in a separate process."""
 
 import subprocess
 import sys
@@ -28,10 +28,10 @@ node = Calibrator()
 spinner = node.spinner()
 soonest, latest = time.monotonic() + 1.2, time.monotonic() + 60.0
 while time.monotonic() < soonest or (
-    node._keeper.calibration is None and time.monotonic() < latest
+    node._store.calibration is None and time.monotonic() < latest
 ):
     spinner.spin_once(timeout_sec=0.1)
-assert node._keeper.calibration is not None
+assert node._store.calibration is not None
 print(*sys.modules)
 spinner.shutdown()
 node.close()
@@ -78,7 +78,7 @@ def test_a_node_that_runs_on_a_saved_calibration_loads_nothing_that_fits_or_draw
         "magcal_ros.report",
         "magcal_ros.core.methods",
         "magcal_ros.core.doctor",
-        "magcal_ros.core.keeping.story",
+        "magcal_ros.core.self_calibration.drive_replay",
         "magcal_ros.core.smoother",
         "multiprocessing",
     ):

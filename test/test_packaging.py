@@ -1,4 +1,4 @@
-"""What the papers say of the package, held against the package."""
+"""The package's metadata agree with the package."""
 
 import ast
 import functools
@@ -61,7 +61,7 @@ def setup_call():
     return {each.arg: ast.unparse(each.value).strip("'") for each in call.keywords}
 
 
-def test_package_xml_names_what_is_imported_and_nothing_else():
+def test_package_xml_names_exactly_the_imported_packages():
     needed = {SYSTEM.get(name, name) for name in imported() - NO_ROSDEP_KEY}
     launched = {"launch", "launch_ros"}
     assert set(texts("exec_depend")) == needed | launched
@@ -74,7 +74,7 @@ def test_the_wheels_of_each_distribution_hold_every_ros_package_that_is_imported
             assert f'"ros-{distribution}-{name.replace("_", "-")}==' in wheels
 
 
-def test_the_papers_agree_on_version_and_licence():
+def test_all_metadata_agree_on_version_and_licence():
     given = setup_call()
     assert texts("version") == [given["version"]]
     assert texts("license") == [given["license"]]
@@ -85,13 +85,13 @@ def test_the_papers_agree_on_version_and_licence():
     assert {"cff-version", "message", "title", "authors"} <= set(citation)
 
 
-def test_no_address_is_of_a_host_that_cannot_be():
+def test_no_address_has_an_impossible_host():
     made_up = re.compile(r"[\w.-]+\.(example|invalid|test|localhost)\b")
     for name in ("package.xml", "setup.py"):
         assert not made_up.search((CHECKOUT / name).read_text(encoding="utf-8"))
 
 
-def test_the_changelog_is_of_the_form_that_release_tools_read():
+def test_the_changelog_has_the_form_for_release_tools():
     lines = (CHECKOUT / "CHANGELOG.rst").read_text(encoding="utf-8").splitlines()
     assert lines[1] == "Changelog for package magcal_ros"
     assert set(lines[0]) == set(lines[2]) == {"^"}
@@ -112,7 +112,7 @@ def extras_of_setup():
 
 
 @pytest.mark.parametrize("name", ["noxfile.py", "Makefile"])
-def test_only_extras_that_exist_are_asked_for(name):
+def test_only_existing_extras_are_required(name):
     text = (CHECKOUT / name).read_text(encoding="utf-8").replace("{extra}", "ros")
     asked = {each for group in re.findall(r"\.\[([\w,-]+)\]", text) for each in group.split(",")}
     assert asked
@@ -149,7 +149,7 @@ def test_the_tests_are_collected_without_hypothesis():
 
 
 @pytest.mark.parametrize("name", ["humble", "jazzy", "lyrical"])
-def test_ci_tests_in_the_image_of_each_distribution_that_is_still_cared_for(name):
+def test_ci_tests_in_the_image_of_each_supported_distribution(name):
     jobs = yaml.safe_load((CHECKOUT / ".github/workflows/ci.yml").read_text())["jobs"]
     assert name in jobs["colcon"]["strategy"]["matrix"]["distribution"]
     steps = [step.get("run", "") for job in jobs.values() for step in job["steps"]]

@@ -1,4 +1,4 @@
-"""What README and doc/ say can be followed: links lead somewhere, lines work as typed."""
+"""README and doc/ can be followed: links exist, and commands work as written."""
 
 import re
 import runpy
@@ -37,13 +37,13 @@ def blocks(page, *languages):
 
 
 def shell_lines(page):
-    """Return what a reader types."""
+    """Return the commands that a reader types."""
     lines = "\n".join(blocks(page, "", "sh")).replace("\\\n", " ").splitlines()
     return [line.partition("#")[0].strip() for line in lines if line.partition("#")[0].strip()]
 
 
 @every_page
-def test_every_link_leads_to_something_that_is_there(page):
+def test_every_link_has_a_target(page):
     links = re.findall(r"\]\(([^)\s]+)\)", page.read_text())
     for link in links:
         if link.startswith(("http://", "https://")):
@@ -82,7 +82,7 @@ def test_the_site_has_every_page():
     assert "myst_parser" in settings["extensions"]
 
 
-def test_the_files_that_architecture_names_are_there():
+def test_the_files_named_by_architecture_exist():
     text = (CHECKOUT / "doc" / "architecture.md").read_text()
     named = re.findall(r"`((?:core|ros|files|report|cli)/[\w/]+\.py)`", text)
     assert len(named) > 25
@@ -94,7 +94,7 @@ def test_the_readme_is_read_in_three_minutes():
 
 
 @every_page
-def test_shell_lines_name_what_there_is(page):
+def test_shell_lines_name_existing_commands_and_options(page):
     for line in shell_lines(page):
         words = shlex.split(line)
         if words[0] == "make":
@@ -125,7 +125,7 @@ def test_python_blocks_run(page):
         assert strength == pytest.approx(48e-6, rel=0.02)
 
 
-def test_nothing_is_said_twice():
+def test_no_sentence_is_repeated():
     seen = {}
     for page in PAGES:
         for paragraph in page.read_text().split("\n\n"):

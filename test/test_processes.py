@@ -1,4 +1,4 @@
-"""How programs run: one thread unless told otherwise, and no code from where they were started."""
+"""Programs use one thread by default, and no code from the current folder."""
 
 import json
 import os
@@ -41,7 +41,7 @@ SHADOWS += ["importlib", "runpy", "geometry_msgs", "numpy", "magcal_ros"]
 
 @pytest.fixture
 def trap(tmp_path, monkeypatch):
-    """Work in a folder whose modules give themselves away; returns what they have done."""
+    """Work in a folder whose modules record that they were run; returns the record."""
     for name in SHADOWS:
         betray = (
             f"open({str(tmp_path / 'was_run')!r}, 'a').write({name!r} + ' ')\nraise ImportError"
@@ -57,7 +57,7 @@ PATHS = ("", os.pathsep, f"/nowhere{os.pathsep}", f".{os.pathsep}/nowhere")
 
 
 @pytest.mark.parametrize("path", first_of([*PATHS[1:], PATHS[0]]))
-def test_nothing_in_the_current_folder_is_run_by_a_process_of_ours(trap, monkeypatch, path):
+def test_processes_of_the_package_run_nothing_in_the_current_folder(trap, monkeypatch, path):
     monkeypatch.setenv("PYTHONPATH", path)
     process = processes.start("magcal_ros.cli.main", "--version", stdout=subprocess.PIPE)
     said, _ = process.communicate()
@@ -78,7 +78,7 @@ sys.exit({command}())
 
 
 @pytest.mark.parametrize("command", FIRST_WORDS)
-def test_nothing_in_the_current_folder_is_run_by_the_commands(trap, tmp_path, command):
+def test_commands_run_nothing_in_the_current_folder(trap, tmp_path, command):
     (tmp_path / "magcal_ros.py").unlink()
     for name in ("__future__", "collections", "pathlib", "typing", "threading"):
         (tmp_path / f"{name}.py").write_text((tmp_path / "select.py").read_text())
@@ -97,7 +97,7 @@ def test_nothing_in_the_current_folder_is_run_by_the_commands(trap, tmp_path, co
     assert done.returncode == {"magcal": 0, "calibrator": 2}[command], done.stderr
 
 
-def test_the_commands_begin_where_the_current_folder_is_left_out():
+def test_commands_start_with_the_module_that_leaves_out_the_current_folder():
     setup = Path(__file__).parent.with_name("setup.py").read_text()
     for command in FIRST_WORDS:
         assert f'"{command} = magcal_ros.processes:{command}"' in setup
@@ -114,7 +114,7 @@ print(json.dumps(sys.path))
 
 
 @pytest.mark.parametrize("path", first_of(PATHS, 2))
-def test_a_program_that_runs_takes_nothing_more_from_the_current_folder(tmp_path, path):
+def test_a_running_program_imports_nothing_from_the_current_folder(tmp_path, path):
     code = LATER.format(root=os.path.dirname(os.path.dirname(processes.__file__)))
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -128,7 +128,7 @@ def test_a_program_that_runs_takes_nothing_more_from_the_current_folder(tmp_path
     assert ("/nowhere" in left) == ("/nowhere" in path)
 
 
-def test_a_folder_that_is_named_in_full_counts_wherever_one_is(tmp_path, monkeypatch):
+def test_a_folder_with_an_absolute_path_is_used_anywhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", f"{os.pathsep}{tmp_path}")
     monkeypatch.setattr(sys, "path", ["/bin", str(tmp_path)])

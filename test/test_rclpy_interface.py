@@ -1,4 +1,4 @@
-"""Whether every supported distribution has what the package asks of rclpy.
+"""Whether every supported distribution has the names of rclpy that the package uses.
 
 `rclpy_interface.yaml` says what each of them has. Where rclpy is installed, the table is held
 against it as well.
@@ -26,7 +26,7 @@ FILES = sorted(path for path in PACKAGE.rglob("*.py") if "rclpy" in path.read_te
 
 
 def faults(text):
-    """Say, by line, what of a module's text some distribution lacks or the table does not know."""
+    """Name, by line, what a distribution lacks or the table does not have."""
     return [f"line {use.line}: {fault}" for use in uses(text, GIVES) for fault in faults_of(use)]
 
 
@@ -50,7 +50,7 @@ def is_package(name):
     return any(known.startswith(name + ".") for known in NAMES)
 
 
-def test_every_distribution_has_what_is_asked_of_rclpy():
+def test_every_distribution_has_the_used_names_of_rclpy():
     found = {path.name: faults(path.read_text("utf-8")) for path in FILES}
     assert {name: each for name, each in found.items() if each} == {}
 
@@ -81,7 +81,7 @@ def test_every_distribution_has_what_is_asked_of_rclpy():
         ),
     ],
 )
-def test_what_a_distribution_lacks_is_found(text, fault):
+def test_missing_names_of_a_distribution_are_found(text, fault):
     assert any(fault in each for each in faults(text))
 
 
@@ -104,7 +104,7 @@ def version_beside(path):
     return pytest.skip(f"the rclpy of {path.parent} does not tell its version")
 
 
-def test_the_table_is_right_about_the_rclpy_that_is_installed():
+def test_the_table_agrees_with_the_installed_rclpy():
     distribution = installed()
     assert NAMES
     for name, facts in NAMES.items():

@@ -1,4 +1,4 @@
-"""A simulated drive: what a vehicle's sensors, wheels and receiver say of it, and the truth."""
+"""A simulated drive: the samples of sensors, wheels and receiver, and the truth."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from simulated.travel import Travel
 
 @dataclass(frozen=True)
 class Streets:
-    """How much the iron of streets bends the field.
+    """The disturbance of the field by the iron of streets.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Streets:
 
 
 class StreetField:
-    """A random field over places: the same street bends the field in the same way again.
+    """A random field over places: the same street has the same disturbance again.
 
     Each axis is Gaussian with the covariance exp(-distance/reach), which in the plane is a sum of
     waves whose wave vectors are Student-distributed with one degree of freedom (random Fourier
@@ -112,7 +112,7 @@ AnySample = ImuSample | FieldSample | SpeedSample | PositionSample | VelocitySam
 
 @dataclass(frozen=True)
 class Iron:
-    """Iron that comes with the vehicle for a while: a trailer, a load, a magnet for good.
+    """Iron on the vehicle for a time: a trailer, a load, or a permanent magnet.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class Iron:
 
 @dataclass(frozen=True)
 class Fence:
-    """Steel along one side of the way, passed whenever the vehicle looks one way.
+    """Steel along one side of the road, passed at one heading.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def random_vehicle(rng: np.random.Generator) -> Vehicle:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What was heard on a drive, in arrays, and the truth.
+    """The samples of a drive, in arrays, and the truth.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ class Drive:
         return np.asarray(self.truth.attitude @ UP_ENU @ self.vehicle.imu_pose)
 
     def correction_at(self, stamp: float) -> Correction:
-        """Return what a perfect calibration would be at a stamp."""
+        """Return the perfect calibration at a stamp."""
         vehicle = self.vehicle
         for iron in self.irons:
             if iron.begin <= stamp - self.time[0] < iron.end:
@@ -268,7 +268,7 @@ class Drive:
         return vehicle.robot.true_correction
 
     def samples(self) -> Iterator[AnySample]:
-        """Yield everything that was heard, in the order of the stamps."""
+        """Yield all samples, in the order of the stamps."""
         streams = (self._sensors(), self.speeds, self.positions, self.velocities)
         yield from heapq.merge(*streams, key=lambda sample: sample.stamp)
 
@@ -290,7 +290,7 @@ def simulated_drive(
     irons: tuple[Iron, ...] = (),
     fences: tuple[Fence, ...] = (),
 ) -> Drive:
-    """Let a vehicle's sensors watch a drive.
+    """Simulate the sensors of a vehicle on a drive.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ def _force(truth: Travel, vehicle: Vehicle, rng: np.random.Generator) -> FloatAr
     )
     force = STANDARD_GRAVITY * truth.attitude[:, :, 2] + truth.acceleration + lever
     force = force @ vehicle.imu_pose
-    # Shaking is given at 50 Hz: a faster sensor hears more of the same spectrum.
+    # Shaking is given at 50 Hz: a faster sensor measures more of the same spectrum.
     shaking = vehicle.shaking * math.sqrt(0.02 / truth.period)
     size = vehicle.robot.noise_force + shaking * (np.abs(truth.speed) > 0.05)
     return np.asarray(force + size[:, None] * rng.standard_normal(force.shape))
@@ -362,7 +362,7 @@ def _field(
 
 
 def _fenced(truth: Travel, fences: tuple[Fence, ...]) -> FloatArray:
-    """Return what fences add, tesla in ENU, shape (n, 3)."""
+    """Return the field of fences, tesla in ENU, shape (n, 3)."""
     added = np.zeros((len(truth.time), 3))
     for fence in fences:
         near = np.cos(truth.yaw - fence.heading) > math.cos(0.5 * fence.width)

@@ -1,4 +1,4 @@
-"""What a vehicle does, leg after leg: lights, bends, ramps, parking, one street again and again."""
+"""Legs of a drive: traffic lights, bends, ramps, parking, one street repeatedly."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Leg(NamedTuple):
 
 
 def seconds_of(legs: list[Leg]) -> float:
-    """Return how long the legs take together."""
+    """Return the total duration of the legs."""
     return sum(leg.seconds for leg in legs)
 
 

@@ -1,4 +1,4 @@
-"""What a vehicle's wheels and its satellite receiver say, with their faults."""
+"""The samples of a vehicle's wheels and satellite receiver, with their faults."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Wheels:
     jumps: float = 0.0
 
     def speeds(self, truth: Travel, rng: np.random.Generator) -> tuple[SpeedSample, ...]:
-        """Return what it says of a drive."""
+        """Return its samples of a drive."""
         stamps = np.arange(truth.time[0], truth.time[-1], 1.0 / self.rate)
         moments = np.minimum(stamps, truth.time[0] + self.frozen_from) - self.delay
         speed = np.interp(moments, truth.time, truth.speed)
@@ -128,7 +128,7 @@ class Receiver:
         return positions, velocities if self.speed_noise > 0.0 else ()
 
     def _bends(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, BoolArray]:
-        """Return how houses bend the fixes, metres, and which are bent."""
+        """Return the errors of the fixes by houses, metres, and which fixes have them."""
         bent, is_bent = np.zeros((count, 2)), np.zeros(count, dtype=bool)
         for first in np.flatnonzero(rng.random(count) < self.multipath / self.rate):
             rows = slice(first, first + int(rng.uniform(2.0, 8.0) * self.rate) + 1)

@@ -1,4 +1,4 @@
-"""The truth of a drive: where the vehicle is, how it stands, how it moves."""
+"""The truth of a drive: position, attitude and motion of the vehicle."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LEFT: FloatArray = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Body:
-    """How a vehicle sits on its wheels.
+    """The motion of a vehicle's body on its wheels.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Simulated turns: how a robot moves, and what its sensors measure meanwhile."""
+"""Simulated turns: the motion of a robot, and the measurements of its sensors."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def smooth_wobble(
 
 @dataclass(frozen=True)
 class Trouble:
-    """What else goes wrong while the robot turns."""
+    """Disturbances while the robot turns."""
 
     outliers: float = 0.0
     """Share of field samples hit at random."""
@@ -168,7 +168,7 @@ def measure(
     gyro: bool = False,
     trouble: Trouble = Trouble(),
 ) -> Window:
-    """Let the robot's sensors watch a motion.
+    """Simulate the robot's sensors during a motion.
 
     Parameters
     ----------

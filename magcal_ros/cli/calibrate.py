@@ -9,8 +9,8 @@ from typing import Any
 
 from magcal_ros.cli import live_view
 from magcal_ros.cli.common import Exit, command, tell
-from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.files.disk import plain
+from magcal_ros.core.errors import MagcalError, UsageError
+from magcal_ros.files.disk import printable
 
 PATIENCE = 5.0  # longest wait for the discovery of a node, seconds
 SETTLE = 1.0  # seconds to wait for further calibrators after the first
@@ -25,7 +25,7 @@ def node_name(text: str) -> str:
     """Return a node's name from the command line with a leading slash."""
     if not NAME.fullmatch(text) or len(text) > LONGEST_NAME:
         raise argparse.ArgumentTypeError(
-            f"{plain(text, 60)!r} is not the name of a node: use letters, digits and _, as in "
+            f"{printable(text, 60)!r} is not the name of a node: use letters, digits and _, as in "
             "/robot1/calibrator"
         )
     return "/" + text.lstrip("/")
@@ -34,32 +34,34 @@ def node_name(text: str) -> str:
 def find_calibrator(node: Any, wanted: str | None) -> str:
     """Return the full name of the wanted calibrator, or of the only one.
 
-    Raises Misuse if there are several and `wanted` is None, MagcalError if none is found.
+    Raises UsageError if there are several and `wanted` is None, MagcalError if none is found.
     """
-    begin = first_seen = time.monotonic()
-    seen: list[str] = []
+    begin = first_found_at = time.monotonic()
+    found_names: list[str] = []
     while True:
         now = time.monotonic()
         found = calibrators(node)
-        first_seen = first_seen if seen else now
-        seen = found
-        if wanted is not None and wanted in seen:
+        first_found_at = first_found_at if found_names else now
+        found_names = found
+        if wanted is not None and wanted in found_names:
             return wanted
-        has_settled = not wanted and seen and now - first_seen >= SETTLE
+        has_settled = not wanted and found_names and now - first_found_at >= SETTLE
         if has_settled or now - begin >= PATIENCE:
             break
         time.sleep(0.1)
-    listed = ", ".join(map(plain, seen))
+    listed = ", ".join(map(printable, found_names))
     if wanted is not None:
-        others = f"calibrators found: {listed}" if seen else "no calibrator was found"
+        others = f"calibrators found: {listed}" if found_names else "no calibrator was found"
         raise MagcalError(
             f"the node {wanted} was not found; {others}. Start it with `ros2 run magcal_ros "
             "calibrator`, or name another with --node"
         )
-    if len(seen) == 1:
-        return seen[0]
-    if seen:
-        raise Misuse(f"{len(seen)} calibrators were found: {listed}; choose one with --node")
+    if len(found_names) == 1:
+        return found_names[0]
+    if found_names:
+        raise UsageError(
+            f"{len(found_names)} calibrators were found: {listed}; choose one with --node"
+        )
     raise MagcalError(
         "no calibrator was found: start it with `ros2 run magcal_ros calibrator`. If it runs, "
         "check that ROS_DOMAIN_ID and the discovery range are the same on both sides"
@@ -136,7 +138,7 @@ class _Turn:
         self._calibrator = calibrator
         self._status: str | None = None
         self._progress: dict[str, Any] | None = None
-        self._heard: float | None = None
+        self._received_at: float | None = None
         self._executor = rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(node)
         node.create_subscription(String, f"{calibrator}/status", self._on_status, LATCHED)
@@ -147,7 +149,7 @@ class _Turn:
         }
         self._request = Trigger.Request()
 
-    def run(self, view: live_view.Lines) -> Any:
+    def run(self, view: live_view.ProgressLines) -> Any:
         self._warn_if_it_moves()
         if not self._clients["calibrate"].wait_for_service(timeout_sec=5.0):
             raise MagcalError(
@@ -172,7 +174,7 @@ class _Turn:
 
     def in_full(self, answer: str) -> str:
         """Return the node's answer with all reasons, which the status has a little later."""
-        short = plain(answer, LONGEST_ANSWER)
+        short = printable(answer, LONGEST_ANSWER)
         deadline = time.monotonic() + STATUS_DELAY
         while True:
             message = live_view.with_all_reasons(short, self._status)
@@ -192,18 +194,18 @@ class _Turn:
 
     def _require_life(self) -> None:
         """Raise MagcalError if the node has ended, which the middleware reports late or never."""
-        if self._heard is not None and time.monotonic() - self._heard > SILENT_AFTER:
+        if self._received_at is not None and time.monotonic() - self._received_at > SILENT_AFTER:
             raise MagcalError(
                 f"{self._calibrator} has been silent for {SILENT_AFTER:.0f} s: the node has ended "
                 "or hangs, and the turn is lost. Start the node again, and calibrate again"
             )
 
     def _on_status(self, message: Any) -> None:
-        self._heard = time.monotonic()
+        self._received_at = time.monotonic()
         self._status = message.data
         self._progress = live_view.progress_of(message.data)
 
     def _on_diagnostics(self, message: Any) -> None:
         begin = f"{self._calibrator.lstrip('/')}: "
         if any(status.name.startswith(begin) for status in message.status):
-            self._heard = time.monotonic()
+            self._received_at = time.monotonic()

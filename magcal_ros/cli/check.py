@@ -13,13 +13,13 @@ from magcal_ros.core.assessment.grading import Check, shown
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.keeping.story import DriveStory, replayed
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
-from magcal_ros.core.session.recorded import Gathering, fault_of_drive
+from magcal_ros.core.self_calibration.drive_replay import DriveReplay, replay_drive
+from magcal_ros.core.session.recorded import SampleCollector, fault_of_drive
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.disk import plain, write_atomically
+from magcal_ros.files.disk import printable, write_atomically
 from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
 from magcal_ros.files.sources import RepairedReadings
 from magcal_ros.report import Subject, write_report
@@ -46,25 +46,25 @@ def run_check(options: argparse.Namespace) -> int:
     """
     calibration, origin = read_calibration(options.calibration)
     with recorded.opened(options, options.recording) as source:
-        gathered = recorded.gather(options, Mounting(), source, calibration)
-        north = gathered.reference.field.declination
+        recording = recorded.collect(options, Mounting(), source, calibration)
+        north = recording.reference.field.declination
         travel, readings = source.travel, RepairedReadings(source, known=calibration)
         course = recorded_course(calibration, readings, travel, north) if travel else None
         own = against_own_yaw(calibration, readings, source.yaw, north)
     folder = common.new_or_named(options.output, "magcal_check")
-    elsewhere = made_elsewhere(calibration, gathered.reference.field)
-    made_for, heard = origin.magnetometer_frame, gathered.source.field_frame
-    notes = gathered.complaints()
-    if made_for and heard and made_for != heard:
-        about = f"made for the magnetometer {plain(made_for)}, but this is {plain(heard)}"
+    elsewhere = made_elsewhere(calibration, recording.reference.field)
+    made_for, frame = origin.magnetometer_frame, recording.source.field_frame
+    notes = recording.complaints()
+    if made_for and frame and made_for != frame:
+        about = f"made for the magnetometer {printable(made_for)}, but this is {printable(frame)}"
         notes.insert(0, f"the calibration was {about}")
-    slow = gathered.gathering.slow_field
+    slow = recording.collector.slow_field
     notes += [words for words in (slow, elsewhere) if words]
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
     notes += [own] if own else []
     try:
-        window = gathered.gathering.window(gathered.reference.field)
-        result = check(window, calibration, drive=gathered.gathering.drive())
+        window = recording.collector.window(recording.reference.field)
+        result = check(window, calibration, drive=recording.collector.drive())
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{common.bullets('About the recording:', notes)}"
@@ -73,17 +73,17 @@ def run_check(options: argparse.Namespace) -> int:
     outcome = Outcome(result.verdict, calibration, result.estimate)
     subject = Subject(
         window,
-        Knowledge(gathered.reference.field),
+        Knowledge(recording.reference.field),
         outcome,
-        source=f"{plain(str(options.recording))}, checked against "
-        f"{plain(str(options.calibration))}",
+        source=f"{printable(str(options.recording))}, checked against "
+        f"{printable(str(options.calibration))}",
         method=result.estimate.method,
         title="Compass check",
-        magnetometer_frame=heard,
-        imu_frame=gathered.source.imu_frame,
+        magnetometer_frame=frame,
+        imu_frame=recording.source.imu_frame,
     )
     report = write_report(folder, subject)
-    reference = gathered.reference.facts
+    reference = recording.reference.facts
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     facts["course"] = None if course is None else course.facts()
     words = f"{_words(result, notes)}\n\nReport: {report}"
@@ -179,47 +179,49 @@ def run_drive(options: argparse.Namespace) -> int:
         knowledge = Knowledge(reference.field, recorded.mounting_from(options))
         repaired = RepairedReadings(source, for_drive=True, known=begun)
         travel = source.travel
-        with recorded.at_work(
+        with recorded.with_progress(
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f}% of it", sys.stderr
         ):
-            story = replayed(knowledge, begun, repaired, travel)
-            if story.ended is None:
-                gathering = Gathering(knowledge.mounting, source.imu_topic, source.field_topic)
-                gathering.take(repaired, travel)
-                story = replace(story, fault=fault_of_drive(gathering, knowledge))
-        if story.seconds == 0.0:
+            replay = replay_drive(knowledge, begun, repaired, travel)
+            if replay.last_calibration is None:
+                collector = SampleCollector(
+                    knowledge.mounting, source.imu_topic, source.field_topic
+                )
+                collector.take(repaired, travel)
+                replay = replace(replay, fault=fault_of_drive(collector, knowledge))
+        if replay.seconds == 0.0:
             raise Refusal(Reason.TOO_FEW_SAMPLES, NO_GYRO)
         frames = source.field_frame, source.imu_frame
-        if story.ended is not None and travel:
+        if replay.last_calibration is not None and travel:
             north = reference.field.declination
-            course = recorded_course(story.ended, repaired, travel, north)
-            story = replace(story, course="" if course is None else course.words)
-    page = write_drive_page(folder, story, plain(str(options.recording)))
+            course = recorded_course(replay.last_calibration, repaired, travel, north)
+            replay = replace(replay, course="" if course is None else course.words)
+    page = write_drive_page(folder, replay, printable(str(options.recording)))
     files = [page]
-    if story.ended is not None and story.ended is not begun:
+    if replay.last_calibration is not None and replay.last_calibration is not begun:
         files.append(folder / common.CALIBRATION)
-        write_calibration(files[-1], story.ended, Origin.now(*frames))
+        write_calibration(files[-1], replay.last_calibration, Origin.now(*frames))
     notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
-    content = story, notes, files
+    content = replay, notes, files
     common.tell_result(_drive_facts(*content), _drive_words(*content), as_json=options.json)
-    return common.Exit.TOO_LITTLE_DATA if story.ended is None else common.Exit.GOOD
+    return common.Exit.TOO_LITTLE_DATA if replay.last_calibration is None else common.Exit.GOOD
 
 
-def _drive_words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
-    lines = [common.with_options(summary_of(story))]
-    lines += [f"At the end: {story.course}."] if story.course else []
-    lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
+def _drive_words(replay: DriveReplay, notes: list[str], files: list[Path]) -> str:
+    lines = [common.with_options(summary_of(replay))]
+    lines += [f"At the end: {replay.course}."] if replay.course else []
+    lines += [f"{at:6.0f} s  {VERBS[made.kind]}: {made.words}" for at, made in replay.decisions]
     lines += common.bullets("About the recording:", notes).strip("\n").splitlines()
     return "\n".join([*lines, *(f"Written: {file}" for file in files)])
 
 
-def _drive_facts(story: DriveStory, notes: list[str], files: list[Path]) -> dict[str, Any]:
+def _drive_facts(replay: DriveReplay, notes: list[str], files: list[Path]) -> dict[str, Any]:
     return {
-        "summary": summary_of(story),
-        "course": story.course or None,
+        "summary": summary_of(replay),
+        "course": replay.course or None,
         "decisions": [
-            {"at_s": round(at, 1), "decision": made.verb.value, "why": made.words}
-            for at, made in story.decisions
+            {"at_s": round(at, 1), "decision": made.kind.value, "why": made.words}
+            for at, made in replay.decisions
         ],
         "about": notes,
         "files": [str(file) for file in files],

@@ -17,10 +17,10 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any, TextIO
 
-from magcal_ros.core.earth_field.reference import Given, Reference, resolve
+from magcal_ros.core.earth_field.reference import GivenReference, Reference, resolve
 from magcal_ros.core.earth_field.wmm import Place, decimal_year, year_of
-from magcal_ros.core.errors import Misuse
-from magcal_ros.files.disk import FileTrouble, plain_lines
+from magcal_ros.core.errors import UsageError
+from magcal_ros.files.disk import FileError, printable_lines
 from magcal_ros.ros.parameter_table import PARAMETERS
 
 CALIBRATION = "calibration.yaml"
@@ -79,7 +79,7 @@ def new_or_named(chosen: Path | None, prefix: str) -> Path:
         names = [name, *(f"{name}_{k}" for k in range(2, 100))]
         return next(Path(name) for name in names if not Path(name).exists())
     if chosen.exists() and not chosen.is_dir():
-        raise FileTrouble(f"{chosen} is a file: name a folder with --output")
+        raise FileError(f"{chosen} is a file: name a folder with --output")
     return chosen
 
 
@@ -106,7 +106,7 @@ HEAD = re.compile(r"(?:.*\s{2,}|\s*)(?:- )?")
 def tell(text: str, out: TextIO | None = None) -> None:
     """Print a text without control characters, wrapped to the width of a terminal."""
     out = sys.stdout if out is None else out
-    shown = plain_lines(text)
+    shown = printable_lines(text)
     if out.isatty():
         shown = wrapped(shown, shutil.get_terminal_size().columns)
     print(shown, file=out, flush=True)
@@ -216,9 +216,9 @@ def reference_in_use(
 
     `recorded` is the place by fixes in the recording, `stamp` (s) the newest in the recording.
     """
-    given = Given.of(vars(options))
+    given = GivenReference.of(vars(options))
     if given.half_place:
-        raise Misuse("give --latitude and --longitude together, or neither")
+        raise UsageError("give --latitude and --longitude together, or neither")
     year = year_of([stamp], time.time()) if options.date is None else options.date
     return resolve(given.field, given.local, given.place or recorded, year)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magcal_ros.cli.common import Exit, command, number, tell
-from magcal_ros.cli.live_view import best_view, joined, keep_traffic_here
+from magcal_ros.cli.live_view import best_view, joined, use_local_traffic
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -26,7 +26,7 @@ from magcal_ros.core.simulation.simulator import (
     trial_attitudes,
 )
 from magcal_ros.files.calibration_file import read_calibration, require_ours
-from magcal_ros.files.disk import FileTrouble, plain, plain_lines
+from magcal_ros.files.disk import FileError, printable, printable_lines
 from magcal_ros.files.recording import Recording, read_csv_folder
 from magcal_ros.processes import start
 
@@ -87,7 +87,7 @@ def run_demo(options: argparse.Namespace) -> int:
     The robot turns once, and the calibration is compared with the true values.
     """
     require_ours(options.output)
-    keep_traffic_here()
+    use_local_traffic()
     print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
     seconds = DEMO_SECONDS / options.speed
     print(f"The robot turns once, and then its heading is checked: about {seconds:.0f} s.")
@@ -140,7 +140,7 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
         ("after, without the sensors' noise", _without_noise(calibration.correction)),
     ):
         print(f"  {name:36s}{level:7.2f}°  {slope:7.2f}°")
-    print(plain_lines(f"\n{NEXT_STEPS.format(file=output.resolve())}"))
+    print(printable_lines(f"\n{NEXT_STEPS.format(file=output.resolve())}"))
     return Exit.GOOD if max(after) <= LARGEST_ERROR_DEG else Exit.FAILED
 
 
@@ -216,20 +216,20 @@ def run_replay(options: argparse.Namespace) -> int:
         if not source.listeners:
             print("magcal: there is no subscriber; publishing anyway", file=sys.stderr)
         count = replay(node, source, recording, options.rate, time.sleep, options.clock)
-    print(plain_lines(f"replayed {count} samples of {options.folder}"))
+    print(printable_lines(f"replayed {count} samples of {options.folder}"))
     return Exit.GOOD
 
 
 def _require_stamps(folder: Path, recording: Recording) -> None:
-    """Raise FileTrouble for a stamp that a ROS message cannot hold."""
+    """Raise FileError for a stamp that a ROS message cannot hold."""
     for name, table in (("imu.csv", recording.imu), ("mag.csv", recording.field)):
         stamps = table[:, 0]
         bad = ~(np.isfinite(stamps) & (np.abs(stamps) < LAST_STAMP))
         if bad.any():
             row = int(np.argmax(bad))
-            raise FileTrouble(
-                f"{plain(str(folder / name))} cannot be replayed: sample {row + 1} has the stamp "
-                f"{stamps[row]:g}"
+            raise FileError(
+                f"{printable(str(folder / name))} cannot be replayed: sample {row + 1} has "
+                f"the stamp {stamps[row]:g}"
             )
 
 
@@ -237,5 +237,5 @@ def _frame(text: str) -> str:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
-        raise argparse.ArgumentTypeError(f"{plain(text)!r} is not UTF-8 text") from None
+        raise argparse.ArgumentTypeError(f"{printable(text)!r} is not UTF-8 text") from None
     return text

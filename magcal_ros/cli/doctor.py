@@ -20,9 +20,15 @@ from magcal_ros.cli.common import Exit, bullets, command, reference_in_use, tell
 from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.guide import ASKED, Guide
-from magcal_ros.core.doctor.health import TUNING, Finding, looked_at, not_shown, wrong
-from magcal_ros.core.doctor.page import Page, examine
-from magcal_ros.core.errors import MagcalError, Misuse
+from magcal_ros.core.doctor.health import (
+    TUNING,
+    Finding,
+    ok_or_warning,
+    severe_finding,
+    undetermined,
+)
+from magcal_ros.core.doctor.sensor_report import SensorReport, examine
+from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.frame_tree import pose_in_words
@@ -31,9 +37,9 @@ from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import SensorLog
-from magcal_ros.core.session.recorded import Gathering, Reading
+from magcal_ros.core.session.recorded import Reading, SampleCollector
 from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
-from magcal_ros.files.disk import FileTrouble, plain, write_atomically
+from magcal_ros.files.disk import FileError, printable, write_atomically
 from magcal_ros.files.exporters import parameter_file
 from magcal_ros.files.recording import REMEDY
 
@@ -67,7 +73,7 @@ def add_doctor(commands: Any) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
+class DoctorInput:
     """The samples of a recording or of the guided half minute, with further knowledge."""
 
     samples: list[ImuSample | FieldSample]
@@ -77,33 +83,33 @@ class Heard:
     described: str = ""  # the pose by the robot's description, in words; empty if not used
     travel: Sequence[TravelSample] = ()
 
-    def page_of(self, log: SensorLog) -> Page:
+    def report_of(self, log: SensorLog) -> SensorReport:
         """Return all findings, also from the comparison with course and description."""
-        page = examine(log, self.knowledge, self.turned_left)
-        said = [f.remedy for f in page.findings if f.remedy]
-        # A complaint that a line of the page contains already is left out.
+        report = examine(log, self.knowledge, self.turned_left)
+        said = [f.remedy for f in report.findings if f.remedy]
+        # A complaint that a line of the report contains already is left out.
         more = [f for f in self.more if not any(words in f.evidence for words in said)]
-        page = page.with_more(more)
-        if self.travel and page.used is not None:
-            course = recorded_course(page.used.compass, self.samples, self.travel)
-            page = page.with_course(*_course_seen(course, self.knowledge.reference))
-        return page.with_more((self._description(page),)) if self.described else page
+        report = report.with_more(more)
+        if self.travel and report.used is not None:
+            course = recorded_course(report.used.compass, self.samples, self.travel)
+            report = report.with_course(*_course_seen(course, self.knowledge.reference))
+        return report.with_more((self._description(report),)) if self.described else report
 
-    def _description(self, page: Page) -> Finding:
+    def _description(self, report: SensorReport) -> Finding:
         """Compare the described pose of the magnetometer with the measured one."""
         described = f"magnetometer at {self.described}"
-        if page.mount_rpy_deg is not None:
-            radians = " ".join(f"{math.radians(angle):.4g}" for angle in page.mount_rpy_deg)
-            return wrong(
+        if report.mount_rpy_deg is not None:
+            radians = " ".join(f"{math.radians(angle):.4g}" for angle in report.mount_rpy_deg)
+            return severe_finding(
                 "description",
                 "description",
                 f"{described}, but measured differently",
                 f'set rpy="{radians}" in the URDF joint between IMU and magnetometer',
             )
-        if any(f.key in AXIS_FAULTS and f.is_wrong for f in page.findings):
+        if any(f.key in AXIS_FAULTS and f.is_wrong for f in report.findings):
             words = f"{described}; correct the axes first"
-            return not_shown("description", "description", words)
-        return looked_at("description", "description", described)
+            return undetermined("description", "description", words)
+        return ok_or_warning("description", "description", described)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -115,14 +121,14 @@ def run(options: argparse.Namespace) -> int:
     2 usage, 3 too little data, 4 something is wrong, 5 file trouble.
     """
     if options.write is not None and options.write.exists():
-        raise FileTrouble(f"{options.write} exists already: name another --write")
+        raise FileError(f"{options.write} exists already: name another --write")
     if options.recording is not None and options.live:
-        raise Misuse("--live is without a recording: leave out --live, or the recording")
-    heard = listen(options) if options.recording is None else _recorded(options)
-    log = SensorLog.of(heard.samples)
+        raise UsageError("--live is without a recording: leave out --live, or the recording")
+    collected = listen(options) if options.recording is None else _recorded(options)
+    log = SensorLog.of(collected.samples)
     if min(len(log.imu_time), len(log.field_time)) >= TUNING.fewest:
-        return _tell(options, heard.page_of(log), heard.knowledge.mounting.gains)
-    facts = page_as_facts(Page(heard.more), None, Exit.TOO_LITTLE_DATA)
+        return _tell(options, collected.report_of(log), collected.knowledge.mounting.gains)
+    facts = report_as_facts(SensorReport(collected.more), None, Exit.TOO_LITTLE_DATA)
     streams = (("IMU", log.imu_time), ("field", log.field_time))
     counts = " and ".join(f"{_counted(time)} of the {name}" for name, time in streams)
     words = (
@@ -138,7 +144,7 @@ def _counted(time: FloatArray) -> str:
     return f"{len(time)} samples" + (f" at {1.0 / gap:.2g} Hz" if gap > 0.0 else "")
 
 
-def _recorded(options: argparse.Namespace) -> Heard:
+def _recorded(options: argparse.Namespace) -> DoctorInput:
     samples: list[ImuSample | FieldSample] = []
     rest = {ImuSample: MOST_SAMPLES, FieldSample: MOST_SAMPLES}
 
@@ -152,22 +158,22 @@ def _recorded(options: argparse.Namespace) -> Heard:
 
     mounting = recorded.mounting_from(options)
     with recorded.opened(options, options.recording) as source:
-        gathering = Gathering(mounting, source.imu_topic, source.field_topic)
+        collector = SampleCollector(mounting, source.imu_topic, source.field_topic)
         shares = [0.0]
-        with recorded.at_work(lambda: f"reading, {100.0 * shares[0]:.0f}%", sys.stderr):
-            gathering.take(kept(source.readings()))
-        newest = gathering.streams.field_stamps.newest
+        with recorded.with_progress(lambda: f"reading, {100.0 * shares[0]:.0f}%", sys.stderr):
+            collector.take(kept(source.readings()))
+        newest = collector.streams.field_stamps.newest
         reference = reference_in_use(options, source.place, newest)
         travel = source.travel
-    complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
+    complaints = [*source.notes, *collector.complaints(), *reference.complaints]
     fields = [each.field for each in samples if isinstance(each, FieldSample)]
     if fields and likely_field_unit(usual_size(np.array(fields))):
-        # The page has a line on the unit, by the usual size of the field instead of the largest.
-        largest = likely_field_unit(gathering.streams.largest_field)
+        # The report has a line on the unit, by the usual size of the field instead of the largest.
+        largest = likely_field_unit(collector.streams.largest_field)
         complaints = [words for words in complaints if words != largest]
-    more = tuple(looked_at("recording", "recording", words, words) for words in complaints)
+    more = tuple(ok_or_warning("recording", "recording", words, words) for words in complaints)
     left = None if options.turned is None else options.turned == "left"
-    return Heard(samples, Knowledge(reference.field, mounting), left, more, travel=travel)
+    return DoctorInput(samples, Knowledge(reference.field, mounting), left, more, travel=travel)
 
 
 def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> tuple[Belief, Belief]:
@@ -180,11 +186,11 @@ def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> tuple[
     return Belief(gap, math.hypot(offset.sigma, sigma)), imu_yaw
 
 
-def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
-    """Print the page and write the parameters that correct faults."""
-    status = Exit.REFUSED if page.misleads else Exit.GOOD
-    written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
-    words = page_in_words(page)
+def _tell(options: argparse.Namespace, report: SensorReport, gains: FloatArray) -> int:
+    """Print the report and write the parameters that correct faults."""
+    status = Exit.REFUSED if report.misleads else Exit.GOOD
+    written = write_parameters(options.write, report, None if np.allclose(gains, 1.0) else gains)
+    words = report_in_words(report)
     if written is not None:
         words += (
             f"\n\nWritten: {written}. Start the calibrator with `--params-file "
@@ -192,49 +198,52 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
         )
     elif options.write is not None:
         words += "\n\nNo file is written: the faults cannot be corrected by parameters alone."
-    tell_result(page_as_facts(page, written, status), words, as_json=options.json)
+    tell_result(report_as_facts(report, written, status), words, as_json=options.json)
     return status
 
 
 GRADE_MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}
 
 
-def page_in_words(page: Page) -> str:
-    """Return the page for a terminal: a line for each finding, then the remedies."""
+def report_in_words(report: SensorReport) -> str:
+    """Return the report for a terminal: a line for each finding, then the remedies."""
     lines = [
-        f"  {GRADE_MARKS[f.grade]:<6}{f.name:<30}{plain(f.evidence, 1000)}" for f in page.findings
+        f"  {GRADE_MARKS[f.grade]:<6}{f.name:<30}{printable(f.evidence, 1000)}"
+        for f in report.findings
     ]
     # Several lines may have the same cause.
     remedies: dict[str, list[str]] = {}
-    for finding in sorted(page.findings, key=lambda finding: -finding.grade.rank):
+    for finding in sorted(report.findings, key=lambda finding: -finding.grade.rank):
         if finding.remedy:
             remedies.setdefault(finding.remedy, []).append(finding.name)
     todo = [
-        f"{' and '.join(dict.fromkeys(names))}: {plain(words, 1000)}"
+        f"{' and '.join(dict.fromkeys(names))}: {printable(words, 1000)}"
         for words, names in remedies.items()
     ]
     return "\n".join(lines) + bullets("\nWhat to do:", todo).rstrip("\n")
 
 
-def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, Any]:
-    """Return the page for programs."""
+def report_as_facts(report: SensorReport, written: str | None, status: Exit) -> dict[str, Any]:
+    """Return the report for programs."""
     return {
-        "findings": [asdict(finding) for finding in page.findings],
-        "mount_rpy_deg": page.mount_rpy_deg,
+        "findings": [asdict(finding) for finding in report.findings],
+        "mount_rpy_deg": report.mount_rpy_deg,
         "written": written,
         "exit": int(status),
     }
 
 
-def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) -> str | None:
+def write_parameters(
+    path: Path | None, report: SensorReport, gains: FloatArray | None
+) -> str | None:
     """Write the parameters that correct faults, and the given gains; returns the path.
 
     No file is written if a mounting alone does not correct the axes: faults of a driver must be
     corrected in the driver.
     """
-    if path is None or not page.parameters:
+    if path is None or not report.parameters:
         return None
-    lines = [page.parameters]
+    lines = [report.parameters]
     if gains is not None:
         lines.append(f"soft_iron_gains: [{', '.join(f'{float(gain)!r}' for gain in gains)}]")
     write_atomically(path, parameter_file(*lines), REMEDY)
@@ -260,7 +269,7 @@ SEVERAL_PUBLISHERS = (
 )
 
 
-def listen(options: argparse.Namespace) -> Heard:
+def listen(options: argparse.Namespace) -> DoctorInput:
     """Guide the user through the half minute and collect the samples."""
     with joined("magcal_doctor", []) as node:
         from rclpy.executors import SingleThreadedExecutor
@@ -281,7 +290,7 @@ def listen(options: argparse.Namespace) -> Heard:
         executor.add_node(node)
         begin = time.monotonic()
         say(f"Listening to {imu} and {field}. The Enter key skips a step.")
-        asking = Asking()
+        asking = GuidePrompts()
         with interrupts_noted() as interrupted:
             while guide.current is not None and not interrupted.is_set():
                 executor.spin_once(timeout_sec=0.02)
@@ -303,11 +312,11 @@ def listen(options: argparse.Namespace) -> Heard:
 
 
 def say(line: str) -> None:
-    """Print a line for the user on stderr; only the page goes to standard output."""
+    """Print a line for the user on stderr; only the report goes to standard output."""
     print(line, file=sys.stderr, flush=True)
 
 
-class Asking:
+class GuidePrompts:
     """Prints the steps of the guide and the remaining seconds, and reads the Enter key."""
 
     def __init__(self) -> None:
@@ -340,9 +349,10 @@ class Asking:
 
     def tick(self, guide: Guide) -> None:
         """Print whether the last step was detected."""
-        last, seen = list(guide.ended.items())[-1]
+        last, detected = list(guide.ended.items())[-1]
         over = "\r\033[K" if self._rewrites else ""
-        say(f"{over}  [{'x' if seen else '-'}] {ASKED[last]}{'' if seen else ': not detected'}")
+        missed = "" if detected else ": not detected"
+        say(f"{over}  [{'x' if detected else '-'}] {ASKED[last]}{missed}")
         self._shown = ""
 
 
@@ -351,7 +361,7 @@ def gathered(
     listener: Listener,
     samples: list[ImuSample | FieldSample],
     guide: Guide,
-) -> Heard:
+) -> DoctorInput:
     """Return the samples with the knowledge from the user, the graph and the description."""
     newest = max((s.stamp for s in samples if isinstance(s, FieldSample)), default=0.0)
     reference = reference_in_use(options, None, newest)
@@ -359,10 +369,10 @@ def gathered(
     # A pose that the user gives takes precedence over the description.
     if pose is not None and not any(options.mount_rpy_deg):
         mounting, described = replace(mounting, pose=pose), pose_in_words(pose)
-    more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
+    more = [ok_or_warning("reference", "reference", words, words) for words in reference.complaints]
     more += [
-        wrong("publishers", "publishers", words, SEVERAL_PUBLISHERS)
+        severe_finding("publishers", "publishers", words, SEVERAL_PUBLISHERS)
         for words in listener.several_publishers
     ]
     known = Knowledge(reference.field, mounting)
-    return Heard(samples, known, guide.turned_left, tuple(more), described)
+    return DoctorInput(samples, known, guide.turned_left, tuple(more), described)

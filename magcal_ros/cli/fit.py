@@ -13,30 +13,30 @@ from typing import Any
 import numpy as np
 
 from magcal_ros.cli import common, recorded
-from magcal_ros.cli.recorded import Gathered
+from magcal_ros.cli.recorded import CollectedRecording
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS, ONE_SMOOTHER, Outcome, calibrate
 from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma, every_figure
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
+from magcal_ros.core.session.recorded import LITTLE_DATA, fit_collected, fit_several
 from magcal_ros.files.calibration_file import Origin, write_calibration
-from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.report import Subject, write_report
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FitResult:
     """A recording, or several that were joined, and the result."""
 
-    gathered: Gathered  # of several recordings, the last that was joined
+    recording: CollectedRecording  # of several recordings, the last that was joined
     knowledge: Knowledge
     outcome: Outcome
-    everything: Sequence[Gathered]
+    everything: Sequence[CollectedRecording]
 
     @property
     def complaints(self) -> list[str]:
@@ -78,15 +78,15 @@ def run(options: argparse.Namespace) -> int:
     folder = common.new_or_named(options.output, "magcal_fit")
     # An existing calibration is never overwritten.
     if (folder / common.CALIBRATION).exists():
-        raise FileTrouble(f"{folder / common.CALIBRATION} exists already: name another --output")
+        raise FileError(f"{folder / common.CALIBRATION} exists already: name another --output")
     _check_use(options)
-    mounting, everything = recorded.mounting_from(options), list[Gathered]()
+    mounting, everything = recorded.mounting_from(options), list[CollectedRecording]()
     for path in options.recordings:
         with recorded.opened(options, path) as source:
-            everything.append(recorded.gather(options, mounting, source))
+            everything.append(recorded.collect(options, mounting, source))
     count = sum(sum(each.repaired.read) for each in everything)
     shares = [0.0]
-    with recorded.at_work(
+    with recorded.with_progress(
         lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f}%", sys.stderr
     ):
         fitted = _fit(everything, options, shares.append)
@@ -103,45 +103,47 @@ def _check_use(options: argparse.Namespace) -> None:
     if len(options.recordings) == 1:
         return
     if options.compare:
-        raise Misuse("--compare takes one recording, because not all methods join several")
+        raise UsageError("--compare takes one recording, because not all methods join several")
     if options.start > 0.0 or options.stop < math.inf:
-        raise Misuse("--from and --to take one recording: several recordings are used as a whole")
+        raise UsageError(
+            "--from and --to take one recording: several recordings are used as a whole"
+        )
 
 
 def _fit(
-    everything: Sequence[Gathered],
+    everything: Sequence[CollectedRecording],
     options: argparse.Namespace,
     report_share: Callable[[float], object],
-) -> Fitted:
+) -> FitResult:
     frames = sorted({each.source.field_frame for each in everything if each.source.field_frame})
     if len(frames) > 1:
-        raise Misuse(
+        raise UsageError(
             f"the recordings are of different magnetometers ({', '.join(frames)}); join only "
             "recordings of one sensor"
         )
     # All turns are made at one place, so the first recording with a known field gives the
     # reference.
     known = next((g for g in everything if g.reference.field.is_complete), everything[0])
-    knowledge = Knowledge(known.reference.field, known.gathering.mounting)
+    knowledge = Knowledge(known.reference.field, known.collector.mounting)
     at_headings = recorded.fit_known(options, knowledge)
     if at_headings is not None:
-        return Fitted(everything[-1], knowledge, at_headings, everything)
+        return FitResult(everything[-1], knowledge, at_headings, everything)
     if len(everything) == 1:
-        outcome = fit_gathered(known.gathering, knowledge, options.method, report_share)
-        return Fitted(known, knowledge, outcome, everything)
+        outcome = fit_collected(known.collector, knowledge, options.method, report_share)
+        return FitResult(known, knowledge, outcome, everything)
     names = names_of([str(path) for path in options.recordings])
-    gatherings = [each.gathering for each in everything]
-    outcome, newest = fit_several(gatherings, names, knowledge, options.method)
-    gathered = replace(everything[newest], reference=known.reference)
-    return Fitted(gathered, knowledge, outcome, everything)
+    collectors = [each.collector for each in everything]
+    outcome, newest = fit_several(collectors, names, knowledge, options.method)
+    recording = replace(everything[newest], reference=known.reference)
+    return FitResult(recording, knowledge, outcome, everything)
 
 
-def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> list[Path]:
+def _write_files(folder: Path, fitted: FitResult, options: argparse.Namespace) -> list[Path]:
     """Write the result into the folder; returns the files."""
     files = []
-    outcome, gathered = fitted.outcome, fitted.gathered
+    outcome, recording = fitted.outcome, fitted.recording
     if outcome.calibration is not None and outcome.verdict.accepted:
-        origin = Origin.now(gathered.source.field_frame, gathered.source.imu_frame)
+        origin = Origin.now(recording.source.field_frame, recording.source.imu_frame)
         files.append(folder / common.CALIBRATION)
         write_calibration(files[-1], outcome.calibration, origin)
     if outcome.window is not None:
@@ -149,17 +151,17 @@ def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> l
     return files
 
 
-def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Subject:
-    gathered = fitted.gathered
+def _subject(fitted: FitResult, window: Window, options: argparse.Namespace) -> Subject:
+    recording = fitted.recording
     return Subject(
         window,
         fitted.knowledge,
         fitted.outcome,
-        source=f"{', '.join(plain(str(path)) for path in options.recordings)} "
-        f"({gathered.source.field_topic} and {gathered.source.imu_topic})",
+        source=f"{', '.join(printable(str(path)) for path in options.recordings)} "
+        f"({recording.source.field_topic} and {recording.source.imu_topic})",
         method=options.method,
-        magnetometer_frame=gathered.source.field_frame,
-        imu_frame=gathered.source.imu_frame,
+        magnetometer_frame=recording.source.field_frame,
+        imu_frame=recording.source.imu_frame,
     )
 
 
@@ -172,7 +174,7 @@ APART = (
 )
 
 
-def _words(fitted: Fitted, files: list[Path]) -> str:
+def _words(fitted: FitResult, files: list[Path]) -> str:
     verdict, estimate = fitted.outcome.verdict, fitted.outcome.estimate
     headline, reasons = verdict.in_full
     is_drive = estimate is not None and Figure.HEADINGS_DRIVEN in estimate.figures
@@ -182,18 +184,18 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     text = common.with_options(headline) + "\n"
     against = "But" if verdict.accepted else "The reasons"
     text += common.bullets(f"{against}:", [common.with_options(words) for words in reasons])
-    reference = fitted.gathered.reference
+    reference = fitted.recording.reference
     known = reference.words if reference.is_known else f"{reference.words}: {GIVE_PLACE}"
     text += f"\n{common.table(rows)}\n\nReference field: {known}.\n"
-    several = fitted.outcome.several
-    if several is not None:
+    multi_turn = fitted.outcome.multi_turn
+    if multi_turn is not None:
         lines = [
             f"{fate.name}: {'' if fate.joined else 'left out: '}{fate.words}"
-            for fate in several.fates
+            for fate in multi_turn.turns
         ]
         has_yaw = estimate is not None and Figure.INSTALLATION_YAW_SIGMA in estimate.figures
         title = "Turns:" if has_yaw else f"Turns ({APART}):"
-        text += common.bullets(title, [*lines, several.advice_in_words])
+        text += common.bullets(title, [*lines, multi_turn.advice_in_words])
     which = "this recording" if len(fitted.everything) == 1 else "these recordings"
     text += common.bullets(f"Not shown by {which}:", verdict.not_shown)
     text += common.bullets("About the recording:", fitted.complaints)
@@ -203,8 +205,8 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     return text.rstrip("\n")
 
 
-def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
-    gathered, outcome = fitted.gathered, fitted.outcome
+def _facts(fitted: FitResult, files: list[Path]) -> dict[str, Any]:
+    recording, outcome = fitted.recording, fitted.outcome
     verdict = outcome.verdict
     return {
         "summary": verdict.summary,
@@ -219,24 +221,24 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
         "not_shown": list(verdict.not_shown),
         "numbers": {key: float(number) for key, _, number, _ in _numbers(fitted)},
         "recording": {
-            "imu_topic": gathered.source.imu_topic,
-            "mag_topic": gathered.source.field_topic,
+            "imu_topic": recording.source.imu_topic,
+            "mag_topic": recording.source.field_topic,
             "complaints": fitted.complaints,
         },
-        "reference": gathered.reference.facts,
-        "several": None if outcome.several is None else outcome.several.facts(),
+        "reference": recording.reference.facts,
+        "several": None if outcome.multi_turn is None else outcome.multi_turn.facts(),
         "files": [str(file) for file in files],
         "exit": int(fitted.status),
     }
 
 
-def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
+def _numbers(fitted: FitResult) -> list[tuple[str, str, str, str]]:
     """Return key, name, number and unit of the printed quantities."""
-    gathering, source = fitted.gathered.gathering, fitted.gathered.source
-    imus, fields = fitted.gathered.repaired.read
+    collector, source = fitted.recording.collector, fitted.recording.source
+    imus, fields = fitted.recording.repaired.read
     window, estimate = fitted.outcome.window, fitted.outcome.estimate
     used = 0 if window is None else len(window)
-    arc = math.degrees(gathering.progress().coverage.arc if estimate is None else estimate.arc)
+    arc = math.degrees(collector.progress().coverage.arc if estimate is None else estimate.arc)
     rows = [
         ("imu_messages", f"messages on {source.imu_topic}", f"{imus}", ""),
         ("mag_messages", f"messages on {source.field_topic}", f"{fields}", ""),

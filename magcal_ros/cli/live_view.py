@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from magcal_ros.cli.common import bullets
-from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.files.disk import plain
+from magcal_ros.core.errors import MagcalError, UsageError
+from magcal_ros.files.disk import printable
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -25,7 +25,7 @@ LONGEST_ERROR = 500
 
 @contextlib.contextmanager
 def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
-    """Yield a node; MagcalError without rclpy, Misuse if ROS does not accept name or arguments."""
+    """Yield a node; MagcalError without rclpy, UsageError if ROS refuses name or arguments."""
     try:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
@@ -41,8 +41,8 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
     # rclpy has several base classes of errors: arguments, names, the environment.
     except Exception as error:
         rclpy.try_shutdown()
-        words = plain(" ".join(str(error).split()), LONGEST_ERROR)
-        raise Misuse(
+        words = printable(" ".join(str(error).split()), LONGEST_ERROR)
+        raise UsageError(
             f"ROS does not start: {words}. Check --ros-args, ROS_DOMAIN_ID and the other ROS_ and "
             "RMW_ variables"
         ) from error
@@ -53,7 +53,7 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
         rclpy.try_shutdown()
 
 
-def keep_traffic_here() -> None:
+def use_local_traffic() -> None:
     """Limit DDS to this machine and a separate domain, unless the user has set other values."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if os.environ.get("ROS_DISTRO") == "humble":
@@ -100,7 +100,7 @@ def progress_of(status: str) -> dict[str, Any] | None:
             return None
         found = content["progress"]
         shown: dict[str, Any] = {name: float(found[name]) for name in NUMBERS}
-        shown |= {name: plain(str(found[name])) for name in TEXTS}
+        shown |= {name: printable(str(found[name])) for name in TEXTS}
         shown["samples"] = int(found["samples"])
         sigma = found["heading_sigma_deg"]
         shown["heading_sigma_deg"] = None if sigma is None else float(sigma)
@@ -125,7 +125,7 @@ def with_all_reasons(message: str, status: str | None) -> str:
     try:
         verdict = json.loads(status or "")["verdict"]
         summary, headline = str(verdict["summary"]), str(verdict["headline"])
-        against = [plain(str(words), LONGEST_ERROR) for words in verdict["against"]]
+        against = [printable(str(words), LONGEST_ERROR) for words in verdict["against"]]
         accepted = verdict["accepted"] is True
     except (ValueError, TypeError, LookupError, RecursionError):
         return message
@@ -133,17 +133,17 @@ def with_all_reasons(message: str, status: str | None) -> str:
     if not (found and summary and against):
         return message
     listed = bullets("But:" if accepted else "The reasons:", against)
-    return f"{before}{plain(headline, LONGEST_ERROR)}\n{listed}\n{after.strip()}"
+    return f"{before}{printable(headline, LONGEST_ERROR)}\n{listed}\n{after.strip()}"
 
 
-def best_view() -> Lines:
+def best_view() -> ProgressLines:
     """Return a panel on a terminal if rich is installed, else plain lines."""
     if sys.stdout.isatty():
         try:
             return Panel()
         except ImportError:
             pass
-    return Lines()
+    return ProgressLines()
 
 
 def advice(progress: dict[str, Any]) -> str:
@@ -179,26 +179,26 @@ def ring(filled: str) -> list[str]:
     return ["".join(row) for row in canvas]
 
 
-class Lines(contextlib.AbstractContextManager["Lines"]):
+class ProgressLines(contextlib.AbstractContextManager["ProgressLines"]):
     """Shows the progress of a turn in lines, for pipes and logs."""
 
     def __init__(self) -> None:
-        self._second, self._said = -1, ""
+        self._second, self._printed = -1, ""
 
     def show(self, progress: dict[str, Any]) -> None:
         """Print at most one line a second, and no line twice in a row."""
         second, words = int(progress["elapsed_s"]), line(progress)
-        if second != self._second and words != self._said:
+        if second != self._second and words != self._printed:
             # The line is cut to the width of the terminal.
             width = shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else None
             print(words[:width], flush=True)
-            self._second, self._said = second, words
+            self._second, self._printed = second, words
 
     def __exit__(self, *_: object) -> None:
         pass
 
 
-class Panel(Lines):
+class Panel(ProgressLines):
     """Shows the progress of a turn in a panel; raises ImportError if rich is not installed."""
 
     def __init__(self) -> None:

@@ -18,8 +18,8 @@ from magcal_ros.cli.common import Exit, tell
 from magcal_ros.cli.demo import add_demo, add_replay
 from magcal_ros.cli.doctor import add_doctor
 from magcal_ros.cli.fit import add_fit
-from magcal_ros.core.errors import MagcalError, Misuse, Refusal
-from magcal_ros.files.disk import FileTrouble, plain, plain_lines
+from magcal_ros.core.errors import MagcalError, Refusal, UsageError
+from magcal_ros.files.disk import FileError, printable, printable_lines
 from magcal_ros.processes import leave_out_current_folder
 
 COMMANDS = (
@@ -32,7 +32,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End the program with a message; argparse quotes some arguments unchanged."""
-        super().error(plain_lines(message))
+        super().error(printable_lines(message))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -66,28 +66,28 @@ def _run(options: argparse.Namespace) -> Exit:
         sys.stdout.flush()
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
-    except Misuse as error:
-        return _said(error, Exit.USAGE)
-    except FileTrouble as error:
-        return _said(error, Exit.FILE_TROUBLE)
+    except UsageError as error:
+        return _print_error(error, Exit.USAGE)
+    except FileError as error:
+        return _print_error(error, Exit.FILE_TROUBLE)
     except Refusal as error:
-        return _said(error, Exit.TOO_LITTLE_DATA)
+        return _print_error(error, Exit.TOO_LITTLE_DATA)
     except MagcalError as error:
-        return _said(error, Exit.FAILED)
+        return _print_error(error, Exit.FAILED)
     except BrokenPipeError:
         raise
     except OSError as error:
         if error.filename is None:
             return _fault()
         # The system cannot use the user's path: too long, not permitted, missing.
-        name = plain(os.fsdecode(error.filename))
-        return _said(f"cannot use {name}: {error.strerror or error}", Exit.FILE_TROUBLE)
+        name = printable(os.fsdecode(error.filename))
+        return _print_error(f"cannot use {name}: {error.strerror or error}", Exit.FILE_TROUBLE)
     except Exception:  # an error of this package, reported with the traceback
         return _fault()
     return status
 
 
-def _said(what: object, status: Exit) -> Exit:
+def _print_error(what: object, status: Exit) -> Exit:
     tell(f"magcal: {' '.join(str(what).split())}", sys.stderr)
     return status
 

@@ -17,16 +17,16 @@ from magcal_ros.cli.common import add_reference_options, number, reference_in_us
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.units import TUNING
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.recorded import (
-    Gathering,
+    SampleCollector,
     fit_at_headings,
     fit_heading_topic,
-    standing_pairs,
+    pairs_at_rest,
 )
 from magcal_ros.files.sources import RepairedReadings, Source, open_recording
 
@@ -36,18 +36,18 @@ LINE_EVERY = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
+class CollectedRecording:
     """A recording that was read."""
 
-    gathering: Gathering
+    collector: SampleCollector
     source: Source  # closed; only its attributes can be used
     reference: Reference
     repaired: RepairedReadings  # read to the end
 
     def complaints(self) -> list[str]:
         """Return the faults of the recording and of the reference field, in words."""
-        found = [*self.source.notes, *self.repaired.notes, *self.gathering.complaints()]
-        repeats, (_, fields) = self.gathering.repeats, self.repaired.read
+        found = [*self.source.notes, *self.repaired.notes, *self.collector.complaints()]
+        repeats, (_, fields) = self.collector.repeats, self.repaired.read
         if repeats > TUNING.worth_a_word * fields:
             words = f"{repeats} of {fields} samples repeat the previous one and are left out"
             found.append(f"{self.source.field_topic}: {words}")
@@ -79,7 +79,7 @@ def add_recording_options(
     ):
         parser.add_argument(option, default="", metavar="TOPIC", help=words)
     words = "pose of a log's or phone's sensors in the vehicle, ° (not of a bag)"
-    add_three(parser, "--imu-rpy-deg", number(-360.0, 360.0), words, metavar=ANGLES)
+    add_vector_option(parser, "--imu-rpy-deg", number(-360.0, 360.0), words, metavar=ANGLES)
     span: dict[str, Any] = {"type": number(0.0, math.inf), "metavar": "SECONDS"}
     before = "leave out the part before this time, counted from the start of the recording"
     after = "leave out the part after this time"
@@ -88,7 +88,7 @@ def add_recording_options(
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
-def add_three(parser: Any, option: str, kind: Any, words: str, **about: Any) -> None:
+def add_vector_option(parser: Any, option: str, kind: Any, words: str, **about: Any) -> None:
     """Add an option with three numbers."""
     parser.add_argument(option, type=kind, nargs=3, help=words, **about)
 
@@ -99,10 +99,10 @@ def add_knowledge_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the sensor (all optional)")
     gains: dict[str, Any] = {"default": [1.0] * 3, "metavar": ("X", "Y", "Z")}
     words = "known gains of the magnetometer's axes"
-    add_three(group, "--soft-iron-gains", number(0.1, 10.0), words, **gains)
+    add_vector_option(group, "--soft-iron-gains", number(0.1, 10.0), words, **gains)
     pose: dict[str, Any] = {"default": [0.0] * 3, "metavar": ANGLES}
     words = "nominal pose of the magnetometer in the IMU's frame, °"
-    add_three(group, "--mount-rpy-deg", number(-360.0, 360.0), words, **pose)
+    add_vector_option(group, "--mount-rpy-deg", number(-360.0, 360.0), words, **pose)
     words = "yaw of the IMU in the vehicle, to the left of the vehicle's front, °"
     turned: dict[str, Any] = {"default": 0.0, "metavar": "YAW", "help": words}
     group.add_argument("--vehicle-yaw-deg", type=number(-360.0, 360.0), **turned)
@@ -118,39 +118,39 @@ def mounting_from(options: argparse.Namespace) -> Mounting:
 def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManager[Source]:
     """Open a recording with the topics and the span of the options."""
     if not options.start < options.stop:
-        raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
+        raise UsageError(f"--from {options.start:g} must come before --to {options.stop:g}")
     chosen = {"imu": options.imu, "field": options.mag}
     span = {"start": options.start, "stop": options.stop}
     angles = options.imu_rpy_deg
     pose = None if angles is None else rotation_from_rpy(*map(math.radians, angles))
     shares = [0.0]
-    with at_work(lambda: f"reading, {100.0 * shares[-1]:.0f}%", sys.stderr):
+    with with_progress(lambda: f"reading, {100.0 * shares[-1]:.0f}%", sys.stderr):
         return open_recording(recording, **chosen, **span, imu_pose=pose, progress=shares.append)
 
 
-def gather(
+def collect(
     options: argparse.Namespace,
     mounting: Mounting,
     source: Source,
     known: Calibration | None = None,
-) -> Gathered:
+) -> CollectedRecording:
     """Read a recording, with progress on stderr, and determine its reference field.
 
     The field of the motors in the calibration `known` is subtracted. Raises Refusal if the IMU is
     too slow.
     """
-    gathering = Gathering(mounting, source.imu_topic, source.field_topic)
+    collector = SampleCollector(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
-    with at_work(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
+    with with_progress(lambda: f"reading, {100.0 * repaired.share:.0f}%", sys.stderr):
         # After the field of the motors is subtracted, the current has no further effect.
-        gathering.take(repaired, source.travel, source.currents if known is None else ())
-    newest = gathering.streams.field_stamps.newest
+        collector.take(repaired, source.travel, source.currents if known is None else ())
+    newest = collector.streams.field_stamps.newest
     reference = reference_in_use(options, source.place, newest)
-    return Gathered(gathering, source, reference, repaired)
+    return CollectedRecording(collector, source, reference, repaired)
 
 
 @contextmanager
-def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
+def with_progress(words: Callable[[], str], out: TextIO) -> Iterator[None]:
     """Show the progress and the duration of a long operation.
 
     On a terminal, one line is redrawn and removed at the end. Elsewhere, new lines are printed
@@ -160,12 +160,12 @@ def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
     begin, end, pause = ("\r", "\x1b[K", REDRAW) if is_terminal else ("", "\n", LINE_EVERY)
 
     def tell() -> None:
-        said = ""
+        printed = ""
         while not done.wait(pause):
             seconds, now = time.monotonic() - begun, words()
-            if is_terminal or now != said:
+            if is_terminal or now != printed:
                 print(f"{begin}{now}: {seconds:.0f} s", end=end, file=out, flush=True)
-            said = now
+            printed = now
 
     teller = threading.Thread(target=tell, name="at work", daemon=True)
     teller.start()
@@ -210,27 +210,27 @@ def add_heading_options(parser: Any) -> None:
 
 
 def check_heading_options(options: argparse.Namespace) -> None:
-    """Raise Misuse for options that exclude each other."""
+    """Raise UsageError for options that exclude each other."""
     angles, topic = options.heading_deg or (), options.heading_topic
     if not (angles or topic):
         if options.north:
-            raise Misuse(
+            raise UsageError(
                 "--north is only for headings: give --heading-deg or --heading-topic with it"
             )
         return
     if options.north is None:
-        raise Misuse("give the north of the headings: --north true or --north magnetic")
+        raise UsageError("give the north of the headings: --north true or --north magnetic")
     if angles and topic:
-        raise Misuse("give --heading-deg or --heading-topic, not both")
+        raise UsageError("give --heading-deg or --heading-topic, not both")
     if angles and len(angles) != len(options.recordings):
-        raise Misuse(
+        raise UsageError(
             f"{len(angles)} headings for {len(options.recordings)} recordings: give one "
             "--heading-deg for each recording, in the same order, after the recordings"
         )
     if topic and len(options.recordings) > 1:
-        raise Misuse("--heading-topic takes one recording")
+        raise UsageError("--heading-topic takes one recording")
     if options.compare:
-        raise Misuse("--compare is for turns only: there is one method for known headings")
+        raise UsageError("--compare is for turns only: there is one method for known headings")
 
 
 def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | None:
@@ -245,7 +245,7 @@ def fit_known(options: argparse.Namespace, knowledge: Knowledge) -> Outcome | No
     pairs = []
     for path in options.recordings:
         with opened(options, path) as source:
-            pairs.append(standing_pairs(RepairedReadings(source)))
+            pairs.append(pairs_at_rest(RepairedReadings(source)))
     sigma = math.radians(options.sigma_deg)
     given = [ExternalHeading(math.radians(yaw), sigma, is_true) for yaw in options.heading_deg]
     outcome, words = fit_at_headings(pairs, given, knowledge)

@@ -16,12 +16,12 @@ from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.errors import Misuse, Reason, Refusal
+from magcal_ros.core.errors import Reason, Refusal, UsageError
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.multi_turn.result import Kept, Several
+from magcal_ros.core.multi_turn.result import KeptTurns, MultiTurnReport
 from magcal_ros.core.samples.battery import with_one_reference
 from magcal_ros.core.samples.streams import SWAY
-from magcal_ros.core.samples.window import Window, living_axes
+from magcal_ros.core.samples.window import Window, working_axes
 
 # Modules that only a fit needs are imported by the functions that fit, because a node that starts
 # with a saved calibration would wait for them before its first message.
@@ -58,7 +58,7 @@ class Outcome:
     """Also if the verdict refuses it; None if there is no estimate."""
     estimate: Estimate | None = None
     reason: Reason | None = None  # why there is no estimate
-    several: Several | None = None  # the report on the turns, if several were joined
+    multi_turn: MultiTurnReport | None = None  # the report on the turns, if several were joined
     window: Window | None = None  # the samples; the estimate's residuals are of its rows
 
     @classmethod
@@ -100,7 +100,7 @@ def calibrate(
     -------
     Outcome
     """
-    from magcal_ros.core.doctor.page import blamed_on_axes, wrong_reading
+    from magcal_ros.core.doctor.sensor_report import refusal_by_axes, wrong_reading
 
     wrong = wrong_reading(window, knowledge)
     if wrong is not None:
@@ -111,13 +111,13 @@ def calibrate(
     try:
         estimate = fit(window, knowledge)
     except Refusal as refusal:
-        return Outcome.refused(blamed_on_axes(refusal, window, knowledge), window)
+        return Outcome.refused(refusal_by_axes(refusal, window, knowledge), window)
     return _judged_by_axes_too(estimate, knowledge, window)
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
     """Grade an estimate, and refuse it if the samples show wrong axes or stamps."""
-    from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
+    from magcal_ros.core.doctor.sensor_report import wrong_axes, wrong_stamps
 
     # The search for wrong axes takes time. It is skipped after a good result of the smoother, and
     # if z points down, which explains all other faults. It cannot separate wrong axes from a sway
@@ -144,7 +144,7 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window | None = Non
 
 def calibrate_drive(log: Window, knowledge: Knowledge) -> Outcome:
     """Fit the log of a drive and grade the result; the samples are the rows of the log."""
-    from magcal_ros.core.doctor.page import wrong_reading
+    from magcal_ros.core.doctor.sensor_report import wrong_reading
     from magcal_ros.core.methods.smoother import fit_log
 
     if not len(log):
@@ -178,7 +178,7 @@ def calibrate_turns(
         What is known before the turns, which are made in one place.
     method : str
         `maximum_likelihood` joins turns; `ellipsoid` and `min_max` take all samples as one tumble.
-        Another raises `Misuse` for several turns.
+        Another raises `UsageError` for several turns.
     names : sequence of str, optional
         Names of the turns.
 
@@ -191,27 +191,27 @@ def calibrate_turns(
         return calibrate(pooled(windows), knowledge, method)
     if method != JOINS:
         if len(windows) > 1:
-            raise Misuse(f"the method {method} takes one turn; {JOINS} joins several")
+            raise UsageError(f"the method {method} takes one turn; {JOINS} joins several")
         return calibrate(windows[0], knowledge, method)
-    from magcal_ros.core.multi_turn.joined import join, survey
+    from magcal_ros.core.multi_turn.joined import fit_turns, join
 
     batteries = with_one_reference([window.battery for window in windows])
     both = zip(windows, batteries, strict=True)
     windows = [w if w.battery is b else replace(w, battery=b) for w, b in both]
-    turns, joint, several = join(survey(windows, called, knowledge), knowledge)
-    members = [turn for turn in turns if not turn.unfit]
+    turns, joint, multi_turn = join(fit_turns(windows, called, knowledge), knowledge)
+    members = [turn for turn in turns if not turn.refusal_words]
     turn = (members or turns)[-1]
     if joint is not None:
         outcome = judged(joint, knowledge, turn.window)
-    elif turn.unfit and len(turns) > 1:
-        each = "; ".join(f"{turn.name}: {turn.unfit}" for turn in turns)
+    elif turn.refusal_words and len(turns) > 1:
+        each = "; ".join(f"{turn.name}: {turn.refusal_words}" for turn in turns)
         words = f"none of the turns can be used: {each}"
         outcome = Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), turn.window)
     elif turn.estimate is not None and turn.reason is None:
         outcome = _judged_by_axes_too(turn.estimate, knowledge, turn.window)
     else:
         outcome = calibrate(turn.window, knowledge)
-    return replace(outcome, several=several)
+    return replace(outcome, multi_turn=multi_turn)
 
 
 def pooled(windows: Sequence[Window]) -> Window:
@@ -230,36 +230,40 @@ def pooled(windows: Sequence[Window]) -> Window:
     )
 
 
-def take_turn(
-    kept: Kept, window: Window, knowledge: Knowledge, method: str, accumulate: bool
-) -> tuple[Outcome, Kept]:
+def add_turn(
+    kept: KeptTurns, window: Window, knowledge: Knowledge, method: str, accumulate: bool
+) -> tuple[Outcome, KeptTurns]:
     """Fit a turn, jointly with the turns kept before it if `accumulate` is set.
 
     Only `maximum_likelihood` accumulates, and such a turn is not fitted as a drive. `knowledge` is
     used for all turns. Returns the outcome and the turns to keep, without a refused one.
     """
     if not accumulate:
-        return calibrate(window, knowledge, method), Kept()
+        return calibrate(window, knowledge, method), KeptTurns()
     names = (*kept.names, kept.next_name)
     outcome = calibrate_turns([*kept.windows, window], knowledge, method, names)
-    several = outcome.several
-    if several is None or not several.fates[-1].joined:
+    multi_turn = outcome.multi_turn
+    if multi_turn is None or not multi_turn.turns[-1].joined:
         return _refused(outcome, kept), kept
-    return outcome, kept.joined(window, several) if outcome.verdict.accepted else kept
+    return outcome, kept.joined(window, multi_turn) if outcome.verdict.accepted else kept
 
 
-def _refused(outcome: Outcome, kept: Kept) -> Outcome:
+def _refused(outcome: Outcome, kept: KeptTurns) -> Outcome:
     """Return the refusal of a new turn that did not join those before it."""
     if not kept.windows:
         return outcome
-    why = outcome.verdict.summary if outcome.several is None else outcome.several.fates[-1].words
+    why = (
+        outcome.verdict.summary
+        if outcome.multi_turn is None
+        else outcome.multi_turn.turns[-1].words
+    )
     count = len(kept.windows)
     words = (
         f"{kept.next_name} does not join the {'turn' if count == 1 else f'{count} turns'} before "
         f"it: {why.rstrip('.')}; the turns before are kept"
     )
     refusal = Refusal(outcome.reason or Reason.TURNS_DISAGREE, words)
-    return replace(Outcome.refused(refusal), several=outcome.several)
+    return replace(Outcome.refused(refusal), multi_turn=outcome.multi_turn)
 
 
 def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -> float:
@@ -268,12 +272,12 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = JOINS) -
     It is infinite without a fit.
     """
     try:
-        if method in ONE_SMOOTHER and living_axes(window.angular_rate)[2]:
+        if method in ONE_SMOOTHER and working_axes(window.angular_rate)[2]:
             from magcal_ros.core.methods.checks import check_window
-            from magcal_ros.core.smoother.kinds_of_motion import promised_sigma
+            from magcal_ros.core.smoother.kinds_of_motion import expected_sigma
 
             check_window(window, knowledge)
-            return promised_sigma(window, knowledge)
+            return expected_sigma(window, knowledge)
         estimate = find_method(method)(window, knowledge)
     except Refusal:
         return math.inf

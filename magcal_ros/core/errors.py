@@ -9,7 +9,7 @@ class MagcalError(Exception):
     """Base class of the exceptions of this package; its text is meant for the user."""
 
 
-class Misuse(MagcalError):
+class UsageError(MagcalError):
     """A request is impossible or unclear; the text lists what can be requested."""
 
 

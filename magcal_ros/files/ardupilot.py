@@ -27,28 +27,28 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.files import logs
 from magcal_ros.files.dataflash import BINARY, DataFlash, read_dataflash
-from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
 
 TESLA = 1e-7  # in a milligauss
 
-NAMES = logs.Names(
-    logs.Name("IMU", "let LOG_BITMASK log IMU, and record again", "GH or AH is 0"),
-    logs.Name(
+NAMES = logs.SensorNames(
+    logs.SensorName("IMU", "let LOG_BITMASK log IMU, and record again", "GH or AH is 0"),
+    logs.SensorName(
         "MAG",
         "check COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
         "Health is 0",
     ),
 )
-TELEMETRY_NAMES = logs.Names(
-    logs.Name(
+TELEMETRY_NAMES = logs.SensorNames(
+    logs.SensorName(
         "IMU",
         "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's "
         "card",
     ),
-    logs.Name("MAG", "check COMPASS_ENABLE and the wiring, and record again"),
+    logs.SensorName("MAG", "check COMPASS_ENABLE and the wiring, and record again"),
 )
 REPEATED = -1
 RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": REPEATED, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
@@ -78,11 +78,11 @@ def read_ardupilot(
     telemetry = path.suffix.lower() == ".tlog"
     is_text = path.suffix.lower() == ".log" and b"FMT," in begun
     if not (telemetry or is_text or begun[:2] == BINARY):
-        raise FileTrouble(
-            f"{plain(str(path))} is not a DataFlash log: its first bytes are not those of one"
+        raise FileError(
+            f"{printable(str(path))} is not a DataFlash log: its first bytes are not those of one"
         )
     deadline = logs.Deadline(path, progress)
-    with logs.quietly(path, deadline):
+    with logs.without_output(path, deadline):
         if telemetry:
             logged = _telemetry(path, deadline)
         else:
@@ -174,7 +174,9 @@ def _telemetry(path: Path, deadline: logs.Deadline) -> _Logged:
     finally:
         reader.close()
     if not known:
-        raise FileTrouble(f"{plain(str(path))} is not a telemetry log: no MAVLink message is in it")
+        raise FileError(
+            f"{printable(str(path))} is not a telemetry log: no MAVLink message is in it"
+        )
     return read.logged()
 
 

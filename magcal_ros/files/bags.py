@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
-from magcal_ros.files.disk import FileTrouble, damage_in_words, plain
+from magcal_ros.files.disk import FileError, damage_in_words, printable
 from magcal_ros.files.recording import travel_of
 from magcal_ros.files.wire import CDR, ROS1, Format, frame_of, is_plain_cdr
 
@@ -38,7 +38,7 @@ TRAVEL: dict[str, Callable[[Format, bytes], Any]] = {
     FIX_TYPE: Format.fix,
     ODOM_TYPE: Format.speed,
     TWIST_TYPE: Format.velocity,
-    TWIST_COVARIANCE_TYPE: Format.sure_velocity,
+    TWIST_COVARIANCE_TYPE: Format.velocity_with_covariance,
 }
 RECEIVER_TOPICS = ("vel", "fix_velocity")
 """Last part of the topics with a receiver's velocity over ground in ENU. Other twists are commands
@@ -59,7 +59,7 @@ LATE = 5_000_000_000
 
 
 class Bag:
-    """The two sensor topics of an open bag; FileTrouble if the bag is damaged.
+    """The two sensor topics of an open bag; FileError if the bag is damaged.
 
     An empty topic means the only topic of the right type. `start` and `stop` are seconds from the
     bag's beginning, by the time of recording. The frames are the newest `frame_id` of each topic,
@@ -77,10 +77,13 @@ class Bag:
         self._path, self._reader = path, reader
         self._format = CDR if reader.is2 else ROS1
         if not reader.message_count:
-            raise FileTrouble(f"{plain(str(path))} holds no messages: record again")
+            raise FileError(f"{printable(str(path))} holds no messages: record again")
         self._imu = _find(path, reader, IMU_TYPE, imu, "--imu")
         self._field = _find(path, reader, FIELD_TYPE, field, "--mag")
-        self.imu_topic, self.field_topic = plain(self._imu[0].topic), plain(self._field[0].topic)
+        self.imu_topic, self.field_topic = (
+            printable(self._imu[0].topic),
+            printable(self._field[0].topic),
+        )
         self._first: int = reader.start_time + _nanoseconds(max(start, 0.0))
         self._end: int = min(reader.end_time, reader.start_time + _nanoseconds(stop))
         share = (self._end - self._first) / max(reader.end_time - reader.start_time, 1)
@@ -158,14 +161,14 @@ class Bag:
     def headings(self, topic: str) -> list[HeadingSample]:
         """Return the yaws of a topic's orientations, sorted by stamp.
 
-        FileTrouble if there is no such topic of IMU messages, or none of them gives a heading.
+        FileError if there is no such topic of IMU messages, or none of them gives a heading.
         """
         heard = _named(self._path, self._reader, IMU_TYPE, topic)
         read = list(self._read(heard, lambda _, __, data: self._format.heading(data)))
         found = [each for each in read if not isinstance(each, str)]
         if not found:
             why = read[-1] if read else "it is empty"
-            raise FileTrouble(f"{plain(topic)} gives no heading: {why}")
+            raise FileError(f"{printable(topic)} gives no heading: {why}")
         return sorted(found, key=lambda sample: sample.stamp)
 
     def _of(self, *kinds: str) -> list[Connection]:
@@ -252,8 +255,8 @@ class RosReader:
                 yield channels[topic], stamp, data
 
     def deserialize(self, _: bytes, msgtype: str) -> NoReturn:
-        """Raise a FileTrouble: this reader does not convert big-endian messages."""
-        raise FileTrouble(
+        """Raise a FileError: this reader does not convert big-endian messages."""
+        raise FileError(
             f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
             "Python library rosbags is installed and ROS is not"
         )
@@ -294,9 +297,9 @@ def _library_reader(path: Path) -> AnyReader:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise FileTrouble(
-            f"reading {plain(str(path))} needs ROS 2 (source its setup file) or the Python library "
-            "rosbags (in a virtual environment: pip install rosbags)"
+        raise FileError(
+            f"reading {printable(str(path))} needs ROS 2 (source its setup file) or the Python "
+            "library rosbags (in a virtual environment: pip install rosbags)"
         ) from error
     # Bags of old distributions lack type definitions. The types of sensor messages never changed.
     return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
@@ -305,22 +308,22 @@ def _library_reader(path: Path) -> AnyReader:
 def _refuse_other_files(path: Path) -> None:
     if path.is_dir():
         if not (path / "metadata.yaml").exists():
-            raise FileTrouble(
-                f"{plain(str(path))} is not a recording: a CSV folder has imu.csv and mag.csv, a "
-                "phone's folder accelerometer, gyroscope and magnetometer as CSV, a bag has "
+            raise FileError(
+                f"{printable(str(path))} is not a recording: a CSV folder has imu.csv and mag.csv, "
+                "a phone's folder accelerometer, gyroscope and magnetometer as CSV, a bag has "
                 "metadata.yaml (`ros2 bag reindex` writes it; a single .mcap or .db3 may be named "
                 "itself)"
             )
     elif path.suffix not in REMEDIES:
-        raise FileTrouble(
-            f"{plain(str(path))} is not a recording: name a bag (folder, .mcap, .db3, .bag), a "
+        raise FileError(
+            f"{printable(str(path))} is not a recording: name a bag (folder, .mcap, .db3, .bag), a "
             "folder with imu.csv and mag.csv, a log of ArduPilot (.BIN, .log, .tlog) or PX4 "
             "(.ulg), or the unpacked folder of a phone's Sensor Logger or phyphox"
         )
     for file in path.rglob("*") if path.is_dir() else [path]:
         # Opening a pipe would block.
         if file.exists() and not (file.is_file() or file.is_dir()):
-            raise FileTrouble(f"cannot read {plain(str(file))}: it is not a regular file")
+            raise FileError(f"cannot read {printable(str(file))}: it is not a regular file")
 
 
 def _damage_in_words(path: Path) -> contextlib.AbstractContextManager[None]:
@@ -340,29 +343,29 @@ def _find(path: Path, reader: Any, msgtype: str, wanted: str, option: str) -> li
     topics = sorted({connection.topic for connection in fitting})
     kind = msgtype.replace("/msg/", "/")
     if not topics:
-        raise FileTrouble(
-            f"{plain(str(path))} has no {kind} messages; it has: {_listed(reader)}. "
+        raise FileError(
+            f"{printable(str(path))} has no {kind} messages; it has: {_listed(reader)}. "
             "Record the IMU's and the magnetometer's topics"
         )
     if len(topics) > 1:
-        names = f"{len(topics)} topics of {kind}: {', '.join(map(plain, topics))}"
-        raise Misuse(f"{plain(str(path))} has {names}; choose one with {option}")
+        names = f"{len(topics)} topics of {kind}: {', '.join(map(printable, topics))}"
+        raise UsageError(f"{printable(str(path))} has {names}; choose one with {option}")
     return fitting
 
 
 def _named(path: Path, reader: Any, msgtype: str, wanted: str) -> list[Connection]:
     found = [c for c in reader.connections if c.topic == wanted]
-    wrong = [f"{plain(c.msgtype)}, not {msgtype}" for c in found if c.msgtype != msgtype]
+    wrong = [f"{printable(c.msgtype)}, not {msgtype}" for c in found if c.msgtype != msgtype]
     if wrong:
-        raise FileTrouble(f"{plain(wanted)} is {wrong[0]}; the bag has: {_listed(reader)}")
+        raise FileError(f"{printable(wanted)} is {wrong[0]}; the bag has: {_listed(reader)}")
     if not found:
-        words = f"{plain(str(path))} has no topic {plain(wanted)}"
-        raise FileTrouble(f"{words}; it has: {_listed(reader)}")
+        words = f"{printable(str(path))} has no topic {printable(wanted)}"
+        raise FileError(f"{words}; it has: {_listed(reader)}")
     return found
 
 
 def _listed(reader: Any) -> str:
-    names = sorted({f"{plain(c.topic)} ({plain(c.msgtype)})" for c in reader.connections})
+    names = sorted({f"{printable(c.topic)} ({printable(c.msgtype)})" for c in reader.connections})
     return ", ".join(names) or "nothing"
 
 

@@ -16,9 +16,9 @@ import yaml
 from magcal_ros import __version__
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction, MotorField, MotorInput
-from magcal_ros.core.heading.base_view import VehicleYaw
-from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.disk import FileTrouble, NotOrdinary, read_small, write_atomically
+from magcal_ros.core.heading.base_heading import VehicleYaw
+from magcal_ros.files.default_paths import identifier
+from magcal_ros.files.disk import FileError, NotRegularFile, read_small, write_atomically
 from magcal_ros.files.plausibility import require_possible
 
 FORMAT = "magcal_ros/calibration"
@@ -61,7 +61,7 @@ class Origin:
     ) -> Origin:
         """Return the origin of a calibration made at this moment."""
         stamp = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        return cls(known_as(field_frame), known_as(imu_frame), stamp, node, vehicle_yaw)
+        return cls(identifier(field_frame), identifier(imu_frame), stamp, node, vehicle_yaw)
 
 
 class _PlainLoader(yaml.SafeLoader):
@@ -99,7 +99,7 @@ def write_calibration(
 ) -> None:
     """Write a calibration in one step, at full precision.
 
-    FileTrouble if the file cannot be written, or exists and is no calibration of this package; it
+    FileError if the file cannot be written, or exists and is no calibration of this package; it
     is then unchanged. `when_written` is as in `write_atomically`.
     """
     require_ours(path)
@@ -115,15 +115,15 @@ def is_free_or_ours(path: Path) -> bool:
         content = read_small(path, LARGEST_FILE)
     except (FileNotFoundError, NotADirectoryError):
         return True
-    except (OSError, NotOrdinary):
+    except (OSError, NotRegularFile):
         return False
     return not content.strip() or _FORMAT_MARK.search(content) is not None
 
 
 def require_ours(path: Path) -> None:
-    """Raise a FileTrouble unless `is_free_or_ours`."""
+    """Raise a FileError unless `is_free_or_ours`."""
     if not is_free_or_ours(path):
-        raise FileTrouble(
+        raise FileError(
             f"{path} is not a calibration of magcal_ros, and was not changed; choose another name"
         )
 
@@ -131,7 +131,7 @@ def require_ours(path: Path) -> None:
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
     """Return a calibration and its origin, with exactly the numbers that were written.
 
-    FileTrouble if the file is missing, damaged, of another format or version, or has impossible
+    FileError if the file is missing, damaged, of another format or version, or has impossible
     numbers.
     """
     document = _parse(path)
@@ -152,8 +152,8 @@ def _parse(path: Path) -> Mapping[str, Any]:
         text = content.decode("utf-8")
         document = yaml.load(text, Loader=_PlainLoader) if is_marked else None
     except OSError as error:
-        raise FileTrouble(f"cannot read {path}: {error.strerror or error}") from error
-    except NotOrdinary as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    except NotRegularFile as error:
         raise _damaged(path, str(error)) from error
     except (yaml.YAMLError, RecursionError, *_INVALID_CONTENT) as error:
         reason = " ".join(str(error).split())[:200]
@@ -166,8 +166,8 @@ def _parse(path: Path) -> Mapping[str, Any]:
     return document
 
 
-def _damaged(path: Path, detail: str) -> FileTrouble:
-    return FileTrouble(
+def _damaged(path: Path, detail: str) -> FileError:
+    return FileError(
         f"{path} is not a usable calibration: {detail}. "
         "Calibrate again to replace it, or name another file."
     )
@@ -261,7 +261,7 @@ def _motors_entry(motors: MotorField | None) -> dict[str, Any] | None:
         "ripple": float(motors.ripple),
         "reference_current": None if math.isnan(motors.reference) else float(motors.reference),
         "covariance": motors.covariance.tolist(),
-        "covariance_with_calibration": motors.beside.tolist(),
+        "covariance_with_calibration": motors.cross_covariance.tolist(),
     }
 
 
@@ -343,7 +343,7 @@ def keep_backup(path: Path, successor: Calibration) -> None:
     Nothing is done if the file holds no usable calibration, the successor's numbers, or those of
     the newest backup. If an older backup has the same numbers, the copy replaces it: calibrations
     that alternate use one backup each. Files with these names that are not ours are neither changed
-    nor counted. After a FileTrouble the backups are unchanged.
+    nor counted. After a FileError the backups are unchanged.
     """
     held = _stored_correction(path)
     if held is None:
@@ -351,7 +351,7 @@ def keep_backup(path: Path, successor: Calibration) -> None:
     content = read_small(path, LARGEST_FILE)
     files = [file for file in backup_files(path) if is_free_or_ours(file) and not file.is_symlink()]
     if not files:
-        raise FileTrouble("all names for it belong to files that are not ours")
+        raise FileError("all names for it belong to files that are not ours")
     each = [_stored_correction(file) for file in files]
     kept = next((k for k, other in enumerate(each) if other and other.is_same(held)), None)
     if kept == 0 or held.is_same(successor.correction):
@@ -366,7 +366,7 @@ def _stored_correction(file: Path) -> Correction | None:
     """Return the correction stored in a file; None if the file cannot be loaded."""
     try:
         return read_calibration(file)[0].correction
-    except (OSError, ValueError, FileTrouble):
+    except (OSError, ValueError, FileError):
         return None
 
 

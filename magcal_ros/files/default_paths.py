@@ -1,4 +1,4 @@
-"""Paths of files that the user has not named; a FileTrouble without a home folder."""
+"""Paths of files that the user has not named; a FileError without a home folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.disk import FileError
 
 LONGEST_NAME = 80
 
@@ -27,7 +27,7 @@ def chosen_path(text: str) -> Path:
     try:
         return Path(text).expanduser()
     except RuntimeError as error:
-        raise FileTrouble(
+        raise FileError(
             f"there is no home folder for {text!r}: name the whole path, or set ROS_HOME"
         ) from error
 
@@ -67,7 +67,7 @@ def safe_name(text: str) -> str:
     return plain if plain == text and not looks_made else f"{plain}-{_digest(text)}"
 
 
-def known_as(frame: str) -> str:
+def identifier(frame: str) -> str:
     """Return the name of a frame in a calibration; a very long frame is cut, with a digest."""
     if len(frame) <= LONGEST_FRAME:
         return frame

@@ -16,7 +16,7 @@ from typing import BinaryIO, TypeVar
 from magcal_ros.core.errors import MagcalError
 
 
-class FileTrouble(MagcalError):
+class FileError(MagcalError):
     """A file cannot be read or written; the text names the file, the reason and a remedy."""
 
 
@@ -31,7 +31,7 @@ REMEDY = "Choose a writable place with the parameter calibration_file, or correc
 def write_atomically(
     path: Path, text: str, remedy: str = REMEDY, when_written: Callable[[], object] | None = None
 ) -> None:
-    """Replace the content of a file in one step; after a FileTrouble the file is unchanged.
+    """Replace the content of a file in one step; after a FileError the file is unchanged.
 
     If the path is a symbolic link, its target is replaced. Mode and, if allowed, owner of an old
     file are kept; a new file has the mode by the umask. A missing folder is made. `remedy` is the
@@ -113,14 +113,14 @@ def _sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def _trouble(path: Path, error: OSError, remedy: str) -> FileTrouble:
-    return FileTrouble(f"cannot write {path}: {error.strerror or error}. {remedy}")
+def _trouble(path: Path, error: OSError, remedy: str) -> FileError:
+    return FileError(f"cannot write {path}: {error.strerror or error}. {remedy}")
 
 
 LONGEST = 200
 
 
-def plain(text: str, longest: int = LONGEST) -> str:
+def printable(text: str, longest: int = LONGEST) -> str:
     """Return `text` without characters that could control a terminal, and cut to a length.
 
     Topics and frames of a bag, and texts from the network, may contain any character. Each one that
@@ -130,9 +130,9 @@ def plain(text: str, longest: int = LONGEST) -> str:
     return shown if len(text) <= longest else shown + "…"
 
 
-def plain_lines(text: str) -> str:
-    """Return a text with `plain` applied to each line, but none cut."""
-    return "\n".join(plain(line, len(line)) for line in text.split("\n"))
+def printable_lines(text: str) -> str:
+    """Return a text with `printable` applied to each line, but none cut."""
+    return "\n".join(printable(line, len(line)) for line in text.split("\n"))
 
 
 PATIENCE = 5.0  # seconds within which any working disk answers
@@ -140,23 +140,23 @@ PATIENCE = 5.0  # seconds within which any working disk answers
 Result = TypeVar("Result")
 
 
-class NotOrdinary(ValueError):
+class NotRegularFile(ValueError):
     """A path is not a regular file, or the file is too large; the text says which."""
 
 
 def read_small(path: Path, largest: int) -> bytes:
-    """Return the content of a regular file; NotOrdinary for anything else or a larger one."""
+    """Return the content of a regular file; NotRegularFile for anything else or a larger one."""
     with open_regular(path) as handle:
         about = os.fstat(handle.fileno())
         # The size of a file that is generated when read (/proc) may be wrong: check both.
         content = b"" if about.st_size > largest else handle.read(largest + 1)
     if about.st_size > largest or len(content) > largest:
-        raise NotOrdinary(f"it is too large: more than {largest} bytes")
+        raise NotRegularFile(f"it is too large: more than {largest} bytes")
     return content
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading; NotOrdinary for a pipe, a device or a socket."""
+    """Open a regular file for reading; NotRegularFile for a pipe, a device or a socket."""
     # Without O_NONBLOCK, opening a pipe waits for a writer.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     mode = os.fstat(descriptor).st_mode
@@ -165,27 +165,27 @@ def open_regular(path: Path) -> BinaryIO:
     os.close(descriptor)
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    raise NotOrdinary("it is not a regular file")
+    raise NotRegularFile("it is not a regular file")
 
 
 @contextlib.contextmanager
 def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Iterator[None]:
-    """Raise any error of a library that reads damaged bytes as a FileTrouble."""
+    """Raise any error of a library that reads damaged bytes as a FileError."""
     try:
         yield
     except MagcalError:
         raise
     except OSError as error:
-        raise FileTrouble(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
+        raise FileError(f"cannot read {printable(str(path))}: {error.strerror or error}") from error
     except Exception as error:  # a damaged file may cause any error in a parser
-        reason = plain(" ".join(str(error).split()) or type(error).__name__)
-        raise FileTrouble(
-            f"{plain(str(path))} is damaged or {damage} ({reason}). {remedy()}"
+        reason = printable(" ".join(str(error).split()) or type(error).__name__)
+        raise FileError(
+            f"{printable(str(path))} is damaged or {damage} ({reason}). {remedy()}"
         ) from error
 
 
-def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:
-    """Call `work`, which uses a disk; FileTrouble if it takes longer than `patience`, seconds.
+def with_time_limit(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:
+    """Call `work`, which uses a disk; FileError if it takes longer than `patience`, seconds.
 
     A network mount without its server blocks a thread for hours, and no signal ends this. So the
     work is done in a thread that may be left behind. `path` is for the message.
@@ -205,7 +205,7 @@ def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE)
     if failed:
         raise failed[0]
     if not done:
-        raise FileTrouble(
+        raise FileError(
             f"{path} does not answer within {patience:g} s: check its disk or network share, or "
             "name another place with the parameter calibration_file"
         )

@@ -20,7 +20,7 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
 from magcal_ros.core.geometry.rotations import rotation_angle, rpy_from_rotation
-from magcal_ros.files.disk import plain
+from magcal_ros.files.disk import printable
 from magcal_ros.files.px4 import mounting_of
 
 GAUSS = 1e4  # gauss in a tesla
@@ -100,7 +100,7 @@ def provenance(calibration: Calibration) -> str:
     said = evidence.method, evidence.quality, evidence.confidence
     # Texts of a file edited by hand must not end the comment that they become part of.
     return "Magnetometer calibration by magcal_ros, method {}, quality {}, confidence {}".format(
-        *(plain(text.replace("*/", "* /")) for text in said)
+        *(printable(text.replace("*/", "* /")) for text in said)
     )
 
 

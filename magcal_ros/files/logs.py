@@ -18,7 +18,7 @@ from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
-from magcal_ros.files.disk import FileTrouble, damage_in_words, open_regular, plain
+from magcal_ros.files.disk import FileError, damage_in_words, open_regular, printable
 from magcal_ros.files.recording import Recording, travel_of
 
 GIGABYTE = LARGEST_LOG = 1 << 30
@@ -53,11 +53,11 @@ class Deadline:
             self._progress(share)
 
     def check(self) -> None:
-        """Raise FileTrouble if the time is over."""
+        """Raise FileError if the time is over."""
         if time.monotonic() > self._end:
-            raise FileTrouble(
-                f"reading {plain(str(self._path))} takes longer than {LONGEST_READING:g} s: it is "
-                "damaged or too long. Cut it with the autopilot's own tools, or record again"
+            raise FileError(
+                f"reading {printable(str(self._path))} takes longer than {LONGEST_READING:g} s: it "
+                "is damaged or too long. Cut it with the autopilot's own tools, or record again"
             )
 
 
@@ -93,7 +93,7 @@ class LogTables:
     notes: list[str] = field(default_factory=list)
 
 
-class Name(NamedTuple):
+class SensorName(NamedTuple):
     """The name of a sensor in a kind of log, and the remedy if the sensor is missing."""
 
     name: str
@@ -101,17 +101,17 @@ class Name(NamedTuple):
     health: str = ""  # how the log marks samples of an unhealthy sensor
 
 
-class Names(NamedTuple):
+class SensorNames(NamedTuple):
     """The names of both sensors."""
 
-    imu: Name
-    field: Name
+    imu: SensorName
+    field: SensorName
 
 
 def recording_of(
-    path: Path, tables: LogTables, names: Names, imu: str = "", mag: str = ""
+    path: Path, tables: LogTables, names: SensorNames, imu: str = "", mag: str = ""
 ) -> Recording:
-    """Choose the sensors and return their recording; FileTrouble if none gives data."""
+    """Choose the sensors and return their recording; FileError if none gives data."""
     notes = list(tables.notes)
     imus = _Kind(names.imu, tables.imus, tables.unhealthy_imus, tables.imu_order, "--imu")
     one = _chosen(path, imus, imu, notes)
@@ -136,7 +136,7 @@ def recording_of(
 class _Kind:
     """All accelerometers or all magnetometers of a log, by number."""
 
-    called: Name
+    called: SensorName
     sensors: Mapping[int, FloatArray]
     unhealthy: Mapping[int, int]
     order: Order
@@ -177,19 +177,20 @@ def _chosen(path: Path, kind: _Kind, wanted: str, notes: list[str]) -> int:
     if wanted:
         found = [k for k in numbers if wanted in (kind.name(k), str(k))]
         if not found:
-            raise FileTrouble(
-                f"{plain(str(path))} has no {plain(wanted)}; it has: {every or 'none'}. "
+            raise FileError(
+                f"{printable(str(path))} has no {printable(wanted)}; it has: {every or 'none'}. "
                 f"Choose with {option}"
             )
         numbers = found
     if not numbers:
-        raise FileTrouble(f"{plain(str(path))} has no {name} data: {remedy}")
+        raise FileError(f"{printable(str(path))} has no {name} data: {remedy}")
     working = [k for k in numbers if kind.works(k)]
     if not working:
         what = "magnetometer" if option == "--mag" else "accelerometer"
         faults = "; ".join(kind.fault(k) for k in numbers)
-        raise FileTrouble(
-            f"{plain(str(path))} has no working {what}: {faults}. {remedy[:1].upper()}{remedy[1:]}"
+        raise FileError(
+            f"{printable(str(path))} has no working {what}: {faults}. "
+            f"{remedy[:1].upper()}{remedy[1:]}"
         )
     chosen = working[0]
     if len(numbers) > 1:
@@ -238,20 +239,20 @@ def velocity(stamp: float, speed: float, course: float) -> VelocitySample:
 
 
 def library(path: Path, module: str, extra: str) -> Any:
-    """Return a module of an optional library; a FileTrouble says how to install it."""
+    """Return a module of an optional library; a FileError says how to install it."""
     name = module.partition(".")[0]
     try:
         importlib.import_module(name)
         return importlib.import_module(module)
     except ImportError as error:
-        raise FileTrouble(
-            f"reading {plain(str(path))} needs the Python library {name}: "
+        raise FileError(
+            f"reading {printable(str(path))} needs the Python library {name}: "
             f"pip install 'magcal_ros[{extra}]', or pip install {name}"
         ) from error
 
 
 def first_bytes(path: Path, count: int) -> bytes:
-    """Return the first bytes of a log; a FileTrouble if it cannot be read or is too large."""
+    """Return the first bytes of a log; a FileError if it cannot be read or is too large."""
     try:
         with open_regular(path) as handle:
             size = handle.seek(0, io.SEEK_END)
@@ -259,20 +260,20 @@ def first_bytes(path: Path, count: int) -> bytes:
             begun = handle.read(count)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise FileTrouble(f"cannot read {plain(str(path))}: {reason}") from error
+        raise FileError(f"cannot read {printable(str(path))}: {reason}") from error
     if not size:
-        raise FileTrouble(f"{plain(str(path))} is empty: copy or download it again")
+        raise FileError(f"{printable(str(path))} is empty: copy or download it again")
     if size > LARGEST_LOG:
-        raise FileTrouble(
-            f"{plain(str(path))} has {size / GIGABYTE:.1f} GiB, and logs up to "
+        raise FileError(
+            f"{printable(str(path))} has {size / GIGABYTE:.1f} GiB, and logs up to "
             f"{LARGEST_LOG / GIGABYTE:g} GiB are read: record the turn in a log of its own"
         )
     return begun
 
 
 @contextlib.contextmanager
-def quietly(path: Path, deadline: Deadline) -> Iterator[None]:
-    """Discard the output of a library, and raise its errors as `FileTrouble`."""
+def without_output(path: Path, deadline: Deadline) -> Iterator[None]:
+    """Discard the output of a library, and raise its errors as `FileError`."""
     heard = _DiscardedOutput(deadline)
     with (
         damage_in_words(path, "no log of its kind", lambda: "Download it again"),

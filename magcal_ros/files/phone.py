@@ -21,15 +21,15 @@ from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.files import logs
-from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.recording import Recording, read_header, read_numbers
 
 NANOSECOND = 1e9
 FLU_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 METADATA = "Metadata.csv"
-NAMES = logs.Names(
-    logs.Name("phone IMU", "record accelerometer (with gravity) and gyroscope"),
-    logs.Name(
+NAMES = logs.SensorNames(
+    logs.SensorName("phone IMU", "record accelerometer (with gravity) and gyroscope"),
+    logs.SensorName(
         "phone magnetometer", "not every phone has one; record the magnetometer, best uncalibrated"
     ),
 )
@@ -50,7 +50,7 @@ def is_phone_folder(path: Path) -> bool:
 def read_phone(path: Path) -> Recording:
     """Read a folder of Sensor Logger or phyphox.
 
-    FileTrouble, with the sensors to record, if one is missing or gravity was subtracted.
+    FileError, with the sensors to record, if one is missing or gravity was subtracted.
     """
     headers = _headers(path)
     logger = any(map(_is_logger, headers.values()))
@@ -60,15 +60,15 @@ def read_phone(path: Path) -> Recording:
     if force is None or rate is None or field is None:
         names = zip(("accelerometer", "gyroscope", "field"), sensors, strict=True)
         missing = [name for name, table in names if table is None]
-        raise FileTrouble(
-            f"{plain(str(path))} has no {' and no '.join(missing)}. Record accelerometer (with "
+        raise FileError(
+            f"{printable(str(path))} has no {' and no '.join(missing)}. Record accelerometer (with "
             "gravity), gyroscope and magnetometer with the phone, and unpack what it exports"
         )
     size = float(np.median(np.linalg.norm(force[:, 1:], axis=1)))
     if size < LEAST_GRAVITY:
-        raise FileTrouble(
-            f"{plain(str(path))} has acceleration without gravity ({size:.1f} m/s²): record the "
-            "accelerometer with gravity (phyphox: Acceleration with g; Sensor Logger: Total "
+        raise FileError(
+            f"{printable(str(path))} has acceleration without gravity ({size:.1f} m/s²): record "
+            "the accelerometer with gravity (phyphox: Acceleration with g; Sensor Logger: Total "
             "Acceleration, or Gravity beside the accelerometer)"
         )
     tables = logs.LogTables(notes=notes)
@@ -87,7 +87,7 @@ def _headers(path: Path) -> dict[str, list[str]]:
     found = {}
     for file in sorted(path.glob("*.csv")):
         # Other files in the folder do not matter.
-        with contextlib.suppress(FileTrouble):
+        with contextlib.suppress(FileError):
             found[file.name] = read_header(file)
     return found
 

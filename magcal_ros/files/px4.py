@@ -27,7 +27,7 @@ from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotat
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files import logs
-from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.recording import Recording
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -48,9 +48,9 @@ SELECTIONS = ("sensor_selection", "estimator_selector_status", "estimator_status
 
 Topic = Mapping[str, FloatArray]
 Topics = Mapping[tuple[str, int], Topic]
-NAMES = logs.Names(
-    logs.Name("sensor_combined", "set SDLOG_PROFILE to its default and record again"),
-    logs.Name("sensor_mag", "check SYS_HAS_MAG and the wiring, and record again"),
+NAMES = logs.SensorNames(
+    logs.SensorName("sensor_combined", "set SDLOG_PROFILE to its default and record again"),
+    logs.SensorName("sensor_mag", "check SYS_HAS_MAG and the wiring, and record again"),
 )
 RIGHT_ANGLES = (
     *((0, 0, 45 * k) for k in range(8)),
@@ -73,10 +73,12 @@ def read_px4(
 ) -> Recording:
     """Read a ULog; arguments and errors are those of `open_recording`."""
     if logs.first_bytes(path, len(MAGIC)) != MAGIC:
-        raise FileTrouble(f"{plain(str(path))} is not a ULog: its first bytes are not those of one")
+        raise FileError(
+            f"{printable(str(path))} is not a ULog: its first bytes are not those of one"
+        )
     ulog = logs.library(path, "pyulog", "px4").ULog
     deadline = logs.Deadline(path, progress)
-    with logs.quietly(path, deadline), _LimitedFile(path, deadline) as handle:
+    with logs.without_output(path, deadline), _LimitedFile(path, deadline) as handle:
         tables = _tables(ulog(handle, [*TOPICS, *SELECTIONS]))
     return logs.recording_of(path, tables, NAMES, imu, mag)
 
@@ -104,7 +106,7 @@ UNKNOWN_ROTATION = (
 def rotation_of(number: int) -> FloatArray:
     """Return CAL_MAGn_ROT as the rotation from sensor to body, forward-right-down."""
     if not 0 <= number < len(RIGHT_ANGLES):
-        raise FileTrouble(UNKNOWN_ROTATION.format(number))
+        raise FileError(UNKNOWN_ROTATION.format(number))
     return _rotation(*RIGHT_ANGLES[number])
 
 
@@ -167,7 +169,7 @@ def _tables(log: Any) -> logs.LogTables:
         if (words := _take_field(tables, data, number, parameters, shift, is_settled))
     ]
     if refused and not tables.fields:
-        raise FileTrouble(refused[0])
+        raise FileError(refused[0])
     tables.notes += [f"left out: {words}" for words in refused]
     tables.field_order = _order(data, parameters)
     return tables
@@ -199,8 +201,8 @@ def _take_field(
         topic = corrected if more or has_power else raw
     try:
         pose, name = _pose(slot, parameters)
-    except FileTrouble as trouble:
-        return f"{NAMES.field.name}[{number}]: {trouble}"
+    except FileError as problem:
+        return f"{NAMES.field.name}[{number}]: {problem}"
     if topic is raw:
         field = np.column_stack([topic[axis] for axis in "xyz"]) @ pose.T
     else:

@@ -18,7 +18,7 @@ import numpy as np
 
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.earth_field.wmm import Place
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.samples.streams import (
     STREAMS,
@@ -30,7 +30,7 @@ from magcal_ros.core.samples.streams import (
     TravelSample,
 )
 from magcal_ros.core.samples.window import Window
-from magcal_ros.files.disk import FileTrouble, open_regular, plain, write_atomically
+from magcal_ros.files.disk import FileError, open_regular, printable, write_atomically
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
 FIELD_COLUMNS = ("t", "mx", "my", "mz")
@@ -70,8 +70,8 @@ class Recording:
         return float(self.imu[0, 0]) if len(self.imu) else 0.0
 
     def headings(self, topic: str) -> list[HeadingSample]:
-        """Raise a Misuse: only bags have topics."""
-        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
+        """Raise a UsageError: only bags have topics."""
+        raise UsageError(f"{printable(topic)}: only a bag has a topic with headings")
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
         """Yield the samples of both sensors sorted by stamp, at equal stamps the IMU's first.
@@ -171,7 +171,7 @@ def read_columns(
     if columns is None:
         missing = [name for name in choices[-1] if name not in header]
         lines_like = " or ".join(",".join(each) for each in choices)
-        raise FileTrouble(
+        raise FileError(
             f"{path} has no column {', '.join(missing)}; its first line should be {lines_like}"
         )
     places = [header.index(name) for name in columns]
@@ -207,13 +207,13 @@ def read_numbers(
         if first is None:
             if may_be_empty:
                 return np.empty((0, len(columns)))
-            raise FileTrouble(f"{path} holds no samples")
+            raise FileError(f"{path} holds no samples")
         table = np.loadtxt(chain([first], rows), delimiter=separator, usecols=columns, ndmin=2)
     table[:, 0] /= second
     stamps = table[:, 0]
     if (np.abs(stamps[np.isfinite(stamps)]) > LATEST_STAMP).any():
-        raise FileTrouble(
-            f"{plain(str(path))} is damaged: its stamps must be seconds, and reach "
+        raise FileError(
+            f"{printable(str(path))} is damaged: its stamps must be seconds, and reach "
             f"{np.nanmax(np.abs(stamps)):.3g}"
         )
     return np.asarray(table, dtype=np.float64)
@@ -225,11 +225,11 @@ def _opened(path: Path) -> Iterator[TextIO]:
         with io.TextIOWrapper(open_regular(path), encoding="utf-8") as handle:
             yield handle
     except OSError as error:
-        raise FileTrouble(f"cannot read {path}: {error.strerror or error}") from error
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
     except ValueError as error:
-        raise FileTrouble(f"{plain(str(path))} is damaged: {error}") from error
+        raise FileError(f"{printable(str(path))} is damaged: {error}") from error
     except IndexError as error:  # numpy before 1.23
-        raise FileTrouble(f"{plain(str(path))} is damaged: a line has too few columns") from error
+        raise FileError(f"{printable(str(path))} is damaged: a line has too few columns") from error
 
 
 def _separator(header: str) -> str:
@@ -317,4 +317,4 @@ def read_samples(path: Path) -> Window:
     try:
         return Window(table[:, 0], table[:, 1:4], table[:, 4:7], rate)
     except ValueError as error:
-        raise FileTrouble(f"{plain(str(path))} is damaged: {error}") from error
+        raise FileError(f"{printable(str(path))} is damaged: {error}") from error

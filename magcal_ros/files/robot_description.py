@@ -9,24 +9,24 @@ from xml.parsers import expat
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.frame_tree import FrameJoint
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.default_paths import identifier
 
 LARGEST = 4_000_000  # characters, four times the description of the largest humanoid
 
 KINDS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 
 
-class DescriptionTrouble(MagcalError):
+class RobotDescriptionError(MagcalError):
     """A robot description that cannot be read; the text says where and why."""
 
 
 def joints_of(text: str) -> tuple[FrameJoint, ...]:
     """Return the joints of a URDF in their order; other elements are skipped.
 
-    DescriptionTrouble if the text is no URDF, is damaged, or declares a document type.
+    RobotDescriptionError if the text is no URDF, is damaged, or declares a document type.
     """
     if len(text) > LARGEST:
-        raise DescriptionTrouble(
+        raise RobotDescriptionError(
             f"the robot description has {len(text)} characters; at most {LARGEST} are read"
         )
     reader = _Reader()
@@ -37,14 +37,14 @@ def joints_of(text: str) -> tuple[FrameJoint, ...]:
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        raise DescriptionTrouble(f"the robot description is not XML: {error}") from None
+        raise RobotDescriptionError(f"the robot description is not XML: {error}") from None
     if not reader.is_robot:
-        raise DescriptionTrouble("the robot description is not a URDF: its root is not <robot>")
+        raise RobotDescriptionError("the robot description is not a URDF: its root is not <robot>")
     return tuple(reader.joints)
 
 
 def _refuse_doctype(*_: object) -> None:
-    raise DescriptionTrouble(
+    raise RobotDescriptionError(
         "the robot description declares a document type, which a URDF does not need and which "
         "could use all memory while it is read; remove the <!DOCTYPE ...>"
     )
@@ -64,10 +64,10 @@ class _Reader:
         if len(self._path) == 1:
             self.is_robot = name == "robot"
         elif self._path == ["robot", "joint"]:
-            self._joint = {key: known_as(attributes.get(key, "")) for key in ("name", "type")}
+            self._joint = {key: identifier(attributes.get(key, "")) for key in ("name", "type")}
         elif self._path[:2] == ["robot", "joint"] and len(self._path) == 3:
             if name in ("parent", "child"):
-                self._joint[name] = known_as(attributes.get("link", ""))
+                self._joint[name] = identifier(attributes.get("link", ""))
             elif name == "origin" and "rpy" in attributes:
                 self._joint["rpy"] = attributes["rpy"]
 
@@ -81,12 +81,12 @@ def _joint_of(read: dict[str, str]) -> FrameJoint:
     name, kind = read["name"], read["type"]
     parent, child = read.get("parent", ""), read.get("child", "")
     if kind not in KINDS:
-        raise DescriptionTrouble(
+        raise RobotDescriptionError(
             f"the joint {name!r} of the robot description has the type {kind!r}; URDF allows "
             f"{', '.join(KINDS)}"
         )
     if not (parent and child):
-        raise DescriptionTrouble(
+        raise RobotDescriptionError(
             f"the joint {name!r} of the robot description names no parent or no child"
         )
     rpy = _angles(name, read.get("rpy", "0 0 0"))
@@ -98,7 +98,7 @@ def _angles(joint: str, text: str) -> tuple[float, float, float]:
         roll, pitch, yaw = (float(word) for word in text.split(None, 3))
         if math.isfinite(roll + pitch + yaw):
             return roll, pitch, yaw
-    raise DescriptionTrouble(
+    raise RobotDescriptionError(
         f"the joint {joint!r} of the robot description has rpy={text[:60]!r}, which is not three "
         "numbers"
     )

@@ -16,16 +16,16 @@ from typing import TypeAlias
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.errors import Misuse, Reason, Refusal
+from magcal_ros.core.errors import Reason, Refusal, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.vec3 import between, length
+from magcal_ros.core.geometry.vec3 import interpolate, length
 from magcal_ros.core.samples.bursts import bursts_in_words, spread_bursts
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 from magcal_ros.core.samples.units import slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import Bag, open_bag
-from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.disk import FileError, printable
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
@@ -47,15 +47,15 @@ def open_recording(
     `imu` and `field` are topics of a bag or sensors of a log. If empty, the only topic of the right
     type is used, or the first sensor with data. `start` and `stop` are seconds from the beginning.
     `imu_pose` (3, 3) is the pose of the sensors in the vehicle; bags do not take it. `progress` is
-    called with the share that has been read. FileTrouble if the recording cannot be read, Misuse if
-    the topics are ambiguous.
+    called with the share that has been read. FileError if the recording cannot be read, UsageError
+    if the topics are ambiguous.
     """
     if not path.exists():
-        raise FileTrouble(f"cannot read {path}: there is no such file or folder")
+        raise FileError(f"cannot read {path}: there is no such file or folder")
     recording = _read_whole(path, imu, field, progress)
     if recording is None:
         if imu_pose is not None:
-            raise Misuse(
+            raise UsageError(
                 "--imu-rpy-deg is for logs and CSV folders: the frames of a bag are the driver's"
             )
         return open_bag(path, imu, field, start, stop)
@@ -75,14 +75,14 @@ def _read_whole(path: Path, imu: str, field: str, progress: Progress | None) -> 
     if path.is_file() and kind == ".ulg":
         return px4.read_px4(path, imu, field, progress)
     if path.is_file() and kind in PACKED:
-        raise FileTrouble(f"{plain(str(path))} is packed: unpack it, and name the result")
+        raise FileError(f"{printable(str(path))} is packed: unpack it, and name the result")
     if path.is_file() and kind == ".csv":
-        raise FileTrouble(f"{plain(str(path))} is one table of a recording: name its folder")
+        raise FileError(f"{printable(str(path))} is one table of a recording: name its folder")
     is_csv = (path / "imu.csv").exists() or (path / "mag.csv").exists()
     if not is_csv and not phone.is_phone_folder(path):
         return None
     if imu or field:
-        raise Misuse(f"{path} is a CSV folder without topics: leave out --imu and --mag")
+        raise UsageError(f"{path} is a CSV folder without topics: leave out --imu and --mag")
     if not is_csv:
         return phone.read_phone(path)
     travel, place = read_travel(path)
@@ -217,6 +217,6 @@ def _between(last: ImuSample, sample: ImuSample, longest: float) -> Iterator[Imu
     parts = math.ceil(gap / (0.5 * STREAMS.max_gap))
     for part in range(1, parts):
         share = part / parts
-        force = between(last.force, sample.force, share)
-        rate = between(last.rate, sample.rate, share)
+        force = interpolate(last.force, sample.force, share)
+        rate = interpolate(last.rate, sample.rate, share)
         yield ImuSample(last.stamp + share * gap, force, rate, is_measured=False)

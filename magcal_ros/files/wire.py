@@ -100,7 +100,7 @@ class Format:
         stamp, _, at = self.header(data)
         return velocity_from(stamp, *VELOCITY.unpack_from(data, at))
 
-    def sure_velocity(self, data: bytes) -> VelocitySample | str:
+    def velocity_with_covariance(self, data: bytes) -> VelocitySample | str:
         """Return the velocity of a geometry_msgs/TwistWithCovarianceStamped, or why it has none."""
         stamp, _, at = self.header(data)
         return velocity_from(stamp, *VELOCITY_COVARIANCE.unpack_from(data, at))

@@ -13,9 +13,9 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import known_sigma, predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.keeping.jobs import Verb, difference
-from magcal_ros.core.keeping.story import DrivePath, DriveStory
-from magcal_ros.files.disk import FileTrouble, write_atomically
+from magcal_ros.core.self_calibration.drive_replay import DrivePath, DriveReplay
+from magcal_ros.core.self_calibration.jobs import DecisionKind, difference
+from magcal_ros.files.disk import FileError, write_atomically
 from magcal_ros.files.recording import REMEDY
 from magcal_ros.report.page import page_head, table
 from magcal_ros.report.write import PAGE
@@ -40,61 +40,65 @@ RULES = (
     "the drive, local magnetic disturbances such as streets and cars add to it."
 )
 VERBS = {
-    Verb.NOTICED: "noticed",
-    Verb.PROBATION: "put on probation",
-    Verb.DROPPED: "dropped",
-    Verb.PROPOSED: "proposed",
-    Verb.APPLIED: "put in force",
-    Verb.REFINED: "refined",
-    Verb.ROLLED_BACK: "taken back",
-    Verb.CONFIRMED: "confirmed",
+    DecisionKind.NOTICED: "noticed",
+    DecisionKind.PROBATION: "put on probation",
+    DecisionKind.DROPPED: "dropped",
+    DecisionKind.PROPOSED: "proposed",
+    DecisionKind.APPLIED: "put in force",
+    DecisionKind.REFINED: "refined",
+    DecisionKind.ROLLED_BACK: "taken back",
+    DecisionKind.CONFIRMED: "confirmed",
 }
 
 
-def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
+def write_drive_page(folder: Path, replay: DriveReplay, source: str) -> Path:
     """Write `report.html` on a drive into a folder; returns it. A report is never overwritten."""
     page = folder / PAGE
     if page.exists():
-        raise FileTrouble(f"{page} exists already and is not overwritten; choose another folder")
+        raise FileError(f"{page} exists already and is not overwritten; choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(page, render_drive(story, source), REMEDY)
+    write_atomically(page, render_drive(replay, source), REMEDY)
     return page
 
 
-def render_drive(story: DriveStory, source: str) -> str:
+def render_drive(replay: DriveReplay, source: str) -> str:
     """Return the whole page, which needs no other files."""
-    summary = f'<p id="summary">{escape(summary_of(story))}</p>'
+    summary = f'<p id="summary">{escape(summary_of(replay))}</p>'
     title = "The compass on a drive"
     return "\n".join(
         [
             page_head(title, datetime.now(timezone.utc), source),
             f'<section class="verdict good">{summary}</section>',
-            _before_and_after(story),
-            _decisions(story),
-            _map(story.path),
+            _before_and_after(replay),
+            _decisions(replay),
+            _map(replay.path),
             "</body></html>\n",
         ]
     )
 
 
-def summary_of(story: DriveStory) -> str:
+def summary_of(replay: DriveReplay) -> str:
     """Return the result of a drive in two or three sentences."""
-    changed = [made for _, made in story.decisions if made.verb in (Verb.APPLIED, Verb.REFINED)]
-    back = sum(made.verb is Verb.ROLLED_BACK for _, made in story.decisions)
-    drove = f"{_duration(story.seconds)} recorded, {_duration(story.moved)} of movement"
+    changed = [
+        made
+        for _, made in replay.decisions
+        if made.kind in (DecisionKind.APPLIED, DecisionKind.REFINED)
+    ]
+    back = sum(made.kind is DecisionKind.ROLLED_BACK for _, made in replay.decisions)
+    drove = f"{_duration(replay.seconds)} recorded, {_duration(replay.moved)} of movement"
     if changed:
         said = "one calibration from driving was put in force"
         if len(changed) > 1:
             said = f"{len(changed)} calibrations from driving were put in force"
         said += f", and {back} taken back" if back else ""
-    elif story.fault:
+    elif replay.fault:
         said = (
             "no calibration was in force, and none was found; the sensors may be the cause: "
-            f"{story.fault}"
+            f"{replay.fault}"
         )
-    elif story.begun is None:
+    elif replay.first_calibration is None:
         said = "no calibration was in force, and the drive was not sufficient for one"
-        waits = any(made.verb is Verb.PROBATION for _, made in story.decisions)
+        waits = any(made.kind is DecisionKind.PROBATION for _, made in replay.decisions)
         said += (
             " (a second calibration that agrees with the first was still missing)"
             if waits
@@ -102,11 +106,11 @@ def summary_of(story: DriveStory) -> str:
         )
     else:
         said = "the calibration in force was kept: no other was proved better"
-    words = f"{drove}: {said}." + ("" if story.fault else f" At the end: {story.doing}.")
-    if story.ended is not None:
+    words = f"{drove}: {said}." + ("" if replay.fault else f" At the end: {replay.state}.")
+    if replay.last_calibration is not None:
         # Decisions and grades are on the sigma by the calibration; `magcal fit` prints both.
-        heading = math.degrees(predicted_heading_sigma(story.ended))
-        own = math.degrees(known_sigma(story.ended))
+        heading = math.degrees(predicted_heading_sigma(replay.last_calibration))
+        own = math.degrees(known_sigma(replay.last_calibration))
         words += (
             f" In force then: heading ±{own:.1f}° by the calibration (1σ); along the drive, with "
             f"local magnetic disturbances, ±{heading:.1f}°."
@@ -118,23 +122,30 @@ def _duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.1f} min"
 
 
-def _before_and_after(story: DriveStory) -> str:
+def _before_and_after(replay: DriveReplay) -> str:
     title = "<h2>Calibration before and after</h2>"
-    if story.begun is None and story.ended is None:
-        return f"{title}<p>None.</p>{_course(story)}"
-    rows = (("before", *_cells(story.begun)), ("after", *_cells(story.ended)))
+    if replay.first_calibration is None and replay.last_calibration is None:
+        return f"{title}<p>None.</p>{_course(replay)}"
+    rows = (
+        ("before", *_cells(replay.first_calibration)),
+        ("after", *_cells(replay.last_calibration)),
+    )
     heads = ("", "made by", "heading (1σ)", "along the drive", "hard iron, µT", "why")
-    begun, ended = story.begun, story.ended
+    first_calibration, last_calibration = replay.first_calibration, replay.last_calibration
     apart = ""
-    if begun is not None and ended is not None and begun.correction is not ended.correction:
-        swing = math.degrees(difference(begun, ended))
+    if (
+        first_calibration is not None
+        and last_calibration is not None
+        and first_calibration.correction is not last_calibration.correction
+    ):
+        swing = math.degrees(difference(first_calibration, last_calibration))
         apart = f"<p>Headings of the two differ by {swing:.1f}° (RMS over all headings).</p>"
-    apart += _course(story)
+    apart += _course(replay)
     return f'{title}<div class="scroll">{table("checks", rows, heads)}</div>{apart}'
 
 
-def _course(story: DriveStory) -> str:
-    return f'<p id="course">After: {escape(story.course)}.</p>' if story.course else ""
+def _course(replay: DriveReplay) -> str:
+    return f'<p id="course">After: {escape(replay.course)}.</p>' if replay.course else ""
 
 
 def _cells(calibration: Calibration | None) -> tuple[str, ...]:
@@ -154,12 +165,12 @@ def _cells(calibration: Calibration | None) -> tuple[str, ...]:
     return made, heading, along, f'<span class="whole">{iron}</span>', reason
 
 
-def _decisions(story: DriveStory) -> str:
-    if not story.decisions:
+def _decisions(replay: DriveReplay) -> str:
+    if not replay.decisions:
         return "<h2>Decisions</h2><p>None.</p>"
     rows = [
-        (_duration(seconds), VERBS[made.verb], escape(made.words))
-        for seconds, made in story.decisions
+        (_duration(seconds), VERBS[made.kind], escape(made.words))
+        for seconds, made in replay.decisions
     ]
     shown = table("checks", rows, ("after", "decision", "why"))
     return f"<h2>Decisions</h2><p>{RULES}</p>{shown}"

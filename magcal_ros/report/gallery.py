@@ -12,13 +12,13 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle
 from magcal_ros.report import turn_views
-from magcal_ros.report.turn import Corrected, Turn
+from magcal_ros.report.turn import CorrectedTurn, Turn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw(figure: Figure, turn: Turn, corrected: Corrected) -> None:
+def draw(figure: Figure, turn: Turn, corrected: CorrectedTurn) -> None:
     """Draw raw and corrected headings over the turn, and the deviation of the corrected ones."""
     assert turn.angle is not None
     angle = np.degrees(turn.angle)
@@ -29,7 +29,7 @@ def draw(figure: Figure, turn: Turn, corrected: Corrected) -> None:
     turn_views.legend_below(figure, upper)
 
 
-def caption(turn: Turn, corrected: Corrected) -> str:
+def caption(turn: Turn, corrected: CorrectedTurn) -> str:
     """Return the explanation of the picture for users who are not experts."""
     by = "the gyro"
     if not turn.has_gyro:
@@ -45,7 +45,7 @@ def caption(turn: Turn, corrected: Corrected) -> str:
     )
 
 
-def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> None:
+def _draw_headings(axes: Any, turn: Turn, corrected: CorrectedTurn, angle: Any) -> None:
     order = turn.rows()
     order = order[np.argsort(angle[order])]
     ideal = np.degrees(wrap_angle(corrected.reference[order]))
@@ -62,7 +62,7 @@ def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> N
     axes.set(ylabel="heading, ENU yaw [°]", ylim=(-185, 185), yticks=range(-180, 181, 90))
 
 
-def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> None:
+def _draw_deviation(axes: Any, turn: Turn, corrected: CorrectedTurn, angle: Any) -> None:
     rows = turn.rows(turn.inliers & np.isfinite(corrected.sigma))
     rows = rows[np.argsort(angle[rows])]
     deviation, sigma = np.degrees(corrected.deviation), np.degrees(corrected.sigma)
@@ -86,7 +86,7 @@ BINS = 24
 POINTS_OF_COMPASS = {-180: "W", -90: "S", 0: "E", 90: "N", 180: "W"}
 
 
-def draw_gyro(figure: Figure, turn: Turn, corrected: Corrected) -> None:
+def draw_gyro(figure: Figure, turn: Turn, corrected: CorrectedTurn) -> None:
     """Draw the mean deviation from the gyro before and after, over the heading."""
     upper, lower = figure.subplots(2, 1, sharex=True)
     figure.subplots_adjust(left=0.155, right=0.98, top=0.94, bottom=0.11, hspace=0.2)
@@ -107,7 +107,7 @@ def draw_gyro(figure: Figure, turn: Turn, corrected: Corrected) -> None:
     lower.set(xlim=(-184, 184), xlabel="heading of the robot, ENU yaw")
 
 
-def caption_of_gyro(turn: Turn, corrected: Corrected) -> str:
+def caption_of_gyro(turn: Turn, corrected: CorrectedTurn) -> str:
     """Return the explanation of the picture for users who are not experts."""
     worst = math.degrees(float(np.nanmax(np.abs(deviations(turn, corrected)[1]))))
     swing = corrected.estimate.swing
@@ -122,7 +122,7 @@ def caption_of_gyro(turn: Turn, corrected: Corrected) -> str:
     )
 
 
-def deviations(turn: Turn, corrected: Corrected) -> tuple[FloatArray, FloatArray]:
+def deviations(turn: Turn, corrected: CorrectedTurn) -> tuple[FloatArray, FloatArray]:
     """Return the mean deviation before and after at 24 headings, radians; NaN without samples.
 
     The deviation after the correction is the one that is graded, if there is one.

@@ -25,9 +25,9 @@ from magcal_ros.core.calibration.heading_sigma import (
     every_figure,
 )
 from magcal_ros.core.doctor.health import Finding
-from magcal_ros.core.doctor.page import Page
+from magcal_ros.core.doctor.sensor_report import SensorReport
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.multi_turn.result import Several
+from magcal_ros.core.multi_turn.result import MultiTurnReport
 from magcal_ros.report.gallery import Picture
 from magcal_ros.report.turn import MICRO, Subject, Turn
 
@@ -47,8 +47,8 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     parts = [head, _verdict(outcome.verdict, by_hand)]
     if estimate is not None:
         parts.append(_key(key_numbers(estimate, len(subject.window))))
-    if outcome.several is not None:
-        parts.append(_several(outcome.several))
+    if outcome.multi_turn is not None:
+        parts.append(_multi_turn(outcome.multi_turn))
     parts += [_pictures(pictures), '<div class="tables">']
     parts.append(_not_shown(outcome.verdict, turn.kind, estimate is not None))
     checks = sorted(outcome.verdict.checks, key=lambda each: (-each.grade.rank, each.aspect.value))
@@ -112,17 +112,17 @@ def _key(rows: Iterable[Row]) -> str:
     return f'<dl class="key">{cells}</dl>'
 
 
-def _several(several: Several) -> str:
+def _multi_turn(multi_turn: MultiTurnReport) -> str:
     """Return the section on several turns: results, determined quantities, and the next turn."""
     rows = [
         (escape(fate.name), "joined" if fate.joined else "left out", escape(fate.words))
-        for fate in several.fates
+        for fate in multi_turn.turns
     ]
     return (
         '<section id="several"><h2>Joined turns</h2>'
         f"{table('checks', rows, ('turn', 'result', 'information'))}"
-        f"<p>Determined by all turns: {escape(several.shown.in_words)}.</p>"
-        f"<p>{escape(several.advice_in_words)}</p></section>"
+        f"<p>Determined by all turns: {escape(multi_turn.shown.in_words)}.</p>"
+        f"<p>{escape(multi_turn.advice_in_words)}</p></section>"
     )
 
 
@@ -149,7 +149,7 @@ def _not_shown(verdict: Verdict, kind: str, found: bool) -> str:
     return f"{title}<ul>{lines}</ul>"
 
 
-def _sensors(page: Page) -> str:
+def _sensors(page: SensorReport) -> str:
     """Return the faults of the sensors, and a folded list of the other checks."""
     wrong = [finding for finding in page.findings if finding.is_wrong]
     rest = [finding for finding in page.findings if not finding.is_wrong]
@@ -205,8 +205,8 @@ def _input(subject: Subject, turn: Turn) -> list[Row]:
 
 
 def _repeat(subject: Subject) -> str:
-    several = subject.outcome.several
-    newest = several is not None and len(several.joined) > 1
+    multi_turn = subject.outcome.multi_turn
+    newest = multi_turn is not None and len(multi_turn.joined) > 1
     joins = " alone; <code>magcal fit</code> joins several recordings"
     note, alone = (" of the newest turn", joins) if newest else ("", "")
     return (

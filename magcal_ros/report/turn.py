@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.doctor.page import Page, examine_window
+from magcal_ros.core.doctor.sensor_report import SensorReport, examine_window
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, integral
 from magcal_ros.core.geometry.attitude import (
     body_from_enu,
@@ -25,7 +25,7 @@ from magcal_ros.core.geometry.attitude import (
 from magcal_ros.core.geometry.shapes import Circle
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motion_sense import MotionSense
+from magcal_ros.core.heading.motion_detector import MotionDetector
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
 from magcal_ros.core.samples.streams import ImuSample
@@ -74,7 +74,7 @@ correlated."""
 
 
 @dataclass(frozen=True, eq=False)
-class Corrected:
+class CorrectedTurn:
     """The samples after the correction, one row per sample."""
 
     estimate: Estimate
@@ -109,8 +109,8 @@ class Turn:
     has_gyro: bool  # whether a gyro measured the angle
     inliers: BoolArray  # inliers of the fit; all without a fit. Shape (n,).
     coverage: Coverage
-    corrected: Corrected | None
-    sensors: Page
+    corrected: CorrectedTurn | None
+    sensors: SensorReport
     """The findings of `doctor` for the samples."""
     swing_bound: float | None = None
     """Limit of a good swing against the gyro, degrees rms; None if it is not graded."""
@@ -170,7 +170,7 @@ class Turn:
 
 def _correct(
     subject: Subject, estimate: Estimate, up: FloatArray, gyro: FloatArray | None
-) -> Corrected:
+) -> CorrectedTurn:
     window = subject.window
     calibration = subject.outcome.calibration
     if calibration is None:
@@ -183,7 +183,7 @@ def _correct(
     axial = residual @ estimate.axis
     model = field - residual
     outward = unit(model - np.outer(model @ estimate.axis, estimate.axis))
-    return Corrected(
+    return CorrectedTurn(
         estimate=estimate,
         field=field,
         circle=_ideal_circle(estimate, up, field),
@@ -214,7 +214,7 @@ def _published(
 
     The field of the motors is subtracted if it is known.
     """
-    compass, follower, sense = Compass(calibration), UpFollower(), MotionSense()
+    compass, follower, sense = Compass(calibration), UpFollower(), MotionDetector()
     rate = window.angular_rate
     rates = np.full(window.field.shape, math.nan) if rate is None else rate
     currents = np.full(len(window), math.nan)
@@ -225,14 +225,14 @@ def _published(
     for stamp, raw, force, turn, upwards, current in zip(
         *(each.tolist() for each in rows), strict=True
     ):
-        running = sense.newest
+        motor_state = sense.newest
         if calibration.motors is not None:
             follower.add(ImuSample(stamp, force, turn))
             follower.add_field(stamp, raw)
             turn = follower.rate if follower.is_propagated else None
             still, reference = follower.is_at_rest, calibration.motors.reference
-            running = sense.at(stamp, turn, still, math.nan, current, reference)
-        field, motors = compass.at_rest(stamp, raw, turn, running)
+            motor_state = sense.at(stamp, turn, still, math.nan, current, reference)
+        field, motors = compass.at_rest(stamp, raw, turn, motor_state)
         heading = compass.heading(field, upwards, motors=motors)
         fields.append(field)
         sigmas.append(math.nan if heading is None else math.sqrt(heading.yaw_variance))

@@ -13,7 +13,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.coverage import BINS
-from magcal_ros.report.turn import MICRO, Corrected, Turn
+from magcal_ros.report.turn import MICRO, CorrectedTurn, Turn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -275,7 +275,7 @@ def _draw_raw_field(axes: Any, turn: Turn) -> None:
     axes.set(xlabel="time since the first sample [s]", ylabel="raw field [µT]")
 
 
-def _draw_residuals(axes: Any, turn: Turn, corrected: Corrected) -> None:
+def _draw_residuals(axes: Any, turn: Turn, corrected: CorrectedTurn) -> None:
     angle = np.degrees(turn.angle if turn.angle is not None else np.arange(len(turn.time)))
     noise = 2.0 * corrected.estimate.noise_field * MICRO
     axes.axhspan(-noise, noise, color="#EAEAEA", label="±2σ of the field's noise")

@@ -9,7 +9,7 @@ from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from magcal_ros.files.disk import UNFINISHED, FileTrouble, write_atomically
+from magcal_ros.files.disk import UNFINISHED, FileError, write_atomically
 from magcal_ros.files.recording import REMEDY, write_samples
 from magcal_ros.report.gallery import pictures
 from magcal_ros.report.page import render
@@ -23,14 +23,12 @@ def write_report(folder: Path, subject: Subject) -> Path:
     """Write `report.html` and `samples.csv` into a folder; returns the page.
 
     Thread-safe. Without matplotlib the page has no pictures and names the package to install.
-    Raises FileTrouble if the folder already contains a report, or cannot be written to.
+    Raises FileError if the folder already contains a report, or cannot be written to.
     """
     page = folder / PAGE
     for path in (page, folder / SAMPLES):
         if path.exists():
-            raise FileTrouble(
-                f"{path} exists already and is not overwritten; choose another folder"
-            )
+            raise FileError(f"{path} exists already and is not overwritten; choose another folder")
     turn = Turn.of(subject)
     inliers = None if subject.outcome.estimate is None else turn.inliers
     # The samples are written first, because the rest can be computed from them. The page is written
@@ -69,7 +67,7 @@ def new_folder(parent: Path, created: datetime) -> Path:
             (folder / OURS).write_text("a report by magcal_ros: removed when it is old\n")
             return folder
     except OSError as error:
-        raise FileTrouble(
+        raise FileError(
             f"cannot make a folder for the report in {parent}: {error.strerror or error}. "
             "Choose a writable folder, or correct its permissions."
         ) from error

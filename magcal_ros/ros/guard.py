@@ -62,7 +62,7 @@ class Guard:
         self._line, self._answers = self._process.stdin.fileno(), self._process.stdout.fileno()
         os.set_blocking(self._line, False)
         os.set_blocking(self._answers, False)
-        self._duty = duty("TwistStamped" if stamped else "Twist", topic, SILENCE)
+        self._task = task("TwistStamped" if stamped else "Twist", topic, SILENCE)
         self._asked: dict[bytes, float] = {}
         self._proved_at = -math.inf
         self._has_stopped = False
@@ -121,7 +121,7 @@ class Guard:
         *lines, self._heard = self._heard.split(b"\n")
         for line in lines:
             question, _, answer = line.partition(b" ")
-            if answer == self._duty and question in self._asked:
+            if answer == self._task and question in self._asked:
                 self._proved_at = max(self._proved_at, self._asked.pop(question))
             self._has_stopped |= line == STOPPED
 
@@ -132,7 +132,7 @@ class Guard:
                 os.write(self._line, words + b"\n")
 
 
-def duty(kind: str, topic: str, silence: float) -> bytes:
+def task(kind: str, topic: str, silence: float) -> bytes:
     """Return the answer of a guard that would stop the base as described."""
     return f"zeros as {kind} on {topic} after {silence:g} s".encode()
 
@@ -148,8 +148,8 @@ def main() -> int:
         os.dup2(nowhere.fileno(), sys.stderr.fileno())
 
     def answer(question: bytes) -> None:
-        if brake.has_met_base:
-            _say(question + b" " + brake.duty(silence))
+        if brake.is_connected:
+            _say(question + b" " + brake.task(silence))
 
     if not is_needed(sys.stdin.fileno(), silence, answer):
         return 0
@@ -207,17 +207,17 @@ class Brake:
         if stamped:
             self._zero.header.frame_id = frame
         self._out = node.create_publisher(type(self._zero), topic, QoSProfile(depth=1))
-        self._has_met_base = False
+        self._is_connected = False
 
     @property
-    def has_met_base(self) -> bool:
+    def is_connected(self) -> bool:
         """Whether the topic has had a subscription."""
-        self._has_met_base = self._has_met_base or self._out.get_subscription_count() > 0
-        return self._has_met_base
+        self._is_connected = self._is_connected or self._out.get_subscription_count() > 0
+        return self._is_connected
 
-    def duty(self, silence: float) -> bytes:
+    def task(self, silence: float) -> bytes:
         """Return the answer with the type and the topic of the actual publisher."""
-        return duty(type(self._zero).__name__, self._out.topic_name, silence)
+        return task(type(self._zero).__name__, self._out.topic_name, silence)
 
     def stop_base(self, tell: Callable[[], None]) -> None:
         """Publish zeros for a second; `tell` is called after the first zero."""

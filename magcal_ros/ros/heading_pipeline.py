@@ -14,18 +14,18 @@ from rclpy.node import Node
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Fix, Fixes, Reference, made_elsewhere, resolve
 from magcal_ros.core.earth_field.wmm import year_of
-from magcal_ros.core.heading.compass import Compass, Moment
+from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, Streams
-from magcal_ros.core.samples.units import Heard, complaints
+from magcal_ros.core.samples.units import InputCounts, complaints
+from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session.turn_machine import TurnState
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.default_paths import identifier
 from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import FusedOutput, HeadingOutput
 from magcal_ros.ros.parameters import Parameters, Settings
@@ -99,7 +99,7 @@ class Sensor:
         if self.publishers > 1:
             return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
         if self.changes - self._changes_at_look[0] > 1:
-            frames = map(known_as, sorted((self._frame_before, self.frame)))
+            frames = map(identifier, sorted((self._frame_before, self.frame)))
             names = " and ".join(map(repr, frames))
             return f"the frame of {self.topic} changes between {names}: only one can be the sensor"
         return ""
@@ -112,7 +112,9 @@ class Inputs:
     imu: Sensor
     field: Sensor
     streams: Streams
-    _earlier: deque[tuple[Heard, Heard]] = member(default_factory=lambda: deque(maxlen=DROP_WINDOW))
+    _earlier: deque[tuple[InputCounts, InputCounts]] = member(
+        default_factory=lambda: deque(maxlen=DROP_WINDOW)
+    )
 
     def look(self, count_publishers: Callable[[str], int]) -> None:
         """Note, once a second, the counts of messages and the numbers of publishers."""
@@ -126,14 +128,14 @@ class Inputs:
         found = [text for text in (self.imu.complaint(), self.field.complaint()) if text]
         imu, mag = self._heard()
         if len(self._earlier) == DROP_WINDOW:
-            imu, mag = map(Heard.since, (imu, mag), self._earlier[0])
+            imu, mag = map(InputCounts.since, (imu, mag), self._earlier[0])
         return found + complaints(self.streams, imu, mag)
 
-    def _heard(self) -> tuple[Heard, Heard]:
+    def _heard(self) -> tuple[InputCounts, InputCounts]:
         imu, field, streams = self.imu, self.field, self.streams
         return (
-            Heard(imu.topic, imu.messages, Counter(streams.imu_drops)),
-            Heard(field.topic, field.messages, Counter(streams.field_drops)),
+            InputCounts(imu.topic, imu.messages, Counter(streams.imu_drops)),
+            InputCounts(field.topic, field.messages, Counter(streams.field_drops)),
         )
 
 
@@ -231,8 +233,8 @@ class HeadingPipeline:
         self.motors = Motors(node, self.up, self.travel)
         self.headings = HeadingOutput(node, self.frames)
         self.fused = FusedOutput(node, self.up, self.frames)
-        self.several = SeveralCompasses()
-        self.lead: Calibration | None = None  # of the calibrated magnetometer of lowest number
+        self.compasses = SeveralCompasses()
+        self.leading: Calibration | None = None  # of the calibrated magnetometer of lowest number
         self._origin: Origin | None = None
         self._in_force: dict[int, Calibration | None] = {}
 
@@ -241,63 +243,63 @@ class HeadingPipeline:
         """The present parameters."""
         return self._table.settings
 
-    def use(self, keepers: Mapping[int, Keeper]) -> None:
+    def use(self, stores: Mapping[int, CalibrationStore]) -> None:
         """Use the calibrations in force; the keys are the numbers of the magnetometers."""
-        for number, keeper in keepers.items():
-            if keeper.calibration is not self._in_force.get(number):
-                self._in_force[number] = keeper.calibration
-                self.several.put_in_force(number, keeper.calibration)
-        in_force = [number for number, keeper in keepers.items() if keeper.calibration is not None]
+        for number, store in stores.items():
+            if store.calibration is not self._in_force.get(number):
+                self._in_force[number] = store.calibration
+                self.compasses.put_in_force(number, store.calibration)
+        in_force = [number for number, store in stores.items() if store.calibration is not None]
         self.fused.is_needed = any(number > FIRST for number in in_force)
-        leader = keepers[min(in_force)] if in_force else None
-        lead = None if leader is None else leader.calibration
+        leader = stores[min(in_force)] if in_force else None
+        leading = None if leader is None else leader.calibration
         self._origin = None if leader is None else leader.origin
-        if lead is not self.lead:
-            self.lead = lead
-            self.headings.begin_anew(lead)
-            self.fused.begin_anew(lead)
-            self.reference.use(lead)
+        if leading is not self.leading:
+            self.leading = leading
+            self.headings.begin_anew(leading)
+            self.fused.begin_anew(leading)
+            self.reference.use(leading)
             self.travel.use(self._origin.vehicle_yaw if self._origin else None)
 
-    def follow(self, keeper: Keeper, turn: TurnState) -> None:
+    def follow(self, store: CalibrationStore, turn: TurnState) -> None:
         """Once a second, take the parameters, and use and store the learnt field of the motors."""
         self.fused.patience = self.settings.patience
-        kept = None if keeper.calibration is None else keeper.calibration.motors
+        kept = None if store.calibration is None else store.calibration.motors
         mode, is_turning = Mode(self.settings.self_calibration), turn is not TurnState.IDLE
         learnt = self.motors.follow(mode, is_turning, kept)
         if learnt is not None:
-            keeper.keep(learnt)
+            store.keep(learnt)
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Propagate the fused yaw to an IMU message that `up` has received already."""
         self.fused.on_imu(seconds, stamp, self.body_frame(), self.reference.field)
 
-    def moment_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> Moment:
+    def reading_of(self, compass: Compass, sample: FieldSample, streams: Streams) -> CompassReading:
         """Return the corrected field, up and heading of a field sample of these streams."""
         up = self.up.at(sample.stamp, streams.max_gap)
-        running = None
+        motor_state = None
         if compass.motors is not None:
-            running = self.motors.running(sample.stamp, compass.motors)
+            motor_state = self.motors.motor_state(sample.stamp, compass.motors)
         turning = self.up.rate if self.up.is_propagated else None
-        return Moment.of(compass, sample, up, streams.newest_rate, running, turning)
+        return CompassReading.of(compass, sample, up, streams.newest_rate, motor_state, turning)
 
-    def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
+    def take(self, number: int, reading: CompassReading, arrived: FieldArrival) -> None:
         """Publish the heading computed from a magnetometer's message."""
         if self.fused.is_needed:  # a calibration of a further magnetometer is in force
-            joined = self.several.add(number, moment, self.up.newest_stamp, self.fused.yaw)
+            joined = self.compasses.add(number, reading, self.up.newest_stamp, self.fused.yaw)
             if joined is None:
                 return
-            moment = joined
-        self.headings.publish(moment, arrived.stamp, self.body_frame(), self.reference.field)
-        self.fused.on_field(moment)
-        if moment.heading is not None:
-            self.travel.travelling.add_yaw(moment.heading.yaw)
+            reading = joined
+        self.headings.publish(reading, arrived.stamp, self.body_frame(), self.reference.field)
+        self.fused.on_field(reading)
+        if reading.heading is not None:
+            self.travel.estimator.add_yaw(reading.heading.yaw)
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""
         return self.imu.frame or (self._origin.imu_frame if self._origin else "")
 
-    def settled(self, number: int = FIRST, frame: str = "") -> Settings:
+    def current_settings(self, number: int = FIRST, frame: str = "") -> Settings:
         """Return the parameters for a turn of one magnetometer.
 
         The reference field in use replaces the one given by the parameters.

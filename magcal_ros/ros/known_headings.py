@@ -10,24 +10,24 @@ from sensor_msgs.msg import Imu
 
 from magcal_ros.core.errors import Reason, in_words
 from magcal_ros.core.heading.yaw_filter import FUSION
-from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
+from magcal_ros.core.self_calibration.jobs import Mode
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import ExternalHeading, GyroTurn
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
+from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
-from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.wire import Unreadable, read_heading
-from magcal_ros.ros.worker_process import Stopped, WorkerProcess
+from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
     from magcal_ros.core.calibrate import Outcome
     from magcal_ros.core.session.at_known_heading import HeadingCollector, HeadingLog, HeadingResult
-    from magcal_ros.core.smoother.standings import Standing
+    from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
 
 TOPIC = "heading"
 VALID_FOR = 1.0
@@ -39,7 +39,7 @@ NO_DECLINATION = (
 )
 
 
-class Antenna:
+class HeadingTopic:
     """Uses the topic `heading` for the fused yaw and for calibration in a drive."""
 
     def __init__(
@@ -95,7 +95,7 @@ class Antenna:
         """Return the part of `~/status` on the topic; None before the first heading."""
         if self._collector is None:
             return None
-        kept = 0 if self._collector.log is None else len(self._collector.log.standings)
+        kept = 0 if self._collector.log is None else len(self._collector.log.measurements)
         return {"topic": self.topic, "speaks": self.is_heard, "kept": kept, "found": self._answer}
 
     def on_imu(self, stamp: float) -> None:
@@ -111,7 +111,7 @@ class Antenna:
             return
         if view is None:
             return
-        settings = self._pipeline.settled()
+        settings = self._pipeline.current_settings()
         north = settings.heading_is_true, settings.knowledge.reference
         is_enough = collector.on_field(sample, view.pose[0], *north)
         if is_enough and collector.log is not None and not self._is_fitting:
@@ -134,7 +134,7 @@ class Antenna:
         self._heard_at, self.is_heard = time.monotonic(), True
         if self.collected is not None:
             self.collected.append(sample)
-        settings, view = self._pipeline.settled(), self._pipeline.frames.view
+        settings, view = self._pipeline.current_settings(), self._pipeline.frames.view
         given = ExternalHeading(sample.yaw, sample.sigma, settings.heading_is_true)
         shift = given.to_magnetic(settings.knowledge.reference)
         self._fault = NO_DECLINATION if shift is None else ""
@@ -149,18 +149,18 @@ class Antenna:
 
     def _fit(self, settings: Settings, log: HeadingLog) -> None:
         self._is_fitting = True
-        standings = log.take()
+        measurements = log.take()
 
         def work() -> tuple[Outcome, str]:
             from magcal_ros.core.session.at_known_heading import fit_log
 
-            return self._worker.run_once(fit_log, standings, settings.knowledge)
+            return self._worker.run_once(fit_log, measurements, settings.knowledge)
 
         self._pipeline.fits.run(work, lambda found: self._note(*found, log), self._lost)
 
     def _lost(self, error: Exception) -> None:
         self._is_fitting = False
-        if not isinstance(error, Stopped):
+        if not isinstance(error, WorkerStopped):
             self._answer = f"the fit failed: {error}"
 
     def _note(self, outcome: Outcome, north: str, log: HeadingLog) -> None:
@@ -170,8 +170,8 @@ class Antenna:
         self._answer, self._doubt = outcome.verdict.summary, north
         if outcome.reason is Reason.HEADING_CONTRADICTED:
             self._doubt = self._answer
-        found, before = outcome.calibration, self._magnetometer.keeper.calibration
-        is_wanted = self._pipeline.settled().self_calibration != Mode.OFF.value
+        found, before = outcome.calibration, self._magnetometer.store.calibration
+        is_wanted = self._pipeline.current_settings().self_calibration != Mode.OFF.value
         if found is None or not (is_wanted and outcome.verdict.accepted):
             return
         if not external_heading.replaces(found, before):
@@ -203,12 +203,12 @@ class KnownHeadings:
         self._magnetometer, self._pipeline = magnetometer, pipeline
         self.worker = WorkerProcess()
         """For fits of known headings, which run in the thread of all fits, one at a time."""
-        self.antenna = Antenna(magnetometer, pipeline, self.worker)
-        self._standings: tuple[Standing, ...] = ()
+        self.antenna = HeadingTopic(magnetometer, pipeline, self.worker)
+        self._measurements: tuple[KnownHeadingMeasurement, ...] = ()
         self._epoch = 0
         self._answer = ""
         self._turn: GyroTurn | None = None
-        """The turn by the gyro since the last standing; None if it is not known."""
+        """The turn by the gyro since the last measurement; None if it is not known."""
         self._pairs: list[Pair] = []
         self._pairer = Pairer(magnetometer.inputs.streams)
         self._given: ExternalHeading | None = None
@@ -221,13 +221,13 @@ class KnownHeadings:
 
     def forget(self) -> None:
         """Discard all known headings."""
-        self._standings, self._turn, self._answer = (), None, ""
+        self._measurements, self._turn, self._answer = (), None, ""
         self._epoch += 1
         self.antenna.forget()
 
     def calibrate(self, turns: Magnetometers, tell: Tell) -> None:
         """Collect samples of the robot at rest, calibrate, and answer with the result."""
-        settings = self._pipeline.settled()
+        settings = self._pipeline.current_settings()
         refusal = self._why_not(turns, settings)
         if refusal:
             tell(Conclusion(False, refusal))
@@ -271,17 +271,17 @@ class KnownHeadings:
             known = follower.gyro_bias.variance
             self._turn = turn.after(stamp, follower.newest, follower.mean_rate, known)
         else:
-            # Without the gyro, the turn since the last standing is unknown.
+            # Without the gyro, the turn since the last measurement is unknown.
             self._turn = None
 
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on known headings; None if there are none."""
         topic = self.antenna.facts()
-        if not self._standings and topic is None and not self._answer:
+        if not self._measurements and topic is None and not self._answer:
             return None
         return {
             "collecting": self._is_collecting,
-            "headings": [each.in_words for each in self._standings],
+            "headings": [each.in_words for each in self._measurements],
             "answer": self._answer,
             "topic": topic,
         }
@@ -293,7 +293,7 @@ class KnownHeadings:
 
     def _fit(self) -> None:
         self._deadline = math.inf
-        settings, follower = self._pipeline.settled(), self._pipeline.up
+        settings, follower = self._pipeline.current_settings(), self._pipeline.up
         heard, self.antenna.collected = self.antenna.collected or [], None
         given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)
         view = self._pipeline.frames.view
@@ -304,23 +304,23 @@ class KnownHeadings:
         turn = self._turn or GyroTurn()
         known = given, settings.knowledge, view.pose[0], turn, bias
         pairs, self._pairs = tuple(self._pairs), []
-        before, epoch = self._standings, self._epoch
-        in_force = self._magnetometer.keeper.calibration
+        before, epoch = self._measurements, self._epoch
+        in_force = self._magnetometer.store.calibration
 
         def work() -> HeadingResult:
             # Modules that only a fit needs are imported here, in the background thread.
             from magcal_ros.core.session.at_known_heading import (
                 CollectedSamples,
-                calibrate_standing,
+                calibrate_at_known_heading,
             )
 
             collected = CollectedSamples(pairs, *known)
-            return self.worker.run_once(calibrate_standing, before, collected, in_force)
+            return self.worker.run_once(calibrate_at_known_heading, before, collected, in_force)
 
         self._pipeline.fits.run(work, lambda result: self._note(result, epoch), self._lost)
 
     def _lost(self, error: Exception) -> None:
-        why = "the node is shutting down" if isinstance(error, Stopped) else in_words(error)
+        why = "the node is shutting down" if isinstance(error, WorkerStopped) else in_words(error)
         self._conclude(False, f"the fit failed: {why}")
 
     def _note(self, result: HeadingResult, epoch: int) -> None:
@@ -330,7 +330,7 @@ class KnownHeadings:
             return
         calibration = result.outcome.calibration
         if calibration is not None:
-            self._standings, self._turn = result.standings, GyroTurn()
+            self._measurements, self._turn = result.measurements, GyroTurn()
         if not result.applies or calibration is None:
             # It is a success if the heading agrees with a better calibration in force.
             self._conclude(result.outcome.verdict.accepted, result.words)

@@ -11,22 +11,22 @@ from typing import Any, Protocol, TypeVar
 
 from sensor_msgs.msg import MagneticField
 
-from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
+from magcal_ros.core.calibrate import Outcome, add_turn, predicted_sigma
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.monitoring.watch import Watch
+from magcal_ros.core.monitoring.monitor import CalibrationMonitor
 from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import Drop, FieldSample, Pairer, Streams
+from magcal_ros.core.samples.streams import DropReason, FieldSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_machine as tm
-from magcal_ros.core.session.self_turn import Around, SelfTurn
-from magcal_ros.core.session.session import Brief
-from magcal_ros.files.default_paths import known_as
+from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
+from magcal_ros.core.session.session import TurnRequest
+from magcal_ros.files.default_paths import identifier
+from magcal_ros.ros.calibration_store import CalibrationStore, Tell
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, Sensor
-from magcal_ros.ros.keeper import Keeper, Tell
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.reporter import Reporter
@@ -36,7 +36,7 @@ from magcal_ros.ros.wire import Unreadable, read_field
 from magcal_ros.ros.worker_process import WorkerProcess
 
 
-class Owner(Protocol):
+class MagnetometerOwner(Protocol):
     """The callbacks of the node for events of a magnetometer."""
 
     rotator: Rotator
@@ -64,7 +64,11 @@ class Magnetometer:
     """
 
     def __init__(
-        self, owner: Owner, pipeline: HeadingPipeline, number: int, robot: SelfTurn | None = None
+        self,
+        owner: MagnetometerOwner,
+        pipeline: HeadingPipeline,
+        number: int,
+        robot: SelfTurn | None = None,
     ) -> None:
         node = self._node = pipeline.node
         self._owner, self._pipeline = owner, pipeline
@@ -74,12 +78,12 @@ class Magnetometer:
         self.inputs = inputs = Inputs(pipeline.imu, Sensor(self.topic), streams)
         name, log = (node.get_namespace(), node.get_name()), node.get_logger()
         kept = pipeline.files, log, self._apply, lambda: pipeline.settings.calibration_file, number
-        self.keeper = Keeper(name, *kept)
+        self.store = CalibrationStore(name, *kept)
         self.control = Control(streams, self, owner, robot, pipeline.fits, pipeline.files)
         thread = BackgroundThread(node, "magcal-report")
         self.reporter = Reporter(thread, log.error, inputs, pipeline.travel)
         self.compass: Compass | None = None
-        self.watch: Watch | None = None
+        self.monitor: CalibrationMonitor | None = None
         """Monitor of the calibration; only of the first magnetometer."""
         is_first = number == FIRST
         self.out = FieldOutput(node, self._topic) if is_first else None
@@ -91,14 +95,14 @@ class Magnetometer:
     def look_at_sensors(self) -> None:
         """Note the first message of a sensor, or a new frame."""
         frames = self.inputs.field.frame, self.inputs.imu.frame
-        self.control.tell(self.control.turn.note_sensors, *map(known_as, frames))
+        self.control.tell(self.control.turn.note_sensors, *map(identifier, frames))
         self._owner.sensors_changed(self)
         if self.inputs.field.last_heard is not None:
-            self.keeper.note_sensor(self.inputs.field.frame)
+            self.store.note_sensor(self.inputs.field.frame)
 
     def start(self, gyro: GyroAtRest | None) -> tm.Conclusion:
         """Start to collect a turn."""
-        settings = self._pipeline.settled(self.number, self.inputs.field.frame)
+        settings = self._pipeline.current_settings(self.number, self.inputs.field.frame)
         return self.control.start(settings, gyro)
 
     @property
@@ -122,21 +126,21 @@ class Magnetometer:
 
     def use(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Put a calibration in force and save it; a success only if it is saved."""
-        self.keeper.put_in_force(calibration, self._pipeline.origin_of(self.inputs.field.frame))
-        self.keeper.save(tell, with_backup)
+        self.store.put_in_force(calibration, self._pipeline.origin_of(self.inputs.field.frame))
+        self.store.save(tell, with_backup)
 
     def reset(self) -> None:
         """Put no calibration in force, and discard all that was read or collected."""
         self.control.turn.forget()
-        self.keeper.forget()
-        if self.keeper.calibration is not None:
-            self.keeper.reset()
+        self.store.forget()
+        if self.store.calibration is not None:
+            self.store.reset()
 
     def drive_knowledge(self) -> Knowledge | None:
         """Return the prior knowledge for a drive; None while a turn is under way."""
         if self.control.turn.state is not tm.TurnState.IDLE:
             return None
-        return self._pipeline.settled(self.number, self.inputs.field.frame).knowledge
+        return self._pipeline.current_settings(self.number, self.inputs.field.frame).knowledge
 
     def describe_silence(self) -> str:
         """Return which sensor is missing, and what to check."""
@@ -145,7 +149,7 @@ class Magnetometer:
 
     def wheel_speed(self, stamp: float) -> float:
         """Return the speed of the wheels, m/s; NaN without a measurement near a stamp, seconds."""
-        return self._pipeline.travel.travelling.wheel_speed(stamp)
+        return self._pipeline.travel.estimator.wheel_speed(stamp)
 
     @property
     def currents(self) -> Messages:
@@ -156,7 +160,9 @@ class Magnetometer:
         self.compass = None if calibration is None else Compass(calibration)
         if self.out is not None:
             self.out.put_in_force(self.compass, magnetometer_frame)
-        self.watch = Watch(calibration) if self.number == FIRST and calibration else None
+        self.monitor = (
+            CalibrationMonitor(calibration) if self.number == FIRST and calibration else None
+        )
         self._owner.calibration_changed(self)
 
     def _on_field(self, data: bytes) -> None:
@@ -164,7 +170,7 @@ class Magnetometer:
         try:
             arrived = read_field(data)
         except Unreadable:
-            streams.field_drops[Drop.UNREADABLE] += 1
+            streams.field_drops[DropReason.UNREADABLE] += 1
             return
         if self.inputs.field.heard(arrived.frame):
             if self.out is None:
@@ -175,11 +181,11 @@ class Magnetometer:
             return
         self._owner.sample_came(self, sample)
         if self.compass is not None and self.out is not None:
-            moment = self._pipeline.moment_of(self.compass, sample, streams)
-            self.out.publish(moment.field, arrived, self._pipeline.body_frame())
-            self._pipeline.take(self.number, moment, arrived)
-            if self.watch is not None:
-                self.watch.take(moment)
+            reading = self._pipeline.reading_of(self.compass, sample, streams)
+            self.out.publish(reading.field, arrived, self._pipeline.body_frame())
+            self._pipeline.take(self.number, reading, arrived)
+            if self.monitor is not None:
+                self.monitor.take(reading)
         if not streams.is_repeated:
             self.control.add(sample)
 
@@ -211,7 +217,7 @@ class Control:
         self,
         streams: Streams,
         magnetometer: Magnetometer,
-        owner: Owner,
+        owner: MagnetometerOwner,
         robot: SelfTurn | None,
         fits: BackgroundThread,
         files: BackgroundThread,
@@ -235,7 +241,7 @@ class Control:
         turns_itself = settings.rotation.enabled and self._commands_robot
         speed = settings.rotation.speed if turns_itself else None
         asked = settings.knowledge, settings.method, settings.accumulate
-        answer = self.tell(self.turn.open, Brief(settings.limits, *asked, speed, gyro), now())
+        answer = self.tell(self.turn.open, TurnRequest(settings.limits, *asked, speed, gyro), now())
         if answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
             self._unreported = None
@@ -267,11 +273,11 @@ class Control:
             self.tell(self.turn.tick, self._magnetometer.describe_silence(), now())
         return self.turn.state is not tm.TurnState.IDLE
 
-    def look(self, around: Around) -> bool:
+    def look(self, conditions: TurnConditions) -> bool:
         """Make a control step of a robot that turns itself; returns whether there are more."""
         self._collect()
         if self.turn.progress is not None:
-            self.tell(self.turn.look, around, now())
+            self.tell(self.turn.look, conditions, now())
         return not self.turn.robot.is_quiet
 
     def shut_down(self) -> None:
@@ -293,9 +299,9 @@ class Control:
             answer = happened(*facts)
             commands = self.turn.commands()
         except Exception as error:  # e.g. an import without free file descriptors
-            if happened != self.turn.break_off:
+            if happened != self.turn.abort:
                 was_under_way = {before, self.turn.state} != {tm.TurnState.IDLE}
-                self.tell(self.turn.break_off, _broken_off(error), was_under_way)
+                self.tell(self.turn.abort, _broken_off(error), was_under_way)
             raise
         for command in commands:
             self._do(command)
@@ -318,10 +324,10 @@ class Control:
                     self._conclude(command)
         except Exception as error:  # any error: all waiting callers must be answered
             self._owner.note_error(error)
-            self.tell(self.turn.break_off, _broken_off(error))
+            self.tell(self.turn.abort, _broken_off(error))
 
     def _preview(self, asked: tm.Preview) -> None:
-        known, method = asked.brief.knowledge, asked.brief.method
+        known, method = asked.request.knowledge, asked.request.method
         self._fits.run(
             lambda: self._worker.run(predicted_sigma, asked.window, known, method),
             lambda sigma: self.tell(self.turn.note_preview, asked, sigma, now()),
@@ -330,10 +336,10 @@ class Control:
         )
 
     def _fit(self, asked: tm.FitTurn) -> None:
-        brief = asked.brief
-        turn = (asked.kept, asked.window, brief.knowledge, brief.method, brief.accumulate)
+        request = asked.request
+        turn = (asked.kept, asked.window, request.knowledge, request.method, request.accumulate)
         self._fits.run(
-            lambda: self._worker.run(take_turn, *turn),
+            lambda: self._worker.run(add_turn, *turn),
             lambda found: self.tell(self.turn.note_fit, asked, *found),
             lambda error: self.tell(self.turn.note_failed_fit, asked, in_words(error)),
         )

@@ -16,11 +16,11 @@ from std_srvs.srv import Trigger
 
 from magcal_ros.core.assessment.grading import shown
 from magcal_ros.core.calibration.heading_sigma import known_sigma
-from magcal_ros.core.heading.several_compasses import SeveralCompasses, Share
+from magcal_ros.core.heading.several_compasses import CompassWeight, SeveralCompasses
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
-from magcal_ros.files.disk import plain
-from magcal_ros.ros.keeper import Tell
+from magcal_ros.files.disk import printable
+from magcal_ros.ros.calibration_store import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.wire import diagnostic
@@ -33,12 +33,12 @@ class Magnetometers:
     """The magnetometers that publish: their common turns, and their parts in the heading."""
 
     def __init__(self, first: Magnetometer, several: SeveralCompasses) -> None:
-        self._several = several
+        self._compasses = several
         self.heard = [first]
         """The first magnetometer, and the further ones that have published, by number."""
 
     @property
-    def further(self) -> list[Magnetometer]:
+    def others(self) -> list[Magnetometer]:
         """The magnetometers in `heard` without the first."""
         return self.heard[1:]
 
@@ -49,12 +49,12 @@ class Magnetometers:
 
     def save(self, tell: Tell) -> None:
         """Save the calibrations in force."""
-        saving = [each for each in self.heard if each.keeper.calibration is not None]
-        ask_all({e.topic: e.keeper.save for e in saving or self.heard[:1]}, tell)
+        saving = [each for each in self.heard if each.store.calibration is not None]
+        ask_all({e.topic: e.store.save for e in saving or self.heard[:1]}, tell)
 
     def load(self, tell: Tell) -> None:
         """Put the calibrations in the files in force."""
-        ask_all({each.topic: each.keeper.load for each in self.heard}, tell)
+        ask_all({each.topic: each.store.load for each in self.heard}, tell)
 
     def accept(self, proposed: Ask | None, tell: Tell, say: Callable[[str], object]) -> None:
         """Put the refused or proposed calibrations in force, first a proposal from driving.
@@ -80,7 +80,7 @@ class Magnetometers:
             words = f"already {self.state.value} the turn of another magnetometer: wait"
             return Conclusion(False, words)
         opened = first.start(gyro)
-        for each in self.further if opened.success else ():
+        for each in self.others if opened.success else ():
             each.start(gyro)
         return opened
 
@@ -94,22 +94,22 @@ class Magnetometers:
 
     def complaints(self) -> list[str]:
         """Return the faults of the further magnetometers and of the common heading, in words."""
-        found = [text for each in self.further for text in each.inputs.complaints()]
+        found = [text for each in self.others for text in each.inputs.complaints()]
         if not self.are_calibrated:
             return found
         topics = {each.number: each.topic for each in self.heard}
-        shares = self._several.shares
+        weights = self._compasses.weights
         # A disturbance of all of them is not a fault of one.
-        if not all(share.why for share in shares.values()):
-            for number, share in shares.items():
+        if not all(share.why for share in weights.values()):
+            for number, share in weights.items():
                 percent = round(100.0 * share.weight)
                 part = "is not used for the heading"
                 if percent:
                     part = f"has a weight of {percent}% in the heading"
                 found += [f"{topics[number]} {part}: {share.why}"] if share.why else []
-        apart = math.degrees(self._several.disagreement)
+        apart = math.degrees(self._compasses.disagreement)
         if apart:
-            names = " and ".join(topics[number] for number in shares)
+            names = " and ".join(topics[number] for number in weights)
             found.append(
                 f"the headings of {names} are {apart:.0f}° apart, and the samples do not show "
                 "which is wrong: the published sigma includes this difference. Calibrate all in "
@@ -119,23 +119,23 @@ class Magnetometers:
 
     def facts(self) -> list[dict[str, Any]]:
         """Return the part of `~/status` on the magnetometers; empty if there is only the first."""
-        shares = {each.number: Share(0.0) for each in self.heard} | self._several.shares
+        weights = {each.number: CompassWeight(0.0) for each in self.heard} | self._compasses.weights
         return [
             {
                 "topic": each.topic,
-                "calibrated": each.keeper.calibration is not None,
-                "created": each.keeper.origin.created if each.keeper.origin else "",
-                "weight": round(shares[each.number].weight, 2),
-                "why": shares[each.number].why,
+                "calibrated": each.store.calibration is not None,
+                "created": each.store.origin.created if each.store.origin else "",
+                "weight": round(weights[each.number].weight, 2),
+                "why": weights[each.number].why,
             }
-            for each in (self.heard if self.further else ())
+            for each in (self.heard if self.others else ())
         ]
 
     def diagnostics(self) -> list[DiagnosticStatus]:
         """Return the diagnostic of the common heading; empty if there is only one magnetometer."""
-        if not self.further:
+        if not self.others:
             return []
-        complaints = [each.keeper.trouble for each in self.further if each.keeper.trouble]
+        complaints = [each.store.problem for each in self.others if each.store.problem]
         complaints += self.complaints()
         words = "all are used for the heading"
         if not self.are_calibrated:
@@ -152,7 +152,7 @@ class Magnetometers:
     @property
     def are_calibrated(self) -> bool:
         """Whether a calibration of a further magnetometer is in force."""
-        return any(each.keeper.calibration is not None for each in self.further)
+        return any(each.store.calibration is not None for each in self.others)
 
     @property
     def _busy(self) -> list[Magnetometer]:
@@ -198,12 +198,12 @@ def _accept_one(
     magnetometer: Magnetometer, ask: Ask, say: Callable[[str], object], tell: Tell
 ) -> None:
     """Put a calibration in force by `ask`, and log it with `say`."""
-    before = magnetometer.keeper.calibration
+    before = magnetometer.store.calibration
 
     def note(conclusion: Conclusion) -> None:
-        now = magnetometer.keeper.calibration
+        now = magnetometer.store.calibration
         if now is not None and now is not before:
-            sigma, method = math.degrees(known_sigma(now)), plain(now.evidence.method)
+            sigma, method = math.degrees(known_sigma(now)), printable(now.evidence.method)
             words = f"a calibration by {method}, predicted heading error {shown(sigma)}° (1σ)"
             say(f"~/accept on {magnetometer.topic}: {words}. {conclusion.message}")
         tell(conclusion)

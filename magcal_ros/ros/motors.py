@@ -11,14 +11,14 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState
 
-from magcal_ros.core.calibration.correction import MotorField, MotorInput, Running
+from magcal_ros.core.calibration.correction import MotorField, MotorInput, MotorState
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motion_sense import MotionSense
-from magcal_ros.core.keeping.jobs import Mode
-from magcal_ros.core.keeping.motor_learning import MotorLearning
+from magcal_ros.core.heading.motion_detector import MotionDetector
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.self_calibration.jobs import Mode
+from magcal_ros.core.self_calibration.motor_learning import MotorLearning
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.travel import BETTER_SIGMA_RATIO, Travel
@@ -26,7 +26,7 @@ from magcal_ros.ros.travel import BETTER_SIGMA_RATIO, Travel
 PAUSE = 60  # seconds of learning between two saves
 
 
-class Commands:
+class CommandTopic:
     """Receives the commanded speed, in the message type of its publisher.
 
     There is no subscription while wheels measure the speed, or while this node turns the robot and
@@ -84,28 +84,28 @@ class Motors:
     """Determines the state of the motors by gyro, wheels and battery, and learns their field."""
 
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
-        self._up, self._travelling = up, travel.travelling
-        self._sense = MotionSense()
+        self._up, self._estimator = up, travel.estimator
+        self._detector = MotionDetector()
         self._current, self._received = math.nan, -math.inf
         self._compass: Compass | None = None
         self._learning: MotorLearning | None = None
         self._learns, self._has_learnt, self._waited = False, False, 0
-        self.commands = Commands(node, up)
+        self.commands = CommandTopic(node, up)
         self._topic = node.resolve_topic_name("battery")
         self._odom = node.resolve_topic_name("odom")
         node.create_subscription(BatteryState, "battery", self._on_battery, SENSOR_DATA)
 
-    def running(self, stamp: float, motors: MotorField | None) -> Running:
+    def motor_state(self, stamp: float, motors: MotorField | None) -> MotorState:
         """Return the state of the motors at the stamp of a field message, seconds.
 
         The current is relative to the reference current of `motors`.
         """
         rate = self._up.rate if self._up.is_propagated else None
         current = self._current if abs(stamp - self._received) < SILENT else math.nan
-        speed = self._travelling.wheel_speed(stamp)
+        speed = self._estimator.wheel_speed(stamp)
         speed = self.commands.speed_near(stamp) if math.isnan(speed) else speed
         reference = math.nan if motors is None else motors.reference
-        return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current, reference)
+        return self._detector.at(stamp, rate, self._up.is_at_rest, speed, current, reference)
 
     @property
     def currents(self) -> Messages:
@@ -121,24 +121,24 @@ class Motors:
         learns = self._learns and self._up.is_propagated
         if not learns and compass.motors is None:
             return sample
-        running = self.running(sample.stamp, compass.motors)
+        motor_state = self.motor_state(sample.stamp, compass.motors)
         if learns:
             if self._learning is None:
                 known = replace(compass.calibration, motors=compass.motors)
                 self._learning = MotorLearning(known)
-            is_done = self._learning.add(sample.stamp, sample.field, self._up.rate, running)
+            is_done = self._learning.add(sample.stamp, sample.field, self._up.rate, motor_state)
             self._has_learnt = is_done or self._has_learnt
-        return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
+        return FieldSample(sample.stamp, compass.without_motors(sample.field, motor_state))
 
     def follow(self, mode: Mode, is_turning: bool, kept: MotorField | None) -> MotorField | None:
         """Use the learnt field, once a second; returns a field to store in place of `kept`."""
         # While this node turns the robot, it counts the subscriptions of its commands.
-        self.commands.follow(not self._travelling.has_wheels and not is_turning)
+        self.commands.follow(not self._estimator.has_wheels and not is_turning)
         if mode is Mode.OFF:
             self._learning = None
         # Determined once a second and not for each message, because it rarely changes.
         known = self._current, self.commands.speed_near(self._up.newest_stamp)
-        has_input = self._travelling.has_wheels or any(map(math.isfinite, known))
+        has_input = self._estimator.has_wheels or any(map(math.isfinite, known))
         self._learns = has_input and mode is not Mode.OFF
         if self._learning is None or self._compass is None or not self._has_learnt:
             return None
@@ -158,14 +158,14 @@ class Motors:
         before = None if self._compass is None else self._compass.motors
         self._compass, self._learning, self._has_learnt = compass, None, False
         if compass is not None and compass.motors is not None and before is not None:
-            compass.use_motors(compass.motors.and_of(before))
+            compass.use_motors(compass.motors.combined_with(before))
 
     def facts(self, compass: Compass | None) -> dict[str, Any] | None:
         """Return the part of `~/status` on the motors; None if their field is unknown."""
         motors = None if compass is None else compass.motors
         if motors is None:
             return None
-        now = self._sense.newest
+        now = self._detector.newest
         delay = None if self._learning is None else [round(s, 2) for s in self._learning.delay]
         return {
             "moves": None if now.moving == 0.5 else now.moving > 0.5,
@@ -192,7 +192,7 @@ class Motors:
         speed = self.commands.topic if self.commands.is_heard else self._odom
         if which in (MotorInput.SPEED, MotorInput.ABS_SPEED):
             return speed
-        is_known = self._travelling.has_wheels or self.commands.is_heard
+        is_known = self._estimator.has_wheels or self.commands.is_heard
         return f"gyro and {speed}" if is_known else "gyro"
 
     def _on_battery(self, message: BatteryState) -> None:

@@ -12,8 +12,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
-from magcal_ros.core.samples.streams import Drop, FieldSample
-from magcal_ros.core.session.self_turn import Around, SelfTurn
+from magcal_ros.core.samples.streams import DropReason, FieldSample
+from magcal_ros.core.session.self_turn import SelfTurn, TurnConditions
 from magcal_ros.core.session.turn_machine import Conclusion, TurnState
 from magcal_ros.ros import status
 from magcal_ros.ros.announcer import Announcer, CallbackErrors
@@ -24,7 +24,7 @@ from magcal_ros.ros.magnetometers import Ask, Magnetometers, Services
 from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.rotator import PERIOD, Rotator
-from magcal_ros.ros.self_keeping import SelfKeeping
+from magcal_ros.ros.self_calibration_runner import SelfCalibrationRunner
 from magcal_ros.ros.sensor_frames import LATCHED
 from magcal_ros.ros.threads import SENSOR_DATA, Spinner
 from magcal_ros.ros.wire import Unreadable, read_imu
@@ -51,10 +51,10 @@ class Calibrator(Node):
         self._robot = SelfTurn(pipeline.imu.topic, field, commands)
         self._first = first = Magnetometer(self, pipeline, FIRST, self._robot)
         self._inputs = first.inputs
-        self._control, self._keeper = first.control, first.keeper
-        self._keeping = SelfKeeping(self, first)
+        self._control, self._store = first.control, first.store
+        self._self_calibration = SelfCalibrationRunner(self, first)
         self._known = KnownHeadings(first, pipeline)
-        self._magnetometers = Magnetometers(first, pipeline.several)
+        self._magnetometers = Magnetometers(first, pipeline.compasses)
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers = TurnMarkers(self)
@@ -76,14 +76,14 @@ class Calibrator(Node):
         for timer in (self._tick, self._look):
             timer.cancel()
         self.create_timer(HEARTBEAT, self._on_heartbeat, clock=steady)
-        self._keeper.begin()
+        self._store.begin()
         self._publish_status()
 
     def _offer_services(self) -> None:
         magnetometers = self._magnetometers
         say = self.get_logger().info
         slow: dict[str, Ask] = {
-            "accept": lambda tell: magnetometers.accept(self._keeping.accept, tell, say),
+            "accept": lambda tell: magnetometers.accept(self._self_calibration.accept, tell, say),
             "save": magnetometers.save,
             "load": magnetometers.load,
             "calibrate_at_heading": partial(self._known.calibrate, magnetometers),
@@ -95,7 +95,7 @@ class Calibrator(Node):
         """Discard a turn under way; an accepted calibration is on disk already."""
         self.rotator.halt()
         self._magnetometers.shut_down()
-        self._keeping.worker.end()
+        self._self_calibration.worker.end()
         self._known.worker.end()
 
     def spinner(self) -> Spinner:
@@ -121,19 +121,19 @@ class Calibrator(Node):
         try:
             frame, sample, stamp = read_imu(data)
         except Unreadable:
-            streams.imu_drops[Drop.UNREADABLE] += 1
+            streams.imu_drops[DropReason.UNREADABLE] += 1
             return
         if self._inputs.imu.heard(frame):
             for each in self._magnetometers.heard:
                 each.look_at_sensors()
         if sample is None:
-            streams.imu_drops[Drop.ABSENT] += 1
+            streams.imu_drops[DropReason.ABSENT] += 1
         elif streams.add_imu(sample):
-            own = self._travel.travelling.add_imu(sample, self._up.gyro_bias.rate)
+            own = self._travel.estimator.add_imu(sample, self._up.gyro_bias.rate)
             self._up.add(sample, own)
             if self._robot.is_under_way:
-                self._robot.hear(sample.rate, monotonic())
-            for each in self._magnetometers.further:
+                self._robot.add_rate(sample.rate, monotonic())
+            for each in self._magnetometers.others:
                 each.inputs.streams.add_imu(sample)
             self._known.on_imu(sample.stamp)
             self._pipeline.on_imu(sample.stamp, stamp)
@@ -143,7 +143,7 @@ class Calibrator(Node):
         if magnetometer is self._first:
             self._up.add_field(sample.stamp, sample.field)
             at_rest = self._pipeline.motors.take(magnetometer.compass, sample)
-            self._keeping.on_field(at_rest, self._travel)
+            self._self_calibration.on_field(at_rest, self._travel)
             self._known.on_field(at_rest)
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
@@ -154,7 +154,7 @@ class Calibrator(Node):
             self._frames.note_sensors(imu, field)
             if self._sensors not in (("", ""), (imu, field)):
                 # Samples of other sensors are not used.
-                self._keeping.machine.forget()
+                self._self_calibration.machine.forget()
                 self._known.forget()
             self._sensors = imu, field
 
@@ -173,13 +173,13 @@ class Calibrator(Node):
     def calibration_changed(self, magnetometer: Magnetometer) -> None:
         """Use the new calibration in force for the heading."""
         if magnetometer is self._first:
-            self._keeping.machine.put_in_force(self._keeper.calibration)
-        self._pipeline.use({each.number: each.keeper for each in self._magnetometers.heard})
+            self._self_calibration.machine.put_in_force(self._store.calibration)
+        self._pipeline.use({each.number: each.store for each in self._magnetometers.heard})
         self._publish_status()
 
     def _reset(self) -> Conclusion:
         self._known.forget()
-        were_in_force = [each.keeper.calibration for each in self._magnetometers.heard]
+        were_in_force = [each.store.calibration for each in self._magnetometers.heard]
         for each in self._magnetometers.heard:
             each.reset()
         if not any(were_in_force):
@@ -202,7 +202,9 @@ class Calibrator(Node):
     def _on_look(self) -> None:
         base, is_allowed = self.rotator, self._table.settings.rotation.enabled
         ages = self._inputs.imu.age(), self._inputs.field.age()
-        if not self._control.look(Around(*ages, base.listeners, is_allowed, base.is_guarded)):
+        if not self._control.look(
+            TurnConditions(*ages, base.listeners, is_allowed, base.is_guarded)
+        ):
             self.rotator.rest()
             self._look.cancel()
 
@@ -225,13 +227,13 @@ class Calibrator(Node):
         self._deliver()
         settings = self._table.settings
         self._magnetometers.look(self.count_publishers, settings)
-        self._pipeline.follow(self._keeper, self._control.turn.state)
+        self._pipeline.follow(self._store, self._control.turn.state)
         self._reference.refresh()
         self._known.look()
-        self._keeping.follow(settings.self_calibration, settings.report_folder)
+        self._self_calibration.follow(settings.self_calibration, settings.report_folder)
         news = self._travel.follow(self._reference.field, self._announcer)
         if news is not None:
-            self._keeper.keep(news)
+            self._store.keep(news)
         self._frames.follow(self._up, self._control.turn.last_outcome, self._travel.yaw)
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
         complaints += [
@@ -246,10 +248,10 @@ class Calibrator(Node):
         statuses = [
             status.calibration_diagnostic(self._first),
             status.field_diagnostic(
-                self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
+                self._pipeline.headings.reading, self._pipeline.leading, self._reference.reference
             ),
             self._pipeline.fused.diagnostic(),
-            status.watch_diagnostic(self._first.watch, self._keeping),
+            status.monitor_diagnostic(self._first.monitor, self._self_calibration),
             *self._travel.diagnostics(),
             *self._magnetometers.diagnostics(),
             status.inputs_diagnostic(
@@ -267,7 +269,7 @@ class Calibrator(Node):
             "turns_itself": self._table.settings.rotation.enabled,
             "vehicle_yaw_offset": self._travel.yaw_facts(),
             "drive": self._travel.facts(),
-            "self_calibration": self._keeping.facts(),
+            "self_calibration": self._self_calibration.facts(),
             "motors": self._pipeline.motors.facts(self._first.compass),
             "known_headings": self._known.facts(),
         }

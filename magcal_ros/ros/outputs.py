@@ -25,15 +25,15 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw, unit
 from magcal_ros.core.geometry.shapes import Circle, fit_circle_in_space
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.compass import Compass, Heading, Moment
-from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt, Trust
+from magcal_ros.core.heading.compass import Compass, CompassReading, Heading
+from magcal_ros.core.heading.disturbance import PATIENCE, FieldDeviation, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.turn_machine import TurnMachine, TurnState
 from magcal_ros.core.up.follower import UpFollower
-from magcal_ros.files.disk import plain
+from magcal_ros.files.disk import printable
 from magcal_ros.ros import wire
 from magcal_ros.ros.sensor_frames import LATCHED, SensorFrames
 
@@ -128,14 +128,14 @@ class HeadingOutput:
             if self._azimuth is not None:
                 out = node.create_publisher(self._azimuth, f"{topic}/rad", RELIABLE)
                 self._azimuths[north] = out
-        self._doubt: FieldDoubt | None = None
-        self.moment: Moment | None = None
+        self._deviation: FieldDeviation | None = None
+        self.reading: CompassReading | None = None
         """Result of the newest field message with the calibration in force, None before it."""
 
     def complaints(self, reference: ReferenceField) -> list[str]:
         """Return warnings for subscribers of the heading."""
         found = []
-        is_silent = self.moment is not None and reference.declination is None
+        is_silent = self.reading is not None and reference.declination is None
         if is_silent and self._attitudes["true"].is_wanted:
             found.append(NO_DECLINATION)
         if self._node.count_publishers(self._yaw_out.topic_name) > 1:
@@ -147,7 +147,7 @@ class HeadingOutput:
         infos = self._node.get_publishers_info_by_topic(topic)
         names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
         own = self._node.get_fully_qualified_name()
-        others = {plain(name) for name in names if name != own} or {"a node of the same name"}
+        others = {printable(name) for name in names if name != own} or {"a node of the same name"}
         return (
             f"{topic} is also published by {' and '.join(sorted(others))}, so two headings are "
             "mixed there. For two magnetometers start one node and remap imu/mag_2 to the second "
@@ -156,17 +156,19 @@ class HeadingOutput:
 
     def begin_anew(self, calibration: Calibration | None) -> None:
         """Start again with another calibration, or with none."""
-        self._doubt = None if calibration is None else FieldDoubt(calibration)
-        self.moment = None
+        self._deviation = None if calibration is None else FieldDeviation(calibration)
+        self.reading = None
 
-    def publish(self, moment: Moment, stamp: bytes, frame: str, reference: ReferenceField) -> None:
+    def publish(
+        self, reading: CompassReading, stamp: bytes, frame: str, reference: ReferenceField
+    ) -> None:
         """Publish the heading of one field message on all its topics."""
-        moment, declination = self._with_doubt(moment), reference.declination
-        self.moment = moment
+        reading, declination = self._with_uncertainty(reading), reference.declination
+        self.reading = reading
         view = self._frames.view
-        if moment.heading is None or view is None:
+        if reading.heading is None or view is None:
             return
-        frame, heading = self._frames.frame(frame), view.heading(moment.heading)
+        frame, heading = self._frames.frame(frame), view.heading(reading.heading)
         if _is_wanted(self._yaw_out):
             self._yaw_out.publish(Float64(data=true_yaw(heading.yaw, declination or 0.0)))
         for north, known in (("mag", None), ("true", reference)):
@@ -177,14 +179,14 @@ class HeadingOutput:
             if out is not None and _is_wanted(out):
                 out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
-    def _with_doubt(self, moment: Moment) -> Moment:
-        """Return the moment with a larger yaw variance if its field is disturbed."""
-        heading, up = moment.heading, moment.up
-        if heading is None or up is None or self._doubt is None:
-            return moment
-        more = self._doubt.add(moment.stamp, moment.field, up.direction, up.variance)
+    def _with_uncertainty(self, reading: CompassReading) -> CompassReading:
+        """Return the reading with a larger yaw variance if its field is disturbed."""
+        heading, up = reading.heading, reading.up
+        if heading is None or up is None or self._deviation is None:
+            return reading
+        more = self._deviation.add(reading.stamp, reading.field, up.direction, up.variance)
         variance = heading.yaw_variance + more
-        return moment._replace(heading=heading._replace(yaw_variance=variance))
+        return reading._replace(heading=heading._replace(yaw_variance=variance))
 
 
 def azimuth_type() -> Any:
@@ -247,13 +249,13 @@ class FusedOutput:
             seen, frame = view.heading(heading), self._frames.frame(frame)
             self._out.publish(stamp, frame, seen, reference)
 
-    def on_field(self, moment: Moment) -> None:
+    def on_field(self, reading: CompassReading) -> None:
         """Correct the yaw by a field message."""
         if self.yaw is None or not self._follower.is_propagated:
             return
-        if moment.up is not None and moment.heading is not None:
+        if reading.up is not None and reading.heading is not None:
             self.yaw.detector.patience = self.patience
-            self.yaw.correct(moment.stamp, moment.field, moment.up, moment.heading)
+            self.yaw.correct(reading.stamp, reading.field, reading.up, reading.heading)
 
     def diagnostic(self) -> DiagnosticStatus:
         """Return the diagnostic of the fused yaw: its output and the state of the field."""
@@ -263,8 +265,8 @@ class FusedOutput:
             return wire.diagnostic("Fused", silence, level=level)
         assert self.yaw is not None
         detector, heading = self.yaw.detector, self.yaw.heading()
-        departure = f"{detector.departure:.1f} sigma"
-        values = {"field": detector.trust.value, "field departure": departure}
+        deviation = f"{detector.deviation:.1f} sigma"
+        values = {"field": detector.trust.value, "field departure": deviation}
         message = "the compass corrects the gyro"
         if detector.last is not None:
             values["last disturbance"] = detector.last.in_words
@@ -273,9 +275,9 @@ class FusedOutput:
             message = f"the field differs from the calibrated one and {detector.trust.value}"
             if detector.trust is Trust.IGNORED and detector.last is not None:
                 message += f": {detector.last.in_words}; the gyro alone propagates the yaw"
-        elif self.yaw.dispute is not None and self.yaw.is_disputed:
+        elif self.yaw.field_jump is not None and self.yaw.is_ambiguous:
             level = DiagnosticStatus.WARN
-            message = self.yaw.dispute.in_words
+            message = self.yaw.field_jump.in_words
         values |= wire.yaw_values(heading)
         return wire.diagnostic("Fused", message, values, level)
 

@@ -11,14 +11,14 @@ from typing import Any, NamedTuple, NoReturn, TypeAlias
 from magcal_ros.core.calibrate import METHOD_WORDS, METHODS
 from magcal_ros.core.earth_field.wmm import VALIDITY
 from magcal_ros.core.heading.disturbance import PATIENCE
-from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
 )
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.files.disk import plain
+from magcal_ros.core.self_calibration.jobs import Mode
+from magcal_ros.files.disk import printable
 
 Value: TypeAlias = "bool | int | float | str | tuple[float, ...]"
 LONGEST_TEXT = 4096
@@ -29,7 +29,7 @@ TRUE_NORTH, MAGNETIC_NORTH = "true_north", "magnetic_north"
 UNSET = math.nan  # an unknown number, written as .nan in YAML or left out
 
 
-class Later(Enum):
+class RuntimeChange(Enum):
     """Which changes of a parameter are allowed while the node runs, for anyone on its network."""
 
     ANYTHING = "anything"
@@ -39,7 +39,7 @@ class Later(Enum):
     SWITCH_OFF = "switched off, and switched on only if that was allowed at start"
 
 
-class Span(NamedTuple):
+class NumberRange(NamedTuple):
     """The allowed range of a number, and its unit."""
 
     low: float = -math.inf
@@ -47,23 +47,23 @@ class Span(NamedTuple):
     unit: str = ""
 
 
-ANY = Span()
+ANY = NumberRange()
 
 
 @dataclass(frozen=True)
-class Spec:
+class ParameterSpec:
     """One row of the table."""
 
     name: str
     default: Value  # also determines the type
-    span: Span = ANY
+    span: NumberRange = ANY
     choices: tuple[str, ...] = ()  # allowed texts; empty for any
-    later: Later = Later.ANYTHING
+    later: RuntimeChange = RuntimeChange.ANYTHING
     words: tuple[str, ...] = ("",)
     """Texts with another meaning, for a parameter that is otherwise a path."""
     description: str = ""
 
-    def means(self, description: str) -> Spec:
+    def means(self, description: str) -> ParameterSpec:
         """Return the row with its description."""
         return replace(self, description=description)
 
@@ -185,128 +185,132 @@ def _shown(value: Any) -> str:
         return "[" + ", ".join(map(_shown, items[:MOST_SHOWN])) + more
     if value is None:
         return "nothing"
-    return plain(str(value).lower() if isinstance(value, bool) else repr(value))
+    return printable(str(value).lower() if isinstance(value, bool) else repr(value))
 
 
 MAY_BE_ENABLED = "rotate.may_be_enabled"
-PARAMETERS: tuple[Spec, ...] = (
-    Spec("calibration_file", "", later=Later.FILE).means(
+PARAMETERS: tuple[ParameterSpec, ...] = (
+    ParameterSpec("calibration_file", "", later=RuntimeChange.FILE).means(
         "Where the calibration is stored and loaded from. Empty: "
         "$ROS_HOME/magcal/<namespace>/<node>.<frame of the magnetometer>.yaml. While the node "
         "runs, only a path below $ROS_HOME/magcal or the one given at start can be set"
     ),
-    Spec("report_folder", "", later=Later.FOLDER, words=("", "none")).means(
+    ParameterSpec("report_folder", "", later=RuntimeChange.FOLDER, words=("", "none")).means(
         "Where a dated folder with report.html and samples.csv is made for each turn. Empty: "
         "$ROS_HOME/magcal/reports; none: no reports. While the node runs, only a path below "
         "$ROS_HOME/magcal or below the one given at start can be set"
     ),
-    Spec("reports_kept", 50, Span(1, 100_000)).means(
+    ParameterSpec("reports_kept", 50, NumberRange(1, 100_000)).means(
         "How many reports are kept, in addition to those of turns that were put in force; older "
         "ones are removed"
     ),
-    Spec("memory_limit_mb", 1024, Span(256, 1_000_000, "MB"), later=Later.NOTHING).means(
+    ParameterSpec(
+        "memory_limit_mb", 1024, NumberRange(256, 1_000_000, "MB"), later=RuntimeChange.NOTHING
+    ).means(
         "How much memory the node may use in addition to that at its start, so that a malformed "
         "request for millions of values fails. Read when the node starts; fits are not limited"
     ),
-    Spec("method", METHODS[0], choices=METHODS).means(METHOD_WORDS),
-    Spec("accumulate", False).means(
+    ParameterSpec("method", METHODS[0], choices=METHODS).means(METHOD_WORDS),
+    ParameterSpec("accumulate", False).means(
         "Join the next turns, made on different tilts, into one estimate of the full correction, "
         "installation yaw included; false: each turn is used alone"
     ),
-    Spec("self_calibration", "propose", choices=tuple(mode.value for mode in Mode)).means(
+    ParameterSpec("self_calibration", "propose", choices=tuple(mode.value for mode in Mode)).means(
         "What is done with a calibration from ordinary driving that is better on held-out data: "
         "propose it (call ~/accept), apply it (and go back if it proves worse), or off: no search"
     ),
-    Spec("reference.strength_ut", UNSET, Span(15.0, 100.0, "µT")).means(
+    ParameterSpec("reference.strength_ut", UNSET, NumberRange(15.0, 100.0, "µT")).means(
         "Strength of the Earth's field here; .nan to take it from the World Magnetic Model"
     ),
-    Spec("reference.strength_sigma_ut", STRENGTH_SIGMA_UT, Span(0.0, 100.0, "µT")).means(
-        "Local deviation of the strength, by crust and iron nearby (1 σ); indoors about 7"
-    ),
-    Spec("reference.inclination_deg", UNSET, Span(-90.0, 90.0, "°")).means(
+    ParameterSpec(
+        "reference.strength_sigma_ut", STRENGTH_SIGMA_UT, NumberRange(0.0, 100.0, "µT")
+    ).means("Local deviation of the strength, by crust and iron nearby (1 σ); indoors about 7"),
+    ParameterSpec("reference.inclination_deg", UNSET, NumberRange(-90.0, 90.0, "°")).means(
         "Inclination (dip) of the Earth's field here, positive down; .nan for the model's"
     ),
-    Spec("reference.inclination_sigma_deg", INCLINATION_SIGMA_DEG, Span(0.0, 90.0, "°")).means(
-        "Local deviation of the inclination, by crust and iron nearby (1 σ); indoors about 5"
-    ),
-    Spec("reference.declination_deg", UNSET, Span(-180.0, 180.0, "°")).means(
+    ParameterSpec(
+        "reference.inclination_sigma_deg", INCLINATION_SIGMA_DEG, NumberRange(0.0, 90.0, "°")
+    ).means("Local deviation of the inclination, by crust and iron nearby (1 σ); indoors about 5"),
+    ParameterSpec("reference.declination_deg", UNSET, NumberRange(-180.0, 180.0, "°")).means(
         "Declination here, positive east; .nan for the model's"
     ),
-    Spec("reference.declination_sigma_deg", DECLINATION_SIGMA_DEG, Span(0.0, 90.0, "°")).means(
-        "Local deviation of the declination, by crust and iron nearby (1 σ); indoors about 5"
-    ),
-    Spec("reference.latitude_deg", UNSET, Span(-90.0, 90.0, "°")).means(
+    ParameterSpec(
+        "reference.declination_sigma_deg", DECLINATION_SIGMA_DEG, NumberRange(0.0, 90.0, "°")
+    ).means("Local deviation of the declination, by crust and iron nearby (1 σ); indoors about 5"),
+    ParameterSpec("reference.latitude_deg", UNSET, NumberRange(-90.0, 90.0, "°")).means(
         "Where the robot is, for the model, positive north; .nan to take it from gps/fix"
     ),
-    Spec("reference.longitude_deg", UNSET, Span(-180.0, 180.0, "°")).means(
+    ParameterSpec("reference.longitude_deg", UNSET, NumberRange(-180.0, 180.0, "°")).means(
         "The same, positive east"
     ),
-    Spec("reference.altitude_m", 0.0, Span(*VALIDITY.altitudes, "m")).means(
+    ParameterSpec("reference.altitude_m", 0.0, NumberRange(*VALIDITY.altitudes, "m")).means(
         "The same, above the sea or the ellipsoid; a kilometre changes the strength by 0.05%"
     ),
-    Spec("soft_iron_gains", (1.0, 1.0, 1.0), Span(0.1, 10.0)).means(
+    ParameterSpec("soft_iron_gains", (1.0, 1.0, 1.0), NumberRange(0.1, 10.0)).means(
         "Known gains of the sensor's axes"
     ),
-    Spec("base_frame", "").means(
+    ParameterSpec("base_frame", "").means(
         "Frame for which the attitudes are published, given by the fixed joints of "
         "robot_description or the static transforms. Empty: the IMU's frame"
     ),
-    Spec("vehicle_yaw_deg", UNSET, Span(-360.0, 360.0, "°")).means(
+    ParameterSpec("vehicle_yaw_deg", UNSET, NumberRange(-360.0, 360.0, "°")).means(
         "Yaw of the IMU in the vehicle, to the left of the vehicle's front, for base_frame and for "
         "calibration by a circle or a drive; .nan for the yaw in the robot's description, "
         "corrected by up to 15° by an estimate while driving"
     ),
-    Spec("mount_rpy_deg", (UNSET, UNSET, UNSET), Span(-360.0, 360.0, "°")).means(
+    ParameterSpec("mount_rpy_deg", (UNSET, UNSET, UNSET), NumberRange(-360.0, 360.0, "°")).means(
         "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF; .nan for "
         "the values in the robot's description if base_frame is set, else zero"
     ),
-    Spec("mount_2_rpy_deg", (UNSET, UNSET, UNSET), Span(-360.0, 360.0, "°")).means(
+    ParameterSpec("mount_2_rpy_deg", (UNSET, UNSET, UNSET), NumberRange(-360.0, 360.0, "°")).means(
         "The same for the magnetometer on imu/mag_2"
     ),
-    Spec("magnetometers", 2, Span(1, 8), later=Later.NOTHING).means(
+    ParameterSpec("magnetometers", 2, NumberRange(1, 8), later=RuntimeChange.NOTHING).means(
         "How many magnetometers are subscribed to: imu/mag, imu/mag_2, imu/mag_3 and so on. A "
         "topic without messages is ignored. Read when the node starts"
     ),
-    Spec("confidence.target_sigma_deg", 0.5, Span(0.01, 10.0, "°")).means(
+    ParameterSpec("confidence.target_sigma_deg", 0.5, NumberRange(0.01, 10.0, "°")).means(
         "Predicted heading error (1 σ, on level ground) at which a complete turn is enough; after "
         "1.2 turns, up to twice as much is accepted"
     ),
-    Spec("known_heading.yaw_deg", UNSET, Span(-360.0, 360.0, "°")).means(
+    ParameterSpec("known_heading.yaw_deg", UNSET, NumberRange(-360.0, 360.0, "°")).means(
         "Heading of the robot when ~/calibrate_at_heading is called: ENU yaw, 0 to the east, 90 to "
         "the north, positive to the left; .nan for the heading on the topic heading"
     ),
-    Spec("known_heading.north", "", choices=("", TRUE_NORTH, MAGNETIC_NORTH)).means(
+    ParameterSpec("known_heading.north", "", choices=("", TRUE_NORTH, MAGNETIC_NORTH)).means(
         "Which north known_heading.yaw_deg refers to; there is no default"
     ),
-    Spec("known_heading.sigma_deg", 2.0, Span(0.05, 30.0, "°")).means(
+    ParameterSpec("known_heading.sigma_deg", 2.0, NumberRange(0.05, 30.0, "°")).means(
         "Standard deviation of known_heading.yaw_deg"
     ),
-    Spec("known_heading.topic_north", TRUE_NORTH, choices=(TRUE_NORTH, MAGNETIC_NORTH)).means(
-        "Which north the topic heading refers to; for two antennas it is true north"
-    ),
-    Spec("window.timeout_s", 90.0, Span(2.0, 3600.0, "s")).means(
+    ParameterSpec(
+        "known_heading.topic_north", TRUE_NORTH, choices=(TRUE_NORTH, MAGNETIC_NORTH)
+    ).means("Which north the topic heading refers to; for two antennas it is true north"),
+    ParameterSpec("window.timeout_s", 90.0, NumberRange(2.0, 3600.0, "s")).means(
         "A turn ends after this time at the latest, and is used or refused"
     ),
-    Spec("window.silence_s", 10.0, Span(0.5, 600.0, "s")).means(
+    ParameterSpec("window.silence_s", 10.0, NumberRange(0.5, 600.0, "s")).means(
         "A turn ends when a sensor has been silent for this long"
     ),
-    Spec("window.max_gap_s", STREAMS.max_gap, Span(0.001, 5.0, "s")).means(
+    ParameterSpec("window.max_gap_s", STREAMS.max_gap, NumberRange(0.001, 5.0, "s")).means(
         "Largest gap between IMU samples over which they are interpolated"
     ),
-    Spec("fused.patience_s", PATIENCE, Span(1.0, 3600.0, "s")).means(
+    ParameterSpec("fused.patience_s", PATIENCE, NumberRange(1.0, 3600.0, "s")).means(
         "A field that differs from the calibrated one for this long is accepted as the new field"
     ),
-    Spec("rotate.enabled", False, later=Later.SWITCH_OFF).means(
+    ParameterSpec("rotate.enabled", False, later=RuntimeChange.SWITCH_OFF).means(
         "Whether the robot turns itself, by velocities on cmd_vel, when a turn is requested. While "
         "the node runs, it can be switched off, but switched on only with rotate.may_be_enabled"
     ),
-    Spec(MAY_BE_ENABLED, False, later=Later.NOTHING).means(
+    ParameterSpec(MAY_BE_ENABLED, False, later=RuntimeChange.NOTHING).means(
         "Whether rotate.enabled may be switched on while the node runs, by anyone on its network. "
         "Read when the node starts"
     ),
-    Spec("rotate.speed_rad_s", 0.4, Span(0.1, 1.0, "rad/s")).means(
+    ParameterSpec("rotate.speed_rad_s", 0.4, NumberRange(0.1, 1.0, "rad/s")).means(
         "How fast the robot turns itself"
     ),
-    Spec("rotate.stamped", False).means("Whether cmd_vel is a TwistStamped instead of a Twist"),
-    Spec("rotate.frame_id", "base_link").means("Frame of the TwistStamped"),
+    ParameterSpec("rotate.stamped", False).means(
+        "Whether cmd_vel is a TwistStamped instead of a Twist"
+    ),
+    ParameterSpec("rotate.frame_id", "base_link").means("Frame of the TwistStamped"),
 )

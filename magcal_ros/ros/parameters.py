@@ -17,20 +17,20 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from magcal_ros.core.earth_field.reference import Given
+from magcal_ros.core.earth_field.reference import GivenReference
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits
 from magcal_ros.files.default_paths import chosen_path, lies_within, own_folder
-from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.disk import FileError
 from magcal_ros.ros.parameter_table import (
     MAY_BE_ENABLED,
     PARAMETERS,
     TRUE_NORTH,
-    Later,
-    Spec,
+    ParameterSpec,
+    RuntimeChange,
     Value,
 )
 
@@ -59,7 +59,7 @@ class Settings:
     limits: Limits
     max_gap: float
     patience: float
-    given: Given  # parts of the reference field, and the place
+    given: GivenReference  # parts of the reference field, and the place
     rotation: Rotation
     base_frame: str  # empty for the IMU's frame
     mounts: Mapping[int, FloatArray]  # given poses in the IMU's frame, by number of magnetometer
@@ -78,7 +78,9 @@ class Settings:
             for number, name in ((1, "mount_rpy_deg"), (2, "mount_2_rpy_deg"))
             if not math.isnan(values[name][0])
         }
-        given = Given.of({name.removeprefix("reference."): v for name, v in values.items()})
+        given = GivenReference.of(
+            {name.removeprefix("reference."): v for name, v in values.items()}
+        )
         mounting = Mounting(values["soft_iron_gains"], mounts.get(1, np.eye(3)))
         by_hand, sigma = values["vehicle_yaw_deg"], values["confidence.target_sigma_deg"]
         yaw, north = values["known_heading.yaw_deg"], values["known_heading.north"]
@@ -128,7 +130,7 @@ class Parameters:
         if when_agreed is not None:
             when_agreed(self._put_in_effect)
 
-    def _declare(self, spec: Spec) -> Any:
+    def _declare(self, spec: ParameterSpec) -> Any:
         default = list(spec.default) if isinstance(spec.default, tuple) else spec.default
         # With dynamic typing, integers such as `-p reference.strength_ut:=48` and `[0, 0, 0]` are
         # accepted for floats. The range is added after the check, because with a range a bad value
@@ -157,36 +159,36 @@ class Parameters:
                 if change.name in self._specs:
                     spec = self._specs[change.name]
                     self._require_changeable(spec, spec.parse(change.value))
-        except (ValueError, FileTrouble) as error:
+        except (ValueError, FileError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         if not self._effects_come_later:
             self._put_in_effect_afterwards(changes)
         return SetParametersResult(successful=True)
 
-    def _require_changeable(self, spec: Spec, value: Value) -> None:
+    def _require_changeable(self, spec: ParameterSpec, value: Value) -> None:
         """Raise ValueError for a change that is not allowed while the node runs."""
         # The comparison is with rclpy's value, because on Humble changes take effect later.
         if value == spec.parse(self._node.get_parameter(spec.name).value):
             return
-        if spec.later is Later.NOTHING:
+        if spec.later is RuntimeChange.NOTHING:
             raise ValueError(
                 f"{spec.name} is read when the node starts: restart the node with the new value"
             )
-        if spec.later is Later.SWITCH_OFF and value and not self._given[MAY_BE_ENABLED]:
+        if spec.later is RuntimeChange.SWITCH_OFF and value and not self._given[MAY_BE_ENABLED]:
             raise ValueError(
                 f"{spec.name} can be switched on when the node starts; later only if the node was "
                 f"started with {MAY_BE_ENABLED}:=true"
             )
-        if spec.later in (Later.FILE, Later.FOLDER) and value not in spec.words:
+        if spec.later in (RuntimeChange.FILE, RuntimeChange.FOLDER) and value not in spec.words:
             self._require_place(spec, str(value))
 
-    def _require_place(self, spec: Spec, value: str) -> None:
+    def _require_place(self, spec: ParameterSpec, value: str) -> None:
         given = self._given[spec.name]
         places = [own_folder()]
         if given not in spec.words:
             places.append(chosen_path(given))
         # A path below a given file is not possible, so only a given folder is added.
-        within = places if spec.later is Later.FOLDER else places[:1]
+        within = places if spec.later is RuntimeChange.FOLDER else places[:1]
         if value != given and not lies_within(chosen_path(value), within):
             named = " or ".join(str(place) for place in places)
             raise ValueError(
@@ -219,7 +221,7 @@ class Parameters:
         return {**self._values, **parsed}
 
 
-def _with_range(descriptor: ParameterDescriptor, spec: Spec) -> ParameterDescriptor:
+def _with_range(descriptor: ParameterDescriptor, spec: ParameterSpec) -> ParameterDescriptor:
     """Add the range, unless NaN is allowed, which rclpy would refuse with a range."""
     if isinstance(spec.default, (bool, str, tuple)) or spec.may_be_unset:
         return descriptor

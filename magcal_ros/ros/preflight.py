@@ -15,17 +15,17 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, MagneticField
 
-from magcal_ros.core.errors import MagcalError, Misuse
+from magcal_ros.core.errors import MagcalError, UsageError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.frame_tree import FrameTrouble
+from magcal_ros.core.geometry.frame_tree import FrameTreeError
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 from magcal_ros.files.bags import FIELD_TYPE, IMU_TYPE
-from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.disk import plain
-from magcal_ros.ros.sensor_frames import Description
+from magcal_ros.files.default_paths import identifier
+from magcal_ros.files.disk import printable
+from magcal_ros.ros.sensor_frames import DescriptionListener
 from magcal_ros.ros.wire import read_field, read_imu
 
 MOST_FRAMES = 5
@@ -36,7 +36,7 @@ SLOWEST_FIELD = 5.0  # hertz, below which a turn of 12 s gives too few samples
 
 
 @dataclass(eq=False)
-class Heard:
+class SensorTopic:
     """The messages on the topic of a sensor; without `take` the samples are stored."""
 
     topic: str
@@ -59,7 +59,7 @@ class Heard:
         self.messages += 1
         self.frame = arrived.frame
         if len(self.frames) < MOST_FRAMES:
-            self.frames.add(plain(arrived.frame))
+            self.frames.add(printable(arrived.frame))
         if arrived.sample is not None:
             (self.take or self.samples.append)(arrived.sample)
 
@@ -93,13 +93,13 @@ def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
             lines += [_describe(heard, duration), *_judge(heard, duration, publishers)]
             continue
         found = set(_of_sensors(node, heard.kind)) - taken
-        lines += _explain_silence(heard, publishers, [plain(topic) for topic in found])
+        lines += _explain_silence(heard, publishers, [printable(topic) for topic in found])
         if ready:
-            lines.append(f"  {plain(heard.topic)} is silent and is not calibrated")
+            lines.append(f"  {printable(heard.topic)} is silent and is not calibrated")
     return Preflight(tuple(lines), ready)
 
 
-def _inputs_of(node: Node, calibrator: str) -> tuple[list[Heard], set[str]] | None:
+def _inputs_of(node: Node, calibrator: str) -> tuple[list[SensorTopic], set[str]] | None:
     """Return the sensors of a calibrator, and the topics of all its inputs."""
     namespace, _, name = calibrator.rpartition("/")
     deadline = time.monotonic() + 5.0
@@ -115,13 +115,16 @@ def _inputs_of(node: Node, calibrator: str) -> tuple[list[Heard], set[str]] | No
         if imus and fields:
             # The topic of a further magnetometer without a publisher is ignored.
             active = [topic for topic in fields if node.count_publishers(topic)] or fields[:1]
-            sensors = [Heard(imus[0], IMU_TYPE), *(Heard(topic, FIELD_TYPE) for topic in active)]
+            sensors = [
+                SensorTopic(imus[0], IMU_TYPE),
+                *(SensorTopic(topic, FIELD_TYPE) for topic in active),
+            ]
             return sensors, {topic for topic, _ in found}
         time.sleep(0.1)
     return None
 
 
-def _listen(node: Node, sensors: Sequence[Heard], duration: float) -> None:
+def _listen(node: Node, sensors: Sequence[SensorTopic], duration: float) -> None:
     subscriptions = [heard.listen(node) for heard in sensors]
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -133,14 +136,14 @@ def _listen(node: Node, sensors: Sequence[Heard], duration: float) -> None:
         node.destroy_subscription(subscription)
 
 
-def _describe(heard: Heard, duration: float) -> str:
+def _describe(heard: SensorTopic, duration: float) -> str:
     frames = ", ".join(sorted(frame or "(empty)" for frame in heard.frames))
     size = heard.size
     measured = f"{size:.2f} m/s²" if heard.kind == IMU_TYPE else f"{size * 1e6:.1f} µT"
     return f"{heard.topic}: {heard.messages / duration:.0f} Hz, frame {frames}, {measured}"
 
 
-def _judge(heard: Heard, duration: float, publishers: int) -> list[str]:
+def _judge(heard: SensorTopic, duration: float, publishers: int) -> list[str]:
     found, stamps = [], [sample.stamp for sample in heard.samples]
     if stamps and not any(stamps):
         found.append("  stamps are zero: the driver must stamp its messages")
@@ -161,7 +164,7 @@ def _judge(heard: Heard, duration: float, publishers: int) -> list[str]:
     return found
 
 
-def _explain_silence(heard: Heard, publishers: int, elsewhere: Sequence[str]) -> list[str]:
+def _explain_silence(heard: SensorTopic, publishers: int, elsewhere: Sequence[str]) -> list[str]:
     lines = [f"{heard.topic}: nothing arrives ({publishers} publishers)"]
     if publishers:
         lines.append("  it is advertised: check that the driver runs and the clock is not paused")
@@ -185,7 +188,7 @@ USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
 def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
     """Return `wanted`, or the usual topic of a sensor, or the only topic of this type.
 
-    Raises Misuse if several are possible, MagcalError if there is none.
+    Raises UsageError if several are possible, MagcalError if there is none.
     """
     if wanted:
         return node.resolve_topic_name(wanted)
@@ -200,8 +203,8 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
             break
         time.sleep(0.1)
     if found:
-        listed = ", ".join(plain(topic) for topic in sorted(found))
-        raise Misuse(f"{len(found)} topics carry {kind}: {listed}; choose one with {option}")
+        listed = ", ".join(printable(topic) for topic in sorted(found))
+        raise UsageError(f"{len(found)} topics carry {kind}: {listed}; choose one with {option}")
     raise MagcalError(
         f"no topic carries {kind}: check that the driver runs, and that ROS_DOMAIN_ID and the "
         "discovery range are the same on both sides"
@@ -228,10 +231,13 @@ class Listener:
         take: Callable[[ImuSample | FieldSample], None],
     ) -> None:
         self._node = node
-        self.sensors = Heard(imu_topic, IMU_TYPE, take), Heard(field_topic, FIELD_TYPE, take)
+        self.sensors = (
+            SensorTopic(imu_topic, IMU_TYPE, take),
+            SensorTopic(field_topic, FIELD_TYPE, take),
+        )
         for heard in self.sensors:
             heard.listen(node)
-        self._description = Description(node, lambda: None)
+        self._description = DescriptionListener(node, lambda: None)
         self._description.listen()
 
     @property
@@ -241,18 +247,18 @@ class Listener:
         for heard in self.sensors:
             infos = self._node.get_publishers_info_by_topic(heard.topic)
             if len(infos) > 1:
-                names = ", ".join(plain(name) for name in sorted({i.node_name for i in infos}))
-                said.append(f"{len(infos)} publishers on {plain(heard.topic)}: {names}")
+                names = ", ".join(printable(name) for name in sorted({i.node_name for i in infos}))
+                said.append(f"{len(infos)} publishers on {printable(heard.topic)}: {names}")
         return said
 
     @property
     def described_pose(self) -> FloatArray | None:
         """The magnetometer's pose in the IMU frame by the robot's description, if known."""
-        imu, field = (known_as(heard.frame) for heard in self.sensors)
+        imu, field = (identifier(heard.frame) for heard in self.sensors)
         tree = self._description.tree
         if not imu or not field or imu == field or field not in tree.frames:
             return None
         try:
             return tree.pose(field, imu)
-        except FrameTrouble:
+        except FrameTreeError:
             return None

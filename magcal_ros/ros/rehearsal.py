@@ -187,9 +187,9 @@ class Rehearsal:
             ticks += 1
             self._spin_until(started + ticks * step)
 
-    def _spin_until(self, moment: float) -> None:
+    def _spin_until(self, reading: float) -> None:
         while True:
-            left = moment - time.monotonic()
+            left = reading - time.monotonic()
             self._executor.spin_once(timeout_sec=max(0.0, left))
             if left <= 0.0:
                 return

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.errors import MagcalError, in_words
 from magcal_ros.core.samples.window import Window
-from magcal_ros.files.default_paths import chosen_path, known_as, own_folder
+from magcal_ros.files.default_paths import chosen_path, identifier, own_folder
 from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import BackgroundThread
 from magcal_ros.ros.travel import Travel
-from magcal_ros.ros.worker_process import Stopped, WorkerProcess
+from magcal_ros.ros.worker_process import WorkerProcess, WorkerStopped
 
 if TYPE_CHECKING:
     from magcal_ros.report import Subject
@@ -64,8 +64,8 @@ class Reporter:
             outcome,
             source=f"{field.topic} and {imu.topic}",
             method=settings.method,
-            magnetometer_frame=known_as(field.frame),
-            imu_frame=known_as(imu.frame),
+            magnetometer_frame=identifier(field.frame),
+            imu_frame=identifier(imu.frame),
             vehicle=yaw.words if yaw else "",
         )
         try:
@@ -105,7 +105,7 @@ class Reporter:
         watchdog.start()
         try:
             self._worker.run_once(write_to_the_end, folder, subject)
-        except Stopped:
+        except WorkerStopped:
             raise MagcalError(
                 f"its process took more than {LONGEST:g} s and was ended: check that the disk of "
                 "report_folder works, and end other programs that keep the machine busy"

@@ -28,10 +28,10 @@ from magcal_ros.core.geometry.frame_tree import (
     sensor_poses,
 )
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rotation_from_rpy
-from magcal_ros.core.heading.base_view import BaseView, VehicleYaw, corrected_pose
+from magcal_ros.core.heading.base_heading import BaseHeading, VehicleYaw, corrected_pose
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up.follower import UpFollower
-from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.default_paths import identifier
 from magcal_ros.files.robot_description import LARGEST, joints_of
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.threads import BackgroundThread
@@ -43,7 +43,7 @@ STATIC_TRANSFORMS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_
 MOST_FRAMES = 10_000  # frames that are kept; a humanoid with hands has a few hundred
 
 
-class Description:
+class DescriptionListener:
     """Keeps the joints of `robot_description` and the static transforms after `listen` is called.
 
     Messages from the network may have any size. They are parsed in a background thread, at most
@@ -56,7 +56,7 @@ class Description:
         self._tree = FrameTree()
         self._unread = 0
         self._is_listening = False
-        self.trouble = ""  # why the newest description could not be read; or empty
+        self.problem = ""  # why the newest description could not be read; or empty
 
     @property
     def tree(self) -> FrameTree:
@@ -94,7 +94,7 @@ class Description:
             if len(tree.frames) > MOST_FRAMES:
                 self._complain(f"{topic} has more than {MOST_FRAMES} frames and is not used")
                 return
-            self._tree, self.trouble = tree, ""
+            self._tree, self.problem = tree, ""
             self._changed()
 
         def fail(error: Exception) -> None:
@@ -103,8 +103,8 @@ class Description:
 
         self._thread.run(lambda: list(joints_in(by_rclpy(data, kind))), keep, fail)
 
-    def _complain(self, trouble: str) -> None:
-        self.trouble = trouble
+    def _complain(self, problem: str) -> None:
+        self.problem = problem
         self._changed()
 
 
@@ -112,7 +112,7 @@ def joints_from(transforms: Iterable[TransformStamped]) -> list[FrameJoint]:
     """Return static transforms as fixed joints; one without a rotation is left out."""
     joints = []
     for transform in transforms:
-        parent, child = known_as(transform.header.frame_id), known_as(transform.child_frame_id)
+        parent, child = identifier(transform.header.frame_id), identifier(transform.child_frame_id)
         turn = transform.transform.rotation
         pose = rotation_from_quaternion(turn.x, turn.y, turn.z, turn.w)
         if pose is not None:
@@ -139,11 +139,11 @@ class SensorFrames:
 
     def __init__(self, node: Node, settings: Callable[[], Settings]) -> None:
         self._settings = settings
-        self._description = Description(node, self._look)
+        self._description = DescriptionListener(node, self._look)
         self._imu_frame = self._magnetometer_frame = ""
         self._used: Settings | None = None
         self._poses = SensorPoses(np.eye(3), False, np.eye(3))
-        self._view: BaseView | None = BaseView(np.eye(3))
+        self._view: BaseHeading | None = BaseHeading(np.eye(3))
         self._contradiction = ""
         self._found: Installation | None = None
         self._vehicle_yaw: VehicleYaw | None = None
@@ -151,12 +151,12 @@ class SensorFrames:
 
     def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames in the messages of the sensors."""
-        self._imu_frame = known_as(imu_frame)
-        self._magnetometer_frame = known_as(magnetometer_frame)
+        self._imu_frame = identifier(imu_frame)
+        self._magnetometer_frame = identifier(magnetometer_frame)
         self._look()
 
     @property
-    def view(self) -> BaseView | None:
+    def view(self) -> BaseHeading | None:
         """Converts the IMU's attitude to the base's; None while the IMU's pose is not known."""
         self._follow_parameters()
         return self._view
@@ -197,7 +197,7 @@ class SensorFrames:
         """The given or described front of the vehicle, IMU axes; by default x. Shape (3,)."""
         settings = self._settings()
         if settings.base_frame or settings.vehicle_yaw is None:
-            return (self._view or BaseView(np.eye(3))).pose[0]
+            return (self._view or BaseHeading(np.eye(3))).pose[0]
         return rotation_from_rpy(0.0, 0.0, settings.vehicle_yaw)[0]
 
     @property
@@ -207,7 +207,7 @@ class SensorFrames:
         poses = self._poses
         words = [*poses.complaints, self._contradiction, self._against_drive]
         if self._frames.base:
-            words.append(self._description.trouble)
+            words.append(self._description.problem)
         if poses.is_described and self._found is not None and self._found.angle > DOUBTED_ANGLE:
             words.append(
                 f"the robot's description has {self._magnetometer_frame!r} in {self._imu_frame!r} "
@@ -220,7 +220,7 @@ class SensorFrames:
     @property
     def _frames(self) -> Frames:
         return Frames(
-            known_as(self._settings().base_frame), self._imu_frame, self._magnetometer_frame
+            identifier(self._settings().base_frame), self._imu_frame, self._magnetometer_frame
         )
 
     def _follow_parameters(self) -> None:
@@ -239,6 +239,6 @@ class SensorFrames:
         found = corrected_pose(described, settings.vehicle_yaw, self._vehicle_yaw)
         corrected, self._against_drive = found
         pose = imu if corrected is None else corrected
-        view = None if pose is None else BaseView(pose)
+        view = None if pose is None else BaseHeading(pose)
         if view is None or self._view is None or not np.array_equal(view.pose, self._view.pose):
             self._view = view

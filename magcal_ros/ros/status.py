@@ -14,17 +14,17 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
-from magcal_ros.core.heading.compass import Moment
-from magcal_ros.core.monitoring.watch import Watch, Watched
+from magcal_ros.core.heading.compass import CompassReading
+from magcal_ros.core.monitoring.monitor import CalibrationMonitor, MonitorResult
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_machine import TurnState
-from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.disk import plain
+from magcal_ros.files.default_paths import identifier
+from magcal_ros.files.disk import printable
+from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.heading_pipeline import Inputs
-from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
-from magcal_ros.ros.self_keeping import SelfKeeping
+from magcal_ros.ros.self_calibration_runner import SelfCalibrationRunner
 from magcal_ros.ros.wire import diagnostic, yaw_values
 
 
@@ -36,13 +36,13 @@ def status_json(
     `parts` are further entries.
     """
     first = magnetometers.heard[0]
-    keeper, streams, turn = first.keeper, first.inputs.streams, first.control.turn
+    store, streams, turn = first.store, first.inputs.streams, first.control.turn
     state = magnetometers.state.value
     if magnetometers.state is TurnState.IDLE:
-        is_calibrated = keeper.calibration is not None or magnetometers.are_calibrated
+        is_calibrated = store.calibration is not None or magnetometers.are_calibrated
         state = "calibrated" if is_calibrated else "uncalibrated"
     outcome, conclusion = turn.last_outcome, turn.last_conclusion
-    several = None if outcome is None else outcome.several
+    multi_turn = None if outcome is None else outcome.multi_turn
     content = {
         "state": state,
         "north": reference.north,
@@ -51,9 +51,9 @@ def status_json(
         "answer": None if conclusion is None else asdict(conclusion),
         "verdict": None if outcome is None else _verdict(outcome),
         "turns_kept": turn.turns_kept,
-        "several": None if several is None else several.facts(),
-        "calibration": _calibration(keeper),
-        "watch": None if first.watch is None else _watch(first.watch.watched),
+        "several": None if multi_turn is None else multi_turn.facts(),
+        "calibration": _calibration(store),
+        "watch": None if first.monitor is None else _monitoring(first.monitor.result),
         "magnetometers": magnetometers.facts(),
         "dropped": {
             "imu": {drop.value: n for drop, n in streams.imu_drops.items()},
@@ -101,16 +101,16 @@ def _verdict(outcome: Outcome) -> Mapping[str, Any]:
     }
 
 
-def _watch(watched: Watched) -> Mapping[str, Any]:
+def _monitoring(result: MonitorResult) -> Mapping[str, Any]:
     return {
-        "stale": watched.is_stale,
-        "summary": watched.summary,
-        "findings": {f.key: round(f.value or 0.0, 2) for f in watched.findings},
+        "stale": result.is_stale,
+        "summary": result.summary,
+        "findings": {f.key: round(f.value or 0.0, 2) for f in result.findings},
     }
 
 
-def _calibration(keeper: Keeper) -> Mapping[str, Any] | None:
-    calibration, origin = keeper.calibration, keeper.origin
+def _calibration(store: CalibrationStore) -> Mapping[str, Any] | None:
+    calibration, origin = store.calibration, store.origin
     if calibration is None or origin is None:
         return None
     correction = calibration.correction
@@ -130,8 +130,8 @@ def _calibration(keeper: Keeper) -> Mapping[str, Any] | None:
 
 def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
     """Return the diagnostic of the calibration in force: origin, grades, and sensor."""
-    keeper, control, level = first.keeper, first.control, DiagnosticStatus.OK
-    calibration, facts = keeper.calibration, _calibration(keeper)
+    store, control, level = first.store, first.control, DiagnosticStatus.OK
+    calibration, facts = store.calibration, _calibration(store)
     values = {"state": control.turn.state.value}
     if control.turn.last_conclusion is not None:
         values["last answer"] = control.turn.last_conclusion.message
@@ -143,29 +143,29 @@ def calibration_diagnostic(first: Magnetometer) -> DiagnosticStatus:
         values |= {key: facts[key] for key in ("method", "created", "quality", "confidence")}
         if "warn" in (values["quality"], values["confidence"]):
             level = DiagnosticStatus.WARN
-        made_for, there = facts["magnetometer_frame"], known_as(first.inputs.field.frame)
+        made_for, there = facts["magnetometer_frame"], identifier(first.inputs.field.frame)
         if made_for and there and made_for != there:
             level = DiagnosticStatus.ERROR
             message = (
                 f"made for the magnetometer {made_for!r}, but the field now comes from {there!r}: "
                 "let one sensor publish, or calibrate this one"
             )
-    if keeper.trouble:
-        level, message = DiagnosticStatus.ERROR, keeper.trouble
+    if store.problem:
+        level, message = DiagnosticStatus.ERROR, store.problem
     return diagnostic("Calibration", message, values, level)
 
 
 def field_diagnostic(
-    moment: Moment | None, calibration: Calibration | None, reference: Reference
+    reading: CompassReading | None, calibration: Calibration | None, reference: Reference
 ) -> DiagnosticStatus:
     """Return the diagnostic of the corrected field, compared with calibration and reference."""
     values, level = dict[str, str](), DiagnosticStatus.OK
     if calibration is None:
         message = "no corrected field before a calibration is in force"
-    elif moment is None:
+    elif reading is None:
         message = "no field message since the calibration was put in force"
     else:
-        strength, heading = math.hypot(*moment.field), moment.heading
+        strength, heading = math.hypot(*reading.field), reading.heading
         shown, calibrated = f"{strength * 1e6:.1f} µT", f"{calibration.strength * 1e6:.1f} µT"
         values = {"corrected strength": shown, "calibrated strength": calibrated}
         values |= yaw_values(heading)
@@ -180,15 +180,17 @@ def field_diagnostic(
     return diagnostic("Field", words, values, level)
 
 
-def watch_diagnostic(watch: Watch | None, keeping: SelfKeeping) -> DiagnosticStatus:
+def monitor_diagnostic(
+    monitor: CalibrationMonitor | None, runner: SelfCalibrationRunner
+) -> DiagnosticStatus:
     """Return the diagnostic of the calibration's monitoring and of self-calibration."""
-    values = {"self-calibration": keeping.facts()["doing"], "fits lost": str(keeping.lost)}
-    words, is_wrong = ["nothing to watch before a calibration is in force"], bool(keeping.trouble)
-    if watch is not None:
-        watched = watch.watched
-        words, is_wrong = [watched.summary], is_wrong or watched.is_stale
-        values |= {f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in watched.findings}
-    words += [keeping.trouble] if keeping.trouble else []
+    values = {"self-calibration": runner.facts()["doing"], "fits lost": str(runner.lost)}
+    words, is_wrong = ["nothing to watch before a calibration is in force"], bool(runner.problem)
+    if monitor is not None:
+        result = monitor.result
+        words, is_wrong = [result.summary], is_wrong or result.is_stale
+        values |= {f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in result.findings}
+    words += [runner.problem] if runner.problem else []
     level = DiagnosticStatus.WARN if is_wrong else DiagnosticStatus.OK
     return diagnostic("Watch", "; ".join(words), values, level)
 
@@ -215,5 +217,5 @@ def diagnostic_array(
     array.header.stamp = stamp
     for status in array.status:
         status.name = f"{node}: {status.name}"
-        status.hardware_id = plain(frame) or "magnetometer"
+        status.hardware_id = printable(frame) or "magnetometer"
     return array

@@ -16,9 +16,14 @@ from sensor_msgs.msg import NavSatFix
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource
 from magcal_ros.core.driving.mounting_yaw import fault_words
-from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.driving.travel_estimator import TravelEstimator
 from magcal_ros.core.earth_field.reference import Fix, LocalPlane
-from magcal_ros.core.heading.base_view import FRONT, Front, VehicleYaw, vehicle_front
+from magcal_ros.core.heading.base_heading import (
+    VEHICLE_YAW,
+    DrivenYaw,
+    VehicleYaw,
+    compare_with_course,
+)
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
 from magcal_ros.core.samples.streams import SpeedSample, VelocitySample
@@ -51,8 +56,8 @@ class Travel:
         self._plane = LocalPlane()
         self._unusable: dict[str, str] = {}
         self._topics: dict[SpeedSource | None, str] = {}
-        self.travelling = Travelling(run=self._run)
-        self.front = Front()
+        self.estimator = TravelEstimator(run=self._run)
+        self.driven_yaw = DrivenYaw()
         self.kept: VehicleYaw | None = None
         """The yaw that is stored with the calibration in force."""
         self.subscriptions = []  # of odometry, velocity and fixes; their callbacks take bytes
@@ -67,7 +72,7 @@ class Travel:
     @property
     def yaw(self) -> VehicleYaw | None:
         """The yaw of the IMU in the vehicle: the new estimate if it is better, else the stored."""
-        found = self.front.yaw
+        found = self.driven_yaw.yaw
         return found if found is not None and self._is_better(found, 1.0) else self.kept
 
     def _is_better(self, found: VehicleYaw, share: float) -> bool:
@@ -80,24 +85,24 @@ class Travel:
 
     def use(self, kept: VehicleYaw | None) -> None:
         """Take the yaw that is stored with a new calibration in force."""
-        self.travelling.forget_compass()
+        self.estimator.forget_compass()
         if kept is not None:
             self.kept = kept
-            self.travelling.believe(kept.offset, kept.sigma)
+            self.estimator.use_mounting_yaw(kept.offset, kept.sigma)
 
     def follow(self, reference: ReferenceField, announcer: Announcer) -> VehicleYaw | None:
         """Estimate the front, once a second, and log changes; returns a yaw to store, if any."""
-        travelling, verdict = self.travelling, self.verdict
-        if not travelling.is_heard:
+        estimator, verdict = self.estimator, self.verdict
+        if not estimator.is_heard:
             return None
         north = reference.declination, reference.declination_sigma
-        self.front = vehicle_front(travelling.known_mounting, travelling.course, *north)
+        self.driven_yaw = compare_with_course(estimator.known_mounting, estimator.course, *north)
         if verdict:
             announcer.tell("course", verdict, wrong=True)
-        found = self.front.yaw
+        found = self.driven_yaw.yaw
         if (
             found is None
-            or found.sigma > FRONT.useful
+            or found.sigma > VEHICLE_YAW.useful
             or not self._is_better(found, BETTER_SIGMA_RATIO)
         ):
             return None
@@ -108,24 +113,24 @@ class Travel:
     @property
     def complaints(self) -> list[str]:
         """Faults of speeds, compass or declination, in words."""
-        watch = self.travelling.mounting
+        mounting = self.estimator.mounting
         words = [
-            fault_words(self._topics[source], fault, watch.seen[source])
-            for source, fault in watch.faults.items()
-            if source in watch.seen
+            fault_words(self._topics[source], fault, mounting.checked[source])
+            for source, fault in mounting.faults.items()
+            if source in mounting.checked
         ]
         words += [f"{topic}: {why}" for topic, why in self._unusable.items()]
-        if self.front.suspicion:
-            words.append(self.front.suspicion)
+        if self.driven_yaw.suspicion:
+            words.append(self.driven_yaw.suspicion)
         return words
 
     @property
     def verdict(self) -> str:
         """Why the course contradicts the calibration in force; empty if it does not."""
-        if self.travelling.known_mounting is None:
+        if self.estimator.known_mounting is None:
             # If the vehicle may move sideways, its course says nothing about the compass.
             return ""
-        return course_fault(check_by_course(self.travelling.course))
+        return course_fault(check_by_course(self.estimator.course))
 
     def yaw_facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the yaw of the IMU in the vehicle; None if unknown."""
@@ -137,17 +142,17 @@ class Travel:
 
     def facts(self) -> dict[str, Any] | None:
         """Return the part of `~/status` on the drive; None without speeds and fixes."""
-        travelling, yaw = self.travelling, self.yaw
-        if not travelling.is_heard and yaw is None:
+        estimator, yaw = self.estimator, self.yaw
+        if not estimator.is_heard and yaw is None:
             return None
-        course = travelling.course
+        course = estimator.course
         return {
-            "speed_from": self._topics.get(travelling.source),
-            "own_acceleration_taken_off": travelling.own.is_used,
-            "metres": round(travelling.metres, -1),
-            "drifts": travelling.drift.is_drifting,
-            "course_gap_deg": _degrees(self.front.compass_gap),
-            "course_gap_sigma_deg": _degrees(self.front.compass_sigma),
+            "speed_from": self._topics.get(estimator.source),
+            "own_acceleration_taken_off": estimator.acceleration.is_used,
+            "metres": round(estimator.metres, -1),
+            "drifts": estimator.drift.is_drifting,
+            "course_gap_deg": _degrees(self.driven_yaw.compass_gap),
+            "course_gap_sigma_deg": _degrees(self.driven_yaw.compass_sigma),
             "course_metres": None if course is None else round(course.metres, -1),
             "course_swing_deg": None if course is None else _degrees(course.swing(1)[0]),
             "verdict": self.verdict,
@@ -155,18 +160,18 @@ class Travel:
 
     def diagnostics(self) -> list[DiagnosticStatus]:
         """Return the diagnostic of the drive; empty without speeds and fixes."""
-        if not self.travelling.is_heard:
+        if not self.estimator.is_heard:
             return []
         yaw, verdict = self.yaw, self.verdict
-        front = "the vehicle's front is not known yet" if yaw is None else yaw.words
+        driven_yaw = "the vehicle's front is not known yet" if yaw is None else yaw.words
         wrong = [*self.complaints, *([verdict] if verdict else [])]
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
         values = {key: str(value) for key, value in (self.facts() or {}).items()}
-        return [wire.diagnostic("Drive", "; ".join([front, *wrong]), values, level)]
+        return [wire.diagnostic("Drive", "; ".join([driven_yaw, *wrong]), values, level)]
 
     def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         def fail(error: Exception) -> None:
-            self.travelling.give_up_fit()
+            self.estimator.give_up_fit()
             self._node.get_logger().error(f"a fit of the drive has failed: {error!r}")
 
         self._thread.run(work, then, fail)
@@ -176,7 +181,7 @@ class Travel:
     ) -> None:
         """Take a message; if it has no usable sample, the reason becomes a complaint."""
         is_by_wheels = source is SpeedSource.ODOMETRY
-        if is_by_wheels and not self.travelling.wants_speed(wire.read_stamp(data)):
+        if is_by_wheels and not self.estimator.wants_speed(wire.read_stamp(data)):
             return
         try:
             found = read(data)
@@ -187,13 +192,13 @@ class Travel:
             return
         self._unusable.pop(self._topics[source], None)
         if not isinstance(found, Fix):
-            self.travelling.add_travel(found)
+            self.estimator.add_travel(found)
             return
         # The reference field reports the faults of fixes.
         self._tell_fix(found)
         position = self._plane.position(found)
         if position is not None:
-            self.travelling.add_travel(position)
+            self.estimator.add_travel(position)
 
 
 def _degrees(angle: float) -> float | None:

@@ -119,7 +119,7 @@ _FRAME_PLACE = _STAMP_END + 4
 """Offset of the frame, after the stamp and four bytes with the frame's length."""
 
 
-class Template:
+class MessageTemplate:
     """A message that is filled repeatedly: a header, a vector and a covariance (3, 3).
 
     If rclpy uses another layout, the numbers are set in the message object.
@@ -156,17 +156,17 @@ class Template:
         self._data = bytearray(data) if fits else None
 
 
-def field_template() -> Template:
+def field_template() -> MessageTemplate:
     """Return a sensor_msgs/MagneticField to fill: tesla, and the covariance in T²."""
-    return Template(MagneticField(), "magnetic_field", "xyz")
+    return MessageTemplate(MagneticField(), "magnetic_field", "xyz")
 
 
-def attitude_template() -> Template:
+def attitude_template() -> MessageTemplate:
     """Return a sensor_msgs/Imu to fill: quaternion and covariance; all else is marked absent."""
     message = Imu()
     message.angular_velocity_covariance[0] = ABSENT
     message.linear_acceleration_covariance[0] = ABSENT
-    return Template(message, "orientation", "xyzw")
+    return MessageTemplate(message, "orientation", "xyzw")
 
 
 def _set_stamp(message: Any, stamp: bytes) -> None:

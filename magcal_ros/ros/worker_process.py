@@ -29,11 +29,11 @@ ENDING = 1.0  # seconds to wait for the end of a process that has closed its out
 SIZE = 8  # bytes of the length that precedes each message
 
 
-class Lost(MagcalError):
+class WorkerLost(MagcalError):
     """The worker process has ended, or could not be started; the text says why."""
 
 
-class Stopped(Lost):
+class WorkerStopped(WorkerLost):
     """The node itself has ended the worker process."""
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class WorkerProcess:
 
         with self._lock:
             if self._is_over:
-                raise Stopped
+                raise WorkerStopped
             if self._process is None or self._process.poll() is not None:
                 try:
                     self._process = start(
@@ -72,7 +72,7 @@ class WorkerProcess:
                         start_new_session=True,
                     )
                 except OSError as error:
-                    raise Lost(
+                    raise WorkerLost(
                         f"the fitting process cannot be started: {error.strerror or error}; check "
                         "the memory and other resources of the machine"
                     ) from error
@@ -108,7 +108,7 @@ class WorkerProcess:
         except (EOFError, OSError) as error:
             with self._lock:
                 is_ours = self._process is not process
-            raise (Stopped() if is_ours else Lost(_how_it_ended(process))) from error
+            raise (WorkerStopped() if is_ours else WorkerLost(_how_it_ended(process))) from error
         is_result, answer = pickle.loads(reply)
         if not is_result:
             raise answer

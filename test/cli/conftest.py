@@ -1,11 +1,11 @@
-"""What the tests of commands share."""
+"""Fixtures of the tests of commands."""
 
 import sys
 
 import pytest
 from remembered import remembered
 
-from magcal_ros.core.doctor import Page
+from magcal_ros.core.doctor import SensorReport
 from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.session import recorded
 from magcal_ros.report import turn
@@ -18,12 +18,12 @@ CALIBRATE_TURNS = remembered(recorded.calibrate_turns)
 def plain_reports(monkeypatch):
     """Draw no pictures in this process, and do not look at the sensors: it is half of a fit."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setattr(turn, "examine_window", lambda *_: Page(()))
+    monkeypatch.setattr(turn, "examine_window", lambda *_: SensorReport(()))
     monkeypatch.setattr(joined, "wrong_axes", lambda *_: None)
 
 
 @pytest.fixture(autouse=True)
 def one_fit(monkeypatch):
-    """Fit the same samples once, however many commands are given them."""
+    """Fit the same samples once for all commands."""
     monkeypatch.setattr(recorded, "calibrate", CALIBRATE)
     monkeypatch.setattr(recorded, "calibrate_turns", CALIBRATE_TURNS)

@@ -1,4 +1,4 @@
-"""Whatever a user types or has lying about: one line, and the documented exit status."""
+"""Wrong input of any kind gives one line and the documented exit status."""
 
 import os
 import subprocess
@@ -61,7 +61,7 @@ def rewrite(path, row, column, value):
         ["export", LONG, "--to", "px4"], ["replay", LONG],
     ],
 )  # fmt: skip
-def test_a_name_too_long_is_file_trouble(call, arguments):
+def test_a_too_long_name_is_a_file_error(call, arguments):
     done = call(*arguments)
     assert done.returncode == Exit.FILE_TROUBLE
     assert is_one_line(done)
@@ -87,7 +87,7 @@ def test_a_line_without_end_is_damage(call, folder):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may go anywhere")
-def test_a_folder_that_may_not_be_entered_is_file_trouble(call, folder):
+def test_a_folder_without_permission_is_a_file_error(call, folder):
     folder.chmod(0o600)
     done = call("fit", str(folder))
     folder.chmod(0o700)
@@ -97,7 +97,7 @@ def test_a_folder_that_may_not_be_entered_is_file_trouble(call, folder):
 
 @pytest.mark.parametrize("stamp", ["1e300", "-1e300", "1e12"])
 @pytest.mark.parametrize("command", ["fit", "replay"])
-def test_stamps_that_are_no_times_are_damage(call, folder, stamp, command):
+def test_stamps_that_are_not_times_are_damage(call, folder, stamp, command):
     rewrite(folder / "mag.csv", 5, 0, stamp)
     done = call(command, str(folder))
     assert done.returncode == Exit.FILE_TROUBLE
@@ -106,7 +106,7 @@ def test_stamps_that_are_no_times_are_damage(call, folder, stamp, command):
 
 
 @pytest.mark.parametrize("stamp", ["nan", "inf", "4e9"])
-def test_stamps_that_no_message_holds_are_not_replayed(call, folder, stamp):
+def test_stamps_out_of_range_are_not_replayed(call, folder, stamp):
     rewrite(folder / "imu.csv", 7, 0, stamp)
     done = call("replay", str(folder))
     assert done.returncode == Exit.FILE_TROUBLE
@@ -115,19 +115,21 @@ def test_stamps_that_no_message_holds_are_not_replayed(call, folder, stamp):
 
 
 @pytest.mark.parametrize("option", ["--imu-frame", "--mag-frame"])
-def test_a_frame_that_is_no_text_is_misuse(call, folder, option):
+def test_a_frame_that_is_not_text_is_a_usage_error(call, folder, option):
     done = call("replay", str(folder), option, b"\xff\xfe")
     assert done.returncode == Exit.USAGE
     assert b"is not UTF-8 text" in done.stderr
 
 
 @pytest.mark.parametrize("rate", ["nan", "inf", "0", "-1", "fast"])
-def test_a_rate_that_is_none_is_misuse(call, folder, rate):
+def test_an_invalid_rate_is_a_usage_error(call, folder, rate):
     assert call("replay", str(folder), f"--rate={rate}").returncode == Exit.USAGE
 
 
 @pytest.mark.parametrize("command", ["fit", "doctor", "drive"])
-def test_a_span_that_ends_before_it_begins_is_misuse(call, folder, tmp_path, monkeypatch, command):
+def test_a_span_that_ends_before_it_begins_is_a_usage_error(
+    call, folder, tmp_path, monkeypatch, command
+):
     monkeypatch.chdir(tmp_path)
     done = call(command, str(folder), "--from", "9", "--to", "3")
     assert done.returncode == Exit.USAGE
@@ -144,20 +146,20 @@ class TestRos:
         "arguments",
         [["-r", "a b:=c"], ["--params-file", "/nowhere.yaml"], ["-r", "__ns:=no space"]],
     )
-    def test_bad_ros_arguments_are_misuse(self, call, folder, arguments):
+    def test_bad_ros_arguments_are_a_usage_error(self, call, folder, arguments):
         done = call("replay", str(folder), "--wait", "0", "--ros-args", *arguments)
         assert done.returncode == Exit.USAGE
         assert b"magcal: ROS does not start: " in done.stderr
         assert b"Traceback" not in done.stderr
 
-    def test_a_domain_that_is_no_number_is_misuse(self, folder):
+    def test_a_domain_that_is_not_a_number_is_a_usage_error(self, folder):
         done = run("replay", str(folder), "--wait", "0", env={**os.environ, "ROS_DOMAIN_ID": "x"})
         assert done.returncode == Exit.USAGE
         assert b"ROS_DOMAIN_ID" in done.stderr
         assert b"Traceback" not in done.stderr
 
 
-def test_a_reader_that_has_seen_enough_ends_it_quietly(folder):
+def test_a_closed_pipe_ends_the_command_silently(folder):
     read, write = os.pipe()
     os.close(read)
     done = run(
@@ -170,7 +172,7 @@ def test_a_reader_that_has_seen_enough_ends_it_quietly(folder):
 
 
 @pytest.mark.parametrize("name", ["turn.mcap", "turn.db3", "turn.bag", "turn/turn_0.mcap"])
-def test_a_pipe_in_a_bags_place_is_not_waited_for(call, tmp_path, name):
+def test_a_pipe_instead_of_a_bag_is_not_waited_for(call, tmp_path, name):
     pipe = tmp_path / name
     if pipe.parent != tmp_path:
         pipe.parent.mkdir()
@@ -182,7 +184,7 @@ def test_a_pipe_in_a_bags_place_is_not_waited_for(call, tmp_path, name):
     assert b"not a regular file" in done.stderr
 
 
-def test_a_table_without_a_row_is_said_and_nothing_of_ours_warns(call, folder):
+def test_an_empty_table_is_reported_without_a_python_warning(call, folder):
     for header in ("t,latitude,longitude\n", "t,latitude,longitude\n\n# nothing\n"):
         (folder / "gps.csv").write_text(header)
         done = call("fit", folder)
@@ -194,7 +196,7 @@ def test_a_table_without_a_row_is_said_and_nothing_of_ours_warns(call, folder):
 EVIL = "a\x1b[31mb\x9b2Jc\u202ed"
 
 
-def test_no_name_of_a_file_steers_a_terminal(call, folder, tmp_path):
+def test_names_of_files_cannot_control_the_terminal(call, folder, tmp_path):
     for arguments in (("fit", folder, "--output", tmp_path / EVIL), ("fit", tmp_path / EVIL)):
         done = call(*arguments)
         said = (done.stdout + done.stderr).decode()
@@ -202,14 +204,14 @@ def test_no_name_of_a_file_steers_a_terminal(call, folder, tmp_path):
         assert all(letter.isprintable() or letter == "\n" for letter in said), arguments
 
 
-def test_no_argument_steers_a_terminal(call, folder):
-    # As `magcal doctor *` gives them, where a folder holds such names.
+def test_arguments_cannot_control_the_terminal(call, folder):
+    # As `magcal doctor *` passes them for a folder with such names.
     for arguments in (("doctor", folder, EVIL), (EVIL,), ("fit", f"--output={EVIL}", f"--{EVIL}")):
         said = call(*arguments).stderr.decode()
         assert all(letter.isprintable() or letter == "\n" for letter in said), arguments
 
 
-def test_a_missing_recording_is_said_in_one_line(call, tmp_path):
+def test_a_missing_recording_is_reported_in_one_line(call, tmp_path):
     done = call("replay", str(tmp_path / "nowhere"))
     assert done.returncode == Exit.FILE_TROUBLE
     assert done.stderr.startswith(b"magcal: cannot read")
@@ -220,7 +222,7 @@ def test_a_wrong_command_is_a_usage_error(call):
     assert call("dance").returncode == Exit.USAGE
 
 
-def test_the_demo_replaces_no_file_of_others(call, tmp_path):
+def test_the_demo_replaces_no_file_of_another_program(call, tmp_path):
     path = tmp_path / "robot_params.yaml"
     path.write_text("mine: 1\n")
     done = call("demo", "--output", str(path))
@@ -229,7 +231,7 @@ def test_the_demo_replaces_no_file_of_others(call, tmp_path):
     assert path.read_text() == "mine: 1\n"
 
 
-def test_a_fault_of_ours_is_told_as_ours_with_its_traceback(monkeypatch, capsys, tmp_path):
+def test_an_internal_error_is_reported_with_its_traceback(monkeypatch, capsys, tmp_path):
     def fail(_):
         raise ZeroDivisionError("a bug")
 
@@ -242,7 +244,7 @@ def test_a_fault_of_ours_is_told_as_ours_with_its_traceback(monkeypatch, capsys,
     assert "Please report it" in errors
 
 
-def test_an_os_error_without_a_name_is_ours_and_with_one_the_users(monkeypatch, capsys):
+def test_an_os_error_without_a_file_name_is_internal(monkeypatch, capsys):
     errors = iter([OSError(12, "Cannot allocate memory"), PermissionError(13, "Denied", "/secret")])
 
     def fail(_):
@@ -256,7 +258,7 @@ def test_an_os_error_without_a_name_is_ours_and_with_one_the_users(monkeypatch, 
 
 
 @pytest.mark.parametrize("name", ["", "/", "/x//y", "x\x1b[2J", "a b", "/x/", "1a", "x" * 5000])
-def test_a_name_that_no_node_can_have_is_said(name, capsys):
+def test_an_invalid_node_name_is_reported(name, capsys):
     with pytest.raises(SystemExit, match=f"{Exit.USAGE:d}"):
         main(["calibrate", "--node", name])
     said = capsys.readouterr().err

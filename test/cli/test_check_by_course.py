@@ -17,7 +17,7 @@ from magcal_ros.files import Origin, write_calibration
 
 
 @pytest.mark.parametrize("seconds", first_of([100.0, 180.0]))
-def test_the_offset_is_told_and_a_bent_calibration_accused(seconds, tmp_path, capsys):
+def test_the_offset_is_reported_and_a_wrong_calibration_named(seconds, tmp_path, capsys):
     """A hundred seconds show the declination, three minutes the swing too, on the drive's page."""
     rng = np.random.default_rng(4)
     truth = travel(city(rng, seconds), rng, rate=10.0)

@@ -7,15 +7,15 @@ import pytest
 from drives import ROBOT, drive, write_bag, write_csv
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.session import Gathering, fit_gathered
+from magcal_ros.core.session import SampleCollector, fit_collected
 from magcal_ros.files import Origin, write_calibration
 
 
 @pytest.fixture(scope="module")
 def calibration_file(tmp_path_factory):
-    gathering = Gathering(ROBOT.mounting)
-    gathering.take(drive(400.0))
-    outcome = fit_gathered(gathering, ROBOT.knowledge(1.5e-6, math.radians(1.0)))
+    collector = SampleCollector(ROBOT.mounting)
+    collector.take(drive(400.0))
+    outcome = fit_collected(collector, ROBOT.knowledge(1.5e-6, math.radians(1.0)))
     path = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
     write_calibration(path, outcome.calibration, Origin.now("mag_link", "imu_link"))
     return path
@@ -40,7 +40,7 @@ def moved():
     return dataclasses.replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([5e-6, 0.0, 0.0]))
 
 
-def test_a_good_one_holds(check, tmp_path):
+def test_a_good_calibration_holds(check, tmp_path):
     status, out, err = check(write_bag(tmp_path / "bag", drive(400.0, seed=2)))
     assert (status, err) == (0, "")
     assert out.startswith("The calibration holds.\n")
@@ -50,7 +50,7 @@ def test_a_good_one_holds(check, tmp_path):
     assert "Not shown by this recording:" in out
 
 
-def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
+def test_a_stale_calibration_is_4_with_the_reason(check, tmp_path):
     status, out, _ = check(write_csv(tmp_path / "csv", drive(400.0, moved(), seed=3)))
     assert status == 4
     assert out.startswith("The calibration is stale, calibrate again.\n")
@@ -64,7 +64,7 @@ def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("iron", "word"), [(0.0, "holds"), (5e-6, "stale")])
-def test_the_report_tells_the_same(check, tmp_path, iron, word):
+def test_the_report_has_the_same_content(check, tmp_path, iron, word):
     robot = dataclasses.replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([iron, 0.0, 0.0]))
     recording = write_csv(tmp_path / "csv", drive(400.0, robot, seed=3))
     _, out, _ = check(recording, "--output", str(tmp_path / "found"))
@@ -93,7 +93,7 @@ def test_too_little_of_a_turn_is_3(check, tmp_path, arguments):
     assert "the turn is too short" in out
 
 
-def test_another_sensor_is_said(check, tmp_path):
+def test_another_sensor_is_reported(check, tmp_path):
     evil = "rear\x1b[31m"
     path = write_bag(tmp_path / "bag", drive(400.0, seed=2), frames=("imu_link", evil))
     _, out, _ = check(path)
@@ -101,7 +101,7 @@ def test_another_sensor_is_said(check, tmp_path):
     assert "\x1b" not in out
 
 
-def test_file_trouble_is_5_and_usage_2(check, tmp_path):
+def test_a_file_error_is_5_and_a_usage_error_2(check, tmp_path):
     path = write_csv(tmp_path / "csv", drive(20.0))
     assert check(tmp_path / "nothing")[0] == 5
     assert check(path, file=tmp_path / "nothing.yaml")[0] == 5

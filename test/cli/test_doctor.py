@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from magcal_ros.cli.doctor import write_parameters
 from magcal_ros.cli.main import main
-from magcal_ros.core.doctor import Page
+from magcal_ros.core.doctor import SensorReport
 from magcal_ros.core.geometry import signed_permutations
 from magcal_ros.core.samples import FieldSample, ImuSample
 
@@ -31,7 +31,7 @@ def record(folder, axes, scale=1.0):
     return [str(folder), "--reference-inclination-deg", f"{inclination:.2f}"]
 
 
-def test_good_sensors_are_called_good(tmp_path, capsys):
+def test_good_sensors_have_no_fault(tmp_path, capsys):
     assert main(["doctor", *record(tmp_path / "bag", np.eye(3))]) == 0
     said = capsys.readouterr().out
     assert "x forward, y left, z up" in said
@@ -39,7 +39,7 @@ def test_good_sensors_are_called_good(tmp_path, capsys):
     assert "What to do" not in said
 
 
-def test_a_wrong_unit_is_said_once_in_numbers_as_published(tmp_path, capsys):
+def test_a_wrong_unit_is_reported_once_in_published_numbers(tmp_path, capsys):
     assert main(["doctor", *record(tmp_path / "bag", np.eye(3), scale=1e6)]) == 4
     said = capsys.readouterr().out
     assert said.count("looks like microtesla published as tesla") == 1
@@ -59,7 +59,7 @@ def test_the_orientation_in_a_bag_is_compared_with_the_field(tmp_path, capsys):
     assert re.search(r"look  IMU: orientation +its yaw is \+11\d ± \d° off .* BNO08x", said), said
 
 
-def test_the_line_to_change_is_said_and_written(tmp_path, capsys):
+def test_the_parameter_to_change_is_printed_and_written(tmp_path, capsys):
     file = tmp_path / "\x1b[31mparams.yaml"
     assert main(["doctor", *record(tmp_path / "bag", NED), "--write", str(file)]) == 4
     said = capsys.readouterr().out
@@ -70,7 +70,7 @@ def test_the_line_to_change_is_said_and_written(tmp_path, capsys):
     assert content["/**"]["ros__parameters"] == {"mount_rpy_deg": [180.0, 0.0, 0.0]}
 
 
-def test_what_no_mounting_mends_is_not_written(tmp_path, capsys):
+def test_a_fault_that_no_mounting_corrects_is_not_written(tmp_path, capsys):
     file = tmp_path / "params.yaml"
     arguments = record(tmp_path / "bag", signed_permutations()[24])
     assert main(["doctor", *arguments, "--json", "--write", str(file)]) == 4
@@ -80,26 +80,26 @@ def test_what_no_mounting_mends_is_not_written(tmp_path, capsys):
     assert not file.exists()
 
 
-def test_a_file_that_is_there_is_not_overwritten(tmp_path, capsys):
+def test_an_existing_file_is_not_overwritten(tmp_path, capsys):
     file = tmp_path / "params.yaml"
     file.write_text("mine")
     assert main(["doctor", *record(tmp_path / "bag", NED), "--write", str(file)]) == 5
     assert file.read_text() == "mine"
 
 
-def test_too_little_is_said(tmp_path, capsys):
+def test_too_little_data_is_reported(tmp_path, capsys):
     arguments = record(tmp_path / "bag", NED)
     assert main(["doctor", *arguments, "--to", "0.5"]) == 3
     assert "Too little data" in capsys.readouterr().out
 
 
-def test_a_recording_is_not_live(tmp_path, capsys):
+def test_a_recording_excludes_the_live_option(tmp_path, capsys):
     assert main(["doctor", *record(tmp_path / "bag", np.eye(3)), "--live"]) == 2
     assert "leave out --live" in capsys.readouterr().err
 
 
-def test_how_the_robot_turned_is_heard(tmp_path, capsys):
-    # All sensors agree on the side to which it turned: it is the person who is asked about.
+def test_the_given_direction_of_the_turn_is_used(tmp_path, capsys):
+    # All sensors agree on the direction of the turn: the user may have turned the other way.
     arguments = record(tmp_path / "bag", np.eye(3))
     said = []
     for side in ("left", "right"):
@@ -108,17 +108,17 @@ def test_how_the_robot_turned_is_heard(tmp_path, capsys):
     assert sorted(said) == [False, True]
 
 
-def test_known_gains_are_written_beside_the_mounting(tmp_path):
-    page = Page((), (180, 0, 0))
+def test_known_gains_are_written_with_the_mounting(tmp_path):
+    report = SensorReport((), (180, 0, 0))
     file = tmp_path / "params.yaml"
-    assert write_parameters(file, page, np.array([1.0, 1.05, 0.98])) == str(file)
+    assert write_parameters(file, report, np.array([1.0, 1.05, 0.98])) == str(file)
     content = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
     assert content == {"mount_rpy_deg": [180.0, 0.0, 0.0], "soft_iron_gains": [1.0, 1.05, 0.98]}
-    assert write_parameters(tmp_path / "other.yaml", Page(()), None) is None
+    assert write_parameters(tmp_path / "other.yaml", SensorReport(()), None) is None
     assert not (tmp_path / "other.yaml").exists()
 
 
-def test_stamps_in_bursts_are_said_once_with_the_mean_rate(tmp_path, capsys):
+def test_bursts_are_reported_once_with_the_mean_rate(tmp_path, capsys):
     arguments = record(tmp_path / "csv", np.eye(3))
     for name in ("imu.csv", "mag.csv"):
         head, *rows = (tmp_path / "csv" / name).read_text().splitlines()
@@ -137,7 +137,7 @@ def test_stamps_in_bursts_are_said_once_with_the_mean_rate(tmp_path, capsys):
     assert "look  recording" not in said
 
 
-def test_the_option_that_a_refused_fit_names_mends_it_when_pasted(tmp_path, capsys, monkeypatch):
+def test_the_option_named_by_a_refused_fit_corrects_it(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = record(tmp_path / "bag", NED)
     assert main(["fit", *arguments, "--output", "refused"]) == 4

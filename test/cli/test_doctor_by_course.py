@@ -1,4 +1,4 @@
-"""`magcal doctor` tells the yaw of the axes where a bag has a course."""
+"""`magcal doctor` reports the yaw of the axes if a bag has a course."""
 
 import json
 import math
@@ -18,7 +18,7 @@ LEFT = rotation_from_rpy(0.0, 0.0, math.pi / 2.0)
 
 
 def turned(sample, imu, field):
-    """A sample as sensors say it that are turned by `imu` and `field` in the vehicle."""
+    """A sample of sensors that are rotated by `imu` and `field` in the vehicle."""
     if isinstance(sample, ImuSample):
         force, rate = (tuple(imu.T @ np.array(v)) for v in (sample.force, sample.rate))
         return sample._replace(force=force, rate=rate)
@@ -43,7 +43,7 @@ def samples():
     ],
     ids=["magnetometer to the left", "right", "both to the left"],
 )
-def test_a_course_tells_the_yaw(samples, imu, field, wrong, tmp_path, capsys):
+def test_a_course_gives_the_yaw(samples, imu, field, wrong, tmp_path, capsys):
     said = [recorded(turned(sample, imu, field)) for sample in samples]
     bag = write_bag(tmp_path / "bag", [each for each in said if each])
     main(["doctor", str(bag), "--json"])

@@ -1,4 +1,4 @@
-"""`magcal drive`: a recorded drive told again."""
+"""`magcal drive`: the replay of a recorded drive."""
 
 import json
 import math
@@ -13,7 +13,7 @@ from simulated.travel import travel
 from magcal_ros.cli.main import main
 from magcal_ros.core import Mounting
 from magcal_ros.core.calibration import known_sigma, predicted_heading_sigma
-from magcal_ros.core.session import Gathering
+from magcal_ros.core.session import SampleCollector
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import open_recording, read_calibration
 
@@ -34,7 +34,7 @@ def driven(tmp_path_factory):
     return write_csv(tmp_path_factory.mktemp("driven") / "csv", samples)
 
 
-def test_a_drive_from_nothing_ends_with_a_calibration_and_a_page(driven, tmp_path, capsys):
+def test_a_drive_without_a_calibration_ends_with_one_and_a_page(driven, tmp_path, capsys):
     status = main(["drive", str(driven), *REFERENCE, "--output", str(tmp_path), "--json"])
     told = json.loads(capsys.readouterr().out)
     assert status == 0
@@ -58,18 +58,18 @@ def test_a_drive_from_nothing_ends_with_a_calibration_and_a_page(driven, tmp_pat
     assert "https://" not in page
 
 
-def test_a_speed_beside_the_sensors_goes_into_the_log(tmp_path):
+def test_a_speed_in_the_recording_is_used(tmp_path):
     drive, _ = sensors(city(np.random.default_rng(2), 110.0), seed=2)
     folder = write_csv(tmp_path / "csv", list(drive.samples()))
     assert {each.name for each in folder.iterdir()} >= {"odom.csv", "gps.csv"}
     with open_recording(folder) as source:
-        gathered = Gathering(Mounting())
-        gathered.take(source.readings(), source.travel)
-    driven = 0.1 * np.nansum(np.abs(gathered.drive().speed))
+        recording = SampleCollector(Mounting())
+        recording.take(source.readings(), source.travel)
+    driven = 0.1 * np.nansum(np.abs(recording.drive().speed))
     assert driven == pytest.approx(drive.truth.metres[-1], rel=0.1)
 
 
-def test_a_robot_that_stands_decides_nothing(tmp_path, capsys):
+def test_a_robot_at_rest_gives_no_decision(tmp_path, capsys):
     _, samples = sensors([Leg(40.0)])
     folder = write_csv(tmp_path / "csv", samples)
     status = main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")])
@@ -79,7 +79,7 @@ def test_a_robot_that_stands_decides_nothing(tmp_path, capsys):
     assert "No map" in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_an_older_report_stays(tmp_path, capsys):
+def test_an_older_report_is_kept(tmp_path, capsys):
     _, samples = sensors([Leg(10.0)])
     folder = write_csv(tmp_path / "csv", samples)
     arguments = ["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]
@@ -100,14 +100,14 @@ def test_fit_takes_a_whole_drive_without_a_turn(driven, tmp_path, capsys):
     assert found.evidence.method == "smoother"
 
 
-def test_a_bag_without_fixes_and_wheels_is_told_by_its_compass(driven, tmp_path, capsys):
+def test_without_fixes_and_wheels_the_map_is_by_the_compass(driven, tmp_path, capsys):
     _, samples = sensors(city(np.random.default_rng(2), 30.0))
     bag = write_bag(tmp_path / "bag", samples)
     assert main(["drive", str(bag), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
     assert "Written" in capsys.readouterr().out
 
 
-def test_a_recording_without_a_gyro_is_told_that_a_drive_needs_one(tmp_path, capsys):
+def test_a_recording_without_a_gyro_is_refused_with_the_reason(tmp_path, capsys):
     _, samples = sensors([Leg(10.0)])
     folder = write_csv(tmp_path / "csv", samples)
     rows = (folder / "imu.csv").read_text().splitlines()
@@ -133,8 +133,8 @@ def rewritten(folder, name, columns, scale, into):
     return into
 
 
-def test_a_drive_with_a_gyro_in_degrees_is_told_so(tmp_path, capsys):
-    """And not that it did not show enough."""
+def test_a_drive_with_a_gyro_in_degrees_is_reported(tmp_path, capsys):
+    """The message is not that there was too little data."""
     good = write_csv(tmp_path / "good", drive(800.0))
     folder = rewritten(good, "imu.csv", slice(4, 7), math.degrees(1.0), tmp_path / "csv")
     assert main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
@@ -145,8 +145,8 @@ def test_a_drive_with_a_gyro_in_degrees_is_told_so(tmp_path, capsys):
     assert "degrees/s published as rad/s" in (tmp_path / "out" / "report.html").read_text()
 
 
-def test_a_drive_with_a_field_in_microtesla_is_told_so(driven, tmp_path, capsys):
-    """And not that it has no gyro."""
+def test_a_drive_with_a_field_in_microtesla_is_reported(driven, tmp_path, capsys):
+    """The message is not that there is no gyro."""
     folder = rewritten(driven, "mag.csv", slice(1, 4), 1e6, tmp_path / "csv")
     assert main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
     said = capsys.readouterr().err

@@ -36,7 +36,9 @@ def test_an_export_is_written_to_a_file(stored, tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
-def test_what_a_consumer_cannot_hold_is_refused_in_one_line(stored, tmp_path, capsys):
+def test_a_calibration_that_a_consumer_cannot_store_is_refused_in_one_line(
+    stored, tmp_path, capsys
+):
     output = tmp_path / "px4.txt"
     arguments = ["export", str(stored()), "--to", "px4", "--output", str(output)]
     assert main(arguments) == 1
@@ -46,7 +48,7 @@ def test_what_a_consumer_cannot_hold_is_refused_in_one_line(stored, tmp_path, ca
     assert not output.exists()
 
 
-def test_a_missing_calibration_is_file_trouble(tmp_path, capsys):
+def test_a_missing_calibration_is_a_file_error(tmp_path, capsys):
     assert main(["export", str(tmp_path / "nowhere.yaml"), "--to", "px4"]) == 5
     assert "cannot read" in capsys.readouterr().err
 

@@ -40,7 +40,7 @@ def fit(tmp_path, capsys):
     return run
 
 
-def test_a_good_turn_leaves_a_calibration_and_a_verdict_first(fit, bag, tmp_path):
+def test_a_good_turn_gives_a_verdict_and_a_calibration_file(fit, bag, tmp_path):
     status, out, err = fit(bag)
     assert status == 0, out + err
     assert out.startswith("Calibrated, quality ")
@@ -53,7 +53,7 @@ def test_a_good_turn_leaves_a_calibration_and_a_verdict_first(fit, bag, tmp_path
     assert err == ""
 
 
-def test_each_strength_of_a_weakened_field_has_its_name(fit, tmp_path):
+def test_both_strengths_of_a_weakened_field_are_named(fit, tmp_path):
     """Two thirds of the level field: raw, without hard iron and corrected strengths differ."""
     samples = [
         each._replace(field=tuple(np.array([0.67, 0.67, 1.0]) * each.field))
@@ -121,7 +121,7 @@ def test_compare_shows_every_method_and_writes_nothing(fit, bag, tmp_path):
     assert not (tmp_path / "found").exists()
 
 
-def test_a_path_of_bytes_that_are_no_text_is_read_and_reported(fit, tmp_path):
+def test_a_path_that_is_not_unicode_is_read_and_reported(fit, tmp_path):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/drive\xff\x1b[2J"))
     status, out, err = fit(write_csv(folder, drive(400.0)))
     assert status == 0, out + err
@@ -178,7 +178,7 @@ class TestExits:
         assert "\x1b" not in err
         assert fit(path, "--imu", "/imu/data_raw")[0] == 0
 
-    def test_file_trouble_is_5(self, fit, tmp_path):
+    def test_a_file_error_is_5(self, fit, tmp_path):
         status, out, err = fit(tmp_path / "nothing")
         assert (status, out) == (5, "")
         assert err.count("\n") == 1
@@ -189,7 +189,7 @@ class TestExits:
         assert fit(bag, "--output", str(tmp_path / "file"))[0] == 5
 
 
-def test_options_say_what_is_known(fit, tmp_path):
+def test_options_give_the_prior_knowledge(fit, tmp_path):
     gains = ["--soft-iron-gains", "1", "1", "1", "--mount-rpy-deg", "3", "-4", "0"]
     status, out, _ = fit(write_csv(tmp_path / "csv", drive(400.0)), *gains, "--json")
     assert status == 0
@@ -210,7 +210,7 @@ class TestRecordings:
         assert json.loads(out)["numbers"]["hard_iron_x_ut"] == pytest.approx(21.0, abs=3.0)
 
     @pytest.mark.nightly
-    def test_stamps_in_bursts_are_mended_and_named(self, fit, recording):
+    def test_stamps_in_bursts_are_repaired_and_named(self, fit, recording):
         folder = recording("car_neu2023_aswin_asrec")
         place = ["--reference-strength-ut", "51.3", "--reference-inclination-deg", "66.3"]
         status, out, _ = fit(folder, *place, "--json")
@@ -221,7 +221,7 @@ class TestRecordings:
         assert "spread evenly" in str(document)
 
     @pytest.mark.nightly
-    def test_a_span_of_a_hand_held_turn_runs(self, fit, recording):
+    def test_a_span_of_a_hand_held_recording_is_fitted(self, fit, recording):
         status, out, _ = fit(recording("broad05"), "--from", "48", "--to", "62", "--json")
         document = json.loads(out)
         assert status == document["exit"]
@@ -246,7 +246,7 @@ def turns(tmp_path_factory):
 class TestSeveralTurns:
     """Each drive is a turn on a tilt of its own."""
 
-    def test_they_are_joined_and_each_is_accounted_for(self, fit, turns):
+    def test_several_turns_are_joined_and_each_is_reported(self, fit, turns):
         status, out, _ = fit([turns / name for name in ("a", "b", "short", "a")])
         assert status == 0
         assert re.search(r", yaw 4\.\d+° ±0\.\d+°|, yaw 5\.\d+° ±0\.\d+°", out)
@@ -265,7 +265,7 @@ class TestSeveralTurns:
         assert joined == [True, True, False, False]
         assert document["several"]["advice"].startswith("Next turn ")
 
-    def test_one_recording_alone_says_nothing_of_several(self, fit, turns):
+    def test_one_recording_gives_no_report_on_several(self, fit, turns):
         assert json.loads(fit(turns / "a", "--json")[1])["several"] is None
 
     @pytest.mark.parametrize(
@@ -276,7 +276,7 @@ class TestSeveralTurns:
             (["--method", "design_tip"], "takes one turn; maximum_likelihood joins several"),
         ],
     )
-    def test_what_is_meant_for_one_is_said(self, fit, turns, arguments, words):
+    def test_options_for_one_recording_are_refused_for_several(self, fit, turns, arguments, words):
         status, out, err = fit([turns / "a", turns / "b"], *arguments)
         assert (status, out) == (2, "")
         assert words in err
@@ -294,7 +294,7 @@ class TestSeveralTurns:
         assert "the turn is too short" in out
 
 
-def test_repeats_that_are_left_out_are_said(fit, tmp_path):
+def test_omitted_repetitions_are_reported(fit, tmp_path):
     samples = drive(400.0)
     fields = [k for k, sample in enumerate(samples) if not isinstance(sample, ImuSample)]
     repeated = list(zip(fields[::3], fields[1::3], strict=False))
@@ -305,7 +305,7 @@ def test_repeats_that_are_left_out_are_said(fit, tmp_path):
     assert f"mag.csv: {said}" in out
 
 
-def test_a_turn_without_a_gyro_is_told_in_full_and_says_what_to_give(tmp_path, capsys):
+def test_a_turn_without_a_gyro_is_reported_with_the_missing_knowledge(tmp_path, capsys):
     folder = write_csv(tmp_path / "csv", drive(400.0))
     rows = (folder / "imu.csv").read_text().splitlines()
     (folder / "imu.csv").write_text("\n".join(",".join(row.split(",")[:4]) for row in rows) + "\n")

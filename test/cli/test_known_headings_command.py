@@ -1,4 +1,4 @@
-"""`magcal fit` where headings are known, in place of a turn."""
+"""`magcal fit` at known headings, instead of a turn."""
 
 import math
 
@@ -30,7 +30,7 @@ def fit(tmp_path, capsys):
 
 
 @pytest.fixture(scope="module")
-def standings(tmp_path_factory):
+def recordings(tmp_path_factory):
     """Recordings of five seconds, one at each heading."""
     folder, found = tmp_path_factory.mktemp("standings"), []
     for k, yaw in enumerate(YAWS):
@@ -45,17 +45,17 @@ def iron(tmp_path):
     return read_calibration(tmp_path / "found" / "calibration.yaml")[0].correction.hard_iron
 
 
-def test_three_standings_make_a_calibration(fit, standings, tmp_path):
+def test_three_known_headings_give_a_calibration(fit, recordings, tmp_path):
     known = "--heading-deg", *YAWS, "--north", "magnetic", "--sigma-deg", 1
-    status, words = fit(*standings, *known)
+    status, words = fit(*recordings, *known)
     assert status == 0, words
     assert "One more known heading" in words
     assert np.linalg.norm(iron(tmp_path)[:2] - ROBOT.hard_iron[:2]) < 1.5e-6
 
 
-def test_a_bearing_in_place_of_a_yaw_is_named(fit, standings):
+def test_a_bearing_instead_of_a_yaw_is_named(fit, recordings):
     told = [90.0 - yaw for yaw in YAWS]
-    status, words = fit(*standings, "--heading-deg", *told, "--north", "magnetic")
+    status, words = fit(*recordings, "--heading-deg", *told, "--north", "magnetic")
     assert status == 4
     assert "as a compass bearing does" in words
 
@@ -69,8 +69,8 @@ def test_a_bearing_in_place_of_a_yaw_is_named(fit, standings):
         (["--heading-topic", "/heading", "--north", "true"], "takes one recording"),
     ],
 )
-def test_headings_that_are_not_said_fully_are_refused(fit, standings, arguments, words):
-    status, said = fit(*standings, *arguments)
+def test_incomplete_headings_are_refused(fit, recordings, arguments, words):
+    status, said = fit(*recordings, *arguments)
     assert status == 2
     assert words in said
 
@@ -88,7 +88,7 @@ def antenna(stamp, yaw):
 
 
 def driven(path, sign=1.0):
-    """A bag of a robot that turns slowly once, and what its antennas say of it."""
+    """A bag of a robot that turns slowly once, and the headings of its antennas."""
     ride = Ride(ROBOT, np.random.default_rng(5), start=1000.0, imu_rate=25.0)
     samples = []
     for k in range(25 * 75):
@@ -112,7 +112,7 @@ def test_the_headings_of_two_antennas_in_a_bag_calibrate(fit, bag, tmp_path):
     assert np.linalg.norm(iron(tmp_path)[:2] - ROBOT.hard_iron[:2]) < 1.5e-6
 
 
-def test_antennas_to_magnetic_north_in_a_bag_are_named_where_true_north_is_said(fit, bag):
+def test_antennas_to_magnetic_instead_of_true_north_are_named(fit, bag):
     options = "--heading-topic", "/heading", "--north", "true", "--reference-declination-deg", 14
     status, words = fit(bag, "--imu", "/imu/data_raw", *options)
     assert status == 0, words

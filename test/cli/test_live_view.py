@@ -1,4 +1,4 @@
-"""What a person sees of a turn, on a terminal and in a log."""
+"""The live view of a turn, on a terminal and in a log."""
 
 import io
 import re
@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from magcal_ros.cli.live_view import Lines, Panel, advice, best_view, line, ring
+from magcal_ros.cli.live_view import Panel, ProgressLines, advice, best_view, line, ring
 
 PROGRESS = {
     "stage": "collecting",
@@ -31,11 +31,11 @@ PROGRESS = {
         ({"stage": "complete"}, "fitting"),
     ],
 )
-def test_the_advice_is_for_this_moment(change, words):
+def test_the_advice_is_for_the_present_state(change, words):
     assert words in advice(PROGRESS | change)
 
 
-def test_covered_headings_lie_to_the_left_of_the_start_on_a_ring():
+def test_measured_headings_are_left_of_the_start_on_the_ring():
     rows = ring(PROGRESS["filled"])
     assert "".join(rows).count("#") >= 7
     middle = len(rows[0]) // 2
@@ -47,7 +47,7 @@ def test_covered_headings_lie_to_the_left_of_the_start_on_a_ring():
 
 
 def test_a_log_gets_a_line_a_second_while_something_changes(capsys):
-    with Lines() as view:
+    with ProgressLines() as view:
         for elapsed, sigma in ((3.2, 0.31), (3.4, 0.3), (3.9, 0.3), (4.1, 0.3), (5.2, 0.3)):
             view.show(PROGRESS | {"elapsed_s": elapsed, "heading_sigma_deg": sigma})
     printed = capsys.readouterr().out.splitlines()
@@ -80,7 +80,7 @@ def test_no_line_is_wider_than_the_terminal(monkeypatch, columns):
     monkeypatch.setenv("COLUMNS", str(columns))
     monkeypatch.setenv("TERM", "xterm")
     wide = PROGRESS | {"arc_deg": 359.0, "samples": 12345, "advice": "", "heading_sigma_deg": 0.5}
-    for kind in (Lines, Panel):
+    for kind in (ProgressLines, Panel):
         monkeypatch.setattr(sys, "stdout", Terminal())
         try:
             view = kind()
@@ -95,6 +95,6 @@ def test_no_line_is_wider_than_the_terminal(monkeypatch, columns):
 def test_without_rich_a_terminal_gets_lines(monkeypatch):
     monkeypatch.setattr(sys, "stdout", Terminal())
     monkeypatch.setitem(sys.modules, "rich.live", None)
-    assert isinstance(best_view(), Lines)
+    assert isinstance(best_view(), ProgressLines)
     monkeypatch.setattr(sys, "stdout", io.StringIO())
-    assert isinstance(best_view(), Lines)
+    assert isinstance(best_view(), ProgressLines)

@@ -1,4 +1,4 @@
-"""A log of an autopilot or a phone goes through the commands, and the result back to it."""
+"""Logs of autopilots and phones with all commands, and exports back to them."""
 
 import io
 import json
@@ -51,7 +51,7 @@ def level_circle(field):
     return float(sizes.std() / sizes.mean())
 
 
-def test_ardupilot_flies_with_what_was_found_in_its_log(tmp_path, capsys):
+def test_ardupilot_uses_the_calibration_from_its_log(tmp_path, capsys):
     """With two compasses, and motors whose field of 0 to 12 µT it compensates before and after."""
     pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
 
@@ -88,7 +88,7 @@ def test_ardupilot_flies_with_what_was_found_in_its_log(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("rotation", first_of([6, 0]))
-def test_px4_flies_with_what_was_found_in_its_log(tmp_path, capsys, rotation):
+def test_px4_uses_the_calibration_from_its_log(tmp_path, capsys, rotation):
     pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
     level = rotation_from_rpy(*np.radians([3.0, -2.0, 1.0]))
     path = write_ulog(
@@ -130,8 +130,8 @@ def test_the_doctor_reads_a_log(tmp_path, capsys):
     assert "field: unit" in capsys.readouterr().out
 
 
-def test_a_phone_that_stands_upright_is_fitted_with_its_mounting(tmp_path, capsys):
-    turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # its x looks up
+def test_an_upright_phone_is_fitted_with_its_mounting(tmp_path, capsys):
+    turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # its x points up
     samples = [
         s._replace(field=tuple(turn.T @ s.field))
         if isinstance(s, FieldSample)
@@ -145,19 +145,19 @@ def test_a_phone_that_stands_upright_is_fitted_with_its_mounting(tmp_path, capsy
     assert iron == pytest.approx(1e6 * ROBOT.hard_iron, abs=2.5)
 
 
-def test_a_mounting_is_not_for_bags(tmp_path, capsys):
+def test_the_option_for_the_mounting_is_refused_for_bags(tmp_path, capsys):
     (tmp_path / "a.mcap").write_bytes(b"")
     assert main(["fit", str(tmp_path / "a.mcap"), "--imu-rpy-deg", "0", "0", "90"]) == 2
     assert "--imu-rpy-deg is for logs" in capsys.readouterr().err
 
 
-def test_a_long_fit_shows_that_it_goes_on(monkeypatch):
+def test_a_long_fit_shows_its_progress(monkeypatch):
     monkeypatch.setattr(recorded, "REDRAW", 0.01)
     monkeypatch.setattr(recorded, "LINE_EVERY", 0.05)
     out, shares = io.StringIO(), iter((0, 0, 0, 70, *[70] * 100))
-    with recorded.at_work(lambda: f"fitting 7 messages, {next(shares)} %", out):
+    with recorded.with_progress(lambda: f"fitting 7 messages, {next(shares)} %", out):
         time.sleep(0.5)
-    # No line is said twice.
+    # No line is repeated.
     assert out.getvalue().splitlines() == [f"fitting 7 messages, {n} %: 0 s" for n in (0, 70)]
 
 
@@ -165,7 +165,7 @@ def test_on_a_terminal_one_line_is_drawn_again_and_removed(monkeypatch):
     monkeypatch.setattr(recorded, "REDRAW", 0.01)
     out = io.StringIO()
     out.isatty = lambda: True
-    with recorded.at_work(lambda: "reading, 50 %", out):
+    with recorded.with_progress(lambda: "reading, 50 %", out):
         time.sleep(0.1)
     assert "\n" not in out.getvalue()
     assert out.getvalue().count("\rreading, 50 %: 0 s") > 1
@@ -199,7 +199,9 @@ class TestASlowImu:
         assert iron == pytest.approx(1e6 * ROBOT.hard_iron[:2], abs=2.0)
 
     @pytest.mark.parametrize("command", ["fit", "drive"])
-    def test_what_is_too_slow_ends_with_its_rate_before_the_work(self, tmp_path, capsys, command):
+    def test_a_too_slow_imu_is_refused_before_the_fit_with_its_rate(
+        self, tmp_path, capsys, command
+    ):
         slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 3.0)
         path = write_sensor_logger(tmp_path / "phone", slow)
         assert main([command, str(path), "--output", str(tmp_path / "f")]) == 3
@@ -207,7 +209,7 @@ class TestASlowImu:
         assert "comes at 0.33 Hz" in err
         assert "Hz or more" in err
 
-    def test_a_drive_needs_a_faster_field_and_says_so_before_the_work(self, tmp_path, capsys):
+    def test_a_drive_with_a_slow_field_is_refused_before_the_fit(self, tmp_path, capsys):
         slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 1.0)
         path = write_sensor_logger(tmp_path / "phone", slow)
         assert main(["drive", str(path), "--output", str(tmp_path / "f")]) == 3
@@ -239,7 +241,7 @@ class TestASlowImu:
         assert "there is no gyro" not in out
         assert "too far to follow the gyro" in out
 
-    def test_the_doctor_names_it(self, tmp_path, capsys):
+    def test_the_doctor_names_the_slow_imu(self, tmp_path, capsys):
         slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 1.0)
         main(["doctor", str(write_sensor_logger(tmp_path / "phone", slow)), "--json"])
         found = {each["key"]: each for each in json.loads(capsys.readouterr().out)["findings"]}

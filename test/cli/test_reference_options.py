@@ -74,7 +74,7 @@ def test_the_date_may_be_given(fit, drive_of_2021, tmp_path, date):
     assert document["reference"]["source"].endswith("2026.9")
 
 
-def test_numbers_by_hand_win(fit, drive_of_2021, tmp_path):
+def test_given_numbers_have_priority(fit, drive_of_2021, tmp_path):
     recording = write_csv(tmp_path / "csv", drive_of_2021)
     _, document, _ = fit(recording, *PLACE, "--reference-declination-deg", "3.5")
     reference = document["reference"]
@@ -93,7 +93,7 @@ def test_the_first_good_fix_of_a_bag_is_its_place_unless_one_is_given(fit, drive
     assert "47.00°N 12.00°E" in document["reference"]["source"]
 
 
-def test_the_words_tell_the_reference_and_check_that_it_is_another(drive_of_2021, tmp_path, capsys):
+def test_the_reference_is_printed_and_check_reports_another_one(drive_of_2021, tmp_path, capsys):
     recording = write_csv(tmp_path / "csv", drive_of_2021)
     found = str(tmp_path / "found")
     assert main(["fit", str(recording), "--output", found, *PLACE, *QUICKLY]) == 0
@@ -119,7 +119,7 @@ def test_the_words_tell_the_reference_and_check_that_it_is_another(drive_of_2021
         ["--date", "12"],
     ],
 )
-def test_half_a_place_and_no_date_are_usage(fit, drive_of_2021, tmp_path, arguments):
+def test_half_a_place_or_no_date_is_a_usage_error(fit, drive_of_2021, tmp_path, arguments):
     status, document, err = fit(write_csv(tmp_path / "csv", drive_of_2021), *arguments)
     assert (status, document) == (2, None)
     assert err

@@ -73,7 +73,7 @@ def recheck(*chances):
     return Recheck(Verdict(tuple(graded), (), ""), None)
 
 
-def test_what_is_too_uncertain_stands_apart_and_whole():
+def test_uncertain_findings_are_listed_separately():
     out = _words(recheck(0.0, 9.0), [])
     stale, uncertain = out.partition("Too uncertain to judge:")[::2]
     words = (
@@ -105,7 +105,7 @@ def test_the_answer_of_a_turn_names_every_reason():
 @pytest.mark.parametrize(
     "status", [None, "no json", "{}", json.dumps({"verdict": STATUS | {"summary": "another"}})]
 )
-def test_an_answer_without_its_status_stays_as_it_is(status):
+def test_an_answer_without_a_status_is_unchanged(status):
     assert with_all_reasons("A. But b; and 1 more.", status) == "A. But b; and 1 more."
 
 
@@ -126,7 +126,7 @@ def test_the_help_of_fit_names_every_method(monkeypatch, capsys):
     assert ", ".join(METHODS) in said
 
 
-def test_the_help_of_drive_says_who_decides(capsys, monkeypatch):
+def test_the_help_of_drive_explains_the_decisions(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         main(["drive", "--help"])

@@ -1,4 +1,4 @@
-"""Circles driven at an uneven rate, with the pull of a vehicle and the bias of a gyro."""
+"""Circles driven at an uneven rate, with centripetal acceleration and a gyro bias."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def circles(bias=(0.0, 0.0, 0.0), radius=0.0, unevenness=0.4, seed=1):
-    """Two circles at an uneven rate; the pull is that of a vehicle on a circle of this radius."""
+    """Two circles at an uneven rate; the acceleration is that of a circle of this radius."""
     time = np.arange(0.0, 40.0, 0.05)
     rate = math.tau / 20.0 * (1.0 + unevenness * np.sin(math.tau * time / 13.0))
     yaw = np.cumsum(rate) * 0.05

@@ -1,4 +1,4 @@
-"""A robot on a long drive: straights, curves, bumps, passing steel; in moments 0.1 s apart."""
+"""A robot on a long drive: straights, curves, bumps, passing steel; in steps of 0.1 s."""
 
 import dataclasses
 import math
@@ -9,7 +9,7 @@ import numpy as np
 from magcal_ros.core import Calibration
 from magcal_ros.core.calibration import Evidence
 from magcal_ros.core.geometry import STANDARD_GRAVITY, exp_rotations, yaw_from_up_and_field
-from magcal_ros.core.heading import Heading, Moment
+from magcal_ros.core.heading import CompassReading, Heading
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up import Up
 
@@ -34,7 +34,7 @@ def promise(robot=ROBOT, heading_sigma=math.radians(0.3)):
 
 
 @dataclass(frozen=True)
-class Way:
+class Route:
     """How the robot drives.
 
     `turns` are the sides it may turn to, `headings` where it may go (None: anywhere), `parked` the
@@ -79,10 +79,10 @@ def smooth(rng, moments, seconds):
     return lfilter([1.0], [1.0, -share], kicks, axis=0)
 
 
-def drive(watch, calibration, robots, minutes, way=Way(), seed=1, start=1000.0, gyro=True):
-    """Drive one robot after the other, each for so many minutes, under the same calibration.
+def drive(watch, calibration, robots, minutes, way=Route(), seed=1, start=1000.0, gyro=True):
+    """Drive one robot after the other for these minutes each, with the same calibration.
 
-    Returns what the watch said, a (stamp, Watched) each half minute.
+    Returns the results of the monitor, a (stamp, MonitorResult) each half minute.
     """
     rng = np.random.default_rng(seed)
     moments = int(sum(minutes) * 60.0 / PERIOD)
@@ -117,14 +117,14 @@ def feed(watch, *columns):
     for k, (stamp, field, force, heading, turning) in enumerate(zip(*columns, strict=True)):
         up = Up(tuple(np.array(force) / np.linalg.norm(force)), 0.0)
         seen = Heading(0.0, 0.0, heading, 0.0, 0.0, 0.0, 0.0)
-        watch.take(Moment(stamp, tuple(field), up, seen, tuple(turning)))
+        watch.take(CompassReading(stamp, tuple(field), up, seen, tuple(turning)))
         if k % 300 == 299:
-            said.append((stamp, watch.watched))
+            said.append((stamp, watch.result))
     return said
 
 
 def bodies(yaw, lean):
-    """Rotations ENU to body (n, 3, 3), with small leanings about the body's x and y."""
+    """Rotations ENU to body (n, 3, 3), with small tilts about the body's x and y."""
     c, s, none, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
     level = np.array([[c, s, none], [-s, c, none], [none, none, one]]).transpose(2, 0, 1)
     return exp_rotations(-lean * np.array([1.0, 1.0, 0.0])) @ level

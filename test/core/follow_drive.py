@@ -1,9 +1,9 @@
-"""Follows a simulated drive as the node does, with a compass that knows up and its calibration."""
+"""Follows a simulated drive as the node does, with a calibrated compass."""
 
 import numpy as np
 from simulated import Vehicle, simulated_drive, travel
 
-from magcal_ros.core.driving import Travelling
+from magcal_ros.core.driving import TravelEstimator
 from magcal_ros.core.geometry import yaw_from_up_and_field
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Robot
@@ -19,38 +19,38 @@ def driven(legs, seed=1, vehicle=None, rate=25.0, heading=0.3, current=(0.0, 0.0
     return simulated_drive(truth, rng, vehicle or Vehicle(ROBOT), **options)
 
 
-def follow(drive, travelling=None, watch=lambda travelling, stamp: None, added=0.0):
-    """Show everything to a `Travelling`; returns it. `added` turns the compass, radians."""
-    travelling = travelling or Travelling()
+def follow(drive, estimator=None, watch=lambda estimator, stamp: None, added=0.0):
+    """Pass all samples to a `TravelEstimator`; returns it. `added` rotates the compass, rad."""
+    estimator = estimator or TravelEstimator()
     field = drive.correction_at(drive.time[0]).apply(drive.field)
     yaws = iter((yaw_from_up_and_field(drive.up, field) + added).tolist())
     for sample in drive.samples():
         kind = type(sample)
         if kind is ImuSample:
-            travelling.add_imu(sample, (0.0, 0.0, 0.0))
-            watch(travelling, sample.stamp)
+            estimator.add_imu(sample, (0.0, 0.0, 0.0))
+            watch(estimator, sample.stamp)
         elif kind is FieldSample:
-            travelling.add_yaw(next(yaws))
+            estimator.add_yaw(next(yaws))
         else:
-            travelling.add_travel(sample)
-    return travelling
+            estimator.add_travel(sample)
+    return estimator
 
 
-def tilts(drive, travelling=None):
-    """Return by how much an up that is told the own acceleration is off, degrees."""
+def tilts(drive, estimator=None):
+    """Return the error of up with the vehicle's acceleration subtracted, degrees."""
     follower, found = UpFollower(), []
     for sample in drive.samples():
         kind = type(sample)
         if kind is ImuSample:
             own = None
-            if travelling is not None:
-                own = travelling.add_imu(sample, follower.gyro_bias.rate)
+            if estimator is not None:
+                own = estimator.add_imu(sample, follower.gyro_bias.rate)
             follower.add(sample, own)
             found.append(follower.newest)
         elif kind is FieldSample:
             follower.add_field(sample.stamp, sample.field)
-        elif travelling is not None:
-            travelling.add_travel(sample)
+        elif estimator is not None:
+            estimator.add_travel(sample)
     ups = np.array(found)
     ups /= np.linalg.norm(ups, axis=1)[:, None]
     return np.degrees(np.arccos(np.clip(np.sum(ups * drive.up, axis=1), -1.0, 1.0)))

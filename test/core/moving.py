@@ -1,4 +1,4 @@
-"""Rides that pull, tip and disturb, for tests of what follows a moving robot."""
+"""Rides with acceleration, tilt and disturbance, to test what follows a moving robot."""
 
 import math
 
@@ -21,7 +21,7 @@ ROBOT = Robot(
 
 
 class Course:
-    """Drives a ride and shows every sample to a listener."""
+    """Drives a ride and passes every sample to a listener."""
 
     def __init__(self, listener, robot=ROBOT, seed=1, rate=100.0, gyro=True):
         rng = np.random.default_rng(seed)
@@ -39,7 +39,7 @@ class Course:
 
 
 class TiltErrors:
-    """A listener that lets a follower follow, and notes how far its up is off, degrees."""
+    """A listener that records the errors of a follower's up, degrees."""
 
     def __init__(self, follower):
         self.follower = follower

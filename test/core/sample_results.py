@@ -1,4 +1,4 @@
-"""Estimates and calibrations for tests that need one, whatever it is."""
+"""Estimates and calibrations for tests that need any."""
 
 import math
 

@@ -17,7 +17,7 @@ from magcal_ros.core import (
     calibrate,
 )
 from magcal_ros.core.calibrate import find_method
-from magcal_ros.core.samples import explained
+from magcal_ros.core.samples import with_explanation
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot()
@@ -31,7 +31,7 @@ def window_of(robot=ROBOT, **motion):
 
 @functools.cache
 def outcome_of(method):
-    """What a whole turn gives."""
+    """The result of a whole turn."""
     return calibrate(window_of(), ROBOT.knowledge(), method)
 
 
@@ -41,7 +41,7 @@ def test_every_method_is_for_a_turn_a_drive_or_a_tumbled_sensor():
 
 
 @pytest.mark.parametrize("method", TUMBLE_METHODS)
-def test_one_turn_is_too_little_for_a_method_that_wants_a_tumble(method):
+def test_a_method_for_tumbles_refuses_a_turn(method):
     outcome = calibrate(window_of(), ROBOT.knowledge(), method)
     assert not outcome.verdict.accepted
     assert "plane" in outcome.verdict.summary
@@ -57,7 +57,7 @@ class TestEveryMethod:
         assert math.degrees(np.sqrt(np.mean(errors[:, LEVEL_TILT] ** 2))) < 0.5
         assert math.degrees(np.sqrt(np.mean(before[:, LEVEL_TILT] ** 2))) > 20.0
 
-    def test_the_calibration_carries_the_estimate_and_the_verdict(self, method):
+    def test_the_calibration_has_the_estimate_and_the_verdict(self, method):
         outcome = outcome_of(method)
         one, estimate, verdict = outcome.calibration, outcome.estimate, outcome.verdict
         assert one.correction is estimate.correction
@@ -82,19 +82,19 @@ class TestEveryMethod:
     @pytest.mark.parametrize(
         "motion", [{"arc": 0.0}, {"samples": 3}, {"samples": 100, "arc": 10 * DEGREE}]
     )
-    def test_samples_that_cannot_carry_it_are_a_verdict_not_an_exception(self, method, motion):
+    def test_insufficient_samples_give_a_verdict_and_no_exception(self, method, motion):
         outcome = calibrate(window_of(**motion), ROBOT.knowledge(), method)
         assert not outcome.verdict.accepted
         assert outcome.verdict.confidence is Grade.REFUSED
         assert outcome.verdict.summary.startswith("Refused")
 
-    def test_a_window_without_samples_is_a_verdict(self, method):
+    def test_a_window_without_samples_gives_a_verdict(self, method):
         empty = Window(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
         assert not calibrate(empty, ROBOT.knowledge(), method).verdict.accepted
 
 
 @pytest.mark.parametrize("method", first_of(TURN_METHODS))
-def test_a_bad_fit_is_refused_but_kept_for_who_insists(method):
+def test_a_bad_fit_is_refused_but_kept_for_acceptance_by_hand(method):
     """A reference field that the samples contradict."""
     wrong = Robot(strength=20e-6).knowledge(strength_sigma=1e-6, inclination_sigma=0.01)
     outcome = calibrate(window_of(), wrong, method)
@@ -102,14 +102,14 @@ def test_a_bad_fit_is_refused_but_kept_for_who_insists(method):
     assert isinstance(outcome.calibration, Calibration)
 
 
-def test_less_than_a_quarter_turn_is_refused_and_leaves_what_may_be_accepted_by_hand():
+def test_less_than_a_quarter_turn_is_refused_but_can_be_accepted_by_hand():
     outcome = calibrate(window_of(arc=math.radians(57.0)), ROBOT.knowledge())
     assert outcome.calibration is not None
     assert not outcome.verdict.accepted
     assert "the turn covers 56.9° (want 90° or more)" in outcome.verdict.summary
 
 
-def test_a_refusal_names_the_unit_that_upset_the_fit():
+def test_a_refusal_names_the_wrong_unit():
     one = window_of()
     gauss = Window(one.time, 1e4 * one.field, one.specific_force, one.angular_rate)
     verdict = calibrate(gauss, ROBOT.knowledge()).verdict
@@ -119,7 +119,7 @@ def test_a_refusal_names_the_unit_that_upset_the_fit():
 
 @pytest.mark.parametrize("case", first_of([(0.1, True), (1.0, False), (3.0, False)]))
 def test_all_methods_agree_on_when_gravity_is_absent(case):
-    """A force in g is weak, and still says where up is."""
+    """A force in g is weak, and still shows the direction of up."""
     size, absent = case
     one = window_of()
     weak = Window(one.time, one.field, size / 9.80665 * one.specific_force)
@@ -133,9 +133,9 @@ def test_a_refusal_that_axes_may_have_caused_names_them(z, told):
     force = np.full((5, 3), [0.0, 0.0, z])
     one = Window(np.arange(5.0), np.full((5, 3), 30e-6), force)
     steep = Refusal(Reason.FIELD_TOO_STEEP, "at an inclination of 86 degrees")
-    assert ("z points down" in str(explained(steep, one))) == told
+    assert ("z points down" in str(with_explanation(steep, one))) == told
     small = Refusal(Reason.TOO_FEW_SAMPLES, "too few")
-    assert explained(small, one) is small
+    assert with_explanation(small, one) is small
 
 
 def test_the_first_method_is_the_default():
@@ -144,13 +144,13 @@ def test_the_first_method_is_the_default():
 
 
 @pytest.mark.parametrize("name", ["", "os", "design-tip", "../estimate", "resampling"])
-def test_only_methods_of_the_list_are_found(name):
+def test_only_listed_methods_are_accepted(name):
     with pytest.raises(ValueError, match=f"choose one of {METHODS[0]}"):
         find_method(name)
 
 
 class TestCalibration:
-    def test_the_users_word_changes_nothing_but_the_mark(self):
+    def test_acceptance_by_the_user_changes_only_the_mark(self):
         one = outcome_of(METHODS[0]).calibration
         told = one.accepted_by_person()
         assert told.evidence.accepted_by_user
@@ -163,7 +163,7 @@ class TestCalibration:
 @pytest.mark.parametrize("gyro", [True, False])
 @pytest.mark.parametrize("known", first_of([True, False]))
 @pytest.mark.parametrize("dip", first_of([65.0, 78.0]))
-def test_a_full_turn_on_its_side_is_not_asked_for_once_more_but_upright(dip, known, gyro):
+def test_after_a_full_turn_on_its_side_an_upright_turn_is_asked_for(dip, known, gyro):
     robot = Robot(strength=55e-6, inclination=dip * DEGREE)
     lying = turn(axis=np.array([0.0, 1.0, 0.0]), start_rpy=(90.0 * DEGREE, 0.0, 0.0))
     window = measure(robot, lying, np.random.default_rng(1), gyro=gyro)
@@ -173,7 +173,7 @@ def test_a_full_turn_on_its_side_is_not_asked_for_once_more_but_upright(dip, kno
     assert "full circle" not in verdict.summary
 
 
-def test_who_saw_the_full_circle_is_not_sent_round_it_again():
+def test_after_a_full_circle_no_further_circle_is_asked_for():
     robot = Robot(noise_field=3e-6, noise_force=1.5)
     window = measure(robot, turn(samples=40), np.random.default_rng(1))
     checks = calibrate(window, robot.knowledge(10e-6, 10.0 * DEGREE)).verdict.checks
@@ -183,8 +183,8 @@ def test_who_saw_the_full_circle_is_not_sent_round_it_again():
 
 
 @pytest.mark.parametrize("gyro", [True, False])
-def test_a_robot_that_leans_with_the_ground_draws_no_ellipse_of_iron(gyro):
-    """It rolls by 6 degrees twice a turn: the raw circle is an ellipse, and no iron's."""
+def test_a_robot_that_leans_with_the_ground_shows_no_soft_iron(gyro):
+    """It rolls by 6 degrees twice a turn: the raw ellipse is not by iron."""
     robot = Robot(noise_field=0.2e-6)
     angle = np.arange(500) * (math.tau / 500)
     lean = 6.0 * DEGREE * np.column_stack([np.cos(2 * angle), np.sin(2 * angle), 0.0 * angle])

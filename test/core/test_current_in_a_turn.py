@@ -11,10 +11,10 @@ from realistic_robots import collected, heading_error
 
 from magcal_ros.core import Compass, Correction, calibrate, calibrate_turns
 from magcal_ros.core.calibration import MotorInput, calibration_sigma
-from magcal_ros.core.heading import MotionSense
-from magcal_ros.core.keeping import MotorLearning
+from magcal_ros.core.heading import MotionDetector
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.session import Gathering
+from magcal_ros.core.self_calibration import MotorLearning
+from magcal_ros.core.session import SampleCollector
 
 SIZE = 10e-6
 
@@ -34,12 +34,12 @@ def at_current(calibration, current):
 
 
 @pytest.mark.parametrize("course", first_of(["even", "stops"]))
-def test_a_robot_that_holds_itself_is_calibrated_for_motors_without_current(course):
+def test_a_robot_held_by_its_motors_is_calibrated_for_zero_current(course):
     scene, outcome = fitted("hold", 3, course=course)
     found = outcome.calibration
     motors = found.motors
     at = motors.inputs.index(MotorInput.CURRENT)
-    # The battery tells currents as negative.
+    # The battery's currents are negative.
     assert np.linalg.norm(motors.gain[at]) == pytest.approx(
         SIZE / LARGEST, abs=3 * motors.sigma(at)
     )
@@ -60,7 +60,7 @@ def test_a_battery_of_one_message_a_second_shows_the_field_of_hold_currents(seed
     assert heading_error(scene, without.calibration.correction) > 3.0 * sigma
 
 
-def test_a_current_that_explains_nothing_costs_nothing():
+def test_an_irrelevant_current_does_no_harm():
     for shape, size in (("none", 0.0), ("step, hold", SIZE)):
         _, with_it = fitted(shape, 5, size)
         scene, without = fitted(shape, 5, size, battery=False)
@@ -78,7 +78,7 @@ def test_without_a_battery_the_motors_have_no_current():
     assert math.isnan(motors.reference)
 
 
-def test_learning_while_driving_begins_with_what_the_turn_has_shown():
+def test_learning_while_driving_starts_with_the_result_of_the_turn():
     _, outcome = fitted("hold", 3)
     known = outcome.calibration.motors
     learning = MotorLearning(outcome.calibration).motors
@@ -88,7 +88,7 @@ def test_learning_while_driving_begins_with_what_the_turn_has_shown():
     assert learning.sigma(there) == pytest.approx(known.sigma(here), rel=0.01)
 
 
-def test_several_turns_share_the_current():
+def test_several_turns_share_the_reference_current():
     turns = [turn_with_current("hold", SIZE, number, course="even") for number in (3, 3)]
     windows = [collected(scene.window, messages) for scene, _, messages in turns]
     shifted = replace(windows[1].battery, reference=windows[1].battery.reference - 1.0)
@@ -101,7 +101,7 @@ def test_several_turns_share_the_current():
     assert error < 3.0 * calibration_sigma(found)
 
 
-def test_a_recording_gives_its_currents_to_the_fit():
+def test_the_fit_uses_the_currents_of_a_recording():
     scene, known, messages = turn_with_current("hold", SIZE, 3)
     window = replace(scene.window, time=scene.window.time + 100.0)
     messages = [(stamp + 100.0, current) for stamp, current in messages]
@@ -109,9 +109,9 @@ def test_a_recording_gives_its_currents_to_the_fit():
     readings = []
     for stamp, field, force, rate in zip(*(each.tolist() for each in sensors), strict=True):
         readings += [ImuSample(stamp, force, rate), FieldSample(stamp, field)]
-    gathering = Gathering(known.mounting)
-    gathering.take(readings, (), messages)
-    found, live = gathering.window().battery, collected(window, messages).battery
+    collector = SampleCollector(known.mounting)
+    collector.take(readings, (), messages)
+    found, live = collector.window().battery, collected(window, messages).battery
     assert np.array_equal(found.current, live.current)
     assert found.reference == live.reference
 
@@ -119,7 +119,7 @@ def test_a_recording_gives_its_currents_to_the_fit():
 def test_a_hold_current_is_subtracted_at_rest():
     scene, outcome = fitted("hold", 3)
     found = outcome.calibration
-    compass, sense, motors = Compass(found), MotionSense(), found.motors
+    compass, sense, motors = Compass(found), MotionDetector(), found.motors
     rng, gain = np.random.default_rng(4), motors.gain[motors.inputs.index(MotorInput.CURRENT)]
     seen = []
     for k in range(600):
@@ -127,9 +127,9 @@ def test_a_hold_current_is_subtracted_at_rest():
         current = -ELECTRONICS + holding
         raw = scene.robot.hard_iron + scene.robot.field_enu + rng.normal(0.0, 0.3e-6, 3)
         raw += (current - motors.reference) * gain
-        running = sense.at(stamp, (0.0, 0.0, 0.0), True, math.nan, current, motors.reference)
-        assert running.moving == 0.0 or k == 0
-        field, doubt = compass.at_rest(stamp, tuple(raw), (0.0, 0.0, 0.0), running)
+        motor_state = sense.at(stamp, (0.0, 0.0, 0.0), True, math.nan, current, motors.reference)
+        assert motor_state.moving == 0.0 or k == 0
+        field, doubt = compass.at_rest(stamp, tuple(raw), (0.0, 0.0, 0.0), motor_state)
         seen.append(field)
         # A tenth of the field follows no input.
         assert 0.0 <= np.trace(doubt.lasting) < SIZE**2 / 4.0

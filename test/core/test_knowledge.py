@@ -9,14 +9,14 @@ from magcal_ros.core import Belief, Mounting, ReferenceField, SoftIron
 from magcal_ros.core.geometry import rotation_from_rpy
 
 
-def test_a_belief_is_known_uncertain_or_unknown():
+def test_a_belief_is_exact_uncertain_or_unknown():
     known, uncertain, unknown = Belief(1.0), Belief(1.0, 0.1), Belief.unknown()
     assert [b.is_exact for b in (known, uncertain, unknown)] == [True, False, False]
     assert [b.is_unknown for b in (known, uncertain, unknown)] == [False, False, True]
 
 
 @pytest.mark.parametrize(("value", "sigma"), [(math.nan, 0), (math.inf, 0), (1, -1), (1, math.nan)])
-def test_senseless_beliefs_are_rejected(value, sigma):
+def test_invalid_beliefs_are_rejected(value, sigma):
     with pytest.raises(ValueError, match="belief"):
         Belief(value, sigma)
 
@@ -27,8 +27,8 @@ def test_a_reference_is_complete_with_both_numbers():
     assert not ReferenceField().is_complete
 
 
-def test_mounting_turns_into_sensor_axes_before_it_scales():
-    # A board turned by 90° to the left sees the robot's forward on its own -y.
+def test_the_mounting_rotates_before_it_scales():
+    # For a board rotated by 90° to the left, the robot's forward is its -y.
     mounting = Mounting(gains=[2.0, 3.0, 4.0], pose=rotation_from_rpy(0.0, 0.0, math.pi / 2))
     np.testing.assert_allclose(mounting.matrix @ [1.0, 0.0, 0.0], [0.0, -3.0, 0.0], atol=1e-15)
 
@@ -43,6 +43,6 @@ def test_no_soft_iron_means_none():
     assert SoftIron.none() == SoftIron(0.0, 0.0, False)
 
 
-def test_the_way_to_body_axes_undoes_the_mounting():
+def test_the_rotation_to_body_axes_inverts_the_mounting():
     mounting = Mounting([0.8, 1.1, 1.3], rotation_from_rpy(0.4, -0.7, 2.0))
     assert np.allclose(mounting.to_body @ mounting.matrix, np.eye(3), atol=1e-15)

@@ -1,4 +1,4 @@
-"""A field that is stamped late is not the motors' field, nor does it turn the heading round."""
+"""A field with late stamps is not taken for that of motors, and does not reverse the heading."""
 
 import math
 from dataclasses import replace
@@ -22,7 +22,7 @@ ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seconds", first_of([0.25, 0.1]))
-def test_from_rest_to_rest_it_is_not_taken_for_motors(seconds):
+def test_a_late_field_between_rests_is_not_taken_for_motors(seconds):
     """A level turn shows a late field in its starts and stops alone, as it does motors."""
     motion = driven(evenly, math.tau, (0.0, 0.0, 0.0), np.zeros((1, 3)))
     window = measure(ROBOT, motion, np.random.default_rng(7), gyro=True)
@@ -37,8 +37,8 @@ def test_from_rest_to_rest_it_is_not_taken_for_motors(seconds):
 
 
 @pytest.mark.nightly
-def test_a_level_field_that_is_turned_round_is_no_soft_iron():
-    """The robot sways while its field is late: 177 degrees wrong, said 2.2, was an optimum."""
+def test_a_reversed_level_field_is_not_taken_for_soft_iron():
+    """The robot sways while its field is late: an error of 177 degrees was an optimum."""
     scene, knowledge = drawn(np.random.default_rng([7, 5002]), evenly)
     scene = SENSORS["typical"](np.random.default_rng([8, 5002]), scene)
     scene = late(0.35)(np.random.default_rng(0), scene)
@@ -49,7 +49,7 @@ def test_a_level_field_that_is_turned_round_is_no_soft_iron():
 
 @pytest.mark.parametrize("seed", first_of([21, 20, 30]))
 def test_weak_motors_in_proportion_to_the_rate_are_not_taken_for_a_late_field(seed):
-    """Between rests at one heading both make the same step; starts and stops tell them apart."""
+    """Between rests at one heading both give the same step; starts and stops differ."""
     rng = np.random.default_rng(seed)
     legs = [Leg(6.0), Leg(25.0, turn_rate=math.tau / 25.0), Leg(6.0)]
     truth = travel(legs, rng, rate=50.0, heading=rng.uniform(-3.0, 3.0))

@@ -1,4 +1,4 @@
-"""A robot that rests, turns once and rests has not left its place, whatever its motors add."""
+"""A turn between two rests is on the spot, whatever the field of the motors."""
 
 import math
 from dataclasses import replace
@@ -10,14 +10,14 @@ from realistic_robots import heading_error, with_motors
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core import Figure, calibrate
-from magcal_ros.core.calibration import Running, predicted_heading_sigma
+from magcal_ros.core.calibration import MotorState, predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
 
 @pytest.mark.parametrize(
     "case", first_of([(15e-6, False), (3e-6, True), (3e-6, False), (15e-6, True)])
 )
-def test_the_heading_at_rest_is_right_and_the_motors_are_named(case):
+def test_the_heading_at_rest_is_correct_and_the_motors_are_reported(case):
     size, by_rate = case
     motion, window = driven(evenly, ROBOT, 6.0)
     rate = motion.angular_rate[:, 2]
@@ -36,8 +36,8 @@ def test_the_heading_at_rest_is_right_and_the_motors_are_named(case):
 
 
 @pytest.mark.parametrize("case", first_of([("in step", 20e-6, 504), ("switching", 10e-6, 3000)]))
-def test_no_drive_answers_for_a_turn_on_the_spot_that_is_told_badly(case):
-    """The drives were 17 and 65 degrees wrong, said 1.9 and .5, and were accepted."""
+def test_a_badly_explained_turn_on_the_spot_is_not_taken_for_a_drive(case):
+    """Drives with errors of 17 and 65 degrees, at sigmas of 1.9 and .5, were accepted."""
     shape, size, number = case
     scene, knowledge = with_motors(shape, size)(number)
     outcome = calibrate(collected(scene.window), knowledge)
@@ -48,7 +48,7 @@ def test_no_drive_answers_for_a_turn_on_the_spot_that_is_told_badly(case):
 
 
 @pytest.mark.parametrize("by_rate", first_of([True, False]))
-def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
+def test_the_motor_field_is_kept_with_its_covariance(by_rate):
     """A turn at one rate shows the sum of step, side and rate well, the rest by its start only."""
     size = 6e-6
     motion, window = driven(evenly, ROBOT, 6.0)
@@ -59,7 +59,7 @@ def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
     knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     motors = calibrate(collected(replace(window, field=field)), knowledge).calibration.motors
     for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 0.2e-6, 6e-6)):
-        inputs, _ = motors.known(Running(1.0, turn_rate, side=1.0))
+        inputs, _ = motors.known(MotorState(1.0, turn_rate, side=1.0))
         u = np.kron(inputs, np.eye(3))
         found = u @ motors.gain.ravel()
         sigma = np.sqrt(np.diag(u @ motors.covariance @ u.T))
@@ -69,7 +69,7 @@ def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
         assert (np.abs(found - true) < 3.0 * sigma).all()
 
 
-def test_a_robot_without_motors_has_none():
+def test_a_robot_without_motors_has_no_motor_field():
     _, window = driven(evenly, ROBOT, 6.0)
     knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     motors = calibrate(collected(window), knowledge).calibration.motors
@@ -77,7 +77,7 @@ def test_a_robot_without_motors_has_none():
     assert motors.sigma(0) < 0.3e-6
 
 
-def test_a_magnetometer_that_saturates_is_said():
+def test_a_saturated_magnetometer_is_reported():
     _, window = driven(evenly, ROBOT, 6.0)
     knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     limit = float(np.quantile(np.abs(window.field[:, 0]), 0.7))
@@ -87,7 +87,7 @@ def test_a_magnetometer_that_saturates_is_said():
     assert "saturates" in outcome.verdict.summary
 
 
-def test_an_axis_that_stands_at_its_limit_all_the_time_is_no_calibration():
+def test_an_axis_always_at_its_limit_gives_no_calibration():
     """On the level it looked like hard iron along the axis, of excellent quality."""
     level = replace(ROBOT, roll=0.0, pitch=0.0)
     _, window = driven(evenly, level, 6.0)
@@ -113,8 +113,8 @@ def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("by_rate", first_of([True, False]))
-def test_without_a_gyro_the_part_of_the_motors_that_does_not_show_is_doubted(by_rate):
-    """It said half as much: an even start seemed to show how far the robot had turned."""
+def test_without_a_gyro_the_unobservable_motor_field_is_reported(by_rate):
+    """The sigma was half as large: an even start seemed to determine the angle."""
     motion, window = driven(evenly, ROBOT, 6.0)
     rate = motion.angular_rate[:, 2]
     shape = rate / np.abs(rate).max() if by_rate else (np.abs(rate) > 0.02).astype(float)

@@ -1,4 +1,4 @@
-"""A lid, an arm or a load is moved while the robot turns: its field changes in steps that last."""
+"""A part of the robot is moved during a turn: its field changes in permanent steps."""
 
 import math
 from dataclasses import replace
@@ -28,7 +28,7 @@ def turned(change):
     ("closes", "most"),
     [(13.0, 0.5 * DEGREE), pytest.param(99.0, 2.0 * DEGREE, marks=pytest.mark.nightly)],
 )
-def test_a_lid_that_is_opened_is_not_taken_for_soft_iron(closes, most):
+def test_an_opened_lid_is_not_taken_for_soft_iron(closes, most):
     def lid(time):
         return np.clip((time - 8.0) / 0.6, 0.0, 1.0) - np.clip((time - closes) / 0.6, 0.0, 1.0)
 

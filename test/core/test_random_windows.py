@@ -1,4 +1,4 @@
-"""Windows of every kind and of no kind: an answer with finite numbers, or a refusal in words."""
+"""Any window gives a result with finite numbers, or a refusal with a reason."""
 
 import math
 
@@ -28,7 +28,7 @@ def random_times(rng):
 
 
 def random_vectors(rng, n, scale):
-    """Vectors of one size: turning, noise, a line, a point, a lattice, or wildly different."""
+    """Vectors of one size: turning, noise, a line, a point, a lattice; or very different ones."""
     around = rng.uniform(-7.0, 7.0) * np.linspace(0.0, 1.0, n)
     circle = np.column_stack([np.cos(around), np.sin(around), np.full(n, rng.standard_normal())])
     noise = rng.standard_normal((n, 3))
@@ -65,7 +65,7 @@ def random_knowledge(rng):
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("method", METHODS)
-def test_any_window_ends_in_finite_numbers_or_in_words(method):
+def test_any_window_gives_finite_numbers_or_a_refusal(method):
     accepted, count = 0, SLOW.get(method, COUNT)
     for number in range(count):
         rng = np.random.default_rng([number, 17])
@@ -84,14 +84,14 @@ def test_any_window_ends_in_finite_numbers_or_in_words(method):
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_what_any_window_predicts_is_a_number_or_infinite():
+def test_the_predicted_sigma_of_any_window_is_a_number_or_infinite():
     for number in range(COUNT // 4):
         rng = np.random.default_rng([number, 23])
         assert predicted_sigma(random_window(rng), random_knowledge(rng)) >= 0.0
 
 
 @pytest.mark.skipif(not IS_LONG, reason="`make soak` runs it; it takes an hour")
-def test_a_wrong_heading_has_a_flag_in_all_but_a_thousandth():
+def test_a_wrong_heading_is_flagged_in_all_but_a_thousandth():
     """Error beyond five sigma and accepted without a warning, in good and bad random turns."""
     from honesty_cases import KINDS, Row, draw_case
 

@@ -1,4 +1,4 @@
-"""A field that comes more slowly than the IMU: all of the IMU's samples count."""
+"""A field at a lower rate than the IMU: all IMU samples are used."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def test_the_path_follows_every_sample_of_the_gyro():
     np.testing.assert_allclose(fewer.steps.attitude, window.steps.attitude[::7], atol=1e-9)
 
 
-def test_two_streams_of_it_have_the_same_integrals():
+def test_both_kinds_of_streams_have_the_same_integrals():
     scene, _ = drawn(np.random.default_rng(3), 0.3)
     window = collected_at(scene.window, 10.0)
     log = SensorLog.of_window(window)
@@ -47,7 +47,7 @@ def test_two_streams_of_it_have_the_same_integrals():
     assert len(log.imu_time) == 2 * len(window) - 1
 
 
-def test_nothing_is_inserted_where_no_imu_sample_was_left_out():
+def test_without_omitted_imu_samples_nothing_is_inserted():
     scene, _ = drawn(np.random.default_rng(3), 0.3)
     window = collected_at(scene.window, IMU_HZ)
     left_out = int((window.missed.intervals > 1.0).sum())
@@ -55,7 +55,7 @@ def test_nothing_is_inserted_where_no_imu_sample_was_left_out():
     assert len(SensorLog.of_window(scene.window).imu_time) == len(scene.window)
 
 
-def test_what_is_changed_of_a_window_counts():
+def test_a_changed_window_uses_its_changed_values():
     scene, _ = drawn(np.random.default_rng(3), 0.3)
     window = collected_at(scene.window, 10.0)
     bias = np.array([0.01, -0.02, 0.03])
@@ -64,14 +64,14 @@ def test_what_is_changed_of_a_window_counts():
     np.testing.assert_allclose(biased, window.steps.angle + gained, atol=1e-12)
 
 
-def test_a_robot_may_turn_by_more_than_a_quarter_from_sample_to_sample():
+def test_more_than_a_quarter_turn_between_samples_is_integrated():
     """Angles beyond a quarter were read as their supplement: the field seemed to turn back."""
     angle = np.array([[0.1, 0.0, 1.2], [0.0, 0.2, 2.4], [0.1, 0.1, -4.0]])
     steps = Steps(angle, np.zeros((3, 3)), np.ones(3))
     np.testing.assert_allclose(steps.over(np.arange(4)).angle, angle, atol=1e-9)
     scene, knowledge = drawn(np.random.default_rng(7), 0.3)
     window = collected_at(scene.window, 10.0)
-    # The field is silent for a third of the round, as where its driver hangs.
+    # The field is silent for a third of the turn, like a driver that hangs.
     time = window.time - BEGUN
     holed = window.take((time < 9.0) | (time > 16.0))
     assert np.linalg.norm(holed.steps.angle, axis=1).max() > 0.5 * np.pi
@@ -81,7 +81,7 @@ def test_a_robot_may_turn_by_more_than_a_quarter_from_sample_to_sample():
     assert error < min(1.0 * DEGREE, 3.0 * predicted_heading_sigma(outcome.estimate))
 
 
-def test_nothing_is_extrapolated_into_a_hole_of_the_imu():
+def test_nothing_is_extrapolated_into_a_gap_of_the_imu():
     """By the samples of a shaking robot beside it, turns there were up to 90 degrees off."""
     rng = np.random.default_rng(5)
     time = 1.0 + 0.1 * np.arange(200.0)

@@ -35,7 +35,7 @@ def judged(course, rest, radius=2.5, *, inwards=(0.8, 0.6, 0.0), wheels=None, fo
     return math.sqrt(np.mean(gap**2)), sigma, outcome
 
 
-def test_a_rest_beside_the_circle_shows_the_pull():
+def test_a_rest_next_to_the_circle_determines_the_acceleration():
     error, sigma, outcome = judged(evenly, 3.0)
     assert error < 0.8 * DEGREE
     assert error < 3.0 * sigma
@@ -46,7 +46,7 @@ def test_a_rest_beside_the_circle_shows_the_pull():
 
 
 @pytest.mark.nightly
-def test_without_a_rest_sigma_holds_it_and_says_why():
+def test_without_a_rest_the_acceleration_is_in_the_sigma():
     error, sigma, outcome = judged(lambda time: 1.0 + 0.0 * time, 0.0, radius=1.5)
     assert error > 1.0 * DEGREE
     assert error < 3.0 * sigma
@@ -71,7 +71,7 @@ def test_an_imu_that_is_mounted_sideways_is_in_the_sigma_of_a_circle_by_wheels()
     assert smaller < 0.8 * sigma
 
 
-def test_without_a_rest_the_speed_of_the_wheels_shows_it():
+def test_without_a_rest_the_speed_of_wheels_determines_the_acceleration():
     error, sigma, _ = on_the_circle()
     by_wheels, smaller, _ = judged(**CIRCLE, wheels=1.0)
     assert by_wheels < 0.5 * error
@@ -79,7 +79,7 @@ def test_without_a_rest_the_speed_of_the_wheels_shows_it():
     assert by_wheels < 3.0 * smaller
 
 
-def test_a_speed_that_nobody_fills_in_says_nothing():
+def test_a_speed_that_is_always_zero_is_not_used():
     error, sigma, _ = on_the_circle()
     with_zeros, same, _ = judged(**CIRCLE, wheels=0.0)
     assert (with_zeros, same) == (error, sigma)

@@ -1,4 +1,4 @@
-"""What odometry and receiver say becomes numbers, or words on why it does not."""
+"""Messages of odometry and receiver become samples, or a reason why not."""
 
 import math
 
@@ -27,7 +27,7 @@ def test_speed_is_signed_and_in_the_vehicle(x, y, found):
         (speed(1.0, child="odom"), "give the vehicle's frame as child_frame_id"),
     ],
 )
-def test_what_is_no_speed_says_why(found, words):
+def test_an_unusable_speed_gives_a_reason(found, words):
     assert words in found
 
 

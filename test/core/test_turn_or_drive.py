@@ -1,4 +1,4 @@
-"""Turns on the spot and drives are told apart by the smoother, whatever window they come in."""
+"""The smoother distinguishes turns on the spot from drives in any window."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ from magcal_ros.core.samples import log_of
 
 @pytest.fixture(scope="module")
 def ringed():
-    """A robot that drives circles, and what it sees of them; nothing of the stand before them."""
+    """A robot that drives circles, and its window without the rest before them."""
     vehicle = random_vehicle(np.random.default_rng(7))
     robot = replace(vehicle.robot, gyro_bias=np.radians([0.1, 0.0, 0.1]))
     legs = joined(standing(5.0), circles(80.0, 4.0, 8.0))
@@ -36,7 +36,7 @@ def nineteen_seconds(window, start):
 
 
 @pytest.mark.nightly
-def test_circles_are_told_as_the_drive_they_were(ringed):
+def test_circles_are_recognised_as_a_drive(ringed):
     robot, window = ringed
     outcome = calibrate(window, BOSTON)
     assert outcome.verdict.accepted
@@ -58,8 +58,8 @@ def test_nineteen_seconds_of_circles_are_enough_for_a_drive(ringed, start):
 
 
 @pytest.mark.nightly
-def test_a_gyro_that_is_far_off_is_no_matter_once_a_rest_has_shown_it(ringed):
-    """Over a steady circle a bias looks like what pulls in it."""
+def test_a_large_gyro_bias_by_a_rest_does_no_harm(ringed):
+    """On a steady circle a bias looks like centripetal acceleration."""
     robot, window = ringed
     rate = window.angular_rate + np.radians([3.5, 2.0, 1.9])
     unknown = calibrate(replace(window, angular_rate=rate), BOSTON)
@@ -77,7 +77,7 @@ WRONG = {"upside down": 144, "gyro axes": 880, "large installation": 417, "iron 
 
 
 @pytest.mark.parametrize("name", first_of(WRONG))
-def test_what_is_wrong_with_a_robot_is_not_driven_away(name):
+def test_faults_of_a_robot_are_not_explained_by_a_drive(name):
     _, case = draw_case(7, WRONG[name])
     assert not calibrate(case.window, case.knowledge).verdict.accepted
 
@@ -94,8 +94,8 @@ def test_a_bias_of_the_gyro_is_not_taken_for_the_acceleration_of_a_drive(turned)
 
 
 @pytest.mark.nightly
-def test_motors_that_a_rest_has_shown_are_not_driven_away():
-    """A drive takes their field for that of a place which was left, and says so by its sigma."""
+def test_motors_between_rests_are_not_explained_by_a_drive():
+    """A drive explains their field by the place, with a large sigma."""
     rng = np.random.default_rng([1, 2])
     scene, known = drawn(rng, stop_and_go)
     scene = motors(6e-6)(np.random.default_rng([2, 2]), scene)
@@ -111,7 +111,7 @@ def test_motors_that_a_rest_has_shown_are_not_driven_away():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("turned", [("slope", 11), ("there and back", 8)])
-def test_a_gyro_that_is_off_by_degrees_per_second_spoils_no_turn(turned):
+def test_a_gyro_bias_of_degrees_per_second_does_no_harm(turned):
     kind, number = turned
     scene, known = by_turn(kind, "cheap", "open")(number)
     outcome = calibrate(scene.window, known)
@@ -123,7 +123,7 @@ def test_a_gyro_that_is_off_by_degrees_per_second_spoils_no_turn(turned):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("ned", first_of([False, True]))
-def test_a_drive_by_an_accelerometer_that_is_upside_down_is_refused(ned):
+def test_a_drive_with_an_upside_down_accelerometer_is_refused(ned):
     drive = driven(3, 90.0)
     sign = np.array([1.0, -1.0, -1.0]) if ned else -np.ones(3)
     window = Window(drive.time, drive.field, sign * drive.force, drive.rate)
@@ -133,7 +133,7 @@ def test_a_drive_by_an_accelerometer_that_is_upside_down_is_refused(ned):
 
 
 def of_a_drive(axes):
-    """What is said of a drive whose magnetometer has such axes."""
+    """The verdict on a drive whose magnetometer has such axes."""
     drive = driven(3, 220.0)
     window = Window(drive.time, drive.field @ axes, drive.force, drive.rate)
     return calibrate_drive(log_of(window), BOSTON)
@@ -147,12 +147,12 @@ def test_a_drive_whose_magnetometer_has_other_axes_is_refused_for_them():
 
 
 @pytest.mark.nightly
-def test_a_drive_whose_magnetometer_has_the_axes_of_the_imu_is_not():
+def test_a_drive_with_correct_axes_is_not_refused():
     assert of_a_drive(np.eye(3)).verdict.accepted
 
 
 @pytest.mark.parametrize("case", first_of([(4, 120.0), (5, 170.0)]))
-def test_a_drive_with_swapped_axes_of_the_magnetometer_is_no_small_circle(case):
+def test_swapped_axes_on_a_drive_are_not_taken_for_a_small_circle(case):
     drive = driven(*case)
     window = Window(drive.time, drive.field[:, [1, 0, 2]], drive.force, drive.rate)
     outcome = calibrate(window, BOSTON)

@@ -1,4 +1,4 @@
-"""A sensor that is turned over by hand, through all orientations."""
+"""A sensor that is tumbled by hand through all orientations."""
 
 import functools
 import math
@@ -13,7 +13,7 @@ from simulated.turns import Motion, measure, turn
 from magcal_ros.core import Knowledge, Reason, Refusal, calibrate
 from magcal_ros.core.assessment import LEVEL_ONLY, WHICH_WAY_UP
 from magcal_ros.core.geometry import unit
-from magcal_ros.core.samples import explained, was_turned_over, without_lever_arm
+from magcal_ros.core.samples import was_turned_over, with_explanation, without_lever_arm
 from magcal_ros.core.simulation import Robot, heading_errors
 
 ROBOT = Robot()
@@ -44,16 +44,16 @@ def outcome_of(seed):
 
 
 @pytest.mark.parametrize("seed", first_of([1, 3]))
-def test_it_is_calibrated_without_a_reference(seed):
+def test_a_tumble_is_calibrated_without_a_reference(seed):
     outcome = outcome_of(seed)
     assert outcome.verdict.accepted, outcome.verdict.summary
-    # A level field to the south is the same world seen from behind.
+    # A level field to the south is the same world, rotated by half a turn.
     assert abs(outcome.estimate.inclination) < 0.5 * math.pi
     errors = heading_errors(outcome.calibration.correction, ROBOT)
     assert math.degrees(np.sqrt(np.mean((errors - errors.mean()) ** 2))) < 1.0
 
 
-def test_nothing_is_said_of_z_but_that_it_is_not_shown():
+def test_of_z_only_that_it_is_unobservable_is_reported():
     assert was_turned_over(window_of(1))
     verdict = outcome_of(1).verdict
     assert not any("z points" in check.words for check in verdict.checks)
@@ -77,7 +77,7 @@ def swung_about_an_elbow(seed):
 
 
 @pytest.mark.parametrize("seed", first_of(range(21, 41), 3))
-def test_a_fast_tumble_in_a_hand_is_seen_as_one(seed):
+def test_a_fast_tumble_by_hand_is_recognised(seed):
     window, in_place = swung_about_an_elbow(seed), tumbled_fast(seed)
     assert np.linalg.norm(window.angular_rate, axis=1).max() > 10.0
     assert was_turned_over(window) == was_turned_over(in_place)
@@ -89,7 +89,7 @@ def test_a_fast_tumble_in_a_hand_is_seen_as_one(seed):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(21, 41))
-def test_the_verdict_of_a_fast_tumble_names_no_wrong_axes(seed):
+def test_the_verdict_of_a_fast_tumble_reports_no_wrong_axes(seed):
     window, in_place = swung_about_an_elbow(seed), tumbled_fast(seed)
     verdict = calibrate(window, Knowledge()).verdict
     if was_turned_over(in_place):
@@ -106,21 +106,21 @@ def test_a_slow_turn_and_a_window_without_gyro_keep_their_force():
 
 
 def test_a_refusal_names_the_method_for_it():
-    words = str(explained(Refusal(Reason.AXES_DISAGREE, "the axes disagree"), window_of(1)))
+    words = str(with_explanation(Refusal(Reason.AXES_DISAGREE, "the axes disagree"), window_of(1)))
     assert "ellipsoid" in words
     assert "z points" not in words
 
 
 @pytest.mark.parametrize("method", ["ellipsoid", "min_max"])
-def test_the_methods_for_it_take_any_median_orientation(method):
+def test_the_methods_for_tumbles_accept_any_median_orientation(method):
     robot = Robot(roll=0.0, pitch=0.0)
     window = measure(robot, turned_over(2), np.random.default_rng(2), gyro=True)
     verdict = calibrate(window, robot.knowledge(), method).verdict
     assert not any("z points" in words for words in verdict.reasons)
 
 
-def test_a_boat_that_rolls_is_told_to_turn():
-    """Its z points up, and the axis that it rolls about lies."""
+def test_a_rolling_boat_is_advised_to_turn():
+    """Its z points up, and its axis of rotation is horizontal."""
     time = np.arange(0.0, 20.0, 0.05)
     roll = Rotation.from_rotvec(0.95 * np.sin(time)[:, None] * [1.0, 0.0, 0.0])
     window = measure(ROBOT, Motion(time, roll.as_matrix()), np.random.default_rng(1), gyro=False)

@@ -1,4 +1,4 @@
-"""Turns of a robot that stands, sets off, turns at a speed that varies, and stands again."""
+"""Turns of a robot that rests, turns at a varying rate, and rests again."""
 
 import math
 
@@ -33,7 +33,7 @@ def there_and_back(time):
 
 
 def driven(course, robot=ROBOT, rest=REST, seed=1):
-    """The motion of a full turn and a bit, swaying where it moves, and what sensors say of it."""
+    """The motion of slightly more than a full turn with sway, and its measurements."""
     rng = np.random.default_rng(seed)
     time = np.arange(-rest, SECONDS + rest, STEP)
     rate = course(time)
@@ -46,7 +46,7 @@ def driven(course, robot=ROBOT, rest=REST, seed=1):
 
 
 def collected(window, gyro=None):
-    """What a session makes of it."""
+    """The window that a session collects."""
     session = Session(Limits(), Mounting(), 0.0, gyro)
     rates = window.angular_rate
     rates = np.full_like(window.field, math.nan) if rates is None else rates

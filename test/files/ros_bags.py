@@ -1,4 +1,4 @@
-"""The part of `rosbag2_py` that is used, as its published source has it, over the library rosbags.
+"""The used part of `rosbag2_py`, according to its published source, by the library rosbags.
 
 Names, arguments, results and errors follow rosbag2_py/src/rosbag2_py/_reader.cpp, _info.cpp and
 _storage.cpp. `before_jazzy` gives what Humble and Iron have: a storage that must be named, and a

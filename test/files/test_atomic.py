@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from long_form import rounds
 
-from magcal_ros.files import LEFT_BEHIND, UNFINISHED, FileTrouble, write_atomically
+from magcal_ros.files import LEFT_BEHIND, UNFINISHED, FileError, write_atomically
 
 pytestmark = pytest.mark.faults
 
@@ -29,12 +29,12 @@ while True:
 LIMITED = """
 import resource, signal, sys
 from pathlib import Path
-from magcal_ros.files.disk import FileTrouble, write_atomically
+from magcal_ros.files.disk import FileError, write_atomically
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
     write_atomically(Path(sys.argv[1]), "n" * 100_000)
-except FileTrouble as trouble:
+except FileError as trouble:
     print(trouble)
 """
 
@@ -48,7 +48,7 @@ def umask():
 
 
 @pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
-def test_the_whole_text_is_written_and_the_umask_rules(tmp_path, umask, mask, mode):
+def test_the_whole_text_is_written_with_the_umask(tmp_path, umask, mask, mode):
     umask(mask)
     path = tmp_path / "deep" / "file.yaml"
     write_atomically(path, "größe\n")
@@ -59,7 +59,7 @@ def test_the_whole_text_is_written_and_the_umask_rules(tmp_path, umask, mask, mo
     assert os.listdir(path.parent) == ["file.yaml"]
 
 
-def test_killed_at_any_moment_it_leaves_the_old_or_the_new_one(tmp_path):
+def test_a_kill_at_any_time_leaves_the_old_or_the_new_file(tmp_path):
     path, chance = tmp_path / "file.yaml", random.Random(8)
     path.write_text("a" * 200_000)
     for _ in range(KILLS):
@@ -95,7 +95,7 @@ def test_two_writers_of_one_file_never_mix(tmp_path):
             writer.communicate()
 
 
-def test_what_killed_writers_left_is_swept_away_when_nobody_writes_it_any_more(tmp_path):
+def test_temporary_files_of_killed_writers_are_removed(tmp_path):
     path = tmp_path / "[mag].yaml"
     old = tmp_path / f".[mag].yaml.abc{UNFINISHED}"
     fresh = tmp_path / f".[mag].yaml.def{UNFINISHED}"
@@ -111,22 +111,22 @@ def test_what_killed_writers_left_is_swept_away_when_nobody_writes_it_any_more(t
     assert all(left.exists() for left in (fresh, *others))
 
 
-def test_a_folder_that_cannot_be_is_trouble_in_words(tmp_path):
+def test_an_impossible_folder_is_an_error_with_a_reason(tmp_path):
     blocker = tmp_path / "file"
     blocker.write_text("here")
-    with pytest.raises(FileTrouble, match="Choose a writable place") as caught:
+    with pytest.raises(FileError, match="Choose a writable place") as caught:
         write_atomically(blocker / "sub" / "cal.yaml", "x")
     assert str(blocker / "sub" / "cal.yaml") in str(caught.value)
     assert blocker.read_text() == "here"
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs /proc")
-def test_a_folder_that_takes_no_files_is_trouble():
-    with pytest.raises(FileTrouble, match="cannot write"):
+def test_an_unwritable_folder_is_an_error():
+    with pytest.raises(FileError, match="cannot write"):
         write_atomically(Path("/proc/self/cal.yaml"), "x")
 
 
-def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_a_full_disk_leaves_only_the_old_file(tmp_path):
     path = tmp_path / "file.yaml"
     path.write_text("old")
     done = subprocess.run(
@@ -138,21 +138,21 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path):
     assert os.listdir(tmp_path) == ["file.yaml"]
 
 
-def test_a_name_too_long_is_trouble(tmp_path):
-    with pytest.raises(FileTrouble, match="too long"):
+def test_a_too_long_name_is_an_error(tmp_path):
+    with pytest.raises(FileError, match="too long"):
         write_atomically(tmp_path / ("x" * 300), "x")
     assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize("failing", ["fsync", "replace", "fchmod"])
-def test_whichever_step_fails_no_temporary_file_stays(tmp_path, monkeypatch, failing):
+def test_a_failure_of_any_step_leaves_no_temporary_file(tmp_path, monkeypatch, failing):
     def fail(*_):
         raise OSError(28, "No space left on device")
 
     path = tmp_path / "file.yaml"
     path.write_text("old")
     monkeypatch.setattr(os, failing, fail)
-    with pytest.raises(FileTrouble, match="No space left on device"):
+    with pytest.raises(FileError, match="No space left on device"):
         write_atomically(path, "new")
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["file.yaml"]
@@ -175,7 +175,7 @@ def test_an_interrupt_leaves_no_temporary_file(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o600, 0o666, 0o604])
-def test_the_mode_of_the_old_file_stays(tmp_path, umask, mode):
+def test_the_mode_of_the_old_file_is_kept(tmp_path, umask, mode):
     umask(0o022)
     path = tmp_path / "file.yaml"
     path.write_text("old")
@@ -186,7 +186,7 @@ def test_the_mode_of_the_old_file_stays(tmp_path, umask, mode):
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
-def test_owner_and_group_of_the_old_file_stay(tmp_path):
+def test_owner_and_group_of_the_old_file_are_kept(tmp_path):
     path = tmp_path / "file.yaml"
     path.write_text("old")
     os.chown(path, 1000, 1001)
@@ -196,7 +196,7 @@ def test_owner_and_group_of_the_old_file_stay(tmp_path):
     assert (about.st_uid, about.st_gid, about.st_mode & 0o777) == (1000, 1001, 0o640)
 
 
-def test_where_the_group_cannot_stay_no_other_group_gets_its_rights(tmp_path, monkeypatch):
+def test_if_the_group_cannot_be_kept_no_other_group_gets_its_rights(tmp_path, monkeypatch):
     def refuse(*_):
         raise PermissionError(1, "Operation not permitted")
 
@@ -208,7 +208,7 @@ def test_where_the_group_cannot_stay_no_other_group_gets_its_rights(tmp_path, mo
     assert path.stat().st_mode & 0o777 == 0o604
 
 
-def test_a_symbolic_link_stays_one_and_its_target_is_replaced(tmp_path):
+def test_a_symbolic_link_is_kept_and_its_target_replaced(tmp_path):
     target, link = tmp_path / "deep" / "true.yaml", tmp_path / "link.yaml"
     target.parent.mkdir()
     target.write_text("old")
@@ -222,16 +222,16 @@ def test_a_symbolic_link_stays_one_and_its_target_is_replaced(tmp_path):
     assert target.read_text() == "anew"
 
 
-def test_a_link_to_itself_is_trouble(tmp_path):
+def test_a_link_to_itself_is_an_error(tmp_path):
     link = tmp_path / "link.yaml"
     link.symlink_to(link)
-    with pytest.raises(FileTrouble, match="cannot write"):
+    with pytest.raises(FileError, match="cannot write"):
         write_atomically(link, "new")
 
 
-def test_a_pipe_stays_a_pipe(tmp_path):
+def test_a_pipe_is_not_replaced(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(FileTrouble, match="a device or a pipe"):
+    with pytest.raises(FileError, match="a device or a pipe"):
         write_atomically(pipe, "new")
     assert pipe.is_fifo()

@@ -1,4 +1,4 @@
-"""What a calibration file held before is kept, and nothing else is touched for it."""
+"""Previous contents of a calibration file are kept, and no other file is changed."""
 
 import os
 from dataclasses import replace
@@ -11,7 +11,7 @@ from simulated.turns import measure, turn
 from magcal_ros.core import calibrate
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import (
-    FileTrouble,
+    FileError,
     Origin,
     backup_files,
     keep_backup,
@@ -38,7 +38,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def irons(path, found):
-    """Return a function that saves a calibration with a hard iron as the node does."""
+    """Return a function that saves a calibration with a hard iron like the node."""
 
     def save(microtesla):
         correction = replace(found.correction, hard_iron=[microtesla * 1e-6, 0.0, 0.0])
@@ -56,20 +56,20 @@ def kept(path):
     return [iron_of(file) for file in backup_files(path)]
 
 
-def test_the_last_three_lie_beside_the_file(path, irons):
+def test_the_last_three_are_kept_next_to_the_file(path, irons):
     for number in range(6):
         irons(number)
     assert iron_of(path) == 5
     assert kept(path) == [4, 3, 2]
 
 
-def test_what_is_in_force_already_is_never_kept(path, irons):
+def test_the_calibration_in_force_is_no_backup(path, irons):
     for number in (1, 2, 3, 3, 3, 3):
         irons(number)
     assert kept(path) == [2, 1, None]
 
 
-def test_two_that_take_turns_do_not_push_out_a_third(path, irons):
+def test_two_alternating_calibrations_do_not_displace_a_third(path, irons):
     for number in (0, 1, 2, 1, 2, 1, 2):
         irons(number)
     assert iron_of(path) == 2
@@ -77,7 +77,7 @@ def test_two_that_take_turns_do_not_push_out_a_third(path, irons):
     assert kept(path)[0] == 1
 
 
-def test_what_is_kept_last_is_not_kept_twice(path, irons, monkeypatch):
+def test_the_newest_backup_is_not_repeated(path, irons, monkeypatch):
     irons(1)
     replace_file = os.replace
 
@@ -88,24 +88,24 @@ def test_what_is_kept_last_is_not_kept_twice(path, irons, monkeypatch):
 
     monkeypatch.setattr(os, "replace", refuse)
     for _ in range(4):
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             irons(2)
     assert (iron_of(path), kept(path)) == (1, [1, None, None])
 
 
-def test_a_full_disk_moves_nothing(path, irons, monkeypatch):
+def test_a_full_disk_changes_no_backup(path, irons, monkeypatch):
     for number in (1, 2, 3):
         irons(number)
     monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left")))
     for number in (4, 5, 6):
-        with pytest.raises(FileTrouble, match="No space left"):
+        with pytest.raises(FileError, match="No space left"):
             irons(number)
     assert (iron_of(path), kept(path)) == (3, [2, 1, None])
 
 
 @pytest.mark.parametrize("slot", first_of([1, 0, 2]))
 @pytest.mark.parametrize("kind", ["text", "folder", "link"])
-def test_what_is_not_ours_stays_and_the_rest_goes_on(path, irons, slot, kind, tmp_path):
+def test_files_of_other_programs_are_kept_and_backups_continue(path, irons, slot, kind, tmp_path):
     theirs = backup_files(path)[slot]
     if kind == "folder":
         theirs.mkdir()
@@ -123,15 +123,15 @@ def test_what_is_not_ours_stays_and_the_rest_goes_on(path, irons, slot, kind, tm
     assert theirs.is_symlink() is (kind == "link")
 
 
-def test_that_there_is_no_name_left_is_said(path, irons, found):
+def test_missing_free_names_are_reported(path, irons, found):
     irons(1)
     for file in backup_files(path):
         file.mkdir()
-    with pytest.raises(FileTrouble, match="not ours"):
+    with pytest.raises(FileError, match="not ours"):
         keep_backup(path, found)
 
 
-def test_a_link_to_a_calibration_of_ours_is_no_place(path, irons, tmp_path):
+def test_a_link_to_a_calibration_is_no_free_name(path, irons, tmp_path):
     irons(1)
     backup = tmp_path / "backup.yaml"
     backup.write_bytes(path.read_bytes())

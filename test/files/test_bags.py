@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from drives import STORE2, drive, message, text, write_bag, write_csv
 
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.files import FileTrouble, open_recording, plain
+from magcal_ros.files import FileError, open_recording, printable
 
 pytestmark = pytest.mark.faults
 
@@ -25,7 +25,7 @@ def read(path, **options):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_gives_back_what_was_recorded(tmp_path, samples, kind):
+def test_a_bag_gives_the_recorded_samples(tmp_path, samples, kind):
     readings, source = read(write_bag(tmp_path / "bag", samples, kind))
     assert (source.imu_topic, source.field_topic) == ("/imu/data_raw", "/imu/mag")
     assert (source.imu_frame, source.field_frame) == ("imu_link", "mag_link")
@@ -47,19 +47,19 @@ def test_a_span_counts_from_the_beginning(tmp_path, samples, kind):
     assert abs(len(csv) - len(readings)) <= 2
 
 
-def test_the_file_inside_may_be_named_itself(tmp_path, samples):
+def test_the_file_in_the_folder_can_be_named(tmp_path, samples):
     folder = write_bag(tmp_path / "bag", samples)
     readings, _ = read(next(folder.glob("*.mcap")))
     assert len(readings) == len(samples)
 
 
-def test_reading_begins_before_the_bag_is_loaded(tmp_path, samples):
+def test_reading_starts_before_the_whole_bag_is_loaded(tmp_path, samples):
     """A damaged end is met only when it is reached."""
     with open_recording(write_bag(tmp_path / "bag", samples)) as source:
         assert isinstance(next(source.readings()), ImuSample)
 
 
-def test_an_imu_without_gyro_or_acceleration_says_so(tmp_path, samples):
+def test_a_missing_gyro_or_acceleration_is_recognised(tmp_path, samples):
     gyroless = [s._replace(rate=(math.nan,) * 3) for s in samples if isinstance(s, ImuSample)]
     mute = message(STORE2, gyroless[0])
     mute.linear_acceleration_covariance = np.r_[-1.0, np.zeros(8)]
@@ -71,36 +71,38 @@ def test_an_imu_without_gyro_or_acceleration_says_so(tmp_path, samples):
 
 
 class TestTopics:
-    def test_several_are_listed_and_not_guessed(self, tmp_path, samples):
+    def test_several_topics_are_listed_and_none_is_guessed(self, tmp_path, samples):
         other = ("/camera/imu", message(STORE2, samples[0]))
         path = write_bag(tmp_path / "bag", [*samples, other])
-        with pytest.raises(Misuse, match=r"2 topics .*/camera/imu, /imu/data_raw.*--imu"):
+        with pytest.raises(UsageError, match=r"2 topics .*/camera/imu, /imu/data_raw.*--imu"):
             read(path)
         readings, _ = read(path, imu="/camera/imu")
         assert sum(isinstance(r, ImuSample) for r in readings) == 1
 
     @pytest.mark.parametrize(("missing", "word"), [(ImuSample, "Imu"), (FieldSample, "Magnetic")])
-    def test_a_missing_one_is_named_with_what_there_is(self, tmp_path, samples, missing, word):
+    def test_a_missing_topic_is_named_with_the_existing_ones(
+        self, tmp_path, samples, missing, word
+    ):
         left = [s for s in samples if not isinstance(s, missing)]
         path = write_bag(tmp_path / "bag", [*left, ("/words", text(STORE2, "hello"))])
-        with pytest.raises(FileTrouble, match=rf"no sensor_msgs/{word}.*/words \(std_msgs"):
+        with pytest.raises(FileError, match=rf"no sensor_msgs/{word}.*/words \(std_msgs"):
             read(path)
 
-    def test_one_that_is_asked_for_must_exist_and_fit(self, tmp_path, samples):
+    def test_a_chosen_topic_must_exist_and_have_the_right_type(self, tmp_path, samples):
         path = write_bag(tmp_path / "bag", [*samples, ("/words", text(STORE2, "hello"))])
-        with pytest.raises(FileTrouble, match=r"no topic /nowhere; it has: .*/imu/mag"):
+        with pytest.raises(FileError, match=r"no topic /nowhere; it has: .*/imu/mag"):
             read(path, field="/nowhere")
-        with pytest.raises(FileTrouble, match="/words is std_msgs/msg/String, not sensor_msgs"):
+        with pytest.raises(FileError, match="/words is std_msgs/msg/String, not sensor_msgs"):
             read(path, imu="/words")
 
-    def test_a_csv_folder_has_none_to_choose(self, tmp_path, samples):
-        with pytest.raises(Misuse, match="without topics"):
+    def test_topics_are_refused_for_a_csv_folder(self, tmp_path, samples):
+        with pytest.raises(UsageError, match="without topics"):
             read(write_csv(tmp_path / "csv", samples), imu="/imu")
 
     @pytest.mark.parametrize("evil", ["/\x1b[2J\x1b]0;owned\x07", "/a\r\nb", "/\u202eimu"])
-    def test_hostile_names_reach_no_terminal(self, tmp_path, samples, evil):
+    def test_hostile_names_are_not_printed_unchanged(self, tmp_path, samples, evil):
         other = (evil, message(STORE2, samples[0], frame=evil))
-        with pytest.raises(Misuse) as caught:
+        with pytest.raises(UsageError) as caught:
             read(write_bag(tmp_path / "bag", [*samples, other]))
         assert str(caught.value).isprintable()
         left = [s for s in samples if not isinstance(s, ImuSample)]
@@ -108,26 +110,26 @@ class TestTopics:
             assert source.imu_topic.isprintable()
 
 
-def test_plain_text_stays_and_long_text_is_cut():
-    assert plain("/imu/data_raw ä µ") == "/imu/data_raw ä µ"
-    assert plain("a\x1b[31mb\x9bc\n") == "a?[31mb?c?"
-    assert len(plain("x" * 10_000)) < 300
+def test_printable_text_is_unchanged_and_long_text_cut():
+    assert printable("/imu/data_raw ä µ") == "/imu/data_raw ä µ"
+    assert printable("a\x1b[31mb\x9bc\n") == "a?[31mb?c?"
+    assert len(printable("x" * 10_000)) < 300
 
 
 class TestDamage:
     @pytest.mark.parametrize("share", [0.0, 0.001, 0.02, 0.3, 0.7, 0.99])
     @pytest.mark.parametrize("kind", KINDS)
-    def test_a_file_that_was_cut_short_is_said(self, tmp_path, samples, kind, share):
+    def test_a_truncated_file_is_reported(self, tmp_path, samples, kind, share):
         path = write_bag(tmp_path / "bag", samples, kind)
         file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
         content = file.read_bytes()
         file.write_bytes(content[: int(share * len(content))])
-        with pytest.raises(FileTrouble, match=r"Record again; .* saves the intact part") as caught:
+        with pytest.raises(FileError, match=r"Record again; .* saves the intact part") as caught:
             read(path)
         assert str(caught.value).isprintable()
 
     @pytest.mark.parametrize("kind", KINDS)
-    def test_wrong_bytes_end_in_words_or_in_samples(self, tmp_path, samples, kind):
+    def test_wrong_bytes_give_samples_or_an_error_with_words(self, tmp_path, samples, kind):
         path = write_bag(tmp_path / "bag", samples[:60], kind)
         file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
         content = np.frombuffer(file.read_bytes(), np.uint8)
@@ -139,33 +141,33 @@ class TestDamage:
             file.write_bytes(broken.tobytes())
             try:
                 read(path)
-            except (FileTrouble, Misuse) as error:
+            except (FileError, UsageError) as error:
                 said.append(str(error))
         assert len(said) > 5
         assert all(words.isprintable() for words in said)
 
     @pytest.mark.parametrize("kind", KINDS)
     def test_an_empty_bag(self, tmp_path, kind):
-        with pytest.raises(FileTrouble, match=r"holds no messages|damaged"):
+        with pytest.raises(FileError, match=r"holds no messages|damaged"):
             read(write_bag(tmp_path / "bag", [], kind))
 
-    def test_metadata_that_is_no_metadata(self, tmp_path, samples):
+    def test_invalid_metadata(self, tmp_path, samples):
         path = write_bag(tmp_path / "bag", samples)
         (path / "metadata.yaml").write_text("rosbag2_bagfile_information: 7\n")
-        with pytest.raises(FileTrouble, match="damaged"):
+        with pytest.raises(FileError, match="damaged"):
             read(path)
 
-    def test_other_files_and_folders_are_no_recording(self, tmp_path):
-        with pytest.raises(FileTrouble, match="no such file"):
+    def test_other_files_and_folders_are_refused(self, tmp_path):
+        with pytest.raises(FileError, match="no such file"):
             read(tmp_path / "nothing.mcap")
-        with pytest.raises(FileTrouble, match=r"is not a recording.*metadata\.yaml"):
+        with pytest.raises(FileError, match=r"is not a recording.*metadata\.yaml"):
             read(tmp_path)
         (tmp_path / "notes.txt").write_text("hello")
-        with pytest.raises(FileTrouble, match="is not a recording: name a bag"):
+        with pytest.raises(FileError, match="is not a recording: name a bag"):
             read(tmp_path / "notes.txt")
 
 
-def test_without_the_library_it_says_how_to_get_it(tmp_path, samples, monkeypatch):
+def test_without_the_library_its_installation_is_explained(tmp_path, samples, monkeypatch):
     path, importing = write_bag(tmp_path / "bag", samples), builtins.__import__
 
     def lacking(name, *rest):
@@ -174,12 +176,12 @@ def test_without_the_library_it_says_how_to_get_it(tmp_path, samples, monkeypatc
         return importing(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", lacking)
-    with pytest.raises(FileTrouble, match="source its setup file"):
+    with pytest.raises(FileError, match="source its setup file"):
         read(path)
 
 
 class TestCsv:
-    def test_it_gives_back_what_was_recorded(self, tmp_path, samples):
+    def test_a_csv_folder_gives_the_recorded_samples(self, tmp_path, samples):
         readings, source = read(write_csv(tmp_path / "csv", samples))
         assert readings == samples
         assert source.count == len(samples)

@@ -18,7 +18,7 @@ from magcal_ros.core.heading import VehicleYaw
 from magcal_ros.files import (
     BOUNDS,
     LARGEST_FILE,
-    FileTrouble,
+    FileError,
     Origin,
     read_calibration,
     write_calibration,
@@ -104,7 +104,7 @@ def everything(calibration):
 def everything_of(motors):
     if motors is None:
         return None
-    arrays = motors.gain, motors.covariance, motors.beside
+    arrays = motors.gain, motors.covariance, motors.cross_covariance
     return (
         *(each.tobytes() for each in arrays),
         motors.inputs,
@@ -139,7 +139,7 @@ def with_change(path, change):
 class TestRoundTrip:
     @examples(4, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
     @given(calibration=calibrations, frames=st.tuples(words, words))
-    def test_every_number_and_word_comes_back_to_the_last_bit(self, tmp_path, calibration, frames):
+    def test_all_numbers_and_texts_are_recovered_exactly(self, tmp_path, calibration, frames):
         path, origin = tmp_path / "mag.yaml", Origin(*frames, ORIGIN.created)
         write_calibration(path, calibration, origin)
         found, found_origin = read_calibration(path)
@@ -149,25 +149,25 @@ class TestRoundTrip:
     @pytest.mark.parametrize(
         "odd", ["a\x85b", "\x85", "a\u2028 b", "\ufeff", "a\n\n b\r", "\0", "1e5"]
     )
-    def test_breaks_and_controls_in_a_text_come_back(self, tmp_path, odd):
+    def test_line_breaks_and_control_characters_are_recovered(self, tmp_path, odd):
         write_calibration(tmp_path / "a", example(), Origin(odd, "imu", odd))
         assert read_calibration(tmp_path / "a")[1] == Origin(odd, "imu", odd)
 
-    def test_a_printable_text_stays_readable(self, tmp_path):
+    def test_a_printable_text_is_readable_in_the_file(self, tmp_path):
         write_calibration(tmp_path / "a", example(), Origin("größe 5 µT", "imu", "now"))
         assert "field_raw: größe 5 µT" in (tmp_path / "a").read_text()
 
-    def test_a_figure_that_is_nan_comes_back(self, tmp_path):
+    def test_a_figure_that_is_nan_is_recovered(self, tmp_path):
         one = example()
         one.evidence.figures["y"] = math.nan
         write_calibration(tmp_path / "a", one, ORIGIN)
         assert math.isnan(read_calibration(tmp_path / "a")[0].evidence.figures["y"])
 
-    def test_the_motors_come_back(self, tmp_path):
+    def test_the_motor_field_is_recovered(self, tmp_path):
         write_calibration(tmp_path / "a", with_motors(), ORIGIN)
         assert everything(read_calibration(tmp_path / "a")[0]) == everything(with_motors())
 
-    def test_without_a_current_of_the_calibration_it_is_that_at_rest(self, tmp_path):
+    def test_without_a_reference_current_it_is_that_at_rest(self, tmp_path):
         write_calibration(tmp_path / "a", with_motors(), ORIGIN)
         with_change(tmp_path / "a", lambda document: document["motors"].pop("reference_current"))
         assert math.isnan(read_calibration(tmp_path / "a")[0].motors.reference)
@@ -189,20 +189,20 @@ class TestRoundTrip:
     def test_impossible_motors_are_refused(self, tmp_path, change):
         write_calibration(tmp_path / "a", with_motors(), ORIGIN)
         with_change(tmp_path / "a", lambda document: change(document["motors"]))
-        with pytest.raises(FileTrouble, match="not a usable calibration"):
+        with pytest.raises(FileError, match="not a usable calibration"):
             read_calibration(tmp_path / "a")
 
-    def test_a_missing_folder_is_made(self, tmp_path):
+    def test_a_missing_folder_is_created(self, tmp_path):
         path = tmp_path / "a" / "b" / "mag.yaml"
         write_calibration(path, example(), ORIGIN)
         assert everything(read_calibration(path)[0]) == everything(example())
 
-    def test_the_bias_stands_at_top_level_and_is_the_hard_iron(self, written):
+    def test_the_bias_at_top_level_is_the_hard_iron(self, written):
         document = yaml.safe_load(written.read_text())
         bias = [document[f"magnetometer_bias_{axis}"] for axis in "xyz"]
         assert bias == document["hard_iron"] == example().correction.hard_iron.tolist()
 
-    def test_the_file_says_what_it_is(self, written):
+    def test_the_file_names_its_format(self, written):
         text = written.read_text()
         assert text.startswith("# Magnetometer calibration by magcal_ros.")
         document = yaml.safe_load(text)
@@ -218,7 +218,7 @@ class TestDamage:
     @pytest.mark.parametrize(
         ("figures", "step"), [({}, 211), pytest.param({"x": 0.125}, 1, marks=pytest.mark.nightly)]
     )
-    def test_cut_anywhere_it_is_trouble_and_never_another_calibration(
+    def test_a_truncated_file_is_an_error_and_never_another_calibration(
         self, tmp_path, figures, step
     ):
         one = replace(example(), covariance=np.eye(12) * 1e-14)
@@ -231,21 +231,21 @@ class TestDamage:
         cuts = [*range(0, outside, step), *range(outside - 20, outside)]
         for length in cuts:
             path.write_bytes(whole[:length])
-            with pytest.raises(FileTrouble):
+            with pytest.raises(FileError):
                 read_calibration(path)
         path.write_bytes(whole[:outside])
         assert everything(read_calibration(path)[0]) == everything(one)
 
     @examples(15, suppress_health_check=[HealthCheck.function_scoped_fixture])
     @given(where=st.floats(0.0, 1.0), junk=st.binary(min_size=1, max_size=6))
-    def test_junk_written_over_it_raises_nothing_but_trouble(self, written, where, junk):
+    def test_overwritten_bytes_raise_only_a_file_error(self, written, where, junk):
         whole = written.read_bytes()
         at = int(where * (len(whole) - len(junk)))
         damaged = written.parent / "damaged.yaml"
         damaged.write_bytes(whole[:at] + junk + whole[at + len(junk) :])
         try:
             found, _ = read_calibration(damaged)
-        except FileTrouble:
+        except FileError:
             return
         assert np.isfinite(found.correction.parameters).all()
 
@@ -257,7 +257,7 @@ class TestDamage:
         ),
         data=st.data(),
     )  # fmt: skip
-    def test_any_entry_may_hold_anything_and_only_trouble_comes(self, written, value, data):
+    def test_any_content_of_an_entry_raises_only_a_file_error(self, written, value, data):
         document = yaml.safe_load(written.read_text())
         place = data.draw(st.sampled_from([document, document["evidence"], document["reference"]]))
         place[data.draw(st.sampled_from(sorted(place)))] = value
@@ -265,7 +265,7 @@ class TestDamage:
         changed.write_text(yaml.safe_dump(document))
         try:
             found, _ = read_calibration(changed)
-        except FileTrouble:
+        except FileError:
             return
         assert np.isfinite(found.correction.parameters).all()
 
@@ -277,9 +277,9 @@ class TestDamage:
             "magnetometer_bias_x", "magnetometer_bias_y", "magnetometer_bias_z",
         ],
     )  # fmt: skip
-    def test_an_entry_that_is_missing_is_trouble(self, written, key):
+    def test_a_missing_entry_is_an_error(self, written, key):
         with_change(written, lambda document: document.pop(key))
-        with pytest.raises(FileTrouble, match=key):
+        with pytest.raises(FileError, match=key):
             read_calibration(written)
 
     @pytest.mark.parametrize(
@@ -293,35 +293,35 @@ class TestDamage:
     def test_something_else_is_not_taken_for_a_calibration(self, tmp_path, text):
         path = tmp_path / "mag.yaml"
         path.write_text(text)
-        with pytest.raises(FileTrouble, match="is not a usable calibration"):
+        with pytest.raises(FileError, match="is not a usable calibration"):
             read_calibration(path)
 
-    def test_bytes_that_are_no_text_are_trouble(self, tmp_path):
+    def test_bytes_that_are_not_text_are_an_error(self, tmp_path):
         path = tmp_path / "mag.yaml"
         path.write_bytes(bytes(range(256)))
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             read_calibration(path)
 
     @pytest.mark.parametrize("version", [0, 2, "1", None, "one"])
     def test_another_version_is_named(self, written, version):
         with_change(written, lambda document: document.update(format_version=version))
-        with pytest.raises(FileTrouble, match=re.escape(f"its format version is {version!r}")):
+        with pytest.raises(FileError, match=re.escape(f"its format version is {version!r}")):
             read_calibration(written)
 
-    def test_the_trouble_names_the_file_and_the_remedy(self, tmp_path):
+    def test_the_error_names_the_file_and_the_remedy(self, tmp_path):
         path = tmp_path / "mag.yaml"
         path.write_text("a: 1")
-        with pytest.raises(FileTrouble, match="Calibrate again to replace it") as caught:
+        with pytest.raises(FileError, match="Calibrate again to replace it") as caught:
             read_calibration(path)
         assert str(path) in str(caught.value)
 
 
 class TestHostileYaml:
-    def test_an_alias_bomb_does_not_go_off(self, written):
+    def test_an_alias_bomb_is_not_expanded(self, written):
         rows = ["bomb0: &b0 [1, 1]"]
         rows += [f"bomb{k}: &b{k} [{', '.join([f'*b{k - 1}'] * 9)}]" for k in range(1, 12)]
         written.write_text(written.read_text() + "\n".join(rows))
-        with pytest.raises(FileTrouble, match="aliases do not belong"):
+        with pytest.raises(FileError, match="aliases do not belong"):
             read_calibration(written)
 
     @pytest.mark.parametrize(
@@ -332,46 +332,46 @@ class TestHostileYaml:
             "!!python/name:os.system ''",
         ],
     )
-    def test_python_tags_do_nothing(self, written, tag):
+    def test_python_tags_are_not_executed(self, written, tag):
         with written.open("a") as handle:
             handle.write("extra: " + tag.format(folder=written.parent) + "\n")
-        with pytest.raises(FileTrouble, match="could not determine a constructor"):
+        with pytest.raises(FileError, match="could not determine a constructor"):
             read_calibration(written)
         assert not (written.parent / "made").exists()
 
     def test_a_huge_file_is_not_read(self, written):
         with written.open("a") as handle:
             handle.write("#" * LARGEST_FILE)
-        with pytest.raises(FileTrouble, match="too large"):
+        with pytest.raises(FileError, match="too large"):
             read_calibration(written)
 
 
 class TestInTheWay:
-    def test_a_missing_file_is_trouble(self, tmp_path):
-        with pytest.raises(FileTrouble, match="No such file"):
+    def test_a_missing_file_is_an_error(self, tmp_path):
+        with pytest.raises(FileError, match="No such file"):
             read_calibration(tmp_path / "none.yaml")
 
-    def test_a_directory_in_its_place_is_trouble_and_stays(self, tmp_path):
+    def test_a_directory_instead_of_the_file_is_an_error_and_is_kept(self, tmp_path):
         folder = tmp_path / "mag.yaml"
         (folder / "inside").mkdir(parents=True)
-        with pytest.raises(FileTrouble, match="Is a directory"):
+        with pytest.raises(FileError, match="Is a directory"):
             read_calibration(folder)
-        with pytest.raises(FileTrouble, match="is not a calibration of magcal_ros"):
+        with pytest.raises(FileError, match="is not a calibration of magcal_ros"):
             write_calibration(folder, example(), ORIGIN)
         assert os.listdir(tmp_path) == ["mag.yaml"]
         assert (folder / "inside").is_dir()
 
     @pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/zero")
-    def test_a_device_or_a_pipe_is_trouble_at_once(self, tmp_path):
+    def test_a_device_or_a_pipe_is_an_immediate_error(self, tmp_path):
         pipe = tmp_path / "pipe"
         os.mkfifo(pipe)
         for path in (pipe, Path("/dev/zero")):
-            with pytest.raises(FileTrouble, match="not a regular file"):
+            with pytest.raises(FileError, match="not a regular file"):
                 read_calibration(path)
 
 
 class TestHandEdited:
-    def test_numbers_without_a_dot_are_numbers(self, written):
+    def test_integers_are_accepted_as_numbers(self, written):
         """YAML 1.1 takes 1e-5 for a text."""
         text = written.read_text().replace("3.1e-05", "3e-5").replace("0.01\n", "1e-2\n")
         assert "hard_iron: [3e-5," in text
@@ -391,20 +391,20 @@ class TestHandEdited:
     @pytest.mark.parametrize(
         "entry", ["noise_field", "noise_up", "strength", "inclination", "hard_iron"]
     )
-    def test_what_is_no_finite_number_is_trouble(self, written, entry, bad):
+    def test_an_entry_that_is_not_finite_is_an_error(self, written, entry, bad):
         pattern = rf"({entry}: \[?)[^,\n}}\]]+"
         text, count = re.subn(pattern, rf"\g<1>'{bad}'" if bad == "1,5" else rf"\g<1>{bad}",
                               written.read_text())  # fmt: skip
         assert count >= 1
         written.write_text(text)
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             read_calibration(written)
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf, "x", None])
     @pytest.mark.parametrize("entry", ["correction_matrix", "covariance"])
-    def test_a_matrix_with_a_hole_is_trouble(self, written, entry, bad):
+    def test_an_incomplete_matrix_is_an_error(self, written, entry, bad):
         with_change(written, lambda document: document[entry][1].__setitem__(2, bad))
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             read_calibration(written)
 
     @pytest.mark.parametrize(
@@ -422,9 +422,9 @@ class TestHandEdited:
             (lambda d: d["reference"].update(strength=-4e-5), "strength must be zero or more"),
         ],
     )
-    def test_numbers_that_make_no_calibration_are_trouble(self, written, change, words):
+    def test_impossible_numbers_are_an_error(self, written, change, words):
         with_change(written, change)
-        with pytest.raises(FileTrouble, match=words):
+        with pytest.raises(FileError, match=words):
             read_calibration(written)
 
 
@@ -441,10 +441,10 @@ class TestWhatBelongsToOthers:
             "x" * (LARGEST_FILE + 1),
         ],
     )
-    def test_it_is_never_replaced(self, tmp_path, content):
+    def test_a_file_of_another_program_is_never_replaced(self, tmp_path, content):
         path = tmp_path / "robot_params.yaml"
         path.write_text(content)
-        with pytest.raises(FileTrouble, match="is not a calibration of magcal_ros") as caught:
+        with pytest.raises(FileError, match="is not a calibration of magcal_ros") as caught:
             write_calibration(path, example(), ORIGIN)
         assert "choose another name" in str(caught.value)
         assert path.read_text() == content
@@ -452,13 +452,13 @@ class TestWhatBelongsToOthers:
     def test_a_pipe_is_neither_opened_nor_replaced(self, tmp_path):
         pipe = tmp_path / "pipe"
         os.mkfifo(pipe)
-        with pytest.raises(FileTrouble, match="is not a calibration of magcal_ros"):
+        with pytest.raises(FileError, match="is not a calibration of magcal_ros"):
             write_calibration(pipe, example(), ORIGIN)
-        with pytest.raises(FileTrouble, match="not a regular file"):
+        with pytest.raises(FileError, match="not a regular file"):
             read_calibration(pipe)
         assert pipe.is_fifo()
 
-    def test_one_of_ours_is_replaced_even_if_it_is_damaged_or_empty(self, tmp_path, written):
+    def test_a_damaged_or_empty_calibration_file_is_replaced(self, tmp_path, written):
         path = tmp_path / "mag.yaml"
         whole = written.read_bytes()
         for content in (b"", b"\n", whole, whole[:200], whole.partition(b"format:")[0]):
@@ -480,40 +480,40 @@ class TestBombs:
         ],
         ids=["lists", "maps", "dashes", "keys", "indents", "many"],
     )
-    def test_nesting_is_refused_and_not_followed_for_ever(self, tmp_path, bomb):
+    def test_deep_nesting_is_refused(self, tmp_path, bomb):
         path = tmp_path / "mag.yaml"
         path.write_text("format: magcal_ros/calibration\nx: " + bomb)
-        with pytest.raises(FileTrouble, match="is not a usable calibration"):
+        with pytest.raises(FileError, match="is not a usable calibration"):
             read_calibration(path)
 
 
-def test_the_node_that_made_it_is_remembered(tmp_path):
+def test_the_file_names_the_node(tmp_path):
     path, origin = tmp_path / "mag.yaml", replace(ORIGIN, node="/robot/left")
     write_calibration(path, example(), origin)
     assert read_calibration(path)[1] == origin
 
 
-def test_a_large_file_of_somebody_else_is_not_parsed(tmp_path, monkeypatch):
+def test_a_large_file_of_another_program_is_not_parsed(tmp_path, monkeypatch):
     path = tmp_path / "params.yaml"
     path.write_text("x: [" + "1.0, " * ((LARGEST_FILE - 100) // 5) + "1.0]\n")
     monkeypatch.setattr(yaml, "load", None)
-    with pytest.raises(FileTrouble, match="does not say 'format: magcal_ros/calibration'"):
+    with pytest.raises(FileError, match="does not say 'format: magcal_ros/calibration'"):
         read_calibration(path)
 
 
 class TestVehicleYaw:
-    """How the IMU sits in the vehicle lies beside the calibration, and never in its matrix."""
+    """The yaw of the IMU in the vehicle is stored separately, not in the matrix."""
 
     ORIGIN = replace(ORIGIN, vehicle_yaw=VehicleYaw(0.123456789, 0.01, "course"))
 
-    def test_it_comes_back_to_the_last_bit_and_changes_nothing_else(self, tmp_path, written):
+    def test_the_yaw_is_recovered_exactly_and_changes_nothing_else(self, tmp_path, written):
         path = tmp_path / "with.yaml"
         write_calibration(path, example(), self.ORIGIN)
         calibration, origin = read_calibration(path)
         assert origin == self.ORIGIN
         assert everything(calibration) == everything(read_calibration(written)[0])
 
-    def test_files_from_before_have_none(self, written):
+    def test_older_files_have_no_vehicle_yaw(self, written):
         assert "vehicle_yaw_offset" not in written.read_text()
         assert read_calibration(written)[1].vehicle_yaw is None
 
@@ -522,7 +522,7 @@ class TestVehicleYaw:
         ["3", "{yaw: .nan, sigma: 0.1, source: course}", "{yaw: 0.1}", "[1, 2]",
          "{yaw: 70.0, sigma: 0.1, source: course}", "{yaw: 0.1, sigma: -1.0, source: course}"],
     )  # fmt: skip
-    def test_nonsense_is_trouble(self, written, entry):
+    def test_an_invalid_vehicle_yaw_is_an_error(self, written, entry):
         written.write_text(written.read_text() + f"vehicle_yaw_offset: {entry}\n")
-        with pytest.raises(FileTrouble):
+        with pytest.raises(FileError):
             read_calibration(written)

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from magcal_ros.files import (
     LONGEST_FRAME,
     RESERVED,
-    FileTrouble,
+    FileError,
     chosen_path,
+    identifier,
     is_missing,
-    known_as,
     own_folder,
     safe_name,
     sensor_file,
@@ -33,7 +33,7 @@ def home(tmp_path_factory, monkeypatch):
 
 
 @pytest.mark.parametrize("namespace", ["/", "/robot", "/../..", "/a/b"])
-def test_a_file_lies_inside_the_folder_and_can_be_made(home, namespace):
+def test_a_file_is_inside_the_folder_and_can_be_created(home, namespace):
     for frame in HOSTILE:
         path = sensor_file(frame, namespace, "calibrator")
         assert (home / "magcal") in path.resolve().parents, frame
@@ -43,37 +43,37 @@ def test_a_file_lies_inside_the_folder_and_can_be_made(home, namespace):
         path.unlink()
 
 
-def test_names_that_differ_never_share_a_file():
+def test_different_names_never_share_a_file():
     names = [*HOSTILE, *(safe_name(name) for name in HOSTILE)]
     assert len({safe_name(name) for name in set(names)}) == len(set(names))
 
 
 @given(st.text(max_size=100), st.text(max_size=100))
-def test_any_two_names_stay_apart(a, b):
+def test_any_two_names_get_different_files(a, b):
     assert (safe_name(a) == safe_name(b)) == (a == b)
 
 
 @given(st.text(max_size=400))
-def test_a_name_of_a_digest_is_no_way_to_meet(text):
+def test_a_name_like_a_digest_shares_no_file(text):
     taken = safe_name(text)
     assert safe_name(taken) != taken or taken == text
 
 
 @given(st.text(max_size=400))
-def test_a_safe_name_is_plain_and_short(text):
+def test_a_safe_name_is_short_and_simple(text):
     assert len(safe_name(text)) <= 90
     assert set(safe_name(text)) <= set(
         "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-"
     )
 
 
-def test_an_ordinary_name_stays_readable(home):
+def test_an_ordinary_name_is_unchanged(home):
     assert sensor_file("imu_link", "/", "calibrator") == home / "magcal/calibrator.imu_link.yaml"
     assert sensor_file("mag", "/robot1", "left") == home / "magcal/robot1/left.mag.yaml"
     assert sensor_file("", "/", "calibrator") == home / "magcal/calibrator.magnetometer.yaml"
 
 
-def test_nodes_sensors_and_namespaces_have_files_of_their_own():
+def test_nodes_sensors_and_namespaces_have_separate_files():
     spaces = ["/", "/a/b", "/a_b", "/a", "/b/a", "/ab", "/left", "/calibrator"]
     nodes = ["left", "right", "calibrator", "a"]
     frames = ["imu_link", "left", "right", "a", ""]
@@ -81,7 +81,7 @@ def test_nodes_sensors_and_namespaces_have_files_of_their_own():
     assert len(set(files)) == len(files)
 
 
-def test_without_ros_home_it_is_the_users(monkeypatch):
+def test_without_ros_home_the_folder_is_in_the_users_home(monkeypatch):
     monkeypatch.setenv("ROS_HOME", "")
     monkeypatch.setenv("HOME", "/somewhere")
     assert own_folder() == Path("/somewhere/.ros/magcal")
@@ -92,25 +92,25 @@ def test_names_that_are_devices_elsewhere_are_no_files(frame):
     assert not RESERVED.match(safe_name(frame))
 
 
-def test_a_home_that_does_not_exist_is_trouble_in_words(monkeypatch):
-    with pytest.raises(FileTrouble, match="no home folder for '~nobody_of_this_name/x'"):
+def test_a_missing_home_is_an_error_with_a_reason(monkeypatch):
+    with pytest.raises(FileError, match="no home folder for '~nobody_of_this_name/x'"):
         chosen_path("~nobody_of_this_name/x")
     monkeypatch.setenv("ROS_HOME", "~nobody_of_this_name")
-    with pytest.raises(FileTrouble, match="set ROS_HOME"):
+    with pytest.raises(FileError, match="set ROS_HOME"):
         sensor_file("mag", "/", "calibrator")
 
 
-def test_only_what_is_surely_not_there_is_missing(tmp_path):
+def test_only_a_certainly_absent_file_is_missing(tmp_path):
     (tmp_path / "file").write_text("")
     assert is_missing(tmp_path / "nothing")
     assert is_missing(tmp_path / "file" / "below")
     assert not is_missing(tmp_path / "file")
-    # What cannot be looked at is left to whoever reads it, to be said.
+    # A path that cannot be examined is reported by the function that reads it.
     assert not is_missing(tmp_path / ("x" * 300))
     assert not is_missing(Path("a\0b"))
 
 
 @given(st.text(max_size=3 * LONGEST_FRAME), st.text(max_size=3 * LONGEST_FRAME))
-def test_a_frame_is_known_by_a_short_name_of_its_own(a, b):
-    assert (known_as(a) == known_as(b)) == (a == b)
-    assert len(known_as(a)) < LONGEST_FRAME + 10
+def test_a_frame_has_a_short_unique_identifier(a, b):
+    assert (identifier(a) == identifier(b)) == (a == b)
+    assert len(identifier(a)) < LONGEST_FRAME + 10

@@ -1,4 +1,4 @@
-"""A bag longer than memory is streamed: what is read of it at once does not grow with it."""
+"""A bag larger than memory is streamed: memory does not grow with its length."""
 
 import shutil
 import subprocess

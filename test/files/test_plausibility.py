@@ -1,4 +1,4 @@
-"""What no turn can have found is not loaded, and what turns do find is."""
+"""Impossible calibrations are not loaded, and possible ones are."""
 
 import math
 from dataclasses import replace
@@ -12,7 +12,7 @@ from simulated.turns import measure, turn
 from magcal_ros.core import Correction, Knowledge, calibrate
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files import (
-    FileTrouble,
+    FileError,
     Origin,
     read_calibration,
     require_possible,
@@ -55,7 +55,7 @@ def exact_but_tied(covariance):
 
 @pytest.mark.parametrize("strength", first_of([25e-6, 48e-6, 65e-6]))
 @pytest.mark.parametrize("known", first_of([True, False]))
-def test_what_a_turn_finds_is_possible(strength, known):
+def test_the_result_of_a_turn_is_possible(strength, known):
     robot = replace(ROBOT, strength=strength)
     window = measure(robot, turn(), np.random.default_rng(5))
     outcome = calibrate(window, robot.knowledge() if known else Knowledge())
@@ -73,7 +73,7 @@ def test_what_a_turn_finds_is_possible(strength, known):
         (lambda covariance: covariance.__imul__(1e-12), "no turn shows it better"),
     ],
 )
-def test_a_covariance_of_no_numbers_is_refused(found, change, words):
+def test_a_covariance_that_is_not_finite_is_refused(found, change, words):
     require_possible(found)
     with pytest.raises(ValueError, match=words):
         require_possible(with_covariance(found, change))
@@ -94,7 +94,7 @@ def test_a_field_that_is_not_on_earth_is_refused(found, entry, value, words):
         require_possible(replace(found, **{entry: value}))
 
 
-def test_a_matrix_that_loses_a_direction_and_an_iron_in_microtesla_are_refused(found):
+def test_a_singular_matrix_and_a_hard_iron_in_microtesla_are_refused(found):
     flat = Correction(np.diag([1.0, 1.0, 1e-6]), found.correction.hard_iron)
     with pytest.raises(ValueError, match="multiplies the field by 1e-06 to 1"):
         require_possible(replace(found, correction=flat))
@@ -122,11 +122,11 @@ def test_gains_that_can_be_given_are_possible(found, gains):
     require_possible(replace(found, correction=Correction(matrix, np.full(3, 5e-4))))
 
 
-def test_a_file_that_was_edited_is_refused_by_name(found, tmp_path):
+def test_an_impossible_file_is_refused_with_its_name(found, tmp_path):
     path = tmp_path / "mag.yaml"
     write_calibration(path, found, Origin.now("mag_link", "imu_link"))
     document = yaml.safe_load(path.read_text())
     document["covariance"][9][9] = 0.0
     path.write_text(yaml.safe_dump(document))
-    with pytest.raises(FileTrouble, match=f"{path} is not a usable calibration: covariance"):
+    with pytest.raises(FileError, match=f"{path} is not a usable calibration: covariance"):
         read_calibration(path)

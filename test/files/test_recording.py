@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.files import FileTrouble, Recording, open_recording, read_csv_folder
+from magcal_ros.files import FileError, Recording, open_recording, read_csv_folder
 
 IMU = "t,ax,ay,az,gx,gy,gz\n1.0,0.1,0.2,9.8,0.01,0.02,0.03\n1.1,0.4,0.5,9.7,nan,nan,nan\n"
 MAG = "t,mx,my,mz\n1.05,1e-5,2e-5,-3e-5\n"
@@ -41,8 +41,8 @@ def test_samples_come_in_the_order_of_their_stamps_the_imu_first():
     ]
 
 
-def test_streams_whose_clock_was_set_back_stay_side_by_side():
-    """By their stamps alone all of one stream came before the other, and never met it again."""
+def test_streams_with_a_clock_set_back_stay_synchronous():
+    """Sorted by stamps, all of one stream came before the other."""
     stamps = np.concatenate([1000.0 + 0.1 * np.arange(50), 5.0 + 0.1 * np.arange(50)])
     imu = np.column_stack([stamps, np.ones((100, 6))])
     field = np.column_stack([stamps - 0.05, np.ones((100, 3))])
@@ -52,7 +52,7 @@ def test_streams_whose_clock_was_set_back_stay_side_by_side():
     assert np.abs(np.array(came) - 2.0 * np.arange(100)).max() <= 2.0
 
 
-def test_a_sample_out_of_order_sets_no_clock_back():
+def test_a_sample_out_of_order_does_not_set_the_clock_back():
     stamps = 1.0 + 0.1 * np.arange(40)
     stamps[[7, 8]] = stamps[[8, 7]]
     imu = np.column_stack([stamps, np.ones((40, 6))])
@@ -69,14 +69,14 @@ def test_samples_carry_force_rate_and_field(folder):
 
 
 @pytest.mark.parametrize("name", ["imu.csv", "mag.csv"])
-def test_a_missing_file_is_trouble(folder, name):
+def test_a_missing_file_is_an_error(folder, name):
     (folder / name).unlink()
-    with pytest.raises(FileTrouble, match=f"cannot read .*{name}: No such file"):
+    with pytest.raises(FileError, match=f"cannot read .*{name}: No such file"):
         read_csv_folder(folder)
 
 
 @pytest.mark.parametrize("end", ["3,4", "3,", "3"])
-def test_a_table_whose_last_line_was_cut_short_is_read_up_to_it(folder, end):
+def test_a_truncated_last_line_of_a_table_is_ignored(folder, end):
     (folder / "mag.csv").write_text(f"t,mx,my,mz\n1,2,3,4\n2,2,3,4\n{end}")
     assert len(read_csv_folder(folder).field) == 2
 
@@ -90,33 +90,33 @@ def test_a_table_whose_last_line_was_cut_short_is_read_up_to_it(folder, end):
         ("t,mx,my,mz\n1,2,3,4\n1,2\n", "is damaged"),
     ],
 )
-def test_a_damaged_table_is_trouble(folder, text, words):
+def test_a_damaged_table_is_an_error(folder, text, words):
     (folder / "mag.csv").write_text(text)
-    with pytest.raises(FileTrouble, match=words):
+    with pytest.raises(FileError, match=words):
         read_csv_folder(folder)
 
 
 @pytest.mark.filterwarnings("ignore:loadtxt")
-def test_a_table_without_samples_is_trouble(folder):
+def test_a_table_without_samples_is_an_error(folder):
     (folder / "mag.csv").write_text("t,mx,my,mz\n")
-    with pytest.raises(FileTrouble, match="holds no samples"):
+    with pytest.raises(FileError, match="holds no samples"):
         read_csv_folder(folder)
 
 
-def test_bytes_that_are_no_text_are_trouble(folder):
+def test_bytes_that_are_not_text_are_an_error(folder):
     (folder / "mag.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FileTrouble, match="is damaged"):
+    with pytest.raises(FileError, match="is damaged"):
         read_csv_folder(folder)
 
 
 @pytest.mark.parametrize(("name", "words"), [("a.zip", "unpack it"), ("imu.csv", "its folder")])
-def test_what_only_holds_a_recording_is_named(tmp_path, name, words):
+def test_a_folder_that_contains_a_recording_is_reported(tmp_path, name, words):
     (tmp_path / name).write_bytes(b"t,ax")
-    with pytest.raises(FileTrouble, match=words):
+    with pytest.raises(FileError, match=words):
         open_recording(tmp_path / name)
 
 
-def test_without_the_columns_of_a_gyro_there_is_none(tmp_path):
+def test_without_gyro_columns_there_is_no_gyro(tmp_path):
     (tmp_path / "imu.csv").write_text("t,ax,ay,az\n1.0,0.1,0.2,9.8\n")
     (tmp_path / "mag.csv").write_text("t,mx,my,mz\n1.05,1e-5,2e-5,-3e-5\n")
     recording = read_csv_folder(tmp_path)

@@ -1,4 +1,4 @@
-"""Recordings that were stamped when a buffer was read, told as they were measured."""
+"""Stamps of buffer reads in recordings are replaced by times of measurement."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def turn():
 
 
 @pytest.mark.parametrize("write", [write_csv, write_bag])
-def test_a_turn_stamped_in_bursts_is_told_as_it_was_measured(write, turn, tmp_path):
+def test_a_turn_with_bursts_gets_its_times_of_measurement(write, turn, tmp_path):
     samples, notes = read(write(tmp_path / "one", buffered(turn)))
     for of_imu in (True, False):
         late = stamps(samples, of_imu) - stamps(turn, of_imu)
@@ -54,13 +54,13 @@ def test_one_sensor_alone_may_be_buffered(turn, tmp_path):
     assert notes[0].startswith("mag.csv: ")
 
 
-def test_even_stamps_are_left_alone(turn, tmp_path):
+def test_even_stamps_are_unchanged(turn, tmp_path):
     samples, notes = read(write_csv(tmp_path / "one", turn))
     assert samples == turn
     assert notes == []
 
 
-def test_a_pause_is_not_spread_over(turn, tmp_path):
+def test_stamps_are_not_spread_over_a_pause(turn, tmp_path):
     late = [s._replace(stamp=s.stamp + 30.0 * (s.stamp > turn[900].stamp)) for s in turn]
     samples, notes = read(write_csv(tmp_path / "one", buffered(late)))
     for of_imu in (True, False):
@@ -68,7 +68,7 @@ def test_a_pause_is_not_spread_over(turn, tmp_path):
     assert notes == []
 
 
-def test_only_what_was_recorded_is_counted_where_a_slow_imu_is_interpolated(tmp_path):
+def test_interpolated_samples_are_not_counted(tmp_path):
     samples = [s for s in drive(90.0, rate=0.05) if not isinstance(s, ImuSample)]
     imus = [s for s in drive(90.0, rate=0.05) if isinstance(s, ImuSample)][::20]
     merged = sorted([*samples, *imus], key=lambda sample: sample.stamp)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.geometry import FrameTree, rpy_from_rotation
-from magcal_ros.files import LARGEST, DescriptionTrouble, joints_of
+from magcal_ros.files import LARGEST, RobotDescriptionError, joints_of
 
 ROBOT = """<?xml version="1.0"?>
 <robot name="mule">
@@ -29,7 +29,7 @@ ROBOT = """<?xml version="1.0"?>
 """
 
 
-def test_the_joints_of_a_robot_are_read_and_nothing_else():
+def test_only_the_joints_of_a_robot_are_read():
     joints = joints_of(ROBOT)
     assert [(j.name, j.kind, j.parent, j.child) for j in joints] == [
         ("imu", "fixed", "base_link", "imu_link"),
@@ -57,22 +57,22 @@ def test_the_joints_of_a_robot_are_read_and_nothing_else():
         (" " * (LARGEST + 1), "at most"),
     ],
 )
-def test_what_is_damaged_is_refused_in_words(text, words):
-    with pytest.raises(DescriptionTrouble, match=words):
+def test_a_damaged_description_is_refused_with_the_reason(text, words):
+    with pytest.raises(RobotDescriptionError, match=words):
         joints_of(text)
 
 
-def test_an_entity_bomb_is_refused_before_it_goes_off():
+def test_an_entity_bomb_is_refused_before_expansion():
     layers = "".join(
         f'<!ENTITY l{k + 1} "{"&l" + str(k) + ";" * 1}{("&l" + str(k) + ";") * 9}">'
         for k in range(9)
     )
     bomb = f'<!DOCTYPE robot [<!ENTITY l0 "ha">{layers}]><robot name="&l9;"/>'
-    with pytest.raises(DescriptionTrouble, match="document type"):
+    with pytest.raises(RobotDescriptionError, match="document type"):
         joints_of(bomb)
 
 
 @given(st.text(alphabet=st.sampled_from("<>/='\" robotjinlkepac\0\x01é"), max_size=80))
 def test_any_text_is_read_or_refused(text):
-    with contextlib.suppress(DescriptionTrouble):
+    with contextlib.suppress(RobotDescriptionError):
         assert isinstance(joints_of(text), tuple)

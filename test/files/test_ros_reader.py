@@ -1,4 +1,4 @@
-"""Bags read with ROS's own reader give what the library gives."""
+"""The reader of ROS gives the same as the library."""
 
 import math
 import sys
@@ -10,8 +10,8 @@ from drives import STORE2, drive, header, message, write_bag
 from ros_bags import rosbag2_py
 
 from magcal_ros.core.earth_field.reference import Place
-from magcal_ros.core.errors import Misuse
-from magcal_ros.files import CDR, FileTrouble, open_recording
+from magcal_ros.core.errors import UsageError
+from magcal_ros.files import CDR, FileError, open_recording
 
 FIX = "sensor_msgs/msg/NavSatFix"
 IMU = "sensor_msgs/msg/Imu"
@@ -25,7 +25,7 @@ def samples():
 
 @pytest.fixture(params=[False, True], ids=["since Jazzy", "before Jazzy"])
 def with_ros(request, monkeypatch):
-    """Have ROS and not the library."""
+    """Make ROS available and not the library."""
 
     def switch():
         monkeypatch.setitem(sys.modules, "rosbag2_py", rosbag2_py(request.param))
@@ -41,7 +41,7 @@ def read(path, **options):
 
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
 @pytest.mark.parametrize("span", [{}, {"start": 0.5, "stop": 1.25}])
-def test_it_reads_what_the_library_reads(tmp_path, samples, kind, span, with_ros):
+def test_the_reader_gives_the_same_as_the_library(tmp_path, samples, kind, span, with_ros):
     path = write_bag(tmp_path / "bag", samples, kind)
     expected, by_library = read(path, **span)
     with_ros()
@@ -116,23 +116,23 @@ def test_topics_are_not_guessed_and_missing_ones_listed(tmp_path, samples, with_
     other = ("/camera/imu", message(STORE2, samples[0]))
     path = write_bag(tmp_path / "bag", [*samples, other])
     with_ros()
-    with pytest.raises(Misuse, match=r"2 topics .*/camera/imu, /imu/data_raw.*--imu"):
+    with pytest.raises(UsageError, match=r"2 topics .*/camera/imu, /imu/data_raw.*--imu"):
         read(path)
-    with pytest.raises(FileTrouble, match=r"has no topic /nothing; it has: .*/imu/mag"):
+    with pytest.raises(FileError, match=r"has no topic /nothing; it has: .*/imu/mag"):
         read(path, imu="/nothing")
 
 
-def test_damage_is_said_with_its_remedy(tmp_path, samples, with_ros):
+def test_damage_is_reported_with_its_remedy(tmp_path, samples, with_ros):
     folder = write_bag(tmp_path / "bag", samples)
     (file,) = folder.glob("*.mcap")
     file.write_bytes(file.read_bytes()[:100])
     with_ros()
-    with pytest.raises(FileTrouble, match=r"is damaged or cut short .*mcap recover"):
+    with pytest.raises(FileError, match=r"is damaged or cut short .*mcap recover"):
         read(folder)
 
 
-def test_bags_of_ros_1_are_left_to_the_library(tmp_path, samples, with_ros):
+def test_bags_of_ros_1_are_read_by_the_library(tmp_path, samples, with_ros):
     path = write_bag(tmp_path / "bag", samples, "ros1")
     with_ros()
-    with pytest.raises(FileTrouble, match="rosbags"):
+    with pytest.raises(FileError, match="rosbags"):
         read(path)

@@ -1,4 +1,4 @@
-"""What wheels and receiver said is read from a bag, by the library and from the bytes alike."""
+"""Speeds and fixes of a bag are read equally by the library and from the bytes."""
 
 import math
 
@@ -65,7 +65,7 @@ def velocity(stamp, east, north, sure, frame="gps"):
 @pytest.mark.parametrize(
     ("topic", "sure", "sigma"), [("/gps/vel", False, 0.1), ("/fix_velocity", True, 0.2)]
 )
-def test_a_receivers_velocity_is_heard_and_a_command_is_not(tmp_path, topic, sure, sigma):
+def test_the_velocity_of_a_receiver_is_used_and_a_command_is_not(tmp_path, topic, sure, sigma):
     extra = [("/fix", fix(1001.0, 48.0)), (topic, velocity(1001.0, 3.0, -4.0, sure))]
     extra += [("/cmd_vel", velocity(1001.5, 9.0, 0.0, False))]
     with open_recording(write_bag(tmp_path / "bag", [*drive(90.0), *extra])) as source:
@@ -78,11 +78,11 @@ def test_a_receivers_velocity_is_heard_and_a_command_is_not(tmp_path, topic, sur
 def test_a_velocity_is_read_from_its_bytes(frame, sure):
     message = velocity(12.25, 3.5, -0.1, sure, frame)
     data = bytes(STORE2.serialize_cdr(message, message.__msgtype__))
-    read = CDR.sure_velocity if sure else CDR.velocity
+    read = CDR.velocity_with_covariance if sure else CDR.velocity
     assert read(data) == velocity_of(message)
 
 
-def test_a_bag_of_the_sensors_alone_tells_no_travel(tmp_path):
+def test_a_bag_of_the_sensors_alone_has_no_travel(tmp_path):
     with open_recording(write_bag(tmp_path / "bag", drive(90.0))) as source:
         assert source.travel == ()
 

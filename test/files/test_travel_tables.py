@@ -1,4 +1,4 @@
-"""Speed and fixes beside the sensors of a CSV folder."""
+"""Speed and fixes in a CSV folder."""
 
 import math
 
@@ -6,7 +6,7 @@ import pytest
 from drives import drive, write_csv
 
 from magcal_ros.core.samples import PositionSample, SpeedSample
-from magcal_ros.files import FileTrouble, open_recording
+from magcal_ros.files import FileError, open_recording
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def folder(tmp_path):
     return write_csv(tmp_path / "csv", drive(30.0, start=-0.02, hertz=50.0))
 
 
-def test_speeds_and_fixes_come_by_their_stamps_and_tell_the_place(folder):
+def test_speeds_and_fixes_have_their_stamps_and_give_the_place(folder):
     step = math.degrees(100.0 / 6_371_000.0)
     (folder / "odom.csv").write_text("speed,t\n-2.0,0.5\nnan,0.6\n")
     (folder / "gps.csv").write_text(
@@ -30,7 +30,7 @@ def test_speeds_and_fixes_come_by_their_stamps_and_tell_the_place(folder):
     assert 0.9 < shift < 1.1
 
 
-def test_places_in_metres_do_as_well_and_a_span_cuts_them(folder):
+def test_positions_in_metres_are_accepted_and_cut_by_a_span(folder):
     (folder / "gps.csv").write_text("t,east,north\n0.3,1,2\n0.9,3,4\n")
     with open_recording(folder, start=0.5) as source:
         (found,) = source.travel
@@ -39,13 +39,13 @@ def test_places_in_metres_do_as_well_and_a_span_cuts_them(folder):
     assert (found.east, found.north) == (3.0, 4.0)
 
 
-def test_a_folder_of_the_sensors_alone_tells_no_travel(folder):
+def test_a_folder_of_the_sensors_alone_has_no_travel(folder):
     with open_recording(folder) as source:
         assert (source.travel, source.place) == ((), None)
 
 
 @pytest.mark.parametrize("name", ["odom.csv", "gps.csv"])
-def test_columns_that_are_missing_are_named(folder, name):
+def test_missing_columns_are_named(folder, name):
     (folder / name).write_text("t,way\n1,2\n")
-    with pytest.raises(FileTrouble, match=f"{name} has no column .*its first line should be t,"):
+    with pytest.raises(FileError, match=f"{name} has no column .*its first line should be t,"):
         open_recording(folder)

@@ -19,7 +19,7 @@ def packed(store, content, kind, **options):
 
 @pytest.mark.parametrize("frame", ["", "a", "imu", "imu_link", "ä" * 7, "x" * 101])
 @pytest.mark.parametrize(("store", "form"), [(STORE1, wire.ROS1), (STORE2, wire.CDR)])
-def test_it_reads_what_the_library_wrote(store, form, frame):
+def test_bytes_by_the_library_are_read(store, form, frame):
     imu, field = message(store, IMU_SAMPLE, frame), message(store, FIELD_SAMPLE, frame)
     found = form.imu(packed(store, imu, IMU))
     assert found == (frame.encode(), imu_sample(imu))
@@ -36,14 +36,14 @@ def test_marks_of_absence_are_understood():
     assert parse(packed(STORE2, gyroless, IMU))[1] is None
 
 
-def test_bytes_that_end_early_are_an_error_and_no_sample():
+def test_truncated_bytes_are_an_error():
     data = packed(STORE2, message(STORE2, FIELD_SAMPLE), FIELD)
     for size in range(len(data)):
         with pytest.raises((struct.error, IndexError)):
             wire.CDR.field(data[:size])
 
 
-def test_the_other_byte_order_is_left_to_the_library(tmp_path, monkeypatch):
+def test_the_other_byte_order_is_read_by_the_library(tmp_path, monkeypatch):
     little, usual = STORE2.serialize_cdr, drive(10.0)
     monkeypatch.setattr(
         STORE2, "serialize_cdr", lambda content, kind: little(content, kind, little_endian=False)

@@ -1,4 +1,4 @@
-"""A real browser without a window, spoken to through its DevTools pipe."""
+"""A real browser without a window, controlled by its DevTools pipe."""
 
 import base64
 import itertools

@@ -1,4 +1,4 @@
-"""What the tests of reports share."""
+"""Fixtures of the tests of reports."""
 
 import pytest
 from remembered import remembered
@@ -10,5 +10,5 @@ EXAMINE_WINDOW = remembered(turn.examine_window)
 
 @pytest.fixture(autouse=True)
 def one_look(monkeypatch):
-    """Look at the sensors of one turn once: it is half of a report."""
+    """Examine the sensors of one turn once: it takes half the time of a report."""
     monkeypatch.setattr(turn, "examine_window", EXAMINE_WINDOW)

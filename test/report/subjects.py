@@ -18,7 +18,7 @@ ROBOT = Robot()
 
 
 def known(robot, *sigmas):
-    """What a person knows of a robot: nothing of errors of its sensors' own."""
+    """The prior knowledge of a robot, without constant sensor errors."""
     return replace(robot.knowledge(*sigmas), exact_sensors=False)
 
 
@@ -31,14 +31,14 @@ def subject_of(window, knowledge, outcome=None, **changes):
 
 @cache
 def good(gyro=True):
-    """A full turn of a robot that is what the model says."""
+    """A full turn of a robot that agrees with the model."""
     window = measure(ROBOT, turn(), np.random.default_rng(1), gyro=gyro)
     return subject_of(window, known(ROBOT, 1e-6, math.radians(1.0)))
 
 
 @cache
 def troubled():
-    """A long turn on a tilted axis with soft iron and hits: everything there is to say."""
+    """A long turn about a tilted axis with soft iron and outliers: every part of a report."""
     robot = Robot(soft_iron=np.diag([0.1, -0.1, 0.0]))
     motion = turn(samples=1000, axis=np.array([0.0, 0.3, 0.9]))
     rng = np.random.default_rng(2)
@@ -48,6 +48,6 @@ def troubled():
 
 @cache
 def refused():
-    """A robot that stood."""
+    """A robot at rest."""
     window = measure(ROBOT, turn(arc=0.05), np.random.default_rng(3), gyro=True)
     return subject_of(window, ROBOT.knowledge())

@@ -34,8 +34,8 @@ DRIVE_FIGURES = (
 PAGES = {}
 
 
-def page_of(folder, subject):
-    """The page on a subject; drawing takes long, so one that was asked for is kept."""
+def report_of(folder, subject):
+    """The page on a subject; drawing takes long, so pages are kept."""
     if id(subject) not in PAGES:
         page = write_report(folder, subject).read_text(encoding="utf-8")
         PAGES[id(subject)] = subject, page
@@ -50,7 +50,7 @@ def text_of(folder, subject):
 
 
 def words_of(page):
-    """The text a reader sees, style and tags left out."""
+    """The visible text, without style and tags."""
     body = page[page.index("<body>") :]
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", body)).split())
 
@@ -59,9 +59,9 @@ def names_of(page):
     return re.findall(r'<figure id="(\w+)">', page)
 
 
-def test_it_says_the_verdict_and_what_was_not_seen(tmp_path):
+def test_the_report_has_the_verdict_and_what_was_not_shown(tmp_path):
     subject = good()
-    words = words_of(page_of(tmp_path, subject))
+    words = words_of(report_of(tmp_path, subject))
     verdict = subject.outcome.verdict
     assert verdict.summary in words
     assert f"quality {verdict.quality.value}" in words
@@ -73,7 +73,7 @@ def test_it_says_the_verdict_and_what_was_not_seen(tmp_path):
 
 def test_numbers_have_units(tmp_path):
     subject = good()
-    words = words_of(page_of(tmp_path, subject))
+    words = words_of(report_of(tmp_path, subject))
     estimate = subject.outcome.estimate
     iron = estimate.correction.hard_iron[0] * 1e6
     assert re.search(rf"hard iron x \(±1σ\) {iron:.2f} ± \d+\.\d+ µT", words)
@@ -86,11 +86,11 @@ def test_numbers_have_units(tmp_path):
 
 
 def test_every_figure_of_the_method_is_named(tmp_path):
-    assert "(SI)" not in words_of(page_of(tmp_path, good()))
+    assert "(SI)" not in words_of(report_of(tmp_path, good()))
 
 
 def driven():
-    """The same samples, said to be of a drive."""
+    """The same samples, as those of a drive."""
     subject = good()
     of_a_drive = {"headings_driven": 12.0, "driving_time": 93.7, "street": 1.4e-6}
     of_a_drive |= {"local_field": 1.5e-6, "metres": 800.0}
@@ -130,7 +130,7 @@ def test_an_unknown_figure_is_shown_in_si(tmp_path):
 
 
 def test_four_pictures_with_captions(tmp_path):
-    page = page_of(tmp_path, good())
+    page = report_of(tmp_path, good())
     assert names_of(page) == ["views", "around", "heading", "gyro"]
     assert page.count("<svg") == page.count("<figcaption>") == 4
     for label in ("raw field", "corrected field", "ideal circle", "sphere: the field's strength"):
@@ -140,11 +140,11 @@ def test_four_pictures_with_captions(tmp_path):
 
 
 def test_ids_are_unique(tmp_path):
-    found = re.findall(r'\bid="([^"]*)"', page_of(tmp_path, good()))
+    found = re.findall(r'\bid="([^"]*)"', report_of(tmp_path, good()))
     assert len(found) == len(set(found))
 
 
-def test_without_a_gyro_it_says_so(tmp_path):
+def test_the_report_names_a_missing_gyro(tmp_path):
     subject = good()
     blind = replace(subject, window=replace(subject.window, angular_rate=None))
     assert "there was no gyro in these samples" in text_of(tmp_path, blind)
@@ -152,12 +152,12 @@ def test_without_a_gyro_it_says_so(tmp_path):
 
 @pytest.mark.nightly
 def test_without_a_gyro_there_are_three_pictures(tmp_path):
-    assert page_of(tmp_path, good(gyro=False)).count("<svg") == 3
+    assert report_of(tmp_path, good(gyro=False)).count("<svg") == 3
 
 
 @pytest.mark.parametrize("make", first_of([good, refused, troubled], 2))
-def test_it_is_small_and_refers_to_nothing_outside(tmp_path, make):
-    page = page_of(tmp_path, make())
+def test_the_report_is_small_and_has_no_external_references(tmp_path, make):
+    page = report_of(tmp_path, make())
     assert len(page.encode()) < LARGEST_PAGE
     assert "://" not in page
     assert not re.search(r"\b(src|srcset|action|data|poster)\s*=", page)
@@ -178,9 +178,9 @@ def test_it_is_small_and_refers_to_nothing_outside(tmp_path, make):
         ),
     ],
 )
-def test_foreign_text_stays_text(tmp_path, place):
+def test_foreign_text_is_escaped(tmp_path, place):
     evil = "<script>alert('x')</script>\"&<img src=x>"
-    # A page tells the method that was asked for where none has answered.
+    # A page names the requested method if none gave a result.
     subject = refused() if place == "method" else good()
     page = text_of(tmp_path, replace(subject, **{place: evil}))
     assert "<script" not in page
@@ -191,7 +191,7 @@ def test_foreign_text_stays_text(tmp_path, place):
 def test_a_refusal_shows_the_raw_samples_and_the_reason(tmp_path):
     subject = refused()
     assert subject.outcome.estimate is None
-    page = page_of(tmp_path, subject)
+    page = report_of(tmp_path, subject)
     words = words_of(page)
     assert subject.outcome.verdict.summary in words
     assert "quality refused" in words
@@ -213,11 +213,11 @@ def test_hardly_any_samples_are_reported_too(tmp_path, samples):
 def test_pictures_are_drawn_even_of_zeros(tmp_path):
     nothing = np.zeros((30, 3))
     window = Window(np.arange(30), nothing, nothing, nothing)
-    page = page_of(tmp_path, subject_of(window, ROBOT.knowledge()))
+    page = report_of(tmp_path, subject_of(window, ROBOT.knowledge()))
     assert page.count("<svg") == 2
 
 
-def test_a_calibration_accepted_by_a_person_says_so(tmp_path):
+def test_a_calibration_accepted_by_the_user_is_marked(tmp_path):
     subject = good()
     calibration = subject.outcome.calibration.accepted_by_person()
     outcome = replace(subject.outcome, calibration=calibration)
@@ -229,15 +229,15 @@ def test_a_calibration_accepted_by_a_person_says_so(tmp_path):
 def test_an_estimate_without_calibration_is_enough(tmp_path):
     subject = good()
     outcome = Outcome(subject.outcome.verdict, None, subject.outcome.estimate)
-    assert page_of(tmp_path, replace(subject, outcome=outcome)).count("<svg") == 4
+    assert report_of(tmp_path, replace(subject, outcome=outcome)).count("<svg") == 4
 
 
-def test_samples_that_were_not_believed_are_marked(tmp_path):
+def test_outliers_are_marked(tmp_path):
     subject = good()
     inliers = np.arange(500) % 10 > 0
     estimate = replace(subject.outcome.estimate, inliers=inliers)
     outcome = replace(subject.outcome, estimate=estimate)
-    page = page_of(tmp_path, replace(subject, outcome=outcome))
+    page = report_of(tmp_path, replace(subject, outcome=outcome))
     assert ">left out<" in page
     assert "450 of 500" in page
     lines = (tmp_path / "samples.csv").read_text().splitlines()[1:]
@@ -248,10 +248,10 @@ def test_samples_that_were_not_believed_are_marked(tmp_path):
 def test_a_nominal_mounting_turns_the_raw_field_into_body_axes(tmp_path):
     robot = Robot(mounting=replace(ROBOT.mounting, pose=np.diag([1.0, -1.0, -1.0])))
     window = measure(robot, turn(samples=200), np.random.default_rng(5), gyro=True)
-    assert page_of(tmp_path, subject_of(window, robot.knowledge())).count("<svg") == 4
+    assert report_of(tmp_path, subject_of(window, robot.knowledge())).count("<svg") == 4
 
 
-def test_a_picture_that_fails_does_not_take_the_report_with_it(tmp_path, monkeypatch):
+def test_the_report_is_written_although_a_picture_fails(tmp_path, monkeypatch):
     from magcal_ros.report import turn_views
 
     def fail(*_):
@@ -292,11 +292,11 @@ def test_matplotlib_is_imported_only_when_a_picture_is_drawn():
 
 
 def test_pyplot_is_never_loaded(tmp_path):
-    page_of(tmp_path, good())
+    report_of(tmp_path, good())
     assert "matplotlib.pyplot" not in sys.modules
 
 
-def test_all_thresholds_at_once_still_make_a_page(tmp_path):
+def test_a_page_is_written_with_all_warnings_at_once(tmp_path):
     subject = good()
     figures = {t.figure: 3.0 * t.good / t.scale for t in TURN_BOUNDS}
     estimate = replace(subject.outcome.estimate, figures=figures)
@@ -305,7 +305,7 @@ def test_all_thresholds_at_once_still_make_a_page(tmp_path):
     assert page.count('class="grade refused"') > 3
 
 
-def test_turns_that_were_put_together_have_a_section(tmp_path, monkeypatch):
+def test_joined_turns_have_a_section(tmp_path, monkeypatch):
     monkeypatch.setattr(joined, "wrong_axes", lambda *_: None)
     robot = replace(ROBOT, yaw=math.radians(5.0))
     rng = np.random.default_rng(1)
@@ -319,12 +319,12 @@ def test_turns_that_were_put_together_have_a_section(tmp_path, monkeypatch):
     words = words_of(text_of(tmp_path, subject))
     assert "Joined turns" in words
     assert "it holds the same samples as <first>" in words
-    assert outcome.several.advice_in_words in words
+    assert outcome.multi_turn.advice_in_words in words
     assert "installation yaw (±1σ)" in words
     assert "all samples of the newest turn" in words
 
 
-def test_how_the_imu_sits_in_the_vehicle_is_told_where_driving_showed_it(tmp_path):
+def test_the_yaw_of_the_imu_is_given_if_driving_determined_it(tmp_path):
     words = "the IMU's x points 4.1° ± 0.6° to the left of the vehicle's front, by course"
     assert words in words_of(text_of(tmp_path / "told", replace(good(), vehicle=words)))
     assert "in the vehicle" not in words_of(text_of(tmp_path / "untold", good()))

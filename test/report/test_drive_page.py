@@ -1,4 +1,4 @@
-"""The page on a drive: its map in degrees, and how the compass goes against course."""
+"""The page on a drive: its map in degrees, and the compass compared with course."""
 
 import math
 import re
@@ -9,59 +9,59 @@ import pytest
 
 from magcal_ros.core import Calibration, Correction
 from magcal_ros.core.calibration import Evidence
-from magcal_ros.core.keeping import DrivePath, DriveStory, path_along
+from magcal_ros.core.self_calibration import DrivePath, DriveReplay, path_along
 from magcal_ros.report.drive_page import render_drive
 
 ERRORS = np.radians([0.5, 3.0, 7.0, 15.0, 40.0])
 
 
-def story(place):
+def replay(place):
     path = DrivePath(np.array(place, dtype=float), ERRORS, True, True)
-    return DriveStory((), None, None, 60.0, 50.0, "nothing", path)
+    return DriveReplay((), None, None, 60.0, 50.0, "nothing", path)
 
 
 def test_the_map_shows_degrees():
-    page = render_drive(story([[0, 0], [10, 0], [20, 0], [30, 0], [40, 0]]), "a drive")
+    page = render_drive(replay([[0, 0], [10, 0], [20, 0], [30, 0], [40, 0]]), "a drive")
     for name in ("0 to 2°: 20%", "2 to 5°: 20%", "more than 20°: 20%"):
         assert name in page
     assert "At 40% of the points it was less than 5°" in page
     assert "µT:" not in page
 
 
-def test_nothing_in_force_makes_no_empty_table():
-    page = render_drive(story([[k, 0] for k in range(5)]), "a drive")
+def test_without_a_calibration_there_is_no_empty_table():
+    page = render_drive(replay([[k, 0] for k in range(5)]), "a drive")
     assert "<p>None.</p>" in page
     assert "made by" not in page
 
 
-def test_a_narrow_way_stands_in_the_middle_of_the_map():
-    page = render_drive(story([[0, 25 * k] for k in range(5)]), "a drive")
+def test_a_narrow_path_is_centred_on_the_map():
+    page = render_drive(replay([[0, 25 * k] for k in range(5)]), "a drive")
     assert {float(x) for x in re.findall(r'cx="([0-9.]+)"', page)} == {500.0}
 
 
 def test_start_and_end_of_a_loop_are_named_together():
-    apart = render_drive(story([[0, 0], [10, 0], [20, 10], [30, 0], [40, 0]]), "a drive")
+    apart = render_drive(replay([[0, 0], [10, 0], [20, 10], [30, 0], [40, 0]]), "a drive")
     assert ">start</text>" in apart
     assert ">end</text>" in apart
-    loop = render_drive(story([[0, 0], [10, 0], [20, 10], [10, 10], [0.2, 0]]), "a drive")
+    loop = render_drive(replay([[0, 0], [10, 0], [20, 10], [10, 10], [0.2, 0]]), "a drive")
     assert ">start and end</text>" in loop
     assert ">end</text>" not in loop
 
 
-def test_no_name_is_written_over_the_scale():
-    page = render_drive(story([[0, 0], [10, 5], [20, 10], [30, 5], [40, 8]]), "a drive")
+def test_names_do_not_overlap_the_scale():
+    page = render_drive(replay([[0, 0], [10, 5], [20, 10], [30, 5], [40, 8]]), "a drive")
     start, bar = (
         float(re.search(rf'y="([0-9.]+)"[^>]*>{name}<', page)[1]) for name in ("start", "[0-9]+ m")
     )
     assert bar - start > 16.0  # the height of its letters
 
 
-def test_the_offset_against_course_stands_on_the_page():
-    told = replace(story([[k, 0] for k in range(5)]), course="compass minus course +3.0° ±1.0°")
+def test_the_offset_from_course_is_on_the_page():
+    told = replace(replay([[k, 0] for k in range(5)]), course="compass minus course +3.0° ±1.0°")
     assert 'id="course">After: compass minus course +3.0°' in render_drive(told, "a drive")
 
 
-def test_a_disturbance_across_the_level_field_may_turn_the_heading_by_its_angle():
+def test_the_colour_is_the_angle_by_a_disturbance_across_the_field():
     strength, dip = 50e-6, math.radians(60.0)
     correction = Correction(np.eye(3), np.zeros(3))
     evidence = Evidence("smoother", "good", "good", "")

@@ -1,4 +1,4 @@
-"""What a person sees of gyro against compass is what was judged."""
+"""The drawn deviation of gyro from compass is the judged one."""
 
 import math
 
@@ -10,7 +10,7 @@ from simulated.turns import measure, turn
 
 from magcal_ros.core import METHODS, Figure, Knowledge, Window, calibrate
 from magcal_ros.core.assessment import TURN_BOUNDS
-from magcal_ros.core.doctor import Page
+from magcal_ros.core.doctor import SensorReport
 from magcal_ros.report import turn as turn_module
 from magcal_ros.report.gallery import caption_of_gyro, deviations
 from magcal_ros.report.turn import Subject, Turn
@@ -18,8 +18,8 @@ from magcal_ros.report.turn import Subject, Turn
 
 @pytest.fixture(autouse=True)
 def no_look(monkeypatch):
-    """Nothing is read here of what the page says of the sensors."""
-    monkeypatch.setattr(turn_module, "examine_window", lambda *_: Page(()))
+    """The part of the page on the sensors is not used here."""
+    monkeypatch.setattr(turn_module, "examine_window", lambda *_: SensorReport(()))
 
 
 def shown(window, knowledge):
@@ -43,7 +43,7 @@ def read(folder):
 
 
 @pytest.mark.nightly
-def test_a_car_that_leans_outwards_draws_no_larger_swing_than_is_judged(recording):
+def test_the_drawn_swing_of_a_leaning_car_is_the_judged_one(recording):
     """Its accelerometer leans by 7 degrees, which turns the compass without it by 16."""
     window = read(recording("car_circles_neu2025_kiran"))
     outcome, picture = shown(window, Knowledge())
@@ -54,7 +54,7 @@ def test_a_car_that_leans_outwards_draws_no_larger_swing_than_is_judged(recordin
 
 
 @pytest.mark.parametrize("swing_deg", first_of([12.0, 20.0]))
-def test_a_distorted_room_is_drawn_as_it_is_judged(swing_deg):
+def test_the_drawn_swing_in_a_distorted_room_is_the_judged_one(swing_deg):
     rng = np.random.default_rng(4)
     motion = turn()
     clean = measure(ROBOT, motion, rng, gyro=True)
@@ -77,6 +77,6 @@ def test_a_distorted_room_is_drawn_as_it_is_judged(swing_deg):
     assert picture.swing_bound == bound.good
 
 
-def test_what_was_not_judged_has_no_bound():
+def test_a_figure_that_was_not_judged_has_no_bound():
     window = measure(ROBOT, turn(), np.random.default_rng(4), gyro=False)
     assert shown(window, ROBOT.knowledge())[1].swing_bound is None

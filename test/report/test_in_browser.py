@@ -1,4 +1,4 @@
-"""The page in a real browser: nothing is fetched, nothing sticks out, and it fits two sheets."""
+"""The page in a real browser: nothing is fetched, nothing overflows, and it fits two sheets."""
 
 import re
 from dataclasses import replace
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def wordy():
-    """As much text as a report can hold: every check falls short, and the names are long."""
+    """The longest report: every check fails, and the names are long."""
     subject = troubled()
     figures = dict(subject.outcome.estimate.figures)
     figures |= {t.figure: 3.0 * t.good / t.scale for t in TURN_BOUNDS}
@@ -58,13 +58,13 @@ def page(request, browser, tmp_path_factory):
     return path, pictures
 
 
-def test_it_loads_itself_and_nothing_else(page, browser):
+def test_the_page_loads_nothing_else(page, browser):
     path, _ = page
     assert browser.requests == [path.as_uri()]
     assert browser.complaints == []
 
 
-def test_every_picture_is_there_and_has_a_size(page, browser):
+def test_every_picture_has_a_size(page, browser):
     _, pictures = page
     script = (
         "[...document.querySelectorAll('figure svg')].map(s => s.getBoundingClientRect().width)"
@@ -77,7 +77,7 @@ def test_every_picture_is_there_and_has_a_size(page, browser):
 
 
 @pytest.mark.parametrize("width", [320, 390, 1200])
-def test_nothing_sticks_out_to_the_side(page, browser, width):
+def test_nothing_overflows_horizontally(page, browser, width):
     browser.set_width(width, phone=width < 760)
     assert browser.evaluate("document.documentElement.scrollWidth") <= width
     # What may be wider than the screen scrolls by itself; everything else ends before the edge.
@@ -87,7 +87,7 @@ def test_nothing_sticks_out_to_the_side(page, browser, width):
     assert browser.evaluate(script) == []
 
 
-def test_its_words_can_be_read_on_a_phone(page, browser):
+def test_the_text_is_readable_on_a_phone(page, browser):
     browser.set_width(390, phone=True)
     script = """Math.min(...[...document.querySelectorAll('figure svg text')].map(t => {
         const m = t.getScreenCTM();

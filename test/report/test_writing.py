@@ -9,7 +9,7 @@ from long_form import first_of
 from subjects import CREATED, good, refused
 
 from magcal_ros.core import Window, calibrate
-from magcal_ros.files import FileTrouble, read_samples, write_samples
+from magcal_ros.files import FileError, read_samples, write_samples
 from magcal_ros.report import new_folder, write_report
 from magcal_ros.report.page import recipe
 
@@ -38,7 +38,7 @@ def test_folders_are_dated_and_never_shared(tmp_path):
     assert all(folder.is_dir() for folder in folders)
 
 
-def test_folders_made_at_once_differ(tmp_path):
+def test_folders_created_at_the_same_time_differ(tmp_path):
     found = []
     threads = [
         threading.Thread(target=lambda: found.append(new_folder(tmp_path, CREATED)))
@@ -53,22 +53,22 @@ def test_folders_made_at_once_differ(tmp_path):
 
 def test_a_folder_that_cannot_be_made_is_explained(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(FileTrouble, match="writable folder"):
+    with pytest.raises(FileError, match="writable folder"):
         new_folder(tmp_path / "file", CREATED)
 
 
 def test_a_report_is_never_overwritten(no_pictures, tmp_path):
     page = write_report(tmp_path, good())
     before = page.read_bytes(), (tmp_path / "samples.csv").read_bytes()
-    with pytest.raises(FileTrouble, match="exists already"):
+    with pytest.raises(FileError, match="exists already"):
         write_report(tmp_path, refused())
     assert (page.read_bytes(), (tmp_path / "samples.csv").read_bytes()) == before
 
 
-def test_samples_that_are_there_are_not_overwritten(tmp_path):
+def test_existing_samples_are_not_overwritten(tmp_path):
     samples = tmp_path / "samples.csv"
     samples.write_text("somebody's own")
-    with pytest.raises(FileTrouble, match="exists already"):
+    with pytest.raises(FileError, match="exists already"):
         write_report(tmp_path, good())
     assert samples.read_text() == "somebody's own"
     assert not (tmp_path / "report.html").exists()
@@ -91,7 +91,7 @@ def test_reports_from_several_threads(tmp_path):
     assert len({re.sub(r"-p[0-9a-f]{10}\b", "", page) for page in pages}) == 1
 
 
-def test_nothing_but_page_and_samples_is_left(no_pictures, tmp_path):
+def test_only_page_and_samples_are_left(no_pictures, tmp_path):
     write_report(tmp_path, good())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "samples.csv"]
 
@@ -147,16 +147,16 @@ def test_columns_may_come_in_any_order_without_units(tmp_path):
 def test_a_bad_file_is_explained(tmp_path, text, reason):
     path = tmp_path / "s.csv"
     path.write_text(text)
-    with pytest.raises(FileTrouble, match=reason):
+    with pytest.raises(FileError, match=reason):
         read_samples(path)
 
 
 def test_a_missing_file_is_explained():
-    with pytest.raises(FileTrouble, match="cannot read"):
+    with pytest.raises(FileError, match="cannot read"):
         read_samples(Path("/nowhere/samples.csv"))
 
 
-def test_an_empty_window_comes_back(tmp_path):
+def test_an_empty_window_is_recovered(tmp_path):
     nothing = np.zeros((0, 3))
     window = Window(np.zeros(0), nothing, nothing)
     write_samples(tmp_path / "s.csv", window)

@@ -1,4 +1,4 @@
-"""The real node in a thread of its own, and a simulated robot that talks to it over DDS."""
+"""The real node in its own thread, and a simulated robot that sends to it over DDS."""
 
 import sys
 
@@ -11,7 +11,7 @@ from magcal_ros.ros.main import SWITCH_INTERVAL
 
 @pytest.fixture(autouse=True, scope="session")
 def switch_interval():
-    """Let threads take turns as they do in the node's own process."""
+    """Switch threads as often as in the node's process."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL)
     yield
@@ -20,7 +20,7 @@ def switch_interval():
 
 @pytest.fixture(autouse=True)
 def ros_home(tmp_path, monkeypatch):
-    """Give each test a ROS home of its own."""
+    """Give each test a separate ROS home."""
     home = tmp_path / "ros_home"
     monkeypatch.setenv("ROS_HOME", str(home))
     return home

@@ -1,4 +1,4 @@
-"""Messages that no sensor should send, and a node that is fed without an executor."""
+"""Invalid messages, and a node that receives them without an executor."""
 
 import contextlib
 import inspect
@@ -74,7 +74,7 @@ def hostile_message(rng, now):
 
 
 class HandFed:
-    """A node whose callbacks are called directly: the volume that no middleware would carry."""
+    """A node whose callbacks are called directly: more messages than a middleware can carry."""
 
     def __init__(self, node, monkeypatch):
         self.node = node
@@ -91,17 +91,17 @@ class HandFed:
             publish(publisher, message)
 
         monkeypatch.setattr(rclpy.publisher.Publisher, "publish", watched)
-        # What nobody listens to is not made.
+        # Messages without a subscription are not made.
         monkeypatch.setattr(rclpy.publisher.Publisher, "get_subscription_count", lambda _: 1)
 
     def feed(self, message):
-        """Hand a message to all who listen to its kind: to both magnetometers the same field."""
+        """Pass a message to all subscriptions of its kind: both magnetometers get one field."""
         for subscription in self.node.subscriptions:
             if subscription.msg_type is type(message):
                 subscription.callback(serialize_message(message) if subscription.raw else message)
 
     def call(self, service):
-        """Call a service as far as its answer, or as far as it waits for the turn's end."""
+        """Call a service until its answer, or until it waits for the end of the turn."""
         answer = self._services[service].callback(Trigger.Request(), Trigger.Response())
         if inspect.iscoroutine(answer):
             with contextlib.suppress(StopIteration):
@@ -114,7 +114,7 @@ class HandFed:
 
 
 def require_finite(message):
-    """Every number that leaves the node is one, and the status is JSON that any parser takes."""
+    """Every published number is finite, and the status is valid JSON."""
     if isinstance(message, Imu):
         q = message.orientation
         numbers = [q.x, q.y, q.z, q.w, *message.orientation_covariance]

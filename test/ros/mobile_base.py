@@ -1,4 +1,4 @@
-"""A base that obeys cmd_vel, and goes on until it is told otherwise, as the worst ones do."""
+"""A base that obeys cmd_vel and keeps its last command, the worst case."""
 
 import time
 
@@ -7,7 +7,7 @@ from support import PATIENCE
 
 
 class MobileBase:
-    """Turns the actor's robot as commanded, times `gain`; keeps every command it heard."""
+    """Turns the actor's robot as commanded, times `gain`; keeps every received command."""
 
     def __init__(self, actor, stamped=False, gain=1.0):
         self.actor = actor
@@ -48,7 +48,7 @@ class MobileBase:
         return future.result()
 
     def assert_stopped_and_silent(self):
-        """The last words are zeros, several of them, and then nothing."""
+        """The last commands are several zeros, and then none."""
         assert self.rates[-5:] == [0.0] * 5
         heard = len(self.commands)
         self.live(0.4)

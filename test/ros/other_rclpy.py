@@ -1,4 +1,4 @@
-"""The installed rclpy made into another: parts of its inside renamed, or gone in mid-spin."""
+"""The installed rclpy with internal parts renamed, or removed while it spins."""
 
 import re
 import sys
@@ -47,7 +47,7 @@ def rename(names, record):
 
 
 class Vanishing:
-    """A method that the sensors' loop finds so many times, and then no more; others always do."""
+    """A method that the loop of the sensors finds only a number of times; others always do."""
 
     def __init__(self, method, name, uses):
         self.method, self.name, self.uses = method, name, uses
@@ -61,7 +61,7 @@ class Vanishing:
 
 
 def vanish(owner, name, uses):
-    """Let a method of rclpy's inside vanish under the loop; returns what brings it back."""
+    """Remove an internal method of rclpy for the loop; returns a function that restores it."""
     from rclpy.impl.implementation_singleton import rclpy_implementation
 
     kind = getattr(rclpy_implementation, owner)

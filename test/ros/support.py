@@ -1,4 +1,4 @@
-"""The robot of the ROS tests, and how its headings are measured."""
+"""The robot of the ROS tests, and the measurement of its headings."""
 
 import math
 import time
@@ -37,7 +37,7 @@ AT_ONCE = 10.0
 
 
 def wait_until(condition, patience=PATIENCE):
-    """Wait for what happens in other threads or processes."""
+    """Wait for an event in other threads or processes."""
     deadline = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < deadline, "it did not happen"
@@ -50,7 +50,7 @@ def rms_deg(errors):
 
 
 def assert_silent(actor):
-    """No yaw comes, once what was under way has arrived."""
+    """No yaw is published, after earlier messages have arrived."""
     for _ in range(30):
         actor.yaws.clear()
         actor.run(0.4)
@@ -69,12 +69,12 @@ def goes_on(actor):
 
 
 def turn_by(actor, degrees):
-    """Turn until the node has seen so much of the circle."""
+    """Turn until the node has measured this part of the circle."""
     actor.run(PATIENCE, 0.5, lambda: (actor.status["progress"] or {}).get("arc_deg", 0.0) > degrees)
 
 
 def calibrate_quickly(actor):
-    """Start, turn by what is enough for a verdict, and finish; returns the answer."""
+    """Start, turn enough for a verdict, and finish; returns the answer."""
     started = actor.answer(actor.call("start"))
     assert started.success, started.message
     turn_by(actor, 240.0)
@@ -82,7 +82,7 @@ def calibrate_quickly(actor):
 
 
 def store_calibration(path, pull=0.0, frame="mag_link"):
-    """Leave a calibration of the robot for a node to load; `pull` radians were taken off."""
+    """Store a calibration of the robot for a node; `pull` radians were subtracted."""
     outcome = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
     calibration = outcome.calibration
     figures = {**calibration.evidence.figures, "steady_pull": pull}

@@ -1,4 +1,4 @@
-"""The log tells what is new and never floods."""
+"""The log reports what is new, at a limited rate."""
 
 import pytest
 
@@ -41,20 +41,20 @@ def stage():
     return Stage()
 
 
-def test_what_is_wrong_is_said_once_however_its_numbers_go_on(stage):
+def test_a_fault_with_changing_numbers_is_logged_once(stage):
     stage.complain_for(3600, "/imu/mag has been silent for {:.0f} s")
     ((level, words),) = stage.take()
     assert level == "warning"
     assert words == f"/imu/mag has been silent for {100 + LASTING:.0f} s"
 
 
-def test_what_passes_at_the_start_is_not_said(stage):
+def test_a_short_fault_at_the_start_is_not_logged(stage):
     stage.complain_for(2, "nothing has arrived on /imu/mag")
     stage.complain_for(60)
     assert stage.take() == []
 
 
-def test_what_comes_beside_it_and_what_comes_back_is_said(stage):
+def test_another_and_a_returning_fault_are_logged(stage):
     stage.complain_for(20, "a is silent")
     stage.complain_for(20, "a is silent", "b is in microtesla")
     stage.complain_for(20, "b is in microtesla")
@@ -64,7 +64,7 @@ def test_what_comes_beside_it_and_what_comes_back_is_said(stage):
     ]  # fmt: skip
 
 
-def test_one_that_comes_and_goes_is_said_every_ten_seconds_at_most(stage):
+def test_an_intermittent_fault_is_logged_every_ten_seconds_at_most(stage):
     for _ in range(100):
         stage.complain_for(LASTING + 1, "a is silent")
         stage.complain_for(1)
@@ -72,7 +72,7 @@ def test_one_that_comes_and_goes_is_said_every_ten_seconds_at_most(stage):
     assert 1 < len(stage.take()) <= seconds / PAUSE + 1
 
 
-def test_changes_by_the_thousand_become_one_line_in_ten_seconds(stage):
+def test_thousands_of_changes_give_one_line_in_ten_seconds(stage):
     for k in range(120_000):
         stage.now += 1e-4
         stage.announcer.tell("reference", f"place {k}")
@@ -85,7 +85,7 @@ def test_changes_by_the_thousand_become_one_line_in_ten_seconds(stage):
     assert stage.take() == [("info", "place 119999")]
 
 
-def test_subjects_do_not_wait_for_each_other_and_nothing_is_repeated(stage):
+def test_subjects_are_independent_and_nothing_is_repeated(stage):
     for _ in range(50):
         stage.now += PAUSE
         stage.announcer.tell("a", "one")
@@ -93,7 +93,7 @@ def test_subjects_do_not_wait_for_each_other_and_nothing_is_repeated(stage):
     assert stage.take() == [("info", "one"), ("warning", "two")]
 
 
-def test_a_turn_is_told_from_its_begin_to_its_verdict(stage):
+def test_a_turn_is_logged_from_its_start_to_its_verdict(stage):
     first, second = Conclusion(True, "good"), Conclusion(False, "refused")
     follow = stage.announcer.follow_turn
     follow(False, None)
@@ -109,7 +109,7 @@ def test_a_turn_is_told_from_its_begin_to_its_verdict(stage):
     ]
 
 
-def test_a_year_of_complaints_takes_no_memory(stage):
+def test_the_memory_for_complaints_is_bounded(stage):
     for k in range(10_000):
         stage.complain_for(LASTING + 2, f"{chr(0x4E00 + k)} is wrong")
     assert len(stage.announcer._wrong_since) <= 1

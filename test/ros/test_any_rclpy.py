@@ -1,4 +1,4 @@
-"""The executable on an rclpy whose inside is another: it calibrates, and nothing is lost."""
+"""The executable with another implementation of rclpy calibrates without loss."""
 
 import os
 import signal
@@ -68,7 +68,7 @@ class Run:
                 self.counted["errors"] = int(values["callback errors"])
 
     def meet(self):
-        """Wait until the node hears the robot; what came too early for it is not counted."""
+        """Wait until the node receives messages; earlier ones are not counted."""
         self.actor.wait_for_node()
         self.actor.run(PATIENCE, stop=lambda: self.published["imu/mag"] > 5)
         self.actor.mangle = lambda _: []
@@ -126,7 +126,7 @@ def calibrates_and_answers(run):
 
 
 @pytest.mark.parametrize("names", [INSIDE, *ONE_BY_ONE], ids=",".join)
-def test_what_is_renamed_inside_is_not_missed(run_altered, tmp_path, names):
+def test_renamed_internals_are_not_needed(run_altered, tmp_path, names):
     record = tmp_path / "renamed"
     run = run_altered(f"rename({names!r}, {str(record)!r})")
     if not record.exists():
@@ -138,7 +138,7 @@ def test_what_is_renamed_inside_is_not_missed(run_altered, tmp_path, names):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("owner", "name"), CALLS)
-def test_what_vanishes_in_mid_turn_costs_one_line_and_nothing_else(run_altered, owner, name):
+def test_internals_removed_during_a_turn_cost_one_line_of_the_log(run_altered, owner, name):
     run = run_altered(f"vanish({owner!r}, {name!r}, {IN_MID_TURN})")
     calibrates_and_answers(run)
     run.everything_arrived()

@@ -9,7 +9,7 @@ import pytest
 from std_msgs.msg import Header
 
 from magcal_ros.core import Belief, ReferenceField
-from magcal_ros.core.heading import Heading, Moment
+from magcal_ros.core.heading import CompassReading, Heading
 from magcal_ros.ros.outputs import HeadingOutput
 from magcal_ros.ros.wire import azimuth_message
 
@@ -19,7 +19,7 @@ PLACE = ReferenceField(Belief(48e-6, 1e-6), Belief(1.1, 0.01), DECLINATION, 0.01
 
 
 class Azimuth:
-    """As compass_interfaces 3.0.6 lays it out."""
+    """The layout of compass_interfaces 3.0.6."""
 
     UNIT_RAD, UNIT_DEG = 0, 1
     ORIENTATION_ENU, ORIENTATION_NED = 0, 1
@@ -56,15 +56,15 @@ def topics_of_outputs():
 
 
 def arrived(outputs, reference):
-    moment = Moment(12.0, (0.0, 0.0, 0.0), None, HEADING, None)
+    moment = CompassReading(12.0, (0.0, 0.0, 0.0), None, HEADING, None)
     outputs.publish(moment, struct.pack("<iI", 12, 34), "imu_link", reference)
 
 
-def test_without_the_package_nothing_of_it_is_advertised():
+def test_without_the_package_there_is_no_such_topic():
     assert not [topic for topic in topics_of_outputs()[1] if topic.endswith("/rad")]
 
 
-def test_both_norths_are_published_where_the_declination_is_known(installed):
+def test_both_norths_are_published_if_the_declination_is_known(installed):
     outputs, kinds, published = topics_of_outputs()
     assert kinds["compass/mag/enu/rad"] is kinds["compass/true/enu/rad"] is Azimuth
     arrived(outputs, PLACE)
@@ -82,7 +82,7 @@ def test_without_a_declination_there_is_no_true_azimuth(installed):
     assert [topic for topic, _ in published] == ["compass/mag/enu/rad"]
 
 
-def test_the_variance_holds_the_declinations_own():
+def test_the_variance_contains_that_of_the_declination():
     stamp = struct.pack("<iI", 0, 0)
     assert azimuth_message(Azimuth, stamp, "", HEADING).variance == pytest.approx(4e-4)
     assert azimuth_message(Azimuth, stamp, "", HEADING, PLACE).variance == pytest.approx(5e-4)

@@ -1,4 +1,4 @@
-"""Work off the executor's thread goes on whatever becomes of the executor."""
+"""Work in the background thread does not depend on the executor."""
 
 import threading
 from types import SimpleNamespace
@@ -10,7 +10,7 @@ from support import wait_until
 from magcal_ros.ros.threads import BackgroundThread
 
 
-def test_an_executor_that_is_shut_down_ends_no_work(graph):
+def test_shutting_down_the_executor_ends_no_work(graph):
     executor = SingleThreadedExecutor()
     executor.shutdown()
     thread, found = BackgroundThread(SimpleNamespace(executor=executor), "thread"), []
@@ -21,7 +21,7 @@ def test_an_executor_that_is_shut_down_ends_no_work(graph):
     assert found == [0, 1]
 
 
-def test_without_room_for_a_thread_who_asked_is_told_and_the_next_one_is_served(monkeypatch):
+def test_a_failed_start_of_a_thread_is_reported_and_the_next_job_runs(monkeypatch):
     def fail(_):
         raise RuntimeError("can't start new thread")
 

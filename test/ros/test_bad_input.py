@@ -1,4 +1,4 @@
-"""Bad input of every kind: a clear word, and a node that goes on."""
+"""Bad input of every kind is reported, and the node continues."""
 
 import math
 
@@ -16,7 +16,7 @@ IMPATIENT = {**REFERENCE, "window.silence_s": 1.0, "window.timeout_s": 3.0}
 
 
 def every_fourth(replace):
-    """Replace each fourth sample by what `replace` makes of it: of IMU and field in turn."""
+    """Replace each fourth sample by `replace(sample)`, of IMU and field alternately."""
     count = iter(range(10**9))
 
     def mangle(sample):
@@ -68,7 +68,7 @@ def test_an_all_zero_field_is_refused_by_name(stage):
     assert_alive(actor)
 
 
-def test_bytes_that_are_no_message_are_dropped_and_counted(loaded):
+def test_invalid_bytes_are_dropped_and_counted(loaded):
     actor = loaded()
     for kind, topic in ((Imu, "imu/data_raw"), (MagneticField, "imu/mag")):
         vandal = actor.node.create_publisher(kind, topic, 10)
@@ -104,7 +104,7 @@ def test_a_field_in_another_unit_is_named(stage, factor, unit):
     assert f"looks like {unit} published as tesla" in answer.message
 
 
-def test_no_imu_at_all_is_said_with_the_topic(stage):
+def test_a_missing_imu_is_reported_with_the_topic(stage):
     actor = stage(parameters=IMPATIENT)
     actor.mangle = lambda sample: [] if isinstance(sample, ImuSample) else [sample]
     answer = actor.calibrate()
@@ -154,7 +154,7 @@ def test_repeated_field_samples_do_no_harm_and_are_counted(stage):
 
 
 @pytest.mark.nightly
-def test_an_imu_stamped_by_another_clock_is_said(stage):
+def test_an_imu_with_another_clock_is_reported(stage):
     actor = stage(parameters=IMPATIENT)
     actor.mangle = lambda s: [s._replace(stamp=s.stamp - 7.0) if isinstance(s, ImuSample) else s]
     answer = actor.calibrate()
@@ -163,7 +163,7 @@ def test_an_imu_stamped_by_another_clock_is_said(stage):
     assert "+7.0 s apart" in answer.message or "+6.9 s apart" in answer.message
 
 
-def test_parameters_out_of_range_are_said_and_replaced(start_node, actor):
+def test_parameters_out_of_range_are_reported_and_replaced(start_node, actor):
     node = start_node({**REFERENCE, "reference.declination_deg": 999.0, "method": "magic"})
     assert math.isnan(node.get_parameter("reference.declination_deg").value)
     assert node.get_parameter("method").value == "maximum_likelihood"
@@ -171,7 +171,7 @@ def test_parameters_out_of_range_are_said_and_replaced(start_node, actor):
     assert robot.status["north"] == "magnetic"
 
 
-def test_an_unwritable_path_leaves_the_calibration_in_force_and_says_so(stage):
+def test_an_unwritable_path_is_reported_and_the_calibration_stays_in_force(stage):
     actor = stage(parameters={**REFERENCE, "calibration_file": "/proc/no/such/place.yaml"})
     answer = calibrate_quickly(actor)
     assert answer.success

@@ -1,4 +1,4 @@
-"""Errors of callbacks: each kind is said once, all are counted; also those that rclpy raises."""
+"""Errors of callbacks, also those of rclpy: each kind is logged once, all are counted."""
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -52,7 +52,7 @@ def test_the_same_type_of_error_elsewhere_is_another_kind():
 
 @pytest.fixture
 def watched(loaded):
-    """Return a robot, and what the node last said of errors in callbacks."""
+    """Return a robot, and the node's last diagnostic of errors in callbacks."""
     actor = loaded(parameters={**REFERENCE, "use_sim_time": True})
     counts = []
 
@@ -68,7 +68,7 @@ def watched(loaded):
 
 
 @pytest.mark.nightly
-def test_a_clock_before_time_began_is_counted_and_survived(watched):
+def test_a_clock_before_zero_is_counted_and_the_node_continues(watched):
     actor, counts = watched
     assert counts[-1] == 0
     clock = actor.node.create_publisher(Clock, "/clock", 10)
@@ -83,7 +83,7 @@ def test_a_clock_before_time_began_is_counted_and_survived(watched):
     goes_on(actor)
 
 
-def test_a_parameter_of_unknown_type_is_counted_and_survived(watched):
+def test_a_parameter_of_unknown_type_is_counted_and_the_node_continues(watched):
     actor, counts = watched
     client = actor.node.create_client(SetParameters, "/calibrator/set_parameters")
     assert client.wait_for_service(PATIENCE)
@@ -96,7 +96,7 @@ def test_a_parameter_of_unknown_type_is_counted_and_survived(watched):
     goes_on(actor)
 
 
-def test_an_error_in_the_sensors_own_callback_is_counted_and_survived(graph, loaded):
+def test_an_error_in_a_sensor_callback_is_counted_and_the_node_continues(graph, loaded):
     robot = loaded()
     node = graph.calibrators[0]
     sound = node._inputs.imu.heard

@@ -1,4 +1,4 @@
-"""Whatever fails around a turn, everyone who waits for it is answered."""
+"""All waiting calls are answered, whatever fails during a turn."""
 
 import errno
 import math
@@ -23,7 +23,7 @@ NOBODY = 65534
 
 
 class AtOnce:
-    """Does all work where it is asked for."""
+    """Does all work immediately."""
 
     def run(self, work, then, otherwise):
         try:
@@ -38,7 +38,7 @@ class AtOnce:
 
 
 class House:
-    """What a node does for a turn, where nothing is to be done."""
+    """The functions of a node for a turn, without an effect."""
 
     def __init__(self):
         self.errors, self.reporter = [], self
@@ -73,7 +73,7 @@ def settings_of_a_turn():
 
 
 def begun_in(house):
-    """Return the control of a turn that nobody has ended yet."""
+    """Return the control of an active turn."""
     streams = Streams(0.2)
     control = Control(streams, house, house, SelfTurn(), AtOnce(), AtOnce())
     assert control.start(settings_of_a_turn()).success
@@ -88,7 +88,7 @@ def begun_in(house):
 
 
 def turn_in(house):
-    """Return what everyone is told of a turn, two of them waiting."""
+    """Return the answers to two calls that wait for a turn."""
     control, told = begun_in(house), []
     control.when_done(told.append)
     control.when_done(told.append)
@@ -103,14 +103,14 @@ def turn_in(house):
     return first
 
 
-def test_no_room_for_the_process_that_fits(monkeypatch):
+def test_a_failed_start_of_the_fitting_process(monkeypatch):
     monkeypatch.setattr(worker_process, "start", no_room)
     answer = turn_in(House())
     assert not answer.success
     assert "cannot be started: Too many open files" in answer.message
 
 
-def test_no_process_is_allowed_any_more():
+def test_a_refused_start_of_a_process():
     """The limit of processes does not bind root, so a child gives up being root."""
     back, to = os.pipe()
     child = os.fork()
@@ -132,7 +132,7 @@ def test_no_process_is_allowed_any_more():
     assert "cannot be started: Resource temporarily unavailable" in words
 
 
-def test_no_room_for_the_report():
+def test_a_memory_error_of_the_report():
     house = House()
     house.report = no_room
     answer = turn_in(house)
@@ -141,7 +141,7 @@ def test_no_room_for_the_report():
     assert len(house.errors) == 1
 
 
-def test_no_room_for_putting_it_in_force():
+def test_a_memory_error_when_the_calibration_is_put_in_force():
     house = House()
     house.use = no_room
     answer = turn_in(house)
@@ -150,7 +150,7 @@ def test_no_room_for_putting_it_in_force():
     assert len(house.errors) == 1
 
 
-def test_no_room_for_what_the_end_needs():
+def test_a_memory_error_at_the_end_of_a_turn():
     house = House()
     house.turn_ended = no_room
     assert turn_in(house).success
@@ -158,7 +158,7 @@ def test_no_room_for_what_the_end_needs():
 
 
 @pytest.mark.parametrize("what", first_of(["progress", "window"]))
-def test_no_room_for_looking_at_the_turn(monkeypatch, what):
+def test_a_memory_error_when_the_turn_is_checked(monkeypatch, what):
     """Python opens a file where numpy first computes a median."""
     house = House()
     control, told = begun_in(house), []
@@ -175,7 +175,7 @@ def test_no_room_for_looking_at_the_turn(monkeypatch, what):
     control.shut_down()
 
 
-def test_a_turn_that_cannot_be_opened_is_not_under_way(monkeypatch):
+def test_a_turn_that_fails_to_start_is_not_active(monkeypatch):
     control = Control(Streams(0.2), House(), House(), SelfTurn(), AtOnce(), AtOnce())
     monkeypatch.setattr(Session, "progress", no_room)
     with pytest.raises(OSError, match="Too many open files"):
@@ -186,7 +186,7 @@ def test_a_turn_that_cannot_be_opened_is_not_under_way(monkeypatch):
     control.shut_down()
 
 
-def test_a_verdict_that_nobody_waited_for_is_told_to_the_next_finish_and_once():
+def test_a_verdict_without_a_caller_is_given_once_to_the_next_finish():
     control = begun_in(House())
     until = time.monotonic() + 60.0
     while control.turn.state is not TurnState.IDLE and time.monotonic() < until:
@@ -198,7 +198,7 @@ def test_a_verdict_that_nobody_waited_for_is_told_to_the_next_finish_and_once():
     control.shut_down()
 
 
-def test_the_wheels_speed_comes_with_the_samples():
+def test_the_window_has_the_speed_of_the_wheels():
     house = House()
     house.wheel_speed = lambda stamp: 1e-3 * (stamp - 1000.0)
     control = begun_in(house)
@@ -208,9 +208,9 @@ def test_the_wheels_speed_comes_with_the_samples():
     control.shut_down()
 
 
-def test_the_current_of_the_battery_comes_with_the_samples():
+def test_the_window_has_the_current_of_the_battery():
     class Holding(House):
-        """A robot whose battery tells another current with every sample."""
+        """A robot whose battery reports another current with every sample."""
 
         @property
         def currents(self):

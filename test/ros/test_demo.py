@@ -17,7 +17,7 @@ from magcal_ros.ros.rehearsal import set_time
 DEMO = ["demo", "--speed", "8"]
 
 
-class Brief(rehearsal.Rehearsal):
+class ShortRehearsal(rehearsal.Rehearsal):
     """Stands at three headings instead of twenty-four, and has fewer samples: most of the demo."""
 
     def __init__(self, *arguments, **options):
@@ -58,17 +58,15 @@ def check(printed, folder):
     assert abs(calibration.correction.hard_iron[0] - 15e-6) < 0.3e-6
 
 
-def test_the_demo_ends_with_a_right_heading_and_leaves_the_calibration(
-    tmp_path, monkeypatch, capsys
-):
+def test_the_demo_ends_with_a_correct_heading_and_a_calibration_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
-    monkeypatch.setattr(rehearsal, "Rehearsal", Brief)
+    monkeypatch.setattr(rehearsal, "Rehearsal", ShortRehearsal)
     assert main(DEMO) == 0
     check(capsys.readouterr().out, tmp_path)
 
 
-def test_yaws_of_an_old_pose_that_come_late_do_not_count(loaded):
+def test_late_yaws_of_an_old_pose_do_not_count(loaded):
     """They lie in the queues of a busy machine."""
     actor = loaded(imu_rate=50.0)
     late_attitudes = actor.node.create_publisher(Imu, "compass/mag/enu/imu", 10)
@@ -87,7 +85,7 @@ def test_yaws_of_an_old_pose_that_come_late_do_not_count(loaded):
 
 
 @pytest.mark.nightly
-def test_the_demo_as_it_is_typed(tmp_path):
+def test_the_demo_runs_as_documented(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "magcal_ros.cli.main", *DEMO],
         capture_output=True,

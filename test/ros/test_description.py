@@ -1,4 +1,4 @@
-"""The robot's description as it comes over the graph."""
+"""The robot's description, received by topic."""
 
 import math
 import time
@@ -12,20 +12,20 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from support import PATIENCE, wait_until
 
-from magcal_ros.core.geometry import FrameTree, FrameTrouble, rotation_from_rpy
-from magcal_ros.files import LARGEST, DescriptionTrouble, joints_of, known_as
-from magcal_ros.ros.sensor_frames import LATCHED, Description, joints_from
+from magcal_ros.core.geometry import FrameTree, FrameTreeError, rotation_from_rpy
+from magcal_ros.files import LARGEST, RobotDescriptionError, identifier, joints_of
+from magcal_ros.ros.sensor_frames import LATCHED, DescriptionListener, joints_from
 
 ROBOT = """<robot name="mule"><joint name="imu" type="fixed"><parent link="base_link"/>
 <child link="imu_link"/><origin rpy="0 0 1.5707963267948966"/></joint></robot>"""
 
 
-def test_a_description_latched_before_the_node_came_is_heard_and_a_damaged_one_said(graph):
+def test_a_latched_description_is_used_and_a_damaged_one_reported(graph):
     robot, node = rclpy.create_node("state_publisher"), rclpy.create_node("calibrator")
     out = robot.create_publisher(String, "robot_description", LATCHED)
     out.publish(String(data=ROBOT))
     news = []
-    description = Description(node, lambda: news.append(True))
+    description = DescriptionListener(node, lambda: news.append(True))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
 
@@ -42,14 +42,14 @@ def test_a_description_latched_before_the_node_came_is_heard_and_a_damaged_one_s
     assert description.tree.pose("imu_link", "base_link") == pytest.approx(turned)
     out.publish(String(data="<robot>"))
     wait_for(2)
-    assert "not XML" in description.trouble
+    assert "not XML" in description.problem
     assert description.tree.pose("imu_link", "base_link") == pytest.approx(turned)
     out.publish(String(data="<robot>" + LARGEST * " "))
     wait_for(3)
-    assert description.trouble.startswith("robot_description has messages above 4000000 bytes")
+    assert description.problem.startswith("robot_description has messages above 4000000 bytes")
     out.publish(String(data=ROBOT))
     wait_for(4)
-    assert description.trouble == ""
+    assert description.problem == ""
     for each in (robot, node):
         each.destroy_node()
 
@@ -57,9 +57,9 @@ def test_a_description_latched_before_the_node_came_is_heard_and_a_damaged_one_s
 JOINT = '<joint name="{0}" type="fixed"><parent link="base"/><child link="{0}"/></joint>'
 
 
-def test_the_largest_description_that_is_read_holds_nobody_up(graph):
+def test_the_largest_description_delays_no_callback(graph):
     node, longest, news = rclpy.create_node("calibrator"), 0.0, []
-    description = Description(node, lambda: news.append(True))
+    description = DescriptionListener(node, lambda: news.append(True))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     joints = "".join(JOINT.format(f"{number:05}") for number in range(20_000))
@@ -72,37 +72,37 @@ def test_the_largest_description_that_is_read_holds_nobody_up(graph):
         executor.spin_once(timeout_sec=0.01)
         longest = max(longest, time.monotonic() - began)
     assert longest < 0.3
-    assert "more than 10000 frames" in description.trouble
+    assert "more than 10000 frames" in description.problem
     assert not description.tree.frames
     node.destroy_node()
 
 
-def test_what_cannot_be_read_and_what_comes_too_fast_is_said(graph):
+def test_unreadable_and_too_frequent_descriptions_are_reported(graph):
     node = rclpy.create_node("calibrator")
-    description = Description(node, lambda: None)
+    description = DescriptionListener(node, lambda: None)
 
     def take(data):
         description._take("robot_description", String, lambda m: joints_of(m.data), data)
 
     take(b"no message")
-    wait_until(lambda: description.tree is not None and description.trouble)
-    assert "not a String" in description.trouble
+    wait_until(lambda: description.tree is not None and description.problem)
+    assert "not a String" in description.problem
     for _ in range(5):
         take(serialize_message(String(data=LARGEST // 4 * " ")))
-    assert "messages above 4000000 bytes" in description.trouble
-    wait_until(lambda: description.tree is not None and "not XML" in description.trouble)
+    assert "messages above 4000000 bytes" in description.problem
+    wait_until(lambda: description.tree is not None and "not XML" in description.problem)
     node.destroy_node()
 
 
-def test_names_are_cut_and_still_found(graph):
+def test_long_names_are_cut_and_still_found(graph):
     name = 1000 * "imu" + "1"
     joints = joints_of(f"<robot>{JOINT.format(name)}{JOINT.format(name[:-1] + '2')}</robot>")
     tree = FrameTree(joints)
-    assert tree.pose(known_as(name), "base") == pytest.approx(np.eye(3))
-    with pytest.raises(FrameTrouble) as caught:
+    assert tree.pose(identifier(name), "base") == pytest.approx(np.eye(3))
+    with pytest.raises(FrameTreeError) as caught:
         tree.pose("gyro", "base")
     assert len(str(caught.value)) < 1000
-    with pytest.raises(DescriptionTrouble) as caught:
+    with pytest.raises(RobotDescriptionError) as caught:
         joints_of(f"<robot>{JOINT.format(name).replace('fixed', 5000 * 'x')}</robot>")
     assert len(str(caught.value)) < 1000
 

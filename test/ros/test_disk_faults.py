@@ -1,4 +1,4 @@
-"""A disk that is full, read-only or in the way, under a node that calibrates."""
+"""A node that calibrates with a full, read-only or unusable disk."""
 
 import os
 import subprocess
@@ -7,8 +7,8 @@ import pytest
 import yaml
 from support import PATIENCE, REFERENCE, store_calibration
 
-from magcal_ros.files import FileTrouble
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.files import FileError
+from magcal_ros.ros.calibration_store import CalibrationStore
 
 pytestmark = pytest.mark.faults
 
@@ -34,7 +34,7 @@ def fill(place):
             pass
 
 
-def test_a_full_and_a_read_only_disk_leave_what_was_there_and_say_so(stage, small_disk):
+def test_a_full_or_read_only_disk_keeps_the_old_file_and_is_reported(stage, small_disk):
     path = store_calibration(small_disk / "calibration.yaml")
     before = path.read_bytes()
     actor = stage(
@@ -67,7 +67,7 @@ def test_a_full_and_a_read_only_disk_leave_what_was_there_and_say_so(stage, smal
 @pytest.mark.parametrize(
     "chosen", ["~nobody_of_this_name/cal.yaml", "/tmp/" + "x" * 300 + ".yaml", "/proc/self/mem/x"]
 )
-def test_a_path_that_cannot_be_does_not_hold_up_the_start(stage, chosen):
+def test_an_impossible_path_does_not_delay_the_start(stage, chosen):
     actor = stage(parameters={**REFERENCE, "calibration_file": chosen, "report_folder": chosen})
     assert actor.status["state"] == "uncalibrated"
     for service in ("load", "save"):
@@ -75,7 +75,7 @@ def test_a_path_that_cannot_be_does_not_hold_up_the_start(stage, chosen):
 
 
 @pytest.mark.parametrize("entry", ["hard_iron", "correction_matrix", "covariance"])
-def test_a_file_with_numbers_beyond_every_sensor_is_not_put_in_force(tmp_path, entry):
+def test_a_file_with_impossible_numbers_is_not_put_in_force(tmp_path, entry):
     path = store_calibration(tmp_path / "calibration.yaml")
     document = yaml.safe_load(path.read_text())
     if entry == "hard_iron":
@@ -87,7 +87,9 @@ def test_a_file_with_numbers_beyond_every_sensor_is_not_put_in_force(tmp_path, e
     path.write_text(yaml.safe_dump(document))
     applied = []
     chosen = str(path)
-    keeper = Keeper(("/", "c"), None, None, lambda *what: applied.append(what), lambda: chosen)
-    with pytest.raises(FileTrouble, match=f"{entry} .*1e\\+300"):
-        keeper.read(str(path), "mag_link")
+    store = CalibrationStore(
+        ("/", "c"), None, None, lambda *what: applied.append(what), lambda: chosen
+    )
+    with pytest.raises(FileError, match=f"{entry} .*1e\\+300"):
+        store.read(str(path), "mag_link")
     assert not applied

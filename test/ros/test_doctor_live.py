@@ -1,4 +1,4 @@
-"""`magcal doctor` without a recording: it asks, the robot does, and the page says what is wrong."""
+"""`magcal doctor` without a recording: guided movements, then a report of the faults."""
 
 import argparse
 import json
@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from support import PATIENCE, ROBOT, wait_until
 
 from magcal_ros.cli import doctor
-from magcal_ros.cli.doctor import Asking, gathered
+from magcal_ros.cli.doctor import GuidePrompts, gathered
 from magcal_ros.core import Mounting
 from magcal_ros.core.doctor import Guide
 from magcal_ros.core.samples import ImuSample, SensorLog
@@ -33,7 +33,7 @@ PLACE = ["--reference-strength-ut", "48", "--reference-inclination-deg", "65"]
 
 
 class Patient:
-    """A robot that does what the command asks for on its standard error."""
+    """A robot that makes the movements that the command asks for on its standard error."""
 
     def __init__(self, spoil):
         self.node = rclpy.create_node("patient")
@@ -100,7 +100,7 @@ URDF = """<robot name="mule"><joint name="mag" type="fixed"><parent link="imu_li
 
 @pytest.fixture
 def looked(graph):
-    """The page of a robot whose magnetometer lies x forward, y right, z down."""
+    """The report on a robot whose magnetometer has x forward, y right, z down."""
     node, other = rclpy.create_node("doctor"), rclpy.create_node("robot")
 
     def run(rpy, more=()):
@@ -128,7 +128,7 @@ def looked(graph):
         parser = argparse.ArgumentParser()
         doctor.add_doctor(parser.add_subparsers())
         heard = gathered(parser.parse_args(["doctor", *PLACE]), listener, samples, Guide(0.0))
-        return heard.page_of(SensorLog.of(samples))
+        return heard.report_of(SensorLog.of(samples))
 
     yield run
     for each in (node, other):
@@ -136,7 +136,7 @@ def looked(graph):
 
 
 def hear(executor, is_heard):
-    """Spin until it is heard; without a pause between the messages, of which there are many."""
+    """Spin until it is received, without a pause between the many messages."""
     deadline = time.monotonic() + PATIENCE
     while not is_heard():
         assert time.monotonic() < deadline, "it was not heard"
@@ -151,7 +151,7 @@ def wrong_lines(page):
     return {finding.key: finding for finding in page.findings if finding.is_wrong}
 
 
-def test_a_description_that_is_right_is_called_so(looked):
+def test_a_correct_description_is_reported_as_correct(looked):
     page = looked("3.14159265 0 0")
     assert wrong_lines(page) == {}
     assert "description" in {finding.key for finding in page.findings}
@@ -171,7 +171,7 @@ def test_the_enter_key_skips_a_step(monkeypatch):
     keyboard, terminal = pty.openpty()
     with os.fdopen(terminal) as there:
         monkeypatch.setattr(sys, "stdin", there)
-        asking = Asking()
+        asking = GuidePrompts()
         assert not asking.is_skipped()
         os.write(keyboard, b"\n")
         wait_until(asking.is_skipped)
@@ -179,9 +179,9 @@ def test_the_enter_key_skips_a_step(monkeypatch):
     os.close(keyboard)
 
 
-def test_the_seconds_that_are_left_are_shown_where_a_person_sits(monkeypatch, capsys):
+def test_the_remaining_seconds_are_shown_on_a_terminal(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    asking, guide = Asking(), Guide(0.0)
+    asking, guide = GuidePrompts(), Guide(0.0)
     asking.count_down(guide, 0.0)
     asking.count_down(guide, 0.1)
     asking.count_down(guide, 5.0)

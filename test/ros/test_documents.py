@@ -1,4 +1,4 @@
-"""What the code says and what the documents say is the same."""
+"""The documents agree with the code."""
 
 import json
 import re
@@ -11,7 +11,7 @@ import yaml
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
-def test_what_is_generated_is_as_the_code_and_the_results_have_it():
+def test_generated_tables_agree_with_code_and_results():
     done = subprocess.run(
         [sys.executable, str(CHECKOUT / "doc" / "generate.py"), "--check"],
         capture_output=True,
@@ -26,7 +26,7 @@ def test_the_readme_opens_with_the_two_commands():
     assert any(line.startswith("make test") for line in lines)
 
 
-def test_no_path_of_a_machine_is_in_the_documents():
+def test_the_documents_contain_no_path_of_a_machine():
     for name in ("README.md", "setup.py", "package.xml"):
         text = (CHECKOUT / name).read_text()
         assert "/home/" not in text
@@ -47,7 +47,7 @@ def test_the_layouts_show_the_topics_that_the_node_publishes():
     assert all(name in used for name in panels)
 
 
-def test_the_table_of_faults_names_tests_that_are_there_and_leaves_none_out():
+def test_the_table_of_faults_names_all_tests_of_faults():
     table = (CHECKOUT / "doc" / "faults.md").read_text()
     named = set(re.findall(r"`((?:test|benchmarks)/[\w/]+\.py)`", table))
     assert all((CHECKOUT / name).is_file() for name in named)

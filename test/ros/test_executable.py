@@ -1,4 +1,4 @@
-"""The package as a ROS user builds and runs it, in processes of their own."""
+"""The package as a ROS user builds and runs it, in separate processes."""
 
 import os
 import shutil
@@ -45,7 +45,7 @@ def installed(tmp_path_factory):
 
 
 def before_others(**paths):
-    """What a setup file does: ROS itself may be found by the same variables."""
+    """The variables of a setup file; ROS itself may be found by the same ones."""
     given = {name: os.environ.get(name, "") for name in paths}
     return {
         name: os.pathsep.join(filter(None, [str(path), given[name]]))
@@ -85,7 +85,7 @@ def parameter_of(actor, full_name, parameter):
     return actor.answer(future).values[0]
 
 
-def test_everything_lies_where_ros_looks_for_it(installed):
+def test_all_files_are_installed_where_ros_expects_them(installed):
     assert (installed / "lib/magcal_ros/calibrator").is_file()
     assert (installed / "share/ament_index/resource_index/packages/magcal_ros").is_file()
     assert (installed / "share/magcal_ros/config/calibrator.yaml").is_file()
@@ -138,7 +138,7 @@ def test_the_installed_node_calibrates_with_a_parameter_file_remaps_and_a_namesp
         pytest.param(signal.SIGINT, True, marks=pytest.mark.nightly),
     ],
 )
-def test_a_signal_ends_the_node_at_once_and_quietly(graph, run_installed, how, busy):
+def test_a_signal_ends_the_node_immediately_without_output(graph, run_installed, how, busy):
     process = run_installed()
     node = rclpy.create_node("caller")
     client = node.create_client(Trigger, "/calibrator/calibrate")
@@ -155,7 +155,7 @@ def test_a_signal_ends_the_node_at_once_and_quietly(graph, run_installed, how, b
     node.destroy_node()
 
 
-def test_a_bad_parameter_file_is_said_in_one_line(run_installed, tmp_path):
+def test_a_bad_parameter_file_is_reported_in_one_line(run_installed, tmp_path):
     bad = tmp_path / "bad.yaml"
     bad.write_text("calibrator: [")
     process = run_installed("--ros-args", "--params-file", str(bad))

@@ -1,4 +1,4 @@
-"""The lock that the executor and the loop of the sensors share."""
+"""The lock shared by the executor and the loop of the sensors."""
 
 import threading
 import time
@@ -6,7 +6,7 @@ import time
 from magcal_ros.ros.threads import FairLock
 
 
-def test_who_lets_go_and_wants_it_again_at_once_lets_the_other_in_between():
+def test_a_thread_that_releases_and_requests_it_lets_the_other_in_between():
     lock, is_over, held, overtaken = FairLock(), threading.Event(), [], []
 
     def hold_nearly_always():
@@ -31,7 +31,7 @@ def test_who_lets_go_and_wants_it_again_at_once_lets_the_other_in_between():
     assert sorted(overtaken)[len(overtaken) // 2] <= 2
 
 
-def test_one_at_a_time():
+def test_only_one_thread_has_the_lock():
     lock, inside, most = FairLock(), [0], [0]
 
     def work():

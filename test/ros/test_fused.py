@@ -1,4 +1,4 @@
-"""The fused yaw of the running node: smooth, at the IMU's rate, deaf to passing iron."""
+"""The fused yaw of the running node: smooth, at the IMU's rate, not disturbed by passing iron."""
 
 import math
 
@@ -17,7 +17,7 @@ IRON = (0.0, 14e-6, -14e-6)
 
 @pytest.fixture
 def fused(loaded):
-    """Return an actor whose node is calibrated, and what it hears of the fused yaw."""
+    """Return an actor whose node is calibrated, and the received fused yaw."""
     actor = loaded(parameters={**REFERENCE, "fused.patience_s": 100.0})
     heard, reports = [], []
     actor.node.create_subscription(Imu, "compass/fused/enu/imu", heard.append, 100)
@@ -36,7 +36,7 @@ def diagnostic(reports):
     return parts["calibrator: Fused"]
 
 
-def test_it_follows_the_robot_and_ignores_passing_iron(fused):
+def test_the_fused_yaw_follows_the_robot_and_ignores_passing_iron(fused):
     actor, heard, reports = fused
     assert len(heard) > 50
     assert heard[-1].header.frame_id == "imu_link"
@@ -66,7 +66,7 @@ def test_it_follows_the_robot_and_ignores_passing_iron(fused):
     assert "strength" in diagnostic(reports).message
 
 
-def test_without_a_gyro_nothing_comes_and_that_is_said(loaded):
+def test_without_a_gyro_nothing_is_published_and_this_is_reported(loaded):
     actor = loaded(gyro=False)
     heard, reports = [], []
     actor.node.create_subscription(Imu, "compass/fused/enu/imu", heard.append, 100)

@@ -1,4 +1,4 @@
-"""Publishers of every kind and number, listeners that come late, sensors that come and go."""
+"""Publishers of any kind and number, late subscribers, and intermittent sensors."""
 
 import json
 
@@ -25,7 +25,7 @@ def calibrated(loaded):
 
 
 @pytest.mark.nightly
-def test_reliable_publishers_are_heard_like_best_effort_ones(calibrated):
+def test_reliable_and_best_effort_publishers_are_received(calibrated):
     actor = calibrated
     actor.source._imu_out = actor.node.create_publisher(Imu, "imu/data_raw", 10)
     actor.source._field_out = actor.node.create_publisher(MagneticField, "imu/mag", 10)
@@ -35,7 +35,7 @@ def test_reliable_publishers_are_heard_like_best_effort_ones(calibrated):
     assert len(actor.yaws) > 10
 
 
-def test_two_publishers_on_one_topic_are_said_until_one_leaves(calibrated):
+def test_two_publishers_on_one_topic_are_reported_until_one_ends(calibrated):
     actor = calibrated
     second = actor.node.create_publisher(MagneticField, "imu/mag", 10)
     actor.run(PATIENCE, stop=lambda: bool(actor.status["complaints"]))
@@ -53,7 +53,7 @@ def test_two_publishers_on_one_topic_are_said_until_one_leaves(calibrated):
         pytest.param(FieldSample, "imu/mag", marks=pytest.mark.nightly),
     ],
 )
-def test_a_sensor_that_dies_stops_the_yaw_and_returns_with_it(calibrated, kind, topic):
+def test_a_silent_sensor_stops_the_yaw_until_it_returns(calibrated, kind, topic):
     actor = calibrated
     actor.mangle = lambda sample: [] if isinstance(sample, kind) else [sample]
     assert_silent(actor)
@@ -67,7 +67,7 @@ def test_a_sensor_that_dies_stops_the_yaw_and_returns_with_it(calibrated, kind, 
 
 
 @pytest.mark.nightly
-def test_who_joins_after_a_turn_still_gets_status_and_markers(stage):
+def test_late_subscribers_get_status_and_markers(stage):
     actor = stage(speed=8.0)
     assert actor.calibrate().success
     actor.run(0.3)
@@ -81,13 +81,13 @@ def test_who_joins_after_a_turn_still_gets_status_and_markers(stage):
 
 
 @pytest.mark.nightly
-def test_a_field_at_a_tenth_of_the_imus_rate_calibrates(stage):
+def test_a_field_at_a_tenth_of_the_imu_rate_calibrates(stage):
     actor = stage(steps_per_field=10, speed=8.0)
     answer = actor.calibrate()
     assert answer.success, answer.message
 
 
-def test_another_sensor_on_the_topic_is_said_while_its_calibration_is_not(calibrated):
+def test_another_sensor_is_reported_while_the_calibration_is_of_the_first(calibrated):
     actor = calibrated
     actor.source._field.header.frame_id = "other_\x1b[2J"
     heard = []

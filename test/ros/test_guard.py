@@ -1,4 +1,4 @@
-"""The guard beside a robot that turns itself: real processes, killed and stopped for real."""
+"""The guard of a robot that turns itself, with real processes that are killed or stopped."""
 
 import os
 import signal
@@ -39,13 +39,13 @@ def silence(monkeypatch):
 
 @pytest.fixture
 def topic():
-    """Return a topic of the test's own: the guard of the one before may still be speaking."""
+    """Return a separate topic: the guard of the previous test may still publish."""
     return f"/cmd_vel_{uuid4().hex}"
 
 
 @pytest.fixture
 def base(graph, topic):
-    """Return what a base has heard, and a function that listens for a while."""
+    """Return the received commands, and a function that listens for a while."""
     node = rclpy.create_node("base")
     heard = []
     node.create_subscription(Twist, topic, lambda m: heard.append(m.angular.z), 50)
@@ -62,7 +62,7 @@ def base(graph, topic):
 
 @pytest.fixture
 def doomed(topic):
-    """Return a process that keeps a guard quiet until something happens to it."""
+    """Return a process that keeps a guard inactive until it ends."""
     command = [sys.executable, "-c", NODE, topic, str(SILENCE)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "ready\n"
@@ -75,14 +75,14 @@ def doomed(topic):
     "number",
     [signal.SIGKILL, signal.SIGSTOP, pytest.param(signal.SIGSEGV, marks=pytest.mark.nightly)],
 )
-def test_what_cannot_be_caught_is_followed_by_zeros(base, doomed, number):
+def test_zeros_follow_a_signal_that_cannot_be_caught(base, doomed, number):
     assert base(0.5) == []
     os.kill(doomed.pid, number)
     heard = base(PATIENCE, lambda: len(base(0.0)) >= 5)
     assert heard[:5] == [0.0] * 5
 
 
-def test_a_guard_that_is_dismissed_says_nothing_and_goes(base, topic):
+def test_a_dismissed_guard_ends_without_a_command(base, topic):
     guard = Guard(topic, False, "")
     base(PATIENCE, lambda: guard.is_ready)
     assert guard.is_ready
@@ -95,7 +95,7 @@ def test_a_guard_that_is_dismissed_says_nothing_and_goes(base, topic):
     assert guard.has_ended
 
 
-def test_a_guard_that_stopped_the_base_is_gone(base, topic):
+def test_a_guard_ends_after_it_has_stopped_the_base(base, topic):
     guard = Guard(topic, False, "")
     base(PATIENCE, lambda: guard.is_ready)
     assert not guard.has_ended
@@ -108,7 +108,7 @@ def test_a_guard_that_stopped_the_base_is_gone(base, topic):
     guard.dismiss()
 
 
-def test_zeros_are_stamped_where_the_base_wants_it(graph, topic):
+def test_zeros_are_stamped_if_the_base_needs_it(graph, topic):
     node, heard = rclpy.create_node("base"), []
     node.create_subscription(TwistStamped, topic, heard.append, 50)
     guard, told = Guard(topic, True, "chassis"), False
@@ -128,7 +128,7 @@ def test_zeros_are_stamped_where_the_base_wants_it(graph, topic):
     ("words", "needed"),
     [(b"", False), (b"q\n", False), (b"?a\n", False), (b".a\n", True), (b".a\n.b\nq\n", False)],
 )
-def test_only_a_node_that_went_while_the_robot_may_move_needs_the_guard(words, needed):
+def test_the_guard_acts_only_if_the_node_ends_while_the_robot_may_move(words, needed):
     line, node = os.pipe()
     os.write(node, words)
     os.close(node)
@@ -136,7 +136,7 @@ def test_only_a_node_that_went_while_the_robot_may_move_needs_the_guard(words, n
     os.close(line)
 
 
-def test_questions_alone_do_not_keep_the_guard_of_a_moving_robot_quiet():
+def test_questions_alone_do_not_prevent_the_guard_from_stopping_the_robot():
     line, node = os.pipe()
     os.write(node, b".a\n")
     assert is_needed(line, 0.05, lambda _: os.write(node, b"?b\n"))
@@ -144,7 +144,7 @@ def test_questions_alone_do_not_keep_the_guard_of_a_moving_robot_quiet():
     os.close(line)
 
 
-def test_a_guard_that_is_stopped_is_not_ready_and_is_not_left_behind(base, topic):
+def test_a_stopped_guard_is_not_ready_and_is_removed(base, topic):
     guard = Guard(topic, False, "")
     base(PATIENCE, lambda: guard.is_ready)
     assert guard.is_ready
@@ -175,7 +175,7 @@ for line in sys.stdin.buffer:
         "sys.stdout.buffer.write(b'0 zeros as Twist on /cmd_vel after 1 s\\n')",
     ],
 )
-def test_who_does_not_answer_with_what_a_guard_does_is_none(monkeypatch, says):
+def test_a_process_with_other_answers_is_no_guard(monkeypatch, says):
     def start(*_, extra, **options):
         return subprocess.Popen([sys.executable, "-c", IMPOSTOR.format(says=says)], **options)
 

@@ -42,7 +42,7 @@ def run_node(graph):
 
 
 def wait_for_zero(robot, since):
-    """Let the robot live until it is told to stand."""
+    """Run the robot until it receives a zero."""
     robot.live(AT_ONCE, lambda: robot.commands[-1][0] > since and not robot.moves)
     assert not robot.moves
 
@@ -54,7 +54,7 @@ def assert_only_zeros_follow(robot, seconds=2.0):
 
 
 @pytest.mark.parametrize("how", UNCAUGHT)
-def test_a_node_that_is_gone_leaves_a_robot_that_stands(run_node, actor, how):
+def test_the_robot_stops_after_the_node_has_ended(run_node, actor, how):
     process = run_node()
     robot = MobileBase(actor(speed=1.0))
     robot.actor.call("calibrate")
@@ -65,7 +65,7 @@ def test_a_node_that_is_gone_leaves_a_robot_that_stands(run_node, actor, how):
     robot.assert_stopped_and_silent()
 
 
-def test_a_guard_that_is_stopped_ends_the_turn(run_node, actor):
+def test_a_stopped_guard_ends_the_turn(run_node, actor):
     process = run_node()
     robot = MobileBase(actor(speed=1.0))
     future = robot.actor.call("calibrate")
@@ -92,7 +92,7 @@ def command_of(pid):
 
 
 @pytest.mark.nightly
-def test_a_node_that_was_stopped_does_not_turn_the_robot_when_it_goes_on(run_node, actor):
+def test_a_resumed_node_does_not_turn_the_robot(run_node, actor):
     process = run_node()
     robot = MobileBase(actor(speed=1.0))
     future = robot.actor.call("calibrate")
@@ -107,7 +107,7 @@ def test_a_node_that_was_stopped_does_not_turn_the_robot_when_it_goes_on(run_nod
 
 
 def fill(pipe):
-    """Make a pipe take no byte more."""
+    """Fill a pipe."""
     fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 4096)
     other = os.open(f"/proc/self/fd/{pipe}", os.O_WRONLY | os.O_NONBLOCK)
     try:
@@ -120,7 +120,7 @@ def fill(pipe):
 
 
 @pytest.mark.nightly
-def test_a_terminal_that_takes_no_word_does_not_keep_the_robot_turning(run_node, actor):
+def test_a_blocked_terminal_does_not_keep_the_robot_turning(run_node, actor):
     process = run_node()
     robot = MobileBase(actor(speed=1.0))
     robot.actor.call("calibrate")
@@ -136,7 +136,7 @@ def test_a_terminal_that_takes_no_word_does_not_keep_the_robot_turning(run_node,
 
 
 @pytest.mark.nightly
-def test_a_file_that_takes_no_byte_does_not_keep_the_robot_turning(run_node, actor, tmp_path):
+def test_a_blocked_log_file_does_not_keep_the_robot_turning(run_node, actor, tmp_path):
     path = tmp_path / "calibration.yaml"
     os.mkfifo(path)
     run_node(calibration_file=path)
@@ -149,5 +149,5 @@ def test_a_file_that_takes_no_byte_does_not_keep_the_robot_turning(run_node, act
         abs(rate) * (after - before)
         for (before, rate), (after, _) in zip(robot.commands, robot.commands[1:], strict=False)
     )
-    # The actor's robot lives twice as fast as its commands.
+    # The time of the actor's robot runs twice as fast as its commands.
     assert 2.0 * turned < 2.0 * math.radians(420.0)

@@ -1,4 +1,4 @@
-"""Messages that no sensor should send: the node neither falls nor publishes what is no number."""
+"""Invalid messages: the node does not end and publishes finite numbers only."""
 
 import numpy as np
 import pytest
@@ -19,9 +19,7 @@ pytestmark = pytest.mark.faults
     [0.0, pytest.param(0.01, marks=pytest.mark.nightly)],
     ids=["raw up", "carried up"],
 )
-def test_hostile_messages_by_the_thousand_end_in_no_error_and_no_nan(
-    graph, monkeypatch, tmp_path, pull
-):
+def test_thousands_of_invalid_messages_give_no_error_and_no_nan(graph, monkeypatch, tmp_path, pull):
     path = store_calibration(tmp_path / "calibration.yaml", pull, frame="")
     parameters = {
         **REFERENCE,
@@ -49,7 +47,7 @@ def test_hostile_messages_by_the_thousand_end_in_no_error_and_no_nan(
 
 
 @pytest.mark.nightly
-def test_hostile_messages_over_the_middleware_leave_a_node_that_calibrates(stage):
+def test_after_invalid_messages_over_the_middleware_the_node_calibrates(stage):
     actor = stage(speed=8.0)
     assert actor.calibrate().success
     rng = np.random.default_rng(6)

@@ -1,4 +1,4 @@
-"""Names from the network: never a path, never markup, never a command to a terminal."""
+"""Names from the network are never a path, markup or a terminal command."""
 
 import json
 
@@ -10,7 +10,7 @@ from support import PATIENCE, REFERENCE, calibrate_quickly
 from magcal_ros.cli.live_view import progress_of, turns_itself
 from magcal_ros.files import LONGEST_FRAME, read_calibration, read_samples
 from magcal_ros.report.write import OURS
-from magcal_ros.ros.preflight import Heard, _describe
+from magcal_ros.ros.preflight import SensorTopic, _describe
 from magcal_ros.ros.sensor_frames import LATCHED
 
 pytestmark = pytest.mark.faults
@@ -32,7 +32,7 @@ PROGRESS = {
     ],
     ids=["parent", "enormous markup"],
 )
-def test_a_frame_is_no_path_and_no_markup(stage, ros_home, frame):
+def test_a_frame_is_not_used_as_a_path_or_markup(stage, ros_home, frame):
     actor = stage(parameters={**REFERENCE, "report_folder": ""}, speed=8.0)
     actor.source._field.header.frame_id = frame
     actor.source._imu.header.frame_id = frame
@@ -64,7 +64,7 @@ MOVING = f"""<robot name="mule"><joint name="{ENORMOUS}j" type="continuous">
 <parent link="base_link"/><child link="{ENORMOUS}i"/></joint></robot>"""
 
 
-def test_an_enormous_frame_is_cut_wherever_it_is_shown(stage, capfd):
+def test_a_very_long_frame_is_cut_in_every_output(stage, capfd):
     actor = stage(parameters={**REFERENCE, "base_frame": "base_link"})
     actor.source._field.header.frame_id = f"{ENORMOUS}m"
     actor.source._imu.header.frame_id = f"{ENORMOUS}i"
@@ -87,11 +87,11 @@ def test_an_enormous_frame_is_cut_wherever_it_is_shown(stage, capfd):
     assert len(log.out + log.err) < 20_000
 
 
-def test_what_the_preflight_shows_of_a_frame_is_plain():
+def test_the_preflight_prints_a_frame_without_control_characters():
     from rclpy.serialization import serialize_message
     from sensor_msgs.msg import Imu
 
-    heard = Heard("/imu", "sensor_msgs/msg/Imu")
+    heard = SensorTopic("/imu", "sensor_msgs/msg/Imu")
     for k in range(100):
         message = Imu()
         message.header.frame_id = f"{k}\x1b[2J\n" + "x" * 1000
@@ -115,12 +115,12 @@ def test_what_the_preflight_shows_of_a_frame_is_plain():
         ),
     ],
 )  # fmt: skip
-def test_a_status_that_is_none_is_passed_over(text):
+def test_an_invalid_status_is_ignored(text):
     assert progress_of(text) is None
     assert not turns_itself(text)
 
 
-def test_no_text_of_a_status_steers_a_terminal():
+def test_texts_of_a_status_cannot_control_the_terminal():
     evil = {**PROGRESS, "advice": "\x1b]0;owned\x07[red]", "filled": "#\x1b[2J", "stage": "\r\n"}
     shown = progress_of(json.dumps({"state": "collecting", "progress": evil}))
     assert all(value.isprintable() for value in shown.values() if isinstance(value, str))

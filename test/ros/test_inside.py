@@ -1,4 +1,4 @@
-"""Nothing of rclpy's inside is read: its names may change with any release."""
+"""No internal name of rclpy is used, because it may change with any release."""
 
 import ast
 import inspect
@@ -48,13 +48,13 @@ def names_of_rclpy(kind):
     return set().union(*(private_names_on_self(inspect.getsource(base)) for base in bases))
 
 
-def test_no_private_name_is_read_of_another_object():
+def test_no_private_name_of_another_object_is_used():
     found = {path.name: list(private_reads(ast.parse(path.read_text()))) for path in FILES}
     assert {name: reads for name, reads in found.items() if reads} == {}
 
 
 @pytest.mark.parametrize("kind", [Calibrator, SensorGroup])
-def test_no_private_name_of_ours_is_one_of_rclpys(kind):
+def test_no_private_name_of_the_package_is_one_of_rclpy(kind):
     """Neither used by way of `self` nor overwritten."""
     assert not private_names_on_self(inspect.getsource(kind)) & names_of_rclpy(kind)
 
@@ -69,7 +69,7 @@ def test_these_are_all_the_classes_that_inherit_from_rclpy():
     assert found == {Calibrator.__name__, SensorGroup.__name__}
 
 
-def test_only_what_wait_for_message_imports_is_imported_of_the_inside():
+def test_only_the_internals_used_by_wait_for_message_are_imported():
     from rclpy import wait_for_message
 
     allowed = ast.unparse(ast.parse(inspect.getsource(wait_for_message)))

@@ -1,4 +1,4 @@
-"""A robot that cannot turn on the spot stands at known headings, over real middleware."""
+"""A robot at rest at known headings, over real middleware."""
 
 import math
 
@@ -35,7 +35,7 @@ def tell(actor, **values):
 
 
 def dock(actor, heading, told=lambda yaw: yaw, north="magnetic_north"):
-    """Turn to about a heading (degrees) and tell the node of it; returns the answer."""
+    """Turn to about a heading (degrees) and give it to the node; returns the answer."""
     way = math.remainder(math.radians(heading) - actor.ride.magnetic_yaw, math.tau)
     goal = actor.ride.magnetic_yaw + way
     rate = math.copysign(1.0, way)
@@ -77,7 +77,7 @@ def test_three_known_headings_calibrate_a_robot_that_never_turns(stage, ros_home
 
 
 @pytest.mark.nightly
-def test_a_mirrored_heading_is_named_and_leaves_what_is_in_force(stage):
+def test_a_mirrored_heading_is_named_and_the_calibration_stays_in_force(stage):
     actor = stage(parameters=REFERENCE, speed=SPEED)
     for heading in DOCKS[:2]:
         assert dock(actor, heading).success
@@ -105,7 +105,7 @@ def test_a_heading_that_contradicts_the_calibration_in_force_is_refused(loaded):
     assert "40° further to the right" in wrong.message
 
 
-def test_a_robot_that_turns_meanwhile_is_refused(stage):
+def test_a_robot_that_turns_during_the_measurement_is_refused(stage):
     actor = stage(parameters=REFERENCE, speed=SPEED)
     tell(actor, yaw_deg=10.0, north="magnetic_north")
     future = actor.call("calibrate_at_heading")
@@ -115,7 +115,7 @@ def test_a_robot_that_turns_meanwhile_is_refused(stage):
 
 
 class Antennas:
-    """Two antennas of an actor's robot: they tell its heading to true north, ten times a second."""
+    """Two antennas of an actor's robot: its heading to true north at 10 Hz."""
 
     def __init__(self, actor, read=lambda yaw: yaw):
         self._actor, self._read, self.variance = actor, read, math.radians(1.0) ** 2
@@ -135,7 +135,7 @@ class Antennas:
         self._timer.cancel()
 
 
-def test_the_topic_tells_the_heading_where_none_is_typed_in(stage):
+def test_the_topic_gives_the_heading_without_a_parameter(stage):
     actor = stage(parameters={**PLACE, "self_calibration": "off"}, speed=SPEED)
     antennas = Antennas(actor)
     antennas.variance = 1e6
@@ -152,7 +152,7 @@ def test_the_topic_tells_the_heading_where_none_is_typed_in(stage):
     assert told.endswith("±1.0° to magnetic north")
 
 
-def test_antennas_calibrate_the_compass_and_the_fused_yaw_goes_on_without_them(stage):
+def test_antennas_calibrate_the_compass_and_the_fused_yaw_continues_without_them(stage):
     actor = stage(parameters=PLACE, speed=SPEED, imu_rate=50.0)
     fused = []
     actor.node.create_subscription(Imu, "compass/fused/enu/imu", fused.append, 10)
@@ -185,7 +185,7 @@ def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
 
 
 @pytest.mark.nightly
-def test_antennas_that_sit_across_are_named_before_anything_is_calibrated(stage):
+def test_antennas_mounted_across_are_named_before_a_calibration(stage):
     actor = stage(parameters=PLACE, speed=SPEED, imu_rate=50.0)
     said = []
     actor.node.create_subscription(

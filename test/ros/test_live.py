@@ -1,4 +1,4 @@
-"""`magcal calibrate` as a person at a terminal, or a log file, sees it."""
+"""The output of `magcal calibrate` on a terminal and in a log file."""
 
 import contextlib
 import math
@@ -21,7 +21,7 @@ COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate"]
 
 @pytest.fixture
 def run_beside():
-    """Return a function that runs the command while the robot lives."""
+    """Return a function that runs the command while the robot sends."""
     processes = []
 
     def run(actor, *arguments, yaw_rate=0.5, after=lambda _: None, stdout=subprocess.PIPE):
@@ -39,7 +39,7 @@ def run_beside():
             process.communicate()
 
 
-def test_through_a_pipe_it_looks_first_and_then_writes_lines(stage, run_beside):
+def test_in_a_pipe_the_checks_are_followed_by_lines(stage, run_beside):
     actor = stage(speed=2.0)
     process = run_beside(actor, yaw_rate=1.5)
     output, errors = process.communicate()
@@ -55,7 +55,7 @@ def test_through_a_pipe_it_looks_first_and_then_writes_lines(stage, run_beside):
 
 
 @pytest.mark.nightly
-def test_on_a_terminal_it_draws_a_ring(stage, run_beside):
+def test_on_a_terminal_a_ring_is_drawn(stage, run_beside):
     actor = stage()
     leader, follower = pty.openpty()
     os.set_blocking(leader, False)
@@ -95,8 +95,8 @@ def test_ctrl_c_cancels_the_turn(stage, run_beside):
     assert "cancelled" in actor.status["answer"]["message"]
 
 
-def looked_at(actor, seconds):
-    """What the look at the sensors finds while the robot lives."""
+def published_for(actor, seconds):
+    """The result of the preflight while the robot sends."""
     looker = rclpy.create_node("looker")
     found = []
     look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", seconds)))
@@ -109,30 +109,30 @@ def looked_at(actor, seconds):
 def test_a_sensor_that_does_not_arrive_is_explained(stage):
     actor = stage()
     actor.mangle = lambda sample: [sample] if hasattr(sample, "force") else []
-    found = looked_at(actor, 0.5)
+    found = published_for(actor, 0.5)
     assert not found.ready
     assert "/imu/mag: nothing arrives (1 publishers)" in found.lines
 
 
-def test_a_sensor_under_another_name_is_found_among_what_the_node_publishes(stage):
+def test_a_sensor_on_another_topic_is_found(stage):
     actor = stage()
     actor.mangle = lambda _: []
     driver = actor.node.create_publisher(Imu, "vendor/imu", 1)
-    found = looked_at(actor, 0.5)
+    found = published_for(actor, 0.5)
     actor.node.destroy_publisher(driver)
     told = [line for line in found.lines if "the same type is published" in line]
     assert told == ["  the same type is published on /vendor/imu: remap to it with -r"]
 
 
-def test_stamps_in_bursts_are_said_before_the_turn(stage):
+def test_stamps_in_bursts_are_reported_before_the_turn(stage):
     actor = stage()
     actor.mangle = lambda sample: [sample._replace(stamp=math.ceil(sample.stamp / 0.4) * 0.4)]
-    found = looked_at(actor, 2.0)
+    found = published_for(actor, 2.0)
     assert sum("the stamps come in bursts, 0.40 s apart" in line for line in found.lines) == 2
 
 
 @pytest.mark.nightly
-def test_a_node_that_is_not_there_is_said(graph):
+def test_a_missing_node_is_reported(graph):
     done = subprocess.run(
         [*COMMAND, "--node", "nobody"], capture_output=True, text=True, check=False, timeout=60
     )

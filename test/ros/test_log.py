@@ -1,4 +1,4 @@
-"""What an operator reads in /rosout."""
+"""The log in /rosout."""
 
 import time
 from functools import partial
@@ -28,7 +28,7 @@ def listen(node, heard):
     return node.create_subscription(Log, "/rosout", hear, 1000)
 
 
-def test_missing_sensors_are_a_warning_and_a_turn_is_told(start_node, actor, heard, monkeypatch):
+def test_missing_sensors_give_a_warning_and_a_turn_is_logged(start_node, actor, heard, monkeypatch):
     monkeypatch.setattr(node, "Announcer", partial(Announcer, lasting=0.5))
     start_node(REFERENCE)
     robot = actor(speed=8.0)
@@ -51,7 +51,7 @@ def test_missing_sensors_are_a_warning_and_a_turn_is_told(start_node, actor, hea
 
 
 @pytest.mark.nightly
-def test_a_receiver_gone_mad_does_not_flood_the_log(start_node, actor, heard):
+def test_a_faulty_receiver_does_not_flood_the_log(start_node, actor, heard):
     start_node({})
     robot = actor()
     listen(robot.node, heard)

@@ -1,4 +1,4 @@
-"""The turn as RViz shows it."""
+"""The markers of a turn for RViz."""
 
 import math
 
@@ -38,7 +38,7 @@ def test_a_finished_turn_is_drawn_in_the_imus_frame_at_a_readable_scale(stage):
 
 
 @pytest.mark.nightly
-def test_a_turn_under_way_shows_the_missing_arc(stage):
+def test_an_active_turn_shows_the_missing_arc(stage):
     actor = stage(parameters={**REFERENCE, "window.timeout_s": 30.0})
     heard = []
     actor.node.create_subscription(MarkerArray, "/calibrator/markers", heard.append, LATCHED)

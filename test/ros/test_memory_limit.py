@@ -1,4 +1,4 @@
-"""What the node may take: enough for its work, and not what a request claims to hold."""
+"""The memory limit: enough for the node's work, but not for a malformed request."""
 
 import subprocess
 import sys
@@ -22,27 +22,27 @@ except MemoryError:
 
 
 def take(megabytes, before=""):
-    """Return what a bounded process says when it takes so much."""
+    """Return the output of a limited process that allocates this much."""
     code = TAKE.format(megabytes=megabytes, before=before)
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return run.stdout.strip()
 
 
-def test_what_is_within_the_bound_is_had_and_more_is_refused():
+def test_memory_within_the_limit_is_allocated_and_more_is_refused():
     assert take(200) == "200000000"
     assert take(400) == "refused"
 
 
-def test_a_process_for_a_fit_has_all():
+def test_a_fitting_process_has_no_limit():
     assert take(400, "processes.unbound_memory()") == "400000000"
 
 
-def test_a_lower_bound_that_the_system_sets_stays():
+def test_a_lower_limit_of_the_system_is_kept():
     hard = "import resource; resource.setrlimit(resource.RLIMIT_DATA, (350 * 10**6,) * 2)"
     assert take(400, f"{hard}; processes.bound_memory(10**6)") == "refused"
 
 
-def test_the_executable_bounds_itself(graph):
+def test_the_executable_sets_its_limit(graph):
     process = subprocess.Popen(
         [sys.executable, "-m", "magcal_ros.ros.main", "--ros-args", "-p", "memory_limit_mb:=500"],
         stderr=subprocess.DEVNULL,

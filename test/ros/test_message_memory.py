@@ -1,4 +1,4 @@
-"""A message leaves nothing behind: the walk from bytes to bytes, tens of thousands of times."""
+"""The processing of tens of thousands of messages leaks no memory."""
 
 import struct
 import tracemalloc
@@ -69,7 +69,7 @@ class Walk:
 
 
 @pytest.mark.nightly
-def test_the_walk_of_messages_leaves_no_memory_behind():
+def test_the_processing_of_messages_leaks_no_memory():
     walk = Walk()
     walk.go(WARM)
     tracemalloc.start()

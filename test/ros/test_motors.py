@@ -43,7 +43,7 @@ def knowing(calibration_of_the_robot, tmp_path):
 
 @pytest.fixture
 def with_motors(knowing):
-    """A calibration of the robot that knows its motors."""
+    """A calibration of the robot with its motor field."""
     return knowing(*INPUTS)
 
 
@@ -56,7 +56,7 @@ def stamp_of(message):
     return round(message.header.stamp.sec + message.header.stamp.nanosec * 1e-9, 3)
 
 
-def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tmp_path):
+def test_the_motor_field_is_subtracted_and_its_sigma_published(graph, with_motors, tmp_path):
     actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **OFF})
     heard, now = [], {"rate": 0.0, "current": IDLE}
     yaws = {}
@@ -103,11 +103,13 @@ def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tm
         graph.calibrators[0]._pipeline.motors,
     )
     stamp = actor.ride.stamp
-    found = [now_running.running(stamp, replace(known, reference=a)).current for a in (0.5, 2.0)]
+    found = [
+        now_running.motor_state(stamp, replace(known, reference=a)).current for a in (0.5, 2.0)
+    ]
     assert found == [2.5, 1.0]
 
 
-def test_a_robot_without_known_motors_says_none(loaded):
+def test_a_robot_without_known_motors_reports_none(loaded):
     assert loaded().status["motors"] is None
 
 
@@ -120,7 +122,7 @@ def odometry(stamp, speed):
 
 
 def learnt_of_speed(actor, now):
-    """Start and stop at several speeds, and return what the node tells of the field by speed."""
+    """Start and stop at several speeds, and return the node's facts on the field by speed."""
     for _ in range(2):
         for speed in (0.0, 0.5, 0.5, 0.9, 0.9, 0.5):
             now["speed"] = speed
@@ -133,7 +135,7 @@ def learnt_of_speed(actor, now):
     return told()["speed"]
 
 
-def test_what_wheels_explain_is_learnt_and_kept(graph, with_motors, tmp_path, monkeypatch):
+def test_a_motor_field_by_wheels_is_learnt_and_stored(graph, with_motors, tmp_path, monkeypatch):
     """The turn knew of nothing that goes with the speed; a few starts and stops show it."""
     monkeypatch.setattr("magcal_ros.ros.motors.PAUSE", 2)
     actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **APPLY})
@@ -165,7 +167,7 @@ def kept(folder):
 
 
 @pytest.mark.parametrize("kind", first_of([TwistStamped, Twist]))
-def test_what_is_commanded_is_the_speed_where_no_wheels_tell_it(graph, knowing, tmp_path, kind):
+def test_the_command_is_the_speed_without_wheels(graph, knowing, tmp_path, kind):
     known = knowing(MotorInput.MOVING, MotorInput.TURN_RATE, MotorInput.SPEED)
     actor = graph.loaded(known, tmp_path, parameters={**REFERENCE, **APPLY})
     out = actor.node.create_publisher(kind, "cmd_vel", 1)
@@ -182,7 +184,7 @@ def test_what_is_commanded_is_the_speed_where_no_wheels_tell_it(graph, knowing, 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("kind", [TwistStamped, Twist])
-def test_what_a_command_explains_is_learnt(graph, with_motors, tmp_path, kind):
+def test_a_motor_field_by_commands_is_learnt(graph, with_motors, tmp_path, kind):
     """Without wheels the commanded speed is the input, whichever of the two types it comes as."""
     actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **APPLY})
     out = actor.node.create_publisher(kind, "cmd_vel", 1)
@@ -208,8 +210,8 @@ def test_what_a_command_explains_is_learnt(graph, with_motors, tmp_path, kind):
     assert np.linalg.norm(gap) < 4.0 * max(found["sigma_ut"] * 1e-6, 0.1e-6)
 
 
-def test_this_node_is_no_listener_of_its_own_turn(graph, with_motors, tmp_path):
-    """A command that it follows for the motors says nothing of a base that would turn."""
+def test_the_node_does_not_count_as_a_subscriber_of_its_commands(graph, with_motors, tmp_path):
+    """A subscription for the motors is no evidence of a base that would turn."""
     settings = {**REFERENCE, **APPLY, "rotate.enabled": True}
     actor = graph.loaded(with_motors, tmp_path, parameters=settings)
     out = actor.node.create_publisher(Twist, "cmd_vel", 1)

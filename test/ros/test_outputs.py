@@ -1,4 +1,4 @@
-"""What the node publishes: frames, stamps, covariances, norths."""
+"""The node's topics: frames, stamps, covariances, norths."""
 
 import math
 
@@ -116,7 +116,7 @@ def test_the_published_variance_is_the_scatter_and_rates_are_marked_absent(recor
     assert 0.8 * scatter < math.sqrt(covariance[2, 2]) < 2.5 * scatter
 
 
-def test_a_covariance_of_the_field_is_carried_into_body_axes(loaded, listen):
+def test_a_covariance_of_the_field_is_rotated_into_body_axes(loaded, listen):
     actor = loaded()
     sigma = np.diag([1e-14, 4e-14, 9e-14])
     actor.source._field.magnetic_field_covariance = sigma.ravel()
@@ -139,7 +139,7 @@ def test_the_bias_is_latched_for_late_joiners_and_repeated(loaded, listen):
     assert len(late) >= 3
 
 
-def test_who_joins_late_is_served_at_once(loaded, listen):
+def test_late_subscribers_are_served_immediately(loaded, listen):
     robot = loaded()
     for kind, topic in ((MagneticField, "imu/mag_unbiased"), (Imu, "compass/mag/enu/imu")):
         late = listen(robot, kind, topic)
@@ -165,7 +165,7 @@ def test_without_declination_there_is_no_true_north(loaded, listen):
     assert is_said()
 
 
-def test_diagnostics_tell_the_state_of_calibration_field_and_inputs(stage, listen, ros_home):
+def test_diagnostics_give_the_state_of_calibration_field_and_inputs(stage, listen, ros_home):
     actor = stage()
     heard = listen(actor, DiagnosticArray, "/diagnostics")
     actor.run(PATIENCE, stop=lambda: heard and actor.source.listeners)

@@ -56,7 +56,7 @@ def flat(tree, prefix=""):
 
 
 class Tools:
-    """The user's side."""
+    """The user's node."""
 
     def __init__(self, node, name="/calibrator"):
         self.node, self.name = node, name
@@ -122,7 +122,7 @@ def test_the_shipped_file_is_a_parameter_file(start_node):
     assert not node._table.complaints
 
 
-def test_small_numbers_and_lists_of_whole_numbers_are_taken(start_node, tools):
+def test_small_numbers_and_lists_of_integers_are_accepted(start_node, tools):
     node = start_node({})
     document = {"x": {"ros__parameters": {"confidence.target_sigma_deg": 0.01}}}
     document["x"]["ros__parameters"] |= {"mount_rpy_deg": [0, 0, 180], "reports_kept": 7}
@@ -132,7 +132,7 @@ def test_small_numbers_and_lists_of_whole_numbers_are_taken(start_node, tools):
     assert node._table.settings.limits.target_sigma == pytest.approx(math.radians(0.01))
 
 
-def test_ranges_are_real_ones_where_nan_is_no_value(start_node, tools):
+def test_ranges_are_declared_unless_nan_is_allowed(start_node, tools):
     start_node({})
     names = [spec.name for spec in PARAMETERS]
     found = tools.call(DescribeParameters, "describe_parameters", names=names).descriptors
@@ -145,7 +145,7 @@ def test_ranges_are_real_ones_where_nan_is_no_value(start_node, tools):
         assert descriptor.description == spec.description
 
 
-def test_a_change_is_in_effect_only_when_everybody_agreed(start_node):
+def test_a_change_takes_effect_only_if_all_callbacks_accept_it(start_node):
     node = start_node({})
     before = node._table.settings
     refusal = SetParametersResult(successful=False, reason="not today")
@@ -160,7 +160,7 @@ def test_a_change_is_in_effect_only_when_everybody_agreed(start_node):
     assert node._table.settings.reports_kept == 7
 
 
-def test_without_that_callback_it_is_in_effect_a_moment_later(start_node, tools, monkeypatch):
+def test_without_that_callback_a_change_takes_effect_slightly_later(start_node, tools, monkeypatch):
     from rclpy.node import Node
 
     monkeypatch.delattr(Node, "add_post_set_parameters_callback")

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from magcal_ros.core.geometry import rotation_from_rpy
-from magcal_ros.ros.parameter_table import PARAMETERS, Spec
+from magcal_ros.ros.parameter_table import PARAMETERS, ParameterSpec
 from magcal_ros.ros.parameters import Settings
 
 NUMBERS = [s for s in PARAMETERS if isinstance(s.default, float)]
@@ -44,8 +44,8 @@ def test_names_are_unique_and_every_row_is_of_a_known_kind():
     assert len(DEFAULTS) == len(PARAMETERS) == sum(len(kind) for kind in kinds)
 
 
-def test_a_switch_is_true_or_false_and_nothing_that_looks_like_it():
-    spec = Spec("moves", False)
+def test_a_switch_accepts_only_true_and_false():
+    spec = ParameterSpec("moves", False)
     assert [spec.parse(True), spec.parse(False), spec.yaml_default] == [True, False, "false"]
     for wrong in (1, 0.0, "true", None):
         with pytest.raises(ValueError, match="moves must be true or false"):
@@ -74,12 +74,12 @@ class TestNumbers:
             spec.span.high,
         )
 
-    def test_the_infinite_is_out_of_range(self, spec):
+    def test_infinity_is_out_of_range(self, spec):
         for outside in (math.inf, -math.inf):
             with pytest.raises(ValueError, match="must lie between"):
                 spec.parse(outside)
 
-    def test_what_lies_outside_is_refused_with_the_range_and_its_unit(self, spec):
+    def test_a_value_outside_is_refused_with_the_range_and_its_unit(self, spec):
         for value in (just_below(spec.span.low), just_above(spec.span.high)):
             with pytest.raises(ValueError, match="must lie between") as caught:
                 spec.parse(value)
@@ -89,7 +89,7 @@ class TestNumbers:
             )
             assert spec.span.unit in words
 
-    def test_nan_is_allowed_only_where_it_means_not_known(self, spec):
+    def test_nan_is_allowed_only_if_it_means_unknown(self, spec):
         if math.isnan(spec.default):
             assert math.isnan(spec.parse(math.nan))
         else:
@@ -101,7 +101,7 @@ class TestNumbers:
             with pytest.raises(ValueError, match=f"{spec.name} must be a number"):
                 spec.parse(wrong)
 
-    def test_a_number_that_came_as_text_is_one(self, spec):
+    def test_a_number_given_as_text_is_accepted(self, spec):
         """YAML 1.1 leaves 1e-05 a text, and `ros2 param load` sends NaN as one."""
         middle = (spec.span.low + spec.span.high) / 2.0
         assert spec.parse(f"{middle:.17e}") == middle
@@ -119,23 +119,23 @@ class TestNumbers:
 
 @rows(WHOLE)
 class TestWholeNumbers:
-    def test_both_ends_belong_to_the_range_and_stay_whole(self, spec):
+    def test_both_ends_belong_to_the_range_and_stay_integers(self, spec):
         for end in (spec.span.low, spec.span.high):
             assert (spec.parse(end), type(spec.parse(float(end)))) == (end, int)
 
-    def test_what_is_not_whole_is_refused(self, spec):
+    def test_a_fraction_is_refused(self, spec):
         for wrong in (1.5, "x", True, None, math.nan, math.inf, [1]):
             with pytest.raises(ValueError, match=f"{spec.name} must be a whole number"):
                 spec.parse(wrong)
 
-    def test_what_lies_outside_is_refused(self, spec):
+    def test_a_value_outside_is_refused(self, spec):
         for value in (spec.span.low - 1, spec.span.high + 1):
             with pytest.raises(ValueError, match="must lie between"):
                 spec.parse(value)
 
 
 def test_a_list_is_shown_as_it_is_typed():
-    spec = Spec("mount_rpy_deg", (0.0, 0.0, 0.0))
+    spec = ParameterSpec("mount_rpy_deg", (0.0, 0.0, 0.0))
     for wrong in (array.array("q", [1, 1]), [1, 1], (1, 1)):
         with pytest.raises(ValueError, match=r"must be 3 numbers, .* not \[1, 1\]$"):
             spec.parse(wrong)
@@ -145,8 +145,8 @@ def test_a_list_is_shown_as_it_is_typed():
         spec.parse(None)
 
 
-def test_a_list_of_mixed_numbers_comes_as_text_and_is_one():
-    spec = Spec("mount_rpy_deg", (0.0, 0.0, 0.0))
+def test_a_list_of_mixed_numbers_given_as_text_is_accepted():
+    spec = ParameterSpec("mount_rpy_deg", (0.0, 0.0, 0.0))
     assert spec.parse("[0, 0.5, -1e-3]") == (0.0, 0.5, -0.001)
 
 
@@ -167,7 +167,7 @@ class TestLists:
                 spec.parse(wrong)
 
     @pytest.mark.parametrize("bad", ["x", True, None, math.nan, math.inf])
-    def test_one_bad_number_is_enough_to_refuse_it(self, spec, bad):
+    def test_a_list_with_one_bad_number_is_refused(self, spec, bad):
         for place in range(3):
             values = [1.0] * len(spec.default)
             values[place] = bad
@@ -187,7 +187,7 @@ class TestTexts:
             with pytest.raises(ValueError, match=f"{spec.name} must be a text"):
                 spec.parse(wrong)
 
-    def test_only_choices_are_accepted_where_there_are_any(self, spec):
+    def test_only_the_choices_are_accepted(self, spec):
         for choice in spec.choices:
             assert spec.parse(choice) == choice
         if spec.choices:
@@ -198,7 +198,7 @@ class TestTexts:
 
 
 def test_a_spec_without_a_range_takes_any_number():
-    assert Spec("x", 0.0).parse(-1e300) == -1e300
+    assert ParameterSpec("x", 0.0).parse(-1e300) == -1e300
 
 
 def settings(**changes):
@@ -207,7 +207,7 @@ def settings(**changes):
 
 
 class TestSettings:
-    def test_the_defaults_know_no_reference_field(self):
+    def test_the_defaults_have_no_reference_field(self):
         reference = settings().knowledge.reference
         assert reference.strength.is_unknown
         assert reference.inclination.is_unknown
@@ -242,6 +242,6 @@ class TestSettings:
         found = settings(**changes)
         assert (found.limits.timeout, found.limits.silence, found.max_gap) == (33.0, 4.0, 0.5)
 
-    def test_texts_are_taken_as_they_stand(self):
+    def test_texts_are_unchanged(self):
         found = settings(calibration_file="/a/b.yaml")
         assert (found.calibration_file, found.method) == ("/a/b.yaml", DEFAULTS["method"])

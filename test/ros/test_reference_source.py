@@ -22,7 +22,7 @@ NEW_YORK = Place(40.7, -74.0)
 
 
 class Receiver:
-    """A GPS driver beside the actor."""
+    """A GPS driver in addition to the actor."""
 
     def __init__(self, actor):
         self.actor = actor
@@ -43,7 +43,7 @@ class Receiver:
         return self.reference(lambda _: True)
 
     def reference(self, is_there, patience=PATIENCE):
-        """Wait until the status says something of the reference, and return it."""
+        """Wait until the status has a text on the reference, and return it."""
         self.actor.run(patience, stop=lambda: is_there(self.actor.status["reference"]))
         return self.actor.status["reference"]
 
@@ -68,7 +68,7 @@ def is_from(words):
 
 
 @pytest.mark.nightly
-def test_a_fix_gives_the_reference_and_true_north_with_an_honest_variance(receive):
+def test_a_fix_gives_the_reference_and_true_north_with_its_variance(receive):
     _, receiver = receive({})
     actor = receiver.actor
     heard = {}
@@ -109,7 +109,7 @@ def yaw(message):
     return float(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX")[0])
 
 
-def test_numbers_by_hand_win_one_by_one_and_a_place_by_hand_wins_over_the_fix(receive):
+def test_given_numbers_and_a_given_place_have_priority(receive):
     node, receiver = receive({**AT_HOME, "reference.declination_deg": 4.0})
     reference = receiver.reference(is_from("declination given, the rest from"))
     assert reference["declination_deg"] == 4.0
@@ -124,7 +124,7 @@ def test_numbers_by_hand_win_one_by_one_and_a_place_by_hand_wins_over_the_fix(re
     assert reference["declination_deg"] == pytest.approx(4.4, abs=0.2)
 
 
-def test_bad_fixes_are_ignored_and_said(receive):
+def test_bad_fixes_are_ignored_and_reported(receive):
     _, receiver = receive({})
     receiver.say(status=-1)
     receiver.say(latitude=math.nan)
@@ -140,7 +140,7 @@ def test_bad_fixes_are_ignored_and_said(receive):
     assert not reference["complaints"]
 
 
-def test_a_far_move_is_followed_once_confirmed_and_said_in_the_diagnostics(receive):
+def test_a_confirmed_far_place_is_used_and_reported(receive):
     _, receiver = receive({})
     heard = []
     receiver.actor.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
@@ -161,7 +161,7 @@ def test_a_far_move_is_followed_once_confirmed_and_said_in_the_diagnostics(recei
     assert "declination -12" in values["reference"]
 
 
-def test_numbers_by_hand_of_another_place_are_said_and_used(receive):
+def test_given_numbers_of_another_place_are_reported_and_used(receive):
     _, receiver = receive(REFERENCE)
     assert not receiver.actor.status["reference"]["complaints"]
     receiver.say(Place(-33.87, 151.21))
@@ -170,7 +170,7 @@ def test_numbers_by_hand_of_another_place_are_said_and_used(receive):
     assert reference["source"].startswith("strength and inclination given, the rest from")
 
 
-def test_the_stamp_of_the_fix_dates_a_replayed_drive_and_no_future_stamp_does(receive):
+def test_a_replayed_drive_has_the_date_of_its_fixes_unless_it_is_in_the_future(receive):
     _, receiver = receive({})
     receiver.say(stamp=1.55e9)
     reference = receiver.reference(is_from("World Magnetic Model 2015"))
@@ -181,7 +181,7 @@ def test_the_stamp_of_the_fix_dates_a_replayed_drive_and_no_future_stamp_does(re
     assert str(round(decimal_year(time.time()), 1)) in receiver.actor.status["reference"]["source"]
 
 
-def test_half_a_place_is_said(receive):
+def test_half_a_place_is_reported(receive):
     _, receiver = receive({"reference.latitude_deg": 48.0})
     reference = receiver.reference(complains("both, or neither"))
     assert complains("both, or neither")(reference)
@@ -189,7 +189,7 @@ def test_half_a_place_is_said(receive):
 
 
 @pytest.mark.nightly
-def test_a_changed_place_reaches_the_next_turn_and_outdates_the_last(receive):
+def test_a_changed_place_is_used_by_the_next_turn(receive):
     node, receiver = receive({})
     move(node, HOME)
     assert receiver.actor.calibrate().success
@@ -207,7 +207,7 @@ def move(node, place):
     node.set_parameters([Parameter(f"reference.{n}_deg", value=spot[n]) for n in spot])
 
 
-def test_the_first_fix_with_a_calibration_in_force_is_said_in_the_log(loaded, capfd, graph):
+def test_the_first_fix_with_a_calibration_in_force_is_logged(loaded, capfd, graph):
     receiver = Receiver(loaded(parameters={}))
     receiver.say(times=3)
     receiver.reference(lambda reference: reference["declination_deg"] is not None)

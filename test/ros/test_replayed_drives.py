@@ -16,7 +16,7 @@ BOSTON = {"reference.strength_ut": 51.3, "reference.inclination_deg": 66.3}
 
 
 class Audience:
-    """Hears the compass and calls the node while a drive is replayed."""
+    """Receives the compass and calls the node while a drive is replayed."""
 
     def __init__(self, node):
         self.node = node
@@ -99,7 +99,7 @@ def test_the_yaw_of_a_calibrated_car_agrees_with_its_gps_course(start_node, audi
         ("sailboat_lsm303_roll", 40.0),
     ],
 )
-def test_other_drives_run_through_with_a_sensible_word(start_node, audience, recording, name, rate):
+def test_other_drives_end_with_a_useful_message(start_node, audience, recording, name, rate):
     start_node({"window.silence_s": 1.5})
     answer = audience.during_replay(recording(name), rate, "calibrate")
     print(f"{name}: {answer.success} {answer.message}")

@@ -1,4 +1,4 @@
-"""Each turn leaves a report, drawn outside the node; of one that was accepted see hostile names."""
+"""Each turn gives a report, drawn outside the node (accepted turns: test_hostile_names)."""
 
 import time
 
@@ -17,7 +17,7 @@ REPORTING = {**REFERENCE, "report_folder": ""}
 
 
 @pytest.mark.nightly
-def test_a_refused_turn_leaves_a_report_too_and_nothing_is_overwritten(stage, ros_home):
+def test_a_refused_turn_gives_a_report_and_nothing_is_overwritten(stage, ros_home):
     actor = stage(parameters={**REPORTING, "window.timeout_s": 2.0})
     for _ in range(2):
         assert not actor.calibrate(yaw_rate=0.0).success
@@ -34,7 +34,7 @@ def test_reports_can_be_switched_off(stage, ros_home):
 
 
 @pytest.mark.nightly
-def test_a_folder_that_cannot_be_written_is_said(stage):
+def test_an_unwritable_folder_is_reported(stage):
     actor = stage(parameters={**REFERENCE, "report_folder": "/proc/nowhere"})
     answer = actor.calibrate()
     assert answer.success

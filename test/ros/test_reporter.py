@@ -1,4 +1,4 @@
-"""One report at a time, the newest waiting, and only so many of them kept."""
+"""One report at a time, the newest next, and a limited number is kept."""
 
 import threading
 import time
@@ -18,7 +18,7 @@ NOW = datetime(2026, 5, 31, 14, 3, 7)
 
 
 class Draws:
-    """Stands for the process that draws: each report ends when the test says so."""
+    """Replaces the process that draws: the test ends each report."""
 
     def __init__(self):
         self.started, self.may_end = [], threading.Semaphore(0)
@@ -74,9 +74,7 @@ def reporter(thread, said):
     return reporter
 
 
-def test_of_forty_refusals_in_a_row_the_first_and_the_newest_are_drawn(
-    tmp_path, thread, said, reporter
-):
+def test_of_forty_refusals_the_first_and_the_newest_are_drawn(tmp_path, thread, said, reporter):
     draws = reporter._worker
     for k in range(40):
         assert "Report: " in report(reporter, tmp_path, k)
@@ -112,7 +110,7 @@ def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, thread, sa
     assert "took more than 1 s and was ended" in words
 
 
-def test_the_newest_are_kept_and_those_put_in_force(tmp_path, thread, reporter):
+def test_the_newest_and_those_put_in_force_are_kept(tmp_path, thread, reporter):
     for k in range(8):
         reporter._worker.may_end.release()
         report(reporter, tmp_path, k, accepted=k in (0, 2), kept=3)
@@ -125,7 +123,7 @@ def test_the_newest_are_kept_and_those_put_in_force(tmp_path, thread, reporter):
     assert marked == [0, 1, 2]
 
 
-def test_what_others_keep_there_stays(tmp_path):
+def test_files_of_other_programs_are_kept(tmp_path):
     for _ in range(12):
         folder = new_folder(tmp_path, NOW)
         (folder / "report.html").write_text("x")

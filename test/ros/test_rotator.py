@@ -1,4 +1,4 @@
-"""A robot that turns itself, over real middleware: it obeys cmd_vel or fails to."""
+"""A robot that turns itself, over real middleware, and its faults."""
 
 import math
 import signal
@@ -23,7 +23,7 @@ COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-pre
 
 @pytest.fixture
 def leisure(monkeypatch):
-    """Let nothing be stopped because a busy machine is slow; test/core drives the limits."""
+    """Avoid stops by a busy machine; test/core tests the limits."""
     names = ("silence", "gyro_silence", "listeners_within", "guarded_within")
     patient = replace(self_turn.TUNING, stands_first=0.0, **dict.fromkeys(names, PATIENCE))
     monkeypatch.setattr(self_turn, "TUNING", patient)
@@ -45,9 +45,9 @@ def base(stage, leisure):
     return set_up
 
 
-def test_it_turns_once_each_way_and_stands_where_it_stood(base):
+def test_the_robot_turns_once_each_way_and_ends_at_its_first_heading(base):
     parameters = {**TURNING, "rotate.stamped": True, "rotate.frame_id": "chassis"}
-    # Slower than elsewhere: to a robot that lives many times as fast commands come late.
+    # Slower than elsewhere: with a fast simulated time commands come late.
     robot = base(parameters, stamped=True, speed=2.0)
     robot.live(0.5)
     assert robot.commands == []
@@ -60,11 +60,11 @@ def test_it_turns_once_each_way_and_stands_where_it_stood(base):
     assert np.all(np.diff(np.sign(rates[rates != 0.0])) <= 0.0), "left first, then right"
     assert {m.header.frame_id for m in robot.messages} == {"chassis"}
     periods = np.diff([moment for moment, _ in robot.commands])
-    # Many a base stops by itself after a quarter of a second without a word.
+    # Many bases stop after a quarter of a second without a command.
     assert 0.03 < np.median(periods) < 0.25
 
 
-def test_it_does_not_move_unless_it_is_asked_to(base):
+def test_the_robot_moves_on_request_only(base):
     robot = base({**TURNING, "rotate.enabled": False})
     assert robot.actor.answer(robot.actor.call("start")).success
     robot.live(0.7)
@@ -74,7 +74,7 @@ def test_it_does_not_move_unless_it_is_asked_to(base):
     assert robot.commands == []
 
 
-def test_switching_it_off_in_the_turn_stops_the_robot(start_node, actor, leisure):
+def test_disabling_rotation_during_the_turn_stops_the_robot(start_node, actor, leisure):
     node = start_node(TURNING)
     robot = MobileBase(actor())
     future = robot.actor.call("calibrate")
@@ -84,7 +84,7 @@ def test_switching_it_off_in_the_turn_stops_the_robot(start_node, actor, leisure
     robot.assert_stopped_and_silent()
 
 
-def test_a_simulated_clock_that_jumps_before_zero_is_named_as_what_stopped_the_robot(base):
+def test_a_jump_of_simulated_time_is_named_as_the_reason(base):
     robot = base({**TURNING, "use_sim_time": True})
     clock = robot.actor.node.create_publisher(Clock, "/clock", 10)
     robot.live(PATIENCE, clock.get_subscription_count)
@@ -98,7 +98,7 @@ def test_a_simulated_clock_that_jumps_before_zero_is_named_as_what_stopped_the_r
     robot.assert_stopped_and_silent()
 
 
-def test_a_base_that_does_not_listen_is_said_with_the_topic(stage, monkeypatch):
+def test_a_missing_subscription_of_the_commands_is_reported_with_the_topic(stage, monkeypatch):
     monkeypatch.setattr(self_turn, "TUNING", replace(self_turn.TUNING, listeners_within=0.3))
     actor = stage(parameters=TURNING)
     answer = actor.answer(actor.call("calibrate"))
@@ -161,7 +161,7 @@ def process():
         *(pytest.param(how, marks=pytest.mark.nightly) for how in SIGNALS if how != signal.SIGTERM),
     ],
 )
-def test_a_process_that_ends_in_mid_turn_leaves_a_robot_that_stands(process, actor, how):
+def test_the_robot_stops_if_the_process_ends_during_the_turn(process, actor, how):
     robot = MobileBase(actor())
     robot.actor.call("calibrate")
     robot.live_until_moving()
@@ -173,7 +173,7 @@ def test_a_process_that_ends_in_mid_turn_leaves_a_robot_that_stands(process, act
     assert math.isclose(robot.command, 0.0)
 
 
-def test_a_fault_in_a_callback_stops_the_robot_and_the_node_goes_on(process, actor):
+def test_an_error_in_a_callback_stops_the_robot_and_the_node_continues(process, actor):
     robot = MobileBase(actor())
     future = robot.actor.call("calibrate")
     robot.live_until_moving()

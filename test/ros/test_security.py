@@ -1,4 +1,4 @@
-"""What whoever reaches the network may have the node do, and what not."""
+"""What participants of the network can and cannot make the node do."""
 
 import os
 import time
@@ -47,7 +47,7 @@ ELSEWHERE = [
 
 
 @pytest.mark.parametrize("name", ["calibration_file", "report_folder"])
-def test_places_are_chosen_at_start(asked, ros_home, tmp_path, name):
+def test_allowed_folders_are_chosen_at_the_start(asked, ros_home, tmp_path, name):
     given = tmp_path / "given"
     node, change = asked({**REFERENCE, name: str(given)})
     for text in ELSEWHERE:
@@ -64,7 +64,7 @@ def test_places_are_chosen_at_start(asked, ros_home, tmp_path, name):
     assert not given.exists()
 
 
-def test_without_a_place_at_start_there_is_the_own_folder_alone(asked, ros_home, tmp_path):
+def test_without_a_folder_at_the_start_only_the_packages_own_is_allowed(asked, ros_home, tmp_path):
     _, change = asked(REFERENCE)
     assert change("calibration_file", str(tmp_path / "x.yaml"))
     assert change("calibration_file", "none")
@@ -73,7 +73,7 @@ def test_without_a_place_at_start_there_is_the_own_folder_alone(asked, ros_home,
     assert change("calibration_file", str(ros_home / "magcal" / "x.yaml")) == ""
 
 
-def test_a_file_that_cannot_be_loaded_is_told_alike_whatever_is_there(stage, graph, ros_home):
+def test_all_files_that_cannot_be_loaded_give_the_same_message(stage, graph, ros_home):
     actor = stage()
     (node,) = graph.calibrators
     folder = ros_home / "magcal"
@@ -93,7 +93,7 @@ def test_a_file_that_cannot_be_loaded_is_told_alike_whatever_is_there(stage, gra
         refused = actor.answer(actor.call("load"))
         assert not refused.success
         answers.add(refused.message.replace(chosen, "X"))
-        assert node._keeper.trouble == refused.message
+        assert node._store.problem == refused.message
     assert len(answers) == 1
     chosen = str(folder / "link_to.yaml")
     assert node.set_parameters([Parameter("calibration_file", value=chosen)])[0].successful
@@ -101,7 +101,7 @@ def test_a_file_that_cannot_be_loaded_is_told_alike_whatever_is_there(stage, gra
 
 
 class TestWhetherTheRobotMayTurn:
-    def test_it_is_not_switched_on_from_the_network(self, asked):
+    def test_rotation_cannot_be_enabled_from_the_network(self, asked):
         node, change = asked({**REFERENCE, "rotate.enabled": False})
         assert "started with rotate.may_be_enabled:=true" in change("rotate.enabled", True)
         assert "read when the node starts" in change("rotate.may_be_enabled", True)
@@ -109,14 +109,14 @@ class TestWhetherTheRobotMayTurn:
         assert not node.set_parameters_atomically(both).successful
         assert not node._table.settings.rotation.enabled
 
-    def test_it_may_be_switched_off_at_any_time_and_stays_off(self, asked):
+    def test_rotation_can_be_disabled_at_any_time_and_stays_disabled(self, asked):
         node, change = asked({**REFERENCE, "rotate.enabled": True})
         assert change("rotate.enabled", True) == ""
         assert change("rotate.enabled", False) == ""
         assert change("rotate.enabled", True)
         assert not node.get_parameter("rotate.enabled").value
 
-    def test_it_may_be_switched_on_where_that_was_allowed_at_start(self, asked):
+    def test_rotation_can_be_enabled_again_if_it_was_enabled_at_the_start(self, asked):
         node, change = asked({**REFERENCE, "rotate.may_be_enabled": True})
         assert change("rotate.enabled", True) == ""
         deadline = time.monotonic() + AT_ONCE
@@ -124,7 +124,7 @@ class TestWhetherTheRobotMayTurn:
             time.sleep(0.01)
         assert node._table.settings.rotation.enabled
 
-    def test_the_memory_limit_stays(self, asked):
+    def test_the_memory_limit_cannot_be_changed(self, asked):
         _, change = asked()
         assert "read when the node starts" in change("memory_limit_mb", 100_000)
 
@@ -160,7 +160,7 @@ def opened(node, watched):
     return found
 
 
-def test_the_policy_allows_what_node_and_guard_open_and_nothing_else(start_node, actor):
+def test_the_policy_allows_exactly_what_node_and_guard_open(start_node, actor):
     start_node({**TURNING, "base_frame": "base_link", "use_sim_time": True})
     robot = MobileBase(actor())
     future = robot.actor.call("calibrate")

@@ -1,4 +1,4 @@
-"""A robot whose IMU sits sideways and whose magnetometer is upside down, as its URDF says."""
+"""A robot with a sideways IMU and an upside-down magnetometer, described by its URDF."""
 
 import math
 import re
@@ -47,7 +47,7 @@ def complaints(actor, words):
     return said[-1]
 
 
-def test_the_description_tells_the_mounting_and_whose_attitude_it_is(stage):
+def test_the_description_gives_the_mounting_and_the_base_frame(stage):
     actor = stage(UPSIDE_DOWN, DESCRIBED, speed=8.0)
     describe(actor)
     attitudes = []
@@ -60,7 +60,7 @@ def test_the_description_tells_the_mounting_and_whose_attitude_it_is(stage):
     assert {message.header.frame_id for message in attitudes} == {"base_link"}
 
 
-def test_a_base_that_nothing_describes_has_no_attitude_and_that_is_said(loaded):
+def test_a_base_without_a_description_has_no_attitude_and_is_reported(loaded):
     actor = loaded(ROBOT, DESCRIBED)
     assert "pose of 'imu_link' in 'base_link' is unknown" in complaints(actor, "is unknown")
     assert not actor.yaws
@@ -70,7 +70,7 @@ def test_a_base_that_nothing_describes_has_no_attitude_and_that_is_said(loaded):
     assert out.get_subscription_count()
 
 
-def test_what_drives_have_shown_mends_the_described_yaw(graph, calibration_of_the_robot, tmp_path):
+def test_the_yaw_by_driving_corrects_the_described_yaw(graph, calibration_of_the_robot, tmp_path):
     """The kept yaw says that the IMU looks 6° to the left of where its joint has it."""
     stored = tmp_path / "stored.yaml"
     kept = "vehicle_yaw_offset: {yaw: 0.1, sigma: 0.01, source: accelerations}\n"
@@ -82,7 +82,7 @@ def test_what_drives_have_shown_mends_the_described_yaw(graph, calibration_of_th
 
 
 @pytest.mark.nightly
-def test_what_is_given_by_hand_wins_and_a_wrong_description_is_said(start_node, actor):
+def test_a_given_yaw_has_priority_and_a_wrong_description_is_reported(start_node, actor):
     node = start_node(DESCRIBED)
     robot = actor()
     describe(robot, "0.5 0 0", "3.141592653589793 0 0")
@@ -104,7 +104,7 @@ def test_half_a_pose_is_refused(start_node, text):
 
 
 @pytest.mark.parametrize("base", ["", "base_link"])
-def test_the_front_of_the_vehicle_is_known_to_the_fit(start_node, actor, base):
+def test_the_fit_uses_the_front_of_the_vehicle(start_node, actor, base):
     """The IMU's x points to the left: ahead is its negative y axis."""
     node = start_node({"vehicle_yaw_deg": 90.0, "base_frame": base})
     robot = actor()

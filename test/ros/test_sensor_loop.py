@@ -1,4 +1,4 @@
-"""The sensors' loop: nothing lost, and rclpy's own executor where it must."""
+"""The loop of the sensors: no message is lost, and rclpy's executor is used if necessary."""
 
 import contextlib
 import itertools
@@ -16,7 +16,7 @@ from magcal_ros.ros.threads import MOST_AT_ONCE, SensorGroup, Spinner
 
 
 class Served:
-    """A node that hears numbers, spun in a thread as the executable spins."""
+    """A node that receives numbers, spun in a thread like the executable."""
 
     def __init__(self):
         self.node = rclpy.create_node("served")
@@ -82,7 +82,7 @@ def number(served):
 
 @pytest.fixture
 def warnings(served, monkeypatch):
-    """Return what the node has warned of."""
+    """Return the warnings of the node."""
     lines = []
     logger = served.node.get_logger()
     monkeypatch.setattr(logger, "warning", lines.append)
@@ -90,7 +90,7 @@ def warnings(served, monkeypatch):
     return lines
 
 
-def test_unhurried_messages_come_with_the_next_of_the_others(served, number):
+def test_low_priority_messages_are_taken_with_the_next_others(served, number):
     with publishing("aside") as aside:
         served.thread.start()
         number(1.0)
@@ -104,7 +104,7 @@ def test_unhurried_messages_come_with_the_next_of_the_others(served, number):
         wait_until(lambda: served.aside == list(range(40)))
 
 
-def test_every_message_comes_once_and_in_order(served, number):
+def test_every_message_is_delivered_once_and_in_order(served, number):
     served.thread.start()
     number(*range(80))
     wait_until(lambda: len(served.heard) >= 80)
@@ -115,7 +115,7 @@ def test_every_message_comes_once_and_in_order(served, number):
 
 @pytest.mark.parametrize("uses", [0, 7])
 @pytest.mark.parametrize(("owner", "name"), other_rclpy.CALLS)
-def test_a_call_that_vanishes_leaves_the_rest_to_rclpy(served, number, warnings, owner, name, uses):
+def test_a_missing_function_leaves_the_work_to_rclpy(served, number, warnings, owner, name, uses):
     """At once or in mid-spin: each message once, in order, and one line about it."""
     bring_back = other_rclpy.vanish(owner, name, uses)
     try:
@@ -135,7 +135,7 @@ def test_a_call_that_vanishes_leaves_the_rest_to_rclpy(served, number, warnings,
     assert "rclpy's own executor serves the sensors from now on" in warnings[0]
 
 
-def test_an_rclpy_without_a_wait_set_serves_itself(served, number, warnings, monkeypatch):
+def test_an_rclpy_without_a_wait_set_uses_its_executor(served, number, warnings, monkeypatch):
     from rclpy.impl import implementation_singleton
 
     with monkeypatch.context() as patched:
@@ -146,10 +146,10 @@ def test_an_rclpy_without_a_wait_set_serves_itself(served, number, warnings, mon
     wait_until(lambda: served.heard == [1.0])
 
 
-def test_an_error_in_the_callback_is_noted_and_no_fault_of_rclpys(served, number, warnings):
+def test_an_error_in_a_callback_is_not_taken_for_one_of_rclpy(served, number, warnings):
     def fail_at_odd_numbers(value):
         if value % 2.0:
-            # As rclpy's inside would fail.
+            # Like a failure inside rclpy.
             raise AttributeError("of the callback's own")
         served.heard.append(value)
 
@@ -162,8 +162,8 @@ def test_an_error_in_the_callback_is_noted_and_no_fault_of_rclpys(served, number
     assert not served.group.is_open
 
 
-def test_a_flood_is_taken_in_pieces(served, number, monkeypatch):
-    """Between any two pieces somebody else may have the lock."""
+def test_a_flood_is_processed_in_parts(served, number, monkeypatch):
+    """Between any two parts another thread may have the lock."""
     turns = []
 
     class Lock:
@@ -180,7 +180,7 @@ def test_a_flood_is_taken_in_pieces(served, number, monkeypatch):
     assert max(b - a for a, b in itertools.pairwise(turns)) == MOST_AT_ONCE
 
 
-def test_a_node_that_nobody_took_over_is_served_by_any_executor(served, number):
+def test_a_node_works_with_any_executor(served, number):
     executor = rclpy.executors.SingleThreadedExecutor()
     executor.add_node(served.node)
     number(5)
@@ -188,7 +188,7 @@ def test_a_node_that_nobody_took_over_is_served_by_any_executor(served, number):
     executor.shutdown()
 
 
-def test_what_ends_before_it_begins_ends(served, number):
+def test_a_loop_ended_before_its_start_ends(served, number):
     served.spinner.end()
     served.thread.start()
     served.thread.join(PATIENCE)

@@ -1,4 +1,4 @@
-"""Services called by hundreds at once, in every state, by callers that leave."""
+"""Hundreds of simultaneous service calls in every state, by callers that end."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.faults
 SERVICES = ("calibrate", "start", "finish", "cancel", "accept", "save", "load", "reset")
 
 
-def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
+def test_hundreds_of_calls_are_all_answered(stage, ros_home):
     actor = stage(parameters={**REFERENCE, "report_folder": "none"}, speed=8.0)
     rng = np.random.default_rng(3)
     deep = QoSProfile(depth=1000)
@@ -39,7 +39,7 @@ def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
 
 
 @pytest.mark.nightly
-def test_a_caller_that_leaves_takes_nothing_along(stage):
+def test_a_caller_that_ends_does_no_harm(stage):
     actor = stage(speed=8.0)
     caller = rclpy.create_node("caller")
     client = caller.create_client(Trigger, "/calibrator/calibrate")
@@ -53,7 +53,7 @@ def test_a_caller_that_leaves_takes_nothing_along(stage):
 
 
 @pytest.mark.nightly
-def test_parameters_changed_during_a_turn_wait_for_the_next(stage, ros_home):
+def test_parameters_changed_during_a_turn_apply_to_the_next(stage, ros_home):
     (ros_home / "magcal").mkdir(parents=True)
     (ros_home / "magcal" / "mine").write_text("a file in the way of a folder")
     actor = stage()

@@ -1,4 +1,4 @@
-"""Every service in every state that a user can bring it into."""
+"""Every service in every state."""
 
 import pytest
 from long_form import first_of
@@ -32,7 +32,7 @@ def test_a_second_call_is_refused_while_the_first_collects(stage):
 
 
 @pytest.mark.nightly
-def test_cancel_answers_the_waiting_call_and_leaves_the_calibration_in_force(stage):
+def test_cancel_answers_the_waiting_call_and_keeps_the_calibration(stage):
     actor = stage()
     assert actor.calibrate().success
     in_force = actor.status["calibration"]
@@ -63,7 +63,7 @@ def test_start_and_finish_are_calibrate_in_two_steps(stage):
 
 
 @pytest.mark.parametrize("meanwhile", first_of(["fitting", "calibrated"]))
-def test_finish_of_a_turn_that_has_ended_by_itself_answers_with_its_verdict(stage, meanwhile):
+def test_finish_after_the_end_of_a_turn_answers_with_its_verdict(stage, meanwhile):
     actor = stage(speed=8.0)
     assert actor.answer(actor.call("start")).success
     actor.run(PATIENCE, 0.5, lambda: actor.status["state"] == "collecting")
@@ -74,7 +74,7 @@ def test_finish_of_a_turn_that_has_ended_by_itself_answers_with_its_verdict(stag
     assert "~/start" in actor.answer(actor.call("finish")).message
 
 
-def test_reset_stops_the_yaw_and_load_brings_it_back(loaded):
+def test_reset_stops_the_yaw_and_load_restores_it(loaded):
     actor = loaded()
     assert actor.answer(actor.call("reset")).success
     assert_silent(actor)
@@ -88,7 +88,7 @@ def test_reset_stops_the_yaw_and_load_brings_it_back(loaded):
     assert actor.answer(actor.call("save")).success
 
 
-def test_accept_applies_what_the_verdict_refused(stage):
+def test_accept_applies_a_refused_calibration(stage):
     # A reference a third too weak: steel does not make the field larger.
     actor = stage(parameters={**REFERENCE, "reference.strength_ut": 32.0}, speed=8.0)
     assert "no fitted calibration" in actor.answer(actor.call("accept")).message
@@ -104,7 +104,7 @@ def test_accept_applies_what_the_verdict_refused(stage):
     assert actor.yaws
 
 
-def test_before_the_first_field_no_file_that_never_exists_is_named(stage):
+def test_before_the_first_field_no_impossible_file_is_named(stage):
     actor = stage()
     actor.mangle = lambda _: []
     answer = actor.answer(actor.call("load"))
@@ -113,7 +113,7 @@ def test_before_the_first_field_no_file_that_never_exists_is_named(stage):
     assert ".yaml" not in answer.message
 
 
-def test_a_calibration_of_the_sensor_that_is_met_is_used(stage, ros_home):
+def test_the_calibration_of_a_new_sensor_is_used(stage, ros_home):
     store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
     actor = stage()
     actor.run(PATIENCE, stop=lambda: actor.status["state"] == "calibrated")

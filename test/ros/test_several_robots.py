@@ -1,4 +1,4 @@
-"""Two robots in one graph: diagnostics apart, and a command that knows which is meant."""
+"""Two robots in one graph: separate diagnostics, and a command for one of them."""
 
 import signal
 import subprocess
@@ -24,7 +24,7 @@ def run(*arguments):
     )
 
 
-def test_their_diagnostics_have_names_and_hardware_of_their_own(start_node, actor):
+def test_diagnostics_have_separate_names_and_hardware(start_node, actor):
     start_node(arguments=in_namespace("one"))
     start_node(arguments=in_namespace("two"))
     start_node()
@@ -53,7 +53,7 @@ def test_their_diagnostics_have_names_and_hardware_of_their_own(start_node, acto
 
 
 @pytest.mark.nightly
-def test_of_several_calibrators_none_is_guessed(start_node):
+def test_with_several_calibrators_a_name_is_required(start_node):
     start_node(arguments=in_namespace("one"))
     start_node(arguments=in_namespace("two"))
     done = run()
@@ -65,7 +65,7 @@ def test_of_several_calibrators_none_is_guessed(start_node):
 
 
 @pytest.mark.nightly
-def test_where_there_is_none_it_says_what_to_do():
+def test_without_a_calibrator_the_remedy_is_given():
     done = run()
     assert done.returncode == 1
     assert "no calibrator was found" in done.stderr
@@ -111,7 +111,7 @@ def graph_node(graph):
 
 
 @pytest.mark.nightly
-def test_a_node_that_is_killed_ends_the_command_in_a_few_seconds(node_process, command, graph_node):
+def test_a_killed_node_ends_the_command_within_seconds(node_process, command, graph_node):
     wait_for_turn(graph_node)
     time.sleep(1.5)
     node_process.kill()
@@ -121,7 +121,9 @@ def test_a_node_that_is_killed_ends_the_command_in_a_few_seconds(node_process, c
 
 
 @pytest.mark.nightly
-def test_ctrl_c_ends_it_at_once_even_if_the_node_is_gone(node_process, command, graph_node):
+def test_ctrl_c_ends_the_command_immediately_even_without_the_node(
+    node_process, command, graph_node
+):
     wait_for_turn(graph_node)
     node_process.kill()
     time.sleep(0.5)

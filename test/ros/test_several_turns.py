@@ -22,7 +22,7 @@ def calibrate(actor):
 
 
 @pytest.mark.nightly
-def test_turns_on_tilts_join_show_the_yaw_and_a_foreign_one_does_not(start_node, actor):
+def test_turns_with_different_tilts_join_and_one_of_another_robot_does_not(start_node, actor):
     node = start_node(ACCUMULATE)
     robot = actor(TURNED)
     first = calibrate(robot)

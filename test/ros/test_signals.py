@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM whatever the node is doing: a quick and quiet end, and nothing lost."""
+"""SIGINT and SIGTERM in any state end the node quickly, without output or loss."""
 
 import os
 import random
@@ -50,7 +50,7 @@ def run_node(graph, ros_home):
 
 
 def end(process, how):
-    """End it; returns what it said."""
+    """End it; returns its output."""
     process.send_signal(how)
     begun = time.monotonic()
     process.wait(PATIENCE)
@@ -70,7 +70,7 @@ def wait_for(path, patience=PATIENCE):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_while_it_publishes(run_node, tmp_path, how):
+def test_a_signal_while_the_node_publishes(run_node, tmp_path, how):
     path = store_calibration(tmp_path / "calibration.yaml")
     before = path.read_bytes()
     process, actor = run_node("-p", f"calibration_file:={path}")
@@ -89,7 +89,7 @@ sys.exit(main.main())
 """
 
 
-def test_while_something_never_returns(run_node, tmp_path):
+def test_a_signal_while_a_call_blocks(run_node, tmp_path):
     path = store_calibration(tmp_path / "calibration.yaml")
     process, actor = run_node("-p", f"calibration_file:={path}", code=("-c", HANGING))
     actor.run(PATIENCE, stop=lambda: actor.yaws)
@@ -97,7 +97,7 @@ def test_while_something_never_returns(run_node, tmp_path):
 
 
 @pytest.mark.parametrize("attempt", range(rounds(1, 100)))
-def test_at_a_random_moment_of_fitting_saving_and_reporting(run_node, ros_home, attempt):
+def test_a_signal_at_random_times_of_fitting_saving_and_reporting(run_node, ros_home, attempt):
     """What the answer promised is there: the calibration, and the report with its samples."""
     process, actor = run_node()
     actor.answer(actor.call("start"))

@@ -1,4 +1,4 @@
-"""A little of the day that `benchmarks/soak.py` lives through."""
+"""A short part of `benchmarks/soak.py`."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.faults
 
 
 @pytest.mark.nightly
-def test_messages_as_fast_as_they_are_taken_leave_memory_where_it_was(ros_home):
+def test_messages_at_full_speed_do_not_increase_memory(ros_home):
     hours = str(rounds(0.01, 1.0))
     done = subprocess.run(
         [sys.executable, str(SOAK), "--hours", hours], capture_output=True, text=True

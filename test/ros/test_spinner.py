@@ -1,4 +1,4 @@
-"""Two loops, one callback at a time: nothing starved, nothing overtaken, nothing awake idly."""
+"""Two loops, one callback at a time: fair, in order, and without idle wake-ups."""
 
 import contextlib
 import threading
@@ -53,7 +53,7 @@ def ask(outside):
 
 
 def flood(served):
-    """Let each number that is heard be followed by another at once, a dozen at a time."""
+    """Publish another number for each received one, a dozen at a time."""
     publisher = served.node.create_publisher(Float64, "number", 100)
 
     def follow(value):
@@ -66,8 +66,8 @@ def flood(served):
         publisher.publish(Float64(data=float(k)))
 
 
-def test_timers_and_services_have_their_turn_under_a_flood(served, ask):
-    """The flood never ends, so whoever waits for its end waits for ever."""
+def test_timers_and_services_run_during_a_flood(served, ask):
+    """The flood never ends, so waiting for its end would never return."""
     ticks = []
     served.node.create_timer(0.02, lambda: ticks.append(len(served.heard)))
     served.node.create_service(Trigger, "answer", lambda _, response: response)
@@ -78,7 +78,7 @@ def test_timers_and_services_have_their_turn_under_a_flood(served, ask):
     wait_until(lambda: len(served.heard) > max(500, ticks[20]))
 
 
-def test_never_two_callbacks_at_once(served):
+def test_callbacks_never_overlap(served):
     inside, overlaps, slow = [0], [0], [0]
 
     def work(seconds):
@@ -131,7 +131,7 @@ def test_a_coroutine_that_waits_is_resumed(served, outside, ask, by):
     assert answer.result().success
 
 
-def test_what_is_created_and_destroyed_while_it_waits_is_noticed(served, outside):
+def test_entities_created_and_destroyed_while_it_waits_are_noticed(served, outside):
     heard = []
     publisher = outside.create_publisher(Float64, "late", 10)
     for _ in range(5):
@@ -141,7 +141,7 @@ def test_what_is_created_and_destroyed_while_it_waits_is_noticed(served, outside
         served.node.destroy_subscription(subscription)
 
 
-def test_an_error_in_any_callback_is_noted_and_the_rest_goes_on(served, ask):
+def test_an_error_in_a_callback_is_noted_and_others_continue(served, ask):
     def fail(*_):
         raise ZeroDivisionError
 
@@ -181,7 +181,7 @@ def test_an_error_of_a_coroutine_that_waited_is_noted_once(served, ask):
     assert [type(error) for error in served.errors] == [LookupError]
 
 
-def test_what_fails_before_its_callback_does_not_keep_its_group(served, outside, monkeypatch):
+def test_a_failure_before_a_callback_releases_its_group(served, outside, monkeypatch):
     """A message that rclpy cannot take: the timers of the same group go on."""
     ticks = []
     served.node.create_timer(0.02, lambda: ticks.append(0))
@@ -222,7 +222,7 @@ def test_the_end_of_the_context_ends_the_spin(graph):
     assert served.spinner.shutdown(timeout_sec=PATIENCE)
 
 
-def test_end_returns_from_a_spin_that_waits_for_nothing(graph):
+def test_end_returns_from_an_idle_spin(graph):
     for _ in range(20):
         served = Served()
         served.thread.start()
@@ -243,14 +243,14 @@ def awakenings(monkeypatch):
     return times
 
 
-def test_nothing_is_awake_while_nothing_happens(served, awakenings):
+def test_no_thread_wakes_up_while_idle(served, awakenings):
     time.sleep(0.3)
     awakenings.clear()
     time.sleep(0.5)
     assert len(awakenings) < 10
 
 
-def test_what_waits_for_its_group_does_not_keep_the_executor_awake(served, ask, awakenings):
+def test_a_callback_that_waits_for_its_group_does_not_wake_the_executor(served, ask, awakenings):
     never, is_held = Future(executor=served.node.executor), []
 
     async def hold(_, response):

@@ -1,4 +1,4 @@
-"""Clocks that do not run, jump, or disagree."""
+"""Clocks that stand still, jump, or disagree."""
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,7 +19,7 @@ def calibrated(loaded):
     return actor
 
 
-def test_simulated_time_that_has_not_begun_or_is_paused_holds_nothing_up(loaded):
+def test_simulated_time_that_stands_still_blocks_nothing(loaded):
     actor = loaded(parameters={**REFERENCE, "use_sim_time": True})
     heard = []
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
@@ -48,7 +48,7 @@ def test_a_bag_that_loops_is_followed_each_time(calibrated):
 
 
 @pytest.mark.parametrize("ahead", [0.6, pytest.param(40.0, marks=pytest.mark.nightly)])
-def test_a_field_stamped_by_another_clock_is_said_with_the_offset(calibrated, ahead):
+def test_a_field_with_another_clock_is_reported_with_the_offset(calibrated, ahead):
     def shift(sample):
         late = isinstance(sample, FieldSample)
         return [sample._replace(stamp=sample.stamp + ahead) if late else sample]

@@ -1,4 +1,4 @@
-"""Odometry and a receiver beside a robot that drives, over real middleware."""
+"""Odometry and a receiver of a driving robot, over real middleware."""
 
 import json
 import math
@@ -42,7 +42,7 @@ def stamped(kind, stamp, frame):
 
 
 class Car:
-    """Plays a drive to the node as fast as it listens, and hears its status."""
+    """Publishes a drive as fast as the node receives it, and collects its status."""
 
     KINDS = (
         (ImuSample, Imu, "imu/data_raw"),
@@ -135,7 +135,7 @@ def drive():
 
 @pytest.fixture
 def car(start_node, tmp_path):
-    """Return a function that starts the node with a calibration, and a car beside it."""
+    """Return a function that starts the node with a calibration, and a car."""
     cars = []
 
     def set_up(lines=""):
@@ -150,7 +150,7 @@ def car(start_node, tmp_path):
         each.node.destroy_node()
 
 
-def test_the_front_is_found_by_odometry_told_and_kept(car, drive):
+def test_the_yaw_of_the_imu_is_found_by_odometry_reported_and_stored(car, drive):
     car = car()
     car.run(PATIENCE, stop=lambda: car.status)
     assert car.status["vehicle_yaw_offset"] is None
@@ -166,7 +166,7 @@ def test_the_front_is_found_by_odometry_told_and_kept(car, drive):
     assert kept.offset == pytest.approx(8.0 * DEGREE, abs=3.0 * kept.sigma)
 
 
-def test_bad_messages_do_no_harm_and_are_named(car):
+def test_bad_travel_messages_do_no_harm_and_are_named(car):
     car = car()
     for value in (math.nan, math.inf, 1e300):
         car.publish(SpeedSample(5.0, value))
@@ -212,7 +212,7 @@ def test_a_window_that_was_a_drive_is_fitted_as_one(start_node, tmp_path):
     car.node.destroy_node()
 
 
-def test_what_was_kept_is_told_at_the_next_start(car):
+def test_the_stored_yaw_is_reported_at_the_next_start(car):
     car = car("vehicle_yaw_offset: {yaw: 0.1, sigma: 0.01, source: course}\n")
     car.run(PATIENCE, stop=lambda: car.status.get("vehicle_yaw_offset"))
     assert car.status["vehicle_yaw_offset"]["deg"] == pytest.approx(5.73, abs=0.01)

@@ -22,7 +22,7 @@ def assert_heading_is_right(actor, headings=3):
     assert rms_deg(actor.published_errors(SLOPES, headings)) <= 1.0
 
 
-def test_a_level_turn_gives_a_right_heading_and_none_before(stage):
+def test_a_level_turn_gives_a_correct_heading_and_there_is_none_before(stage):
     actor = stage(speed=8.0)
     actor.run(0.5)
     assert actor.yaws == []
@@ -32,8 +32,8 @@ def test_a_level_turn_gives_a_right_heading_and_none_before(stage):
 
 
 @pytest.mark.nightly
-def test_a_rest_long_before_shows_a_gyro_that_is_far_off(stage):
-    """It drives circles when it is asked, and what pulls in them looks like the gyro's bias."""
+def test_a_rest_long_before_shows_a_large_gyro_bias(stage):
+    """It drives circles, and their centripetal acceleration looks like a gyro bias."""
     bias = np.array([3.5, 2.0, 1.9]) * DEGREE
     actor = stage(dataclasses.replace(ROBOT, gyro_bias=bias), speed=8.0)
 
@@ -61,7 +61,7 @@ def test_a_rolled_imu_board_does_no_harm(stage):
 
 
 @pytest.mark.nightly
-def test_a_turn_on_a_slope_gives_a_right_heading(stage):
+def test_a_turn_on_a_slope_gives_a_correct_heading(stage):
     actor = stage()
     actor.ride.stand(math.radians(6.0), math.radians(-5.0), 1.0)
     assert actor.calibrate().success
@@ -69,7 +69,7 @@ def test_a_turn_on_a_slope_gives_a_right_heading(stage):
 
 
 @pytest.mark.nightly
-def test_a_turn_to_the_right_without_a_gyro_gives_a_right_heading(stage):
+def test_a_turn_to_the_right_without_a_gyro_gives_a_correct_heading(stage):
     actor = stage(gyro=False)
     assert actor.calibrate(yaw_rate=-0.5).success
     assert_heading_is_right(actor)
@@ -105,7 +105,7 @@ def test_the_answer_comes_within_a_second_of_the_complete_turn(stage):
 
 
 @pytest.mark.nightly
-def test_yaw_keeps_flowing_while_the_next_turn_is_collected_and_fitted(stage):
+def test_yaw_is_published_while_the_next_turn_is_collected_and_fitted(stage):
     actor = stage()
     assert actor.calibrate().success
     arrivals = []

@@ -27,7 +27,7 @@ def named(name):
 
 
 @pytest.mark.nightly
-def test_each_finds_its_own_calibration_and_none_its_neighbours(start_node, actor, ros_home):
+def test_each_node_loads_its_own_calibration(start_node, actor, ros_home):
     start_node(arguments=named("left"))
     robot = actor(calibrator="/left", speed=8.0)
     answer = robot.calibrate()
@@ -38,10 +38,10 @@ def test_each_finds_its_own_calibration_and_none_its_neighbours(start_node, acto
     right = start_node(arguments=named("right"))
     robot.run(PATIENCE, stop=lambda: right._inputs.field.messages)
     robot.run(0.5)
-    assert right._keeper.calibration is None
+    assert right._store.calibration is None
     again = start_node(arguments=named("left"))
-    robot.run(PATIENCE, stop=lambda: again._keeper.calibration is not None)
-    assert again._keeper.origin.node == "/left"
+    robot.run(PATIENCE, stop=lambda: again._store.calibration is not None)
+    assert again._store.origin.node == "/left"
 
 
 SECOND = replace(
@@ -79,8 +79,8 @@ def entries(actor):
     return {entry["topic"]: entry for entry in actor.status["magnetometers"]}
 
 
-def looked_at(robot):
-    """What the look at the sensors finds while the robot lives."""
+def status_after_look(robot):
+    """The result of the preflight while the robot sends."""
     looker = rclpy.create_node("looker")
     found = []
     look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", 0.5)))
@@ -91,26 +91,26 @@ def looked_at(robot):
 
 
 @pytest.mark.parametrize("silent", ["imu/mag_2", "imu/mag"])
-def test_a_silent_one_is_warned_of_and_the_topic_of_the_other_is_not_offered(
+def test_a_silent_magnetometer_is_reported_without_naming_the_others_topic(
     start_node, actor, silent
 ):
     start_node()
     robot = actor()
     pair = Pair(robot)
     pair.silent = {silent}
-    found = looked_at(robot)
+    found = status_after_look(robot)
     assert found.ready
     assert f"/{silent}: nothing arrives (1 publishers)" in found.lines
     assert f"  /{silent} is silent and is not calibrated" in found.lines
     assert not [line for line in found.lines if "remap" in line]
 
 
-def test_one_turn_calibrates_both_and_one_heading_outlives_either(start_node, actor, ros_home):
+def test_one_turn_calibrates_both_and_the_heading_needs_only_one(start_node, actor, ros_home):
     start_node()
     robot = actor(speed=8.0)
     pair = Pair(robot)
     robot.run(PATIENCE, stop=lambda: len(robot.status["magnetometers"]) == 2)
-    found = looked_at(robot)
+    found = status_after_look(robot)
     assert found.ready
     assert [line.partition(":")[0] for line in found.lines] == [
         "/imu/data_raw",
@@ -157,7 +157,7 @@ def test_one_turn_calibrates_both_and_one_heading_outlives_either(start_node, ac
     assert robot.answer(robot.call("save")).success
 
 
-def test_one_that_falls_silent_during_the_turn_does_not_spoil_the_others(
+def test_a_magnetometer_that_stops_during_the_turn_does_not_affect_the_others(
     start_node, actor, ros_home
 ):
     start_node({**REFERENCE, "window.silence_s": 3.0})
@@ -178,7 +178,7 @@ def test_one_that_falls_silent_during_the_turn_does_not_spoil_the_others(
     assert calibrated == {"/imu/mag": True, "/imu/mag_2": False}
 
 
-def test_turns_are_a_success_if_one_of_them_is():
+def test_turns_succeed_if_one_of_them_does():
     good, bad = Conclusion(True, "excellent"), Conclusion(False, "silent; nothing was seen")
     assert of_turns({"/a": good}) == good
     assert of_turns({"/a": good, "/b": good}) == joined({"/a": good, "/b": good})
@@ -189,12 +189,12 @@ def test_turns_are_a_success_if_one_of_them_is():
         assert "/b: silent; nothing was seen" in found.message
 
 
-def test_a_node_for_one_magnetometer_listens_to_no_other(start_node):
+def test_a_node_for_one_magnetometer_subscribes_to_no_other(start_node):
     node = start_node({"magnetometers": 1})
     assert not [sub for sub in node.subscriptions if sub.topic_name.endswith("imu/mag_2")]
 
 
-def test_a_node_by_another_name_is_told_that_headings_are_mixed(start_node, actor):
+def test_a_second_node_is_warned_of_mixed_headings(start_node, actor):
     start_node(arguments=named("left"))
     start_node(arguments=named("right"))
     robot, heard = actor(calibrator="/left"), {}

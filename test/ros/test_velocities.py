@@ -1,4 +1,4 @@
-"""What a base hears, publisher by publisher."""
+"""The velocities sent to a base, by publisher."""
 
 from types import SimpleNamespace
 
@@ -12,7 +12,7 @@ PLAIN, STAMPED = Rotation(True, 0.5, False, ""), Rotation(True, 0.5, True, "base
 
 
 class Wire:
-    """A node that writes down what is published, and by which publisher."""
+    """A node that records the published messages with their publishers."""
 
     def __init__(self):
         self.heard = []
@@ -49,7 +49,7 @@ class Line:
 
 
 class Guard:
-    """Writes down what it is told, beside what the base hears."""
+    """Records its events together with the commands to the base."""
 
     is_ready = True
 
@@ -70,7 +70,7 @@ def wire():
 
 @pytest.fixture
 def rotator(wire):
-    """Return a rotator whose guards are not there to be heard."""
+    """Return a rotator with simulated guards."""
     return Rotator(wire, lambda *_: Guard([]))
 
 
@@ -91,13 +91,13 @@ def test_a_change_of_type_in_motion_sends_zero_in_the_old_type_first(wire, rotat
     assert rotator.listeners == 3
 
 
-def test_a_robot_at_rest_is_told_nothing_at_a_change_of_type(wire, rotator):
+def test_a_change_of_type_at_rest_sends_nothing(wire, rotator):
     rotator.prepare(PLAIN)
     rotator.prepare(STAMPED)
     assert wire.heard == [("made", Twist), ("gone", Twist), ("made", TwistStamped)]
 
 
-def test_halted_it_says_its_zeros_once_and_nothing_more(wire, rotator):
+def test_halting_sends_the_zeros_once(wire, rotator):
     rotator.prepare(PLAIN)
     rotator.move(0.4)
     rotator.halt()
@@ -107,7 +107,7 @@ def test_halted_it_says_its_zeros_once_and_nothing_more(wire, rotator):
 
 
 @pytest.mark.parametrize("has_rested", [False, True])
-def test_a_robot_that_stands_hears_nothing_at_the_end(wire, rotator, has_rested):
+def test_nothing_is_sent_at_the_end_to_a_robot_at_rest(wire, rotator, has_rested):
     rotator.prepare(PLAIN)
     if has_rested:
         rotator.move(0.0)
@@ -117,7 +117,7 @@ def test_a_robot_that_stands_hears_nothing_at_the_end(wire, rotator, has_rested)
     assert wire.heard == heard
 
 
-def test_the_guard_hears_of_each_command_and_is_dismissed_after_the_closing_zeros(wire):
+def test_the_guard_is_told_each_command_and_dismissed_after_the_last_zeros(wire):
     asked = []
 
     def start(*what):
@@ -137,7 +137,7 @@ def test_the_guard_hears_of_each_command_and_is_dismissed_after_the_closing_zero
     assert not rotator.is_guarded
 
 
-def test_halted_in_motion_the_guard_goes_after_the_zeros_have_arrived(wire):
+def test_after_a_halt_the_guard_ends_when_the_zeros_have_arrived(wire):
     rotator = Rotator(wire, lambda *_: Guard(wire.heard))
     rotator.prepare(PLAIN)
     rotator.move(0.4)
@@ -145,7 +145,7 @@ def test_halted_in_motion_the_guard_goes_after_the_zeros_have_arrived(wire):
     assert wire.heard[-3:] == [(Twist, 0.0), "acknowledged", "dismissed"]
 
 
-def test_where_the_zeros_cannot_be_sent_the_guard_stays(wire):
+def test_if_the_zeros_cannot_be_sent_the_guard_stays(wire):
     rotator = Rotator(wire, lambda *_: Guard(wire.heard))
     rotator.prepare(PLAIN)
     rotator.move(0.4)
@@ -157,7 +157,7 @@ def test_where_the_zeros_cannot_be_sent_the_guard_stays(wire):
     assert "dismissed" not in wire.heard
 
 
-def test_a_guard_that_cannot_be_started_is_said_and_nothing_is_guarded(wire):
+def test_a_guard_that_cannot_be_started_is_reported(wire):
     def fail(*_):
         raise OSError(12, "Cannot allocate memory")
 

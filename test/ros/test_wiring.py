@@ -1,4 +1,4 @@
-"""What doc/wiring.md tells people to take is there, and each row rests on a consumer's source."""
+"""The topics in doc/wiring.md exist, and each row is based on the consumer's source."""
 
 import re
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_every_row_is_one_of_the_facts():
 
 
 @pytest.mark.parametrize("name", CONSUMERS)
-def test_the_page_says_which_version_was_read_and_when(name):
+def test_the_page_names_version_and_date_of_the_sources(name):
     facts = CONSUMERS[name]
     cells = (name, facts["version"], facts["read"], facts["source"], facts["facts"])
     assert f"| {' | '.join(map(str, cells))} |" in TEXT
@@ -54,7 +54,7 @@ def test_the_yaml_blocks_name_parameters_that_their_consumer_has():
         assert any(set(parameters_of(block)) <= names for names in declared), block
 
 
-def test_the_blocks_of_robot_localization_take_the_yaw_and_nothing_twice():
+def test_the_blocks_of_robot_localization_use_the_yaw_once():
     ekf, navsat = map(parameters_of, BLOCKS[:2])
     assert (ekf["imu0"], len(ekf["imu0_config"])) == ("compass/true/enu/imu", 15)
     # x, y, z, roll, pitch, yaw, their rates, accelerations: only the yaw.

@@ -1,4 +1,4 @@
-"""The process beside the node: its answers, its faults, and its end."""
+"""The worker process of the node: its answers, its errors, and its end."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ from support import PATIENCE, wait_until
 
 from magcal_ros.core import Reason, Refusal
 from magcal_ros.core.geometry import centred
-from magcal_ros.ros.worker_process import Lost, Stopped, WorkerProcess
+from magcal_ros.ros.worker_process import WorkerLost, WorkerProcess, WorkerStopped
 
 
 @pytest.fixture
@@ -39,34 +39,34 @@ def is_gone(pid, patience=PATIENCE):
     return False
 
 
-def test_it_answers_from_another_process_and_stays(worker):
+def test_the_worker_answers_and_stays_alive(worker):
     first = worker.run(os.getpid)
     assert first != os.getpid()
     assert worker.run(os.getpid) == first
     assert worker.run(divmod, 17, 5) == (3, 2)
 
 
-def test_a_fault_comes_back_as_it_was_raised(worker):
+def test_an_exception_is_passed_to_the_caller(worker):
     with pytest.raises(Refusal) as caught:
         worker.run(centred, np.full((9, 3), np.nan), 3, "circle")
     assert caught.value.reason is Reason.NOT_FINITE
     assert worker.run(divmod, 17, 5) == (3, 2)
 
 
-def test_ended_for_good_it_is_not_started_again(worker):
+def test_an_ended_worker_is_not_started_again(worker):
     pid = worker.run(os.getpid)
     worker.end()
     assert is_gone(pid)
-    with pytest.raises(Stopped):
+    with pytest.raises(WorkerStopped):
         worker.run(os.getpid)
 
 
-def test_stopping_ends_a_call_at_once_and_the_next_starts_anew(worker):
+def test_stopping_ends_a_call_immediately_and_the_next_starts_a_process(worker):
     pid = worker.run(os.getpid)
     ends = []
 
     def wait():
-        with pytest.raises(Stopped):
+        with pytest.raises(WorkerStopped):
             worker.run(time.sleep, 600.0)
         ends.append(True)
 
@@ -80,7 +80,7 @@ def test_stopping_ends_a_call_at_once_and_the_next_starts_anew(worker):
     assert worker.run(os.getpid) != pid
 
 
-def test_a_process_that_dies_is_replaced(worker):
+def test_a_process_that_ended_is_replaced(worker):
     pid = worker.run(os.getpid)
     os.kill(pid, signal.SIGKILL)
     assert is_gone(pid)
@@ -95,35 +95,35 @@ def test_a_process_that_dies_is_replaced(worker):
         (signal.SIGTERM, "SIGTERM"),
     ],
 )
-def test_what_happens_to_it_in_a_call_is_said_in_words(worker, how, words):
+def test_the_end_of_the_process_during_a_call_is_explained(worker, how, words):
     pid = worker.run(os.getpid)
-    with pytest.raises(Lost) as caught:
+    with pytest.raises(WorkerLost) as caught:
         worker.run(os.kill, pid, how)
     assert words in str(caught.value)
     assert is_gone(pid)
     assert worker.run(os.getpid) != pid
 
 
-def test_a_stopped_process_is_noticed_while_it_is_given_its_work(worker):
+def test_a_stopped_process_is_detected_while_it_receives_its_job(worker):
     pid = worker.run(os.getpid)
     os.kill(pid, signal.SIGSTOP)
-    with pytest.raises(Lost, match="SIGSTOP"):
+    with pytest.raises(WorkerLost, match="SIGSTOP"):
         worker.run(len, bytes(10**6))
 
 
-def test_without_room_for_a_process_the_caller_is_told_why(worker, monkeypatch):
+def test_a_process_that_cannot_be_started_is_explained(worker, monkeypatch):
     def fail(*_, **__):
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
     with monkeypatch.context() as patched:
         patched.setattr(subprocess, "Popen", fail)
-        with pytest.raises(Lost, match="cannot be started: Too many open files"):
+        with pytest.raises(WorkerLost, match="cannot be started: Too many open files"):
             worker.run(os.getpid)
         worker.stop()
     assert worker.run(os.getpid)
 
 
-def test_without_room_for_another_file_a_process_that_is_there_answers(worker):
+def test_an_existing_process_answers_without_free_file_descriptors(worker):
     pid, pipe = worker.run(os.getpid), worker.start().stdin.fileno()
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (100, hard))
@@ -144,7 +144,7 @@ def test_without_room_for_another_file_a_process_that_is_there_answers(worker):
     assert answer == pid
 
 
-def test_what_a_call_prints_is_no_answer(worker):
+def test_printed_text_is_not_taken_for_an_answer(worker):
     assert worker.run(os.system, "echo not an answer >&1") == 0
     assert worker.run(divmod, 17, 5) == (3, 2)
 
@@ -158,7 +158,7 @@ if __name__ == "__main__":
 """
 
 
-def test_it_does_not_outlive_a_node_that_is_killed(tmp_path):
+def test_the_worker_ends_with_a_killed_node(tmp_path):
     script = tmp_path / "orphan.py"
     script.write_text(ORPHAN)
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
@@ -166,13 +166,13 @@ def test_it_does_not_outlive_a_node_that_is_killed(tmp_path):
     assert is_gone(int(done.stdout))
 
 
-def test_ctrl_c_in_the_terminal_does_not_reach_it(worker):
+def test_ctrl_c_in_the_terminal_does_not_end_the_worker(worker):
     pid = worker.run(os.getpid)
     os.kill(pid, signal.SIGINT)
     assert worker.run(os.getpid) == pid
 
 
-def test_a_call_that_is_made_once_is_done_although_the_node_ends(tmp_path):
+def test_a_single_call_is_completed_although_the_node_ends(tmp_path):
     """The process has the whole call before it starts to read: four megabytes fill any pipe."""
     place = tmp_path / "done"
     script = (

@@ -1,4 +1,4 @@
-"""The ROS graph of a test: the real node, and simulated robots that wait where it is slow."""
+"""The ROS graph of a test: the real node, and simulated robots that wait for it."""
 
 import contextlib
 import shutil
@@ -26,7 +26,7 @@ LOST_AFTER = 0.5
 
 
 class PacedRobot(Rehearsal):
-    """A robot whose time stands still while the node is behind: no machine is too slow for it."""
+    """A robot whose time waits for the node: no machine is too slow for it."""
 
     def __init__(self, *arguments, audience=None, **options):
         super().__init__(*arguments, **options)
@@ -61,7 +61,7 @@ class PacedRobot(Rehearsal):
 
 
 class Theatre:
-    """Nodes and robots that go when it is closed."""
+    """Nodes and robots that end when it is closed."""
 
     def __init__(self):
         self._closing = contextlib.ExitStack()
@@ -98,7 +98,7 @@ class Theatre:
         """Bring a simulated robot into the graph."""
         node = rclpy.create_node("actor")
         self._closing.callback(node.destroy_node)
-        # Several share their sensors, or are in namespaces of their own.
+        # Several share their sensors, or are in separate namespaces.
         audience = self.calibrators[0] if len(self.calibrators) == 1 else None
         options = {"speed": SPEED, "imu_rate": IMU_RATE, **options}
         rehearsal = PacedRobot(node, robot, audience=audience, **options)
@@ -124,7 +124,7 @@ class Theatre:
 
 @contextlib.contextmanager
 def open_theatre():
-    """Join the ROS graph, and leave it with all that came into it."""
+    """Join the ROS graph, and leave it with all nodes."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(node_module, "HEARTBEAT", HEARTBEAT)
         rclpy.init()

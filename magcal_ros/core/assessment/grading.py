@@ -167,7 +167,7 @@ def worst(grades: list[Grade]) -> Grade:
 
 
 @dataclass(frozen=True)
-class DoubtTuning:
+class ReferenceCheckTuning:
     """When a hard iron along the axis makes the reference doubtful."""
 
     likelier: float = 7.0  # likelihood ratio from which the inclination's other sign is named
@@ -177,7 +177,7 @@ class DoubtTuning:
     """Sigmas from which the wobble of the turn excludes the other sign."""
 
 
-TUNING = DoubtTuning()
+TUNING = ReferenceCheckTuning()
 
 
 def check_reference(

@@ -94,10 +94,12 @@ def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray)
     """
     across = np.cross(field_body, unit(up))
     gradient = across / np.sum(across**2, axis=-1, keepdims=True)
-    return by_twelve(correction, field_body, gradient)
+    return gradient_by_parameters(correction, field_body, gradient)
 
 
-def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArray) -> FloatArray:
+def gradient_by_parameters(
+    correction: Correction, field_body: FloatArray, gradient: FloatArray
+) -> FloatArray:
     """Return the derivative by the twelve numbers of a quantity with this gradient by the field.
 
     The corrected field and the gradient are (..., 3) in body axes.

@@ -74,7 +74,7 @@ class Correction:
 
 
 class MotorInput(str, Enum):
-    """Inputs that the field of motors may be proportional to, in the order of `Running.values`."""
+    """Inputs that the motors' field may be proportional to, in the order of `MotorState.values`."""
 
     MOVING = "moving"
     TURN_RATE = "turn_rate"
@@ -95,7 +95,7 @@ class MotorInput(str, Enum):
 INPUTS = tuple(MotorInput)
 
 
-class Running(NamedTuple):
+class MotorState(NamedTuple):
     """Values of the motors' inputs at a moment."""
 
     moving: float = 0.0  # probability that the robot moves
@@ -105,7 +105,7 @@ class Running(NamedTuple):
     side: float = 0.0  # one in a turn to the left, minus one to the right, between at low rates
 
     @property
-    def runs(self) -> bool:
+    def are_on(self) -> bool:
         """Whether motors run: the robot moves, or there is a current at rest."""
         return self.moving > 0.0 or abs(self.current) > 0.0
 
@@ -115,7 +115,7 @@ class Running(NamedTuple):
         return (*self, abs(self.turn_rate), abs(self.speed))
 
 
-AT_REST = Running()
+AT_REST = MotorState()
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,9 @@ class MotorField:
     gain: FloatArray
     """K by inputs: tesla per unit of each, in the magnetometer's axes. Shape (n, 3)."""
     covariance: FloatArray  # of the gains, input by input, tesla² per units. Shape (3 n, 3 n).
-    beside: FloatArray  # covariance with the twelve numbers of the calibration. Shape (12, 3 n).
+    cross_covariance: (
+        FloatArray  # covariance with the twelve numbers of the calibration. Shape (12, 3 n).
+    )
     ripple: float
     """Standard deviation of the field about K u while the robot moves, tesla per axis."""
     usual: tuple[float, ...]
@@ -138,39 +140,43 @@ class MotorField:
     def __post_init__(self) -> None:
         count = len(self.inputs)
         size = 3 * count
-        freeze(self, gain=(count, 3), covariance=(size, size), beside=(PARAMETERS, size))
+        freeze(self, gain=(count, 3), covariance=(size, size), cross_covariance=(PARAMETERS, size))
         if len(self.usual) != count or len(set(self.inputs)) != count:
             raise ValueError("the motors' inputs must differ, and each has one usual size")
 
-    def may_hold(self, running: Running) -> bool:
+    def may_hold_robot(self, motor_state: MotorState) -> bool:
         """Whether motors may hold the robot with an unmeasured current."""
-        return math.isnan(running.current) and not math.isnan(self.reference)
+        return math.isnan(motor_state.current) and not math.isnan(self.reference)
 
-    def known(self, running: Running) -> tuple[FloatArray, FloatArray]:
+    def known(self, motor_state: MotorState) -> tuple[FloatArray, FloatArray]:
         """Return the inputs (n,) and their covariance (n, n).
 
         An unknown input is zero, with its usual variance while the robot moves. A current beyond a
         reference, which may hold the robot, has this variance at rest as well. If motion or side of
         a turn are uncertain, so are the inputs that depend on them.
         """
-        inputs = running.values
+        inputs = motor_state.values
         values = np.array([inputs[INPUTS.index(each)] for each in self.inputs])
         unknown = np.isnan(values)
-        runs = 1.0 if self.may_hold(running) else running.moving
-        share = [runs if each is MotorInput.CURRENT else running.moving for each in self.inputs]
+        are_on = 1.0 if self.may_hold_robot(motor_state) else motor_state.moving
+        share = [
+            are_on if each is MotorInput.CURRENT else motor_state.moving for each in self.inputs
+        ]
         covariance = np.diag(np.where(unknown, share * np.square(self.usual), 0.0))
-        side = 0.0 if math.isnan(running.side) else running.side
+        side = 0.0 if math.isnan(motor_state.side) else motor_state.side
         step = {MotorInput.MOVING: 1.0, MotorInput.SIDE: side}
         steps = np.array([step.get(each, 0.0) for each in self.inputs])
-        covariance += running.moving * (1.0 - running.moving) * np.outer(steps, steps)
+        covariance += motor_state.moving * (1.0 - motor_state.moving) * np.outer(steps, steps)
         if MotorInput.SIDE in self.inputs:
             at = self.inputs.index(MotorInput.SIDE)
-            covariance[at, at] += running.moving * abs(side) * (1.0 - abs(side))
+            covariance[at, at] += motor_state.moving * abs(side) * (1.0 - abs(side))
         return np.where(unknown, 0.0, values), covariance
 
     def joint(self, covariance: FloatArray) -> FloatArray:
         """Return the covariance of the twelve numbers and the gains, (12 + 3 n, 12 + 3 n)."""
-        return np.block([[covariance, self.beside], [self.beside.T, self.covariance]])
+        return np.block(
+            [[covariance, self.cross_covariance], [self.cross_covariance.T, self.covariance]]
+        )
 
     def sigma(self, which: int) -> float:
         """Return the standard deviation of an input's gain over all axes, tesla per unit."""
@@ -183,7 +189,7 @@ class MotorField:
 
     def with_another_calibration(self) -> MotorField:
         """Return the same field, uncorrelated with the twelve numbers."""
-        return replace(self, beside=np.zeros_like(self.beside))
+        return replace(self, cross_covariance=np.zeros_like(self.cross_covariance))
 
     def with_twin(self, which: MotorInput, twin: MotorInput, side: float) -> MotorField:
         """Return the same field with a `twin` of an input, whose sign depends on the side or not.
@@ -200,13 +206,13 @@ class MotorField:
             (*self.inputs, twin),
             (split @ self.gain.ravel()).reshape(-1, 3),
             split @ self.covariance @ split.T + apart @ (0.25 * whole) @ apart.T,
-            self.beside @ split.T,
+            self.cross_covariance @ split.T,
             self.ripple,
             (*self.usual, self.usual[at]),
             self.reference,
         )
 
-    def and_of(self, older: MotorField) -> MotorField:
+    def combined_with(self, older: MotorField) -> MotorField:
         """Return this field, with the inputs that only an older one has."""
         rows = [k for k, each in enumerate(older.inputs) if each not in self.inputs]
         numbers = [3 * k + axis for k in rows for axis in range(3)]
@@ -217,7 +223,7 @@ class MotorField:
             (*self.inputs, *(older.inputs[k] for k in rows)),
             np.vstack([self.gain, older.gain[rows]]),
             np.block([[self.covariance, apart], [apart.T, added]]),
-            np.hstack([self.beside, np.zeros((PARAMETERS, count))]),
+            np.hstack([self.cross_covariance, np.zeros((PARAMETERS, count))]),
             self.ripple,
             (*self.usual, *(older.usual[k] for k in rows)),
             self.reference,

@@ -57,10 +57,10 @@ def calibration_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> fl
 
 def known_sigma(calibration: Calibration) -> float:
     """Return the sigma of the heading on the level by a calibration's evidence, radians."""
-    said = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
-    if said is None:
+    sigma = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
+    if sigma is None:
         return calibration_sigma(calibration)
-    return math.sqrt(max(said**2 - calibration.evidence.figure(Figure.LOCAL_SIGMA, 0.0) ** 2, 0.0))
+    return math.sqrt(max(sigma**2 - calibration.evidence.figure(Figure.LOCAL_SIGMA, 0.0) ** 2, 0.0))
 
 
 def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
@@ -100,7 +100,7 @@ def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float)
     return yaw_jacobian(correction, poses[:, :, 2], poses @ field_enu)
 
 
-def headings_apart(
+def heading_differences(
     right: Correction, other: Correction, strength: float, inclination: float
 ) -> FloatArray:
     """Return the yaw by another correction minus that by the right one, (24,) level headings."""
@@ -110,9 +110,11 @@ def headings_apart(
     return wrap_angle(seen - yaw_from_up_and_field(up, field))
 
 
-def rms_apart(right: Correction, other: Correction, strength: float, inclination: float) -> float:
-    """Return the RMS of `headings_apart`, radians."""
-    gap = headings_apart(right, other, strength, inclination)
+def rms_heading_difference(
+    right: Correction, other: Correction, strength: float, inclination: float
+) -> float:
+    """Return the RMS of `heading_differences`, radians."""
+    gap = heading_differences(right, other, strength, inclination)
     return math.sqrt(float(np.mean(gap**2)))
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
-from magcal_ros.core.doctor.blame import mount_of, parameter_line
-from magcal_ros.core.doctor.explanations import Way
-from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.axes_diagnosis import mount_of, parameter_line
+from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
+from magcal_ros.core.doctor.health import Finding, ok_or_warning, severe_finding, undetermined
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import is_mirrored, rotation_from_rpy, spoken
+from magcal_ros.core.geometry.rotations import axes_in_words, is_mirrored, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import FIELD, IRON, SOFT
 
@@ -44,15 +44,15 @@ class AxesInUse:
     compass: Calibration  # good enough to be compared with a course
 
 
-def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
+def axes_in_use(hypothesis: AxesHypothesis, knowledge: Knowledge) -> AxesInUse | None:
     """Return axes and compass of a hypothesis in rad/s and body axes; None without a compass."""
-    state, size = way.state, way.part.size
-    if not np.array_equal(way.gyro, np.eye(3)) or is_mirrored(way.field):
+    state, size = hypothesis.state, hypothesis.part.size
+    if not np.array_equal(hypothesis.gyro, np.eye(3)) or is_mirrored(hypothesis.field):
         return None
-    level = float(np.linalg.norm(np.cross(state[FIELD], way.part.up[0])))
-    if not float(way.sigma[IRON].max()) < TUNING.iron * level:
+    level = float(np.linalg.norm(np.cross(state[FIELD], hypothesis.part.up[0])))
+    if not float(hypothesis.sigma[IRON].max()) < TUNING.iron * level:
         return None
-    to_axes = way.field.T @ knowledge.mounting.to_body
+    to_axes = hypothesis.field.T @ knowledge.mounting.to_body
     soft = np.eye(3) + state[SOFT].reshape(3, 3)
     hard_iron = np.asarray(np.linalg.solve(to_axes, size * state[IRON]), dtype=np.float64)
     compass = Calibration(
@@ -64,7 +64,7 @@ def axes_in_use(way: Way, knowledge: Knowledge) -> AxesInUse | None:
         0.0,
         Evidence("doctor", "", "", ""),
     )
-    return AxesInUse(way.field, knowledge.mounting.pose, compass)
+    return AxesInUse(hypothesis.field, knowledge.mounting.pose, compass)
 
 
 def course_findings(
@@ -81,36 +81,36 @@ def course_findings(
     if knows_imu:
         lines.append(_imu_yaw(imu_yaw))
     if not gap.sigma < TUNING.vague:
-        return [*lines, not_shown("field_yaw", NAME, LONGER)], None
+        return [*lines, undetermined("field_yaw", NAME, LONGER)], None
     quarters = round(gap.value / (0.5 * math.pi))
     evidence = (
         f"the compass is {math.degrees(gap.value):+.0f} ± {math.degrees(gap.sigma):.0f}° off the "
         "course"
     )
     if not quarters % 4 or abs(gap.value - 0.5 * math.pi * quarters) > TUNING.near:
-        return [*lines, looked_at("field_yaw", NAME, evidence)], None
+        return [*lines, ok_or_warning("field_yaw", NAME, evidence)], None
     axes = np.rint(used.axes @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
     mount = mount_of(axes, used.pose)
-    turned = f"the magnetometer's axes are {spoken(axes)}: set `{parameter_line(mount)}`"
+    turned = f"the magnetometer's axes are {axes_in_words(axes)}: set `{parameter_line(mount)}`"
     if knows_imu:
-        return [*lines, wrong("field_yaw", NAME, evidence, turned)], mount
+        return [*lines, severe_finding("field_yaw", NAME, evidence, turned)], mount
     either = (
         f"either {turned}; or IMU and magnetometer are both turned by {90 * quarters:+d}° to the "
         f"left of the front: set `vehicle_yaw_deg: {90.0 * quarters}`. To tell which, record the "
         "speed too, and accelerate and brake"
     )
-    return [*lines, wrong("field_yaw", NAME, evidence, either)], None
+    return [*lines, severe_finding("field_yaw", NAME, evidence, either)], None
 
 
-def _imu_yaw(seen: Belief) -> Finding:
-    degrees = math.degrees(seen.value)
+def _imu_yaw(measured: Belief) -> Finding:
+    degrees = math.degrees(measured.value)
     evidence = (
-        f"x points {abs(degrees):.0f} ± {math.degrees(seen.sigma):.0f}° to the "
+        f"x points {abs(degrees):.0f} ± {math.degrees(measured.sigma):.0f}° to the "
         f"{'left' if degrees >= 0.0 else 'right'} of the front"
     )
     remedy = (
         f"turn the IMU's axes in the driver or its joint in the URDF by {degrees:.0f}° about z, or "
         f"set `vehicle_yaw_deg: {degrees:.0f}.0`"
     )
-    is_off = abs(seen.value) > TUNING.near
-    return looked_at("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)
+    is_off = abs(measured.value) > TUNING.near
+    return ok_or_warning("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade, axial_field_variance, is_likelier
-from magcal_ros.core.doctor.blame import LIFT, NOSE
-from magcal_ros.core.doctor.explanations import Way
-from magcal_ros.core.doctor.health import WRONG_UNIT, Finding, looked_at, not_shown
+from magcal_ros.core.doctor.axes_diagnosis import LIFT, NOSE
+from magcal_ros.core.doctor.axes_hypotheses import AxesHypothesis
+from magcal_ros.core.doctor.health import WRONG_UNIT, Finding, ok_or_warning, undetermined
 from magcal_ros.core.doctor.latency import drove_while_turning, motors_field
 from magcal_ros.core.doctor.motion import (
     FULL_TURN,
     MOVE_THE_SENSOR,
     TURN_BETWEEN_RESTS,
-    MotionFound,
+    MotionResult,
 )
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
@@ -64,42 +64,44 @@ def is_vague(strength: Belief) -> bool:
     return not strength.sigma <= VAGUE * strength.value
 
 
-def strength_of(way: Way) -> Belief:
+def strength_of(hypothesis: AxesHypothesis) -> Belief:
     """Return the strength without hard iron, as published, by one hypothesis."""
-    size, vector, sigma = way.part.size, way.state[FIELD], way.sigma[FIELD]
+    size, vector, sigma = hypothesis.part.size, hypothesis.state[FIELD], hypothesis.sigma[FIELD]
     return Belief(float(np.linalg.norm(vector)) * size, float(np.linalg.norm(sigma)) * size)
 
 
-def strength_of_level(way: Way, knowledge: Knowledge) -> Belief:
+def strength_of_level(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Belief:
     """Return the strength by the known inclination and the level field, as for a level turn."""
     dip = knowledge.reference.inclination
-    vector, up = way.state[FIELD], unit(way.state[UP])
+    vector, up = hypothesis.state[FIELD], unit(hypothesis.state[UP])
     level = vector - float(vector @ up) * up
     share = math.cos(dip.value)
     if dip.is_unknown or share <= 0.0 or not level.any():
         return Belief.unknown()
-    strength = way.part.size * float(np.linalg.norm(level)) / share
-    off = way.part.size * float(np.linalg.norm(way.sigma[FIELD] * unit(level))) / share
+    strength = hypothesis.part.size * float(np.linalg.norm(level)) / share
+    off = (
+        hypothesis.part.size * float(np.linalg.norm(hypothesis.sigma[FIELD] * unit(level))) / share
+    )
     return Belief(strength, math.hypot(off, strength * math.tan(dip.value) * dip.sigma))
 
 
 def with_field(
-    lines: list[Finding], prepared: CleanLog, found: MotionFound, knowledge: Knowledge
+    lines: list[Finding], prepared: CleanLog, found: MotionResult, knowledge: Knowledge
 ) -> list[Finding]:
     """Return the lines with findings on the field, if a hypothesis explains the movement."""
-    if found.way is None or found.body is None:
+    if found.hypothesis is None or found.body is None:
         return lines
     if any(line.key == WRONG_UNIT and line.is_wrong for line in lines):
         return [
-            *_unit_by_strength(lines, found.way, knowledge),
-            not_shown("reference", AGAINST_REFERENCE, UNIT_FIRST),
-            not_shown("motors", MOTORS, UNIT_FIRST),
+            *_unit_by_strength(lines, found.hypothesis, knowledge),
+            undetermined("reference", AGAINST_REFERENCE, UNIT_FIRST),
+            undetermined("motors", MOTORS, UNIT_FIRST),
         ]
-    lines = [*lines, reference_finding(found.way, knowledge, found.up_is_down)]
+    lines = [*lines, reference_finding(found.hypothesis, knowledge, found.up_is_down)]
     if prepared.restamped or not np.isfinite(found.body.rate).all():
         return lines
     shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
-    motors = motors_finding(found.body, found.way, shown)
+    motors = motors_finding(found.body, found.hypothesis, shown)
     if motors.is_wrong:
         # Another turn with the motors on would not determine these quantities either.
         said = [f.evidence.replace(FULL_TURN, HIDDEN).replace(LIFT, BY_HAND) for f in lines]
@@ -107,11 +109,13 @@ def with_field(
     return [*lines, motors]
 
 
-def _unit_by_strength(lines: list[Finding], way: Way, knowledge: Knowledge) -> list[Finding]:
+def _unit_by_strength(
+    lines: list[Finding], hypothesis: AxesHypothesis, knowledge: Knowledge
+) -> list[Finding]:
     """Return the lines, with the unit identified by the strength if the movement determines it."""
-    strength = strength_of(way)
+    strength = strength_of(hypothesis)
     if is_vague(strength):
-        strength = strength_of_level(way, knowledge)
+        strength = strength_of_level(hypothesis, knowledge)
     hint = "" if is_vague(strength) else unit_by_strength(strength.value, strength.sigma)
     if not hint:
         return lines
@@ -122,18 +126,20 @@ def _unit_by_strength(lines: list[Finding], way: Way, knowledge: Knowledge) -> l
     ]
 
 
-def reference_finding(way: Way, knowledge: Knowledge, up_is_down: bool | None) -> Finding:
+def reference_finding(
+    hypothesis: AxesHypothesis, knowledge: Knowledge, up_is_down: bool | None
+) -> Finding:
     """Compare strength and inclination by one hypothesis with the reference."""
-    size, vector = way.part.size, way.state[FIELD]
-    up = way.state[UP] * (-1.0 if up_is_down else 1.0)
-    whole = strength_of(way)
+    size, vector = hypothesis.part.size, hypothesis.state[FIELD]
+    up = hypothesis.state[UP] * (-1.0 if up_is_down else 1.0)
+    whole = strength_of(hypothesis)
     strength, off = whole.value, whole.sigma
     if is_vague(whole):
-        upwards = None if up_is_down is not False else _points_up(way, knowledge)
-        return upwards or not_shown("reference", AGAINST_REFERENCE, LIFT)
+        upwards = None if up_is_down is not False else _points_up(hypothesis, knowledge)
+        return upwards or undetermined("reference", AGAINST_REFERENCE, LIFT)
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
     dip = -math.asin(max(-1.0, min(1.0, along)))
-    iron = float(np.linalg.norm(way.state[IRON])) * size
+    iron = float(np.linalg.norm(hypothesis.state[IRON])) * size
     evidence = (
         f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT without the hard iron of {iron * 1e6:.0f} µT, "
         f"inclination {math.degrees(dip):.0f}°"
@@ -150,23 +156,25 @@ def reference_finding(way: Way, knowledge: Knowledge, up_is_down: bool | None) -
         limit = max(TUNING.inclination, CLEAR * spread)
         if abs(dip - believed.inclination.value) > limit:
             if abs(dip + believed.inclination.value) <= limit:
-                return looked_at("inclination_sign", AGAINST_REFERENCE, evidence, FIELD_POINTS_UP)
+                return ok_or_warning(
+                    "inclination_sign", AGAINST_REFERENCE, evidence, FIELD_POINTS_UP
+                )
             wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
     remedy = (
         f"the reference field has {' and '.join(wrong)}: turn farther away from iron and walls. If "
         "the difference is the same everywhere, the magnetometer's scale or unit is wrong"
     )
-    return looked_at("reference", AGAINST_REFERENCE, evidence, remedy * bool(wrong))
+    return ok_or_warning("reference", AGAINST_REFERENCE, evidence, remedy * bool(wrong))
 
 
-def _points_up(way: Way, knowledge: Knowledge) -> Finding | None:
+def _points_up(hypothesis: AxesHypothesis, knowledge: Knowledge) -> Finding | None:
     """Return a finding that the field points up, if this needs much less hard iron; else None."""
     believed = knowledge.reference
-    if not (way.is_plain and believed.is_complete):
+    if not (hypothesis.is_as_given and believed.is_complete):
         return None
-    up = unit(way.state[UP])
-    field, iron = (way.part.size * way.state[part] for part in (FIELD, IRON))
-    field_off, iron_off = (way.part.size * way.sigma[part] for part in (FIELD, IRON))
+    up = unit(hypothesis.state[UP])
+    field, iron = (hypothesis.part.size * hypothesis.state[part] for part in (FIELD, IRON))
+    field_off, iron_off = (hypothesis.part.size * hypothesis.sigma[part] for part in (FIELD, IRON))
     along = -believed.strength.value * math.sin(believed.inclination.value)
     # The movement may contradict the other sign.
     if abs(float(up @ field) + along) > CLEAR * float(np.linalg.norm(field_off * up)):
@@ -183,25 +191,25 @@ def _points_up(way: Way, knowledge: Knowledge) -> Finding | None:
         "the other way"
     )
     remedy = f"either the robot has that much iron, or {FIELD_POINTS_UP}"
-    return looked_at("inclination_sign", AGAINST_REFERENCE, evidence, remedy)
+    return ok_or_warning("inclination_sign", AGAINST_REFERENCE, evidence, remedy)
 
 
-def motors_finding(log: SensorLog, way: Way, lag_is_shown: bool) -> Finding:
+def motors_finding(log: SensorLog, hypothesis: AxesHypothesis, lag_is_shown: bool) -> Finding:
     """Check for a field that exists only while the robot turns; a late field looks the same."""
-    state = way.state
-    found = motors_field(log, way, float(state[LAG]) if lag_is_shown else 0.0)
+    state = hypothesis.state
+    found = motors_field(log, hypothesis, float(state[LAG]) if lag_is_shown else 0.0)
     if found is None:
-        return not_shown("motors", MOTORS, BETWEEN_RESTS)
-    if drove_while_turning(log, way.gyro, state[BIAS]):
-        return not_shown("motors", MOTORS, ON_THE_SPOT)
+        return undetermined("motors", MOTORS, BETWEEN_RESTS)
+    if drove_while_turning(log, hypothesis.gyro, state[BIAS]):
+        return undetermined("motors", MOTORS, ON_THE_SPOT)
     field, covariance = found
     off = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
     strength = float(np.linalg.norm(field))
     is_seen = float(field @ np.linalg.solve(covariance, field)) > TUNING.clear**2
     is_seen &= strength > TUNING.motors
     if off > TUNING.motors and not is_seen:
-        return not_shown("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
-    level = way.part.size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
+        return undetermined("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
+    level = hypothesis.part.size * float(np.linalg.norm(np.cross(state[FIELD], unit(state[UP]))))
     turned = math.atan2(strength, level)
     words = ", ".join(f"{value * 1e6:+.1f}" for value in field)
     evidence = (
@@ -212,4 +220,4 @@ def motors_finding(log: SensorLog, way: Way, lag_is_shown: bool) -> Finding:
         evidence = f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT while the robot turns"
     remedy = MOVE_THE_SENSOR if turned > TUNING.turned_too_far else TURN_BETWEEN_RESTS
     remedy += "" if lag_is_shown else OR_LATE
-    return looked_at("motors", MOTORS, evidence, remedy * is_seen)
+    return ok_or_warning("motors", MOTORS, evidence, remedy * is_seen)

@@ -108,9 +108,9 @@ class Guide:
         if step is None or now - self._block_began < TUNING.block:
             return False
         self._close_block(now)
-        is_seen = self._seen(step)
-        if is_seen or now - self._since > TUNING.patience:
-            self._end(step, is_seen, now)
+        is_detected = self._is_detected(step)
+        if is_detected or now - self._since > TUNING.patience:
+            self._end(step, is_detected, now)
             return True
         return False
 
@@ -129,7 +129,7 @@ class Guide:
         self._imu, self._field = [], []
         self._block_began = now
 
-    def _seen(self, step: GuideStep) -> bool:
+    def _is_detected(self, step: GuideStep) -> bool:
         if step is GuideStep.STAND:
             return self._stands(TUNING.stand)
         assert self._resting is not None
@@ -168,8 +168,8 @@ class Guide:
         is_calm = bool((away < swing * np.linalg.norm(field)).all())
         return is_calm and all(angle_between(each, force) < lean for each in last[:, 0])
 
-    def _end(self, step: GuideStep, is_seen: bool, now: float) -> None:
-        self.ended[step] = is_seen
+    def _end(self, step: GuideStep, is_detected: bool, now: float) -> None:
+        self.ended[step] = is_detected
         self._resting = np.nan_to_num(np.mean(self._blocks[-4:], axis=0))
         self._since, self._angle, self._done_moving = now, 0.0, False
         self._step_start = len(self._blocks)

@@ -1,4 +1,4 @@
-"""The findings on a page, and the faults that each sensor stream shows by itself."""
+"""The findings of a report, and the faults that each sensor stream shows by itself."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from magcal_ros.core.samples.units import (
     slow_words,
 )
 from magcal_ros.core.samples.units import TUNING as DIAGNOSIS
-from magcal_ros.core.samples.window import SensorLog, living_axes, white_noise
+from magcal_ros.core.samples.window import SensorLog, white_noise, working_axes
 
 WRONG_UNIT = "field_unit"  # `Finding.key`
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the page."""
+    """One line of the report."""
 
     key: str  # identifier of the check or the fault, for programs
     name: str  # name of the check, for people
@@ -42,17 +42,17 @@ class Finding:
         return self.grade.rank >= Grade.WARN.rank
 
 
-def looked_at(key: str, name: str, evidence: str, remedy: str = "") -> Finding:
+def ok_or_warning(key: str, name: str, evidence: str, remedy: str = "") -> Finding:
     """Return a finding: a warning if there is a remedy, else excellent."""
     return Finding(key, name, Grade.WARN if remedy else Grade.EXCELLENT, evidence, remedy)
 
 
-def wrong(key: str, name: str, evidence: str, remedy: str) -> Finding:
+def severe_finding(key: str, name: str, evidence: str, remedy: str) -> Finding:
     """Return a finding on a fault that makes headings wrong."""
     return Finding(key, name, Grade.REFUSED, evidence, remedy)
 
 
-def not_shown(key: str, name: str, why: str) -> Finding:
+def undetermined(key: str, name: str, why: str) -> Finding:
     """Return a finding on a quantity that is not determined; `why` says what is missing."""
     return Finding(key, name, Grade.GOOD, f"not shown: {why}")
 
@@ -103,7 +103,7 @@ def numbers_findings(name: str, are_numbers: BoolArray) -> list[Finding]:
     share = 1.0 - float(are_numbers.mean())
     if share <= DIAGNOSIS.worth_a_word:
         return []
-    return [looked_at("not_finite", f"{name}: numbers", f"{share:.0%} not finite", NOT_NUMBERS)]
+    return [ok_or_warning("not_finite", f"{name}: numbers", f"{share:.0%} not finite", NOT_NUMBERS)]
 
 
 def stamps_finding(name: str, time: FloatArray) -> Finding:
@@ -117,25 +117,25 @@ def stamps_finding(name: str, time: FloatArray) -> Finding:
         f"at most {gaps.max():.2f} s"
     )
     if name == "IMU" and (slow := slow_words(usual)):
-        return looked_at("slow", f"{name}: stamps", evidence, slow)
+        return ok_or_warning("slow", f"{name}: stamps", evidence, slow)
     if name != "IMU" and usual > SWAY:
         slow = (
             f"the field comes at {1.0 / usual:.2g} Hz: for a turn or a drive with a gyro, publish "
             "or record it at 10 Hz or more, or let the driver average its readings"
         )
-        return looked_at("slow", f"{name}: stamps", evidence, slow)
+        return ok_or_warning("slow", f"{name}: stamps", evidence, slow)
     if words := bursts_in_words(time):
         # The median gap is within a burst and does not give the rate.
         rate = len(gaps) / float(time[-1] - time[0])
         evidence = f"{rate:.1f} Hz in bursts, gaps of at most {gaps.max():.2f} s"
-        return wrong("bursts", f"{name}: stamps", evidence, words)
+        return severe_finding("bursts", f"{name}: stamps", evidence, words)
     remedy = (
         "the stamps jitter: stamp each sample in the driver when it is measured, if possible by "
         "the sensor's own clock"
     )
     if are_samples_lost(deviations):
         remedy = "samples are lost: check the load of computer and network, and the queues' lengths"
-    return looked_at("stamps", f"{name}: stamps", evidence, remedy * (jitter > TUNING.jitter))
+    return ok_or_warning("stamps", f"{name}: stamps", evidence, remedy * (jitter > TUNING.jitter))
 
 
 def are_samples_lost(deviations: FloatArray) -> bool:
@@ -163,7 +163,7 @@ def repeats_finding(name: str, values: FloatArray) -> Finding:
     chance = float(np.prod(axes.mean(axis=0))) if len(axes) else 0.0
     words = "the driver publishes faster than the sensor measures: lower its rate to the sensor's"
     too_many = share - chance > TUNING.repeats and share > 2.0 * chance
-    return looked_at("repeats", f"{name}: repeats", f"{share:.0%} repeated", words * too_many)
+    return ok_or_warning("repeats", f"{name}: repeats", f"{share:.0%} repeated", words * too_many)
 
 
 def in_long_runs(same: BoolArray) -> BoolArray:
@@ -190,21 +190,24 @@ def field_findings(field: FloatArray) -> list[Finding]:
     """Check raw field samples, tesla, shape (n, 3), in the order of arrival."""
     size = usual_size(field)
     unit = likely_field_unit(size)
-    line = wrong if unit else looked_at
+    line = severe_finding if unit else ok_or_warning
     words = f"usually {_in_words(size, unit)}, hard iron included"
     found = [line(WRONG_UNIT, "field: unit", words, unit)]
     step = max(_step(field[:, axis]) for axis in range(3))
     words = "choose a finer range of the sensor, or average in the driver"
     evidence = f"steps of {_in_words(step, unit)}" if step else "no steps seen"
     is_coarse = step > TUNING.coarse and not unit
-    found.append(looked_at("resolution", "field: resolution", evidence, words * is_coarse))
+    found.append(ok_or_warning("resolution", "field: resolution", evidence, words * is_coarse))
     full = [axis for axis in range(3) if saturated(field, axis).any()]
     largest = float(np.abs(field).max())
     words = (
         f"{_axes(full)} reached the end of the range: choose a wider range, or move the sensor "
         "away from magnets"
     )
-    line, evidence = wrong if full else looked_at, f"at most {_in_words(largest, unit)} on an axis"
+    line, evidence = (
+        severe_finding if full else ok_or_warning,
+        f"at most {_in_words(largest, unit)} on an axis",
+    )
     found.append(line("saturation", "field: range", evidence, words * bool(full)))
     found.append(alive_finding("field", field))
     return found
@@ -220,7 +223,7 @@ def gravity_size_finding(force: FloatArray) -> Finding:
     off = size / STANDARD_GRAVITY - 1.0
     evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all, "
     evidence += f"{round(off, 3) + 0.0:+.1%} off gravity"
-    return looked_at("force_unit", "accelerometer: unit", evidence, hint)
+    return ok_or_warning("force_unit", "accelerometer: unit", evidence, hint)
 
 
 def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None) -> Finding:
@@ -228,17 +231,17 @@ def alive_finding(name: str, values: FloatArray, force: FloatArray | None = None
     still = unchanging(values)
     evidence = f"{3 - len(still)} of 3 axes change"
     if not still:
-        return looked_at("frozen", f"{name}: axes alive", evidence)
+        return ok_or_warning("frozen", f"{name}: axes alive", evidence)
     verb, them = ("never changes", "it") if len(still) == 1 else ("never change", "them")
     words = f"the {name}'s {_axes(still)} {verb}: the driver does not read {them}"
     if force is not None:
         up = up_axis(force)
         if up not in still:
             words = f"{words}, or the {name} does not measure {them}; {TURN_ON_THE_SPOT}"
-            return looked_at("frozen", f"{name}: axes alive", evidence, words)
+            return ok_or_warning("frozen", f"{name}: axes alive", evidence, words)
         if len(still) == 2:
             words += f", and publishes the turn about {'xyz'[up]} as {'xyz'[3 - sum(still)]}"
-    return wrong("frozen", f"{name}: axes alive", evidence, words)
+    return severe_finding("frozen", f"{name}: axes alive", evidence, words)
 
 
 def up_axis(force: FloatArray) -> int:
@@ -273,7 +276,7 @@ def stuck_axes(field: FloatArray) -> list[int]:
 
 def dead_axes(rate: FloatArray) -> list[int]:
     """Return the axes of a gyro (n, 3) that its driver does not read; empty without a gyro."""
-    living = living_axes(rate)
+    living = working_axes(rate)
     return [axis for axis in range(3) if not living[axis]] if any(living) else []
 
 
@@ -337,13 +340,13 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
         "wires"
     )
     evidence = f"{_in_words(field, unit)} per sample"
-    found = [looked_at("field_noise", "field: noise", evidence, words * is_noisy)]
+    found = [ok_or_warning("field_noise", "field: noise", evidence, words * is_noisy)]
     if log.has_gyro:
         rate = factor * float(white_noise(log.rate).max())
         force = float(white_noise(log.force).max())
         words = "the gyro is noisy: check its range, its low-pass filter and its mounting"
         evidence = f"gyro {math.degrees(rate):.2f} °/s, accelerometer {force:.3f} m/s² per sample"
         found.append(
-            looked_at("imu_noise", "IMU: noise", evidence, words * (rate > TUNING.rate_noise))
+            ok_or_warning("imu_noise", "IMU: noise", evidence, words * (rate > TUNING.rate_noise))
         )
     return found

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import LIMITS, Way
+from magcal_ros.core.doctor.axes_hypotheses import LIMITS, AxesHypothesis
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import skews
@@ -35,7 +35,7 @@ from magcal_ros.core.samples.alignment import (
     inefficiency,
     turned,
 )
-from magcal_ros.core.samples.window import SensorLog, stretch_of_log, white_noise
+from magcal_ros.core.samples.window import SensorLog, segment_of_log, white_noise
 
 FIELD_PRIORS = replace(WIDE, field_floor=1e-3, freedom=10.0)
 FORCE_PRIORS = replace(FIELD_PRIORS, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
@@ -70,10 +70,10 @@ class Latency(NamedTuple):
 TUNING = LatencyTuning()
 
 
-def field_latency(log: SensorLog, way: Way) -> Latency | None:
+def field_latency(log: SensorLog, hypothesis: AxesHypothesis) -> Latency | None:
     """Return the field's latency by a hypothesis, or None. The log is in rad/s and body axes."""
-    before = float(way.state[LAG])
-    start = _fit_of_the_field(log, way, before)
+    before = float(hypothesis.state[LAG])
+    start = _fit_of_the_field(log, hypothesis, before)
     if start is None:
         return None
     motors, fit, state = _motors_columns(*start, log), start[0], _linearisation_point(*start)
@@ -82,13 +82,15 @@ def field_latency(log: SensorLog, way: Way) -> Latency | None:
     return found._replace(sigma=math.hypot(found.sigma, found.lag - beside.lag))
 
 
-def motors_field(log: SensorLog, way: Way, lag: float) -> tuple[FloatArray, FloatArray] | None:
+def motors_field(
+    log: SensorLog, hypothesis: AxesHypothesis, lag: float
+) -> tuple[FloatArray, FloatArray] | None:
     """Return the field of the motors while the robot turns about up, tesla in body axes.
 
     Shape (3,), with the covariance (3, 3); this is the prior's unless the robot both rests and
     turns. `lag` is the field's latency, seconds; the other arguments are as in `field_latency`.
     """
-    start = _fit_of_the_field(log, way, lag)
+    start = _fit_of_the_field(log, hypothesis, lag)
     if start is None:
         return None
     start[0].prior[LAG, LAG] = TUNING.in_time**-2
@@ -102,14 +104,14 @@ def _motors_columns(fit: AlignmentFit, state: FloatArray, log: SensorLog) -> Flo
     """Return the columns, of unit prior, of the motors' field outside and in turns, (n, 3, 6)."""
     # The nose may be lifted by hand or by motors.
     rate = (1.0 + state[0, SCALE]) * fit.rate[0] - state[0, BIAS]
-    width = rows_in(TUNING.starts, fit.stretch.time)
+    width = rows_in(TUNING.starts, fit.segment.time)
     about_up = np.abs(rate @ unit(np.median(log.force, axis=0)))
     turning, moving = (
         running_mean(each, width) > TUNING.turns
         for each in (about_up, np.linalg.norm(rate, axis=1))
     )
     when = np.repeat(np.column_stack([moving & ~turning, turning]), 3, axis=1)
-    size = TUNING.motors / fit.stretch.size
+    size = TUNING.motors / fit.segment.size
     return np.asarray(size * when[:, None] * np.tile(np.eye(3), 2))
 
 
@@ -119,36 +121,36 @@ def rows_in(seconds: float, time: FloatArray) -> int:
 
 
 def _fit_of_the_field(
-    log: SensorLog, way: Way, lag: float
+    log: SensorLog, hypothesis: AxesHypothesis, lag: float
 ) -> tuple[AlignmentFit, FloatArray] | None:
     """Return the fit of the field to single samples, and its initial state (1, 23)."""
-    part = stretch_of_log(log, lag, TUNING.most, TUNING.most)
+    part = segment_of_log(log, lag, TUNING.most, TUNING.most)
     if part is None:
         return None
-    state = way.state[None].copy()
+    state = hypothesis.state[None].copy()
     state[:, LAG] = 0.0
-    state[:, FIELD.start : IRON.stop] *= way.part.size / part.size
-    return AlignmentFit(part, way.field[None], way.gyro[None], FIELD_PRIORS), state
+    state[:, FIELD.start : IRON.stop] *= hypothesis.part.size / part.size
+    return AlignmentFit(part, hypothesis.field[None], hypothesis.gyro[None], FIELD_PRIORS), state
 
 
 def fit_of_the_force(log: SensorLog, gyro: FloatArray, lag: float = 0.0) -> AlignmentFit | None:
     """Return the fit of the force to a gyro with axes (3, 3); None for too few samples."""
     gravity = replace(log, field_time=log.imu_time, field=log.force)
-    part = stretch_of_log(gravity, lag, TUNING.most, TUNING.most)
+    part = segment_of_log(gravity, lag, TUNING.most, TUNING.most)
     if part is None:
         return None
     return AlignmentFit(part, np.eye(3)[None], gyro[None], FORCE_PRIORS, with_up=False)
 
 
-def force_latency(log: SensorLog, way: Way) -> Latency | None:
+def force_latency(log: SensorLog, hypothesis: AxesHypothesis) -> Latency | None:
     """Return the accelerometer's latency, as `field_latency`; only a changing tilt shows it."""
     before, found = 0.0, None
     for _ in range(LIMITS.looks):
-        fit = fit_of_the_force(log, way.gyro, before)
+        fit = fit_of_the_force(log, hypothesis.gyro, before)
         if fit is None:
             break
         state = fit.descend(fit.start(), START_NOISE, TUNING.steps)
-        turns, part = skews(fit.rate[0]), fit.stretch
+        turns, part = skews(fit.rate[0]), fit.segment
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
         lever *= TUNING.lever / part.size
         found = _latency(before, *_fitted(fit, _linearisation_point(fit, state), log, lever))
@@ -169,7 +171,7 @@ def _fitted(
     fit: AlignmentFit, state: FloatArray, log: SensorLog, more: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Fit all parameters, the gyro's random walk and `more` columns; return the covariance, too."""
-    time = fit.stretch.time
+    time = fit.segment.time
     residual, jacobian = (values[0, 0] for values in fit.linearised(state))
     attitude, _ = fit.propagate(state)
     walked = turned(attitude @ state[0, FIELD], _walk(attitude, time, log))[0]
@@ -249,7 +251,7 @@ def drove_while_turning(
     fit = fit_of_the_force(log, gyro)
     if fit is None:
         return False
-    part, rate = fit.stretch, fit.rate[0]
+    part, rate = fit.segment, fit.rate[0]
     turned, up = rate - bias, unit(np.median(log.force, axis=0))
     width = rows_in(SPOT.mean, part.time)
     still = running_mean(np.linalg.norm(turned, axis=1), width) < TUNING.turns

@@ -7,29 +7,40 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.blame import AxesFound, Blame, blame, upright
-from magcal_ros.core.doctor.explanations import (
+from magcal_ros.core.doctor.axes_diagnosis import (
+    AxesDiagnosis,
+    PossibleAxes,
+    check_gravity_direction,
+    diagnose_axes,
+)
+from magcal_ros.core.doctor.axes_hypotheses import (
     LIMITS,
     UNIT_ERRORS,
-    Explanations,
-    Way,
-    explain,
+    AxesHypotheses,
+    AxesHypothesis,
+    compare_axes,
     most_turned,
     rate_factors,
 )
-from magcal_ros.core.doctor.health import Finding, dead_axes, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.health import (
+    Finding,
+    dead_axes,
+    ok_or_warning,
+    severe_finding,
+    undetermined,
+)
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.knowledge import CLEAR, Belief, Knowledge
 from magcal_ros.core.samples.alignment import BIAS, NO_BIAS, SCALE
-from magcal_ros.core.samples.rest import LongestRest, longest_stand
+from magcal_ros.core.samples.rest import LongestRest, longest_rest
 from magcal_ros.core.samples.units import slow_words
-from magcal_ros.core.samples.window import SensorLog, stretch_of_log
+from magcal_ros.core.samples.window import SensorLog, segment_of_log
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
-"""The movement that determines all quantities of a page."""
+"""The movement that determines all quantities of a report."""
 
 FULL_TURN = "stand still, then turn a full circle"
 FASTER = "publish or record the IMU at a higher rate"
@@ -74,13 +85,15 @@ GRAVITY_FIRST = "correct the accelerometer as said below, then check again"
 
 
 @dataclass(frozen=True, eq=False)
-class MotionFound:
+class MotionResult:
     """The findings of the comparison, and the hypothesis behind them."""
 
     findings: tuple[Finding, ...]
-    axes: AxesFound | None = None
+    axes: PossibleAxes | None = None
     """The possible axes of the magnetometer; None if they are not determined."""
-    way: Way | None = None  # the chosen hypothesis; None if none explains the movement
+    hypothesis: AxesHypothesis | None = (
+        None  # the chosen hypothesis; None if none explains the movement
+    )
     factor: float = 1.0  # converts the gyro's numbers to rad/s
     up_is_down: bool | None = False
     """Whether gravity's sign is wrong; None if undecided."""
@@ -90,21 +103,21 @@ class MotionFound:
 
 def compare(
     prepared: CleanLog, knowledge: Knowledge, turned_left: bool | None = None
-) -> MotionFound:
+) -> MotionResult:
     """Compare accelerometer, gyro and field."""
     log = prepared.log
     if not log.has_gyro:
-        found = looked_at("no_gyro", "gyro", "absent", NO_GYRO)
-        return MotionFound((found, upright(log, None, None, turned_left)[0]))
+        found = ok_or_warning("no_gyro", "gyro", "absent", NO_GYRO)
+        return MotionResult((found, check_gravity_direction(log, None, None, turned_left)[0]))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
-    part = stretch_of_log(body)
+    part = segment_of_log(body)
     # The field must change by more than its noise.
     if part is None or usual_size(np.diff(part.field, axis=0)) >= TUNING.largest_noise:
         return _nothing_shown(log, None, turned_left)
     inside = (body.field_time >= body.imu_time[0]) & (body.field_time <= body.imu_time[-1])
     time = body.field_time[inside]
     rates = interpolated(time, body.imu_time, body.rate)
-    rest = longest_stand(time, body.field[inside], rates)
+    rest = longest_rest(time, body.field[inside], rates)
     factors = rate_factors(part)
     bias = NO_BIAS if rest is None else rest.rate
     beside = replace(part, turn=part.turn - part.seconds[:, None] * bias)
@@ -118,89 +131,91 @@ def compare(
     dip = knowledge.reference.inclination
     other = replace(given, inclination=Belief(-dip.value, dip.sigma))
     dead = bool(dead_axes(log.rate))
-    stands, up_is_down = upright(log, None if dead else given, other, turned_left)
-    explanations = other if up_is_down else given
+    stands, up_is_down = check_gravity_direction(log, None if dead else given, other, turned_left)
+    hypotheses = other if up_is_down else given
     if up_is_down and turned_left is not None:
         turned_left = not turned_left
-    blamed = blame(explanations, knowledge, turned_left, dead)
-    if stands.is_wrong and not up_is_down and any(each.is_wrong for each in blamed.findings):
+    diagnosis = diagnose_axes(hypotheses, knowledge, turned_left, dead)
+    if stands.is_wrong and not up_is_down and any(each.is_wrong for each in diagnosis.findings):
         # Those findings are in the IMU's axes, which may need a correction themselves.
-        blamed = Blame((not_shown("axes", "axes", GRAVITY_FIRST),), blamed.chosen)
-    findings = [_unit(factor, factors is None), stands, *blamed.findings]
-    way = None if blamed.chosen is None else explanations.way(blamed.chosen)
-    if way is not None:
+        diagnosis = AxesDiagnosis((undetermined("axes", "axes", GRAVITY_FIRST),), diagnosis.chosen)
+    findings = [_unit(factor, factors is None), stands, *diagnosis.findings]
+    hypothesis = None if diagnosis.chosen is None else hypotheses.hypothesis(diagnosis.chosen)
+    if hypothesis is not None:
         rest = None if rest is None else rest._replace(rate=factor * rest.rate)
-        findings += _gyro_errors(way, factor, rest, prepared.restamped)
+        findings += _gyro_errors(hypothesis, factor, rest, prepared.restamped)
         if prepared.restamped:
-            findings.append(not_shown("latency", "field: latency", NO_BURSTS))
+            findings.append(undetermined("latency", "field: latency", NO_BURSTS))
         else:
-            findings += _latencies(body, way)
-    return MotionFound(tuple(findings), blamed.axes, way, factor, up_is_down, body)
+            findings += _latencies(body, hypothesis)
+    return MotionResult(tuple(findings), diagnosis.axes, hypothesis, factor, up_is_down, body)
 
 
 def _explained(
     log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge, bias: FloatArray
-) -> tuple[Explanations | None, float]:
+) -> tuple[AxesHypotheses | None, float]:
     """Explain the movement, with a known error of the gyro's unit if only this one fits well."""
     inclination = knowledge.reference.inclination
     slips = [f for f in factors or () if f != 1.0]
-    ways = [(explain(replace(log, rate=f * log.rate), inclination, f * bias), f) for f in slips]
+    ways = [
+        (compare_axes(replace(log, rate=f * log.rate), inclination, f * bias), f) for f in slips
+    ]
     slipped = [(float(w.rms.min()), f, w) for w, f in ways if w is not None]
-    found = [each for each in slipped if each[2].shows_the_unit]
+    found = [each for each in slipped if each[2].confirms_unit]
     # Rates in a wrong unit take longest to fit as they are, so the known errors come first.
     if not found or 1.0 in (factors or ()):
-        given = explain(log, inclination, bias)
+        given = compare_axes(log, inclination, bias)
         if not found and given is not None and 1.0 not in (factors or (1.0,)):
             # Among magnetic objects, as in a street, no unit fits the field well.
             found = [each for each in slipped if each[2].is_better(given)]
         # After too small a turn, a unit that may be right is kept.
         if not found or given is None or given.fits_well:
             return given, 1.0
-    _, factor, way = min(found, key=lambda one: one[0])
-    return way, factor
+    _, factor, hypothesis = min(found, key=lambda one: one[0])
+    return hypothesis, factor
 
 
 def _nothing_shown(
     log: SensorLog, rest: LongestRest | None, turned_left: bool | None
-) -> MotionFound:
+) -> MotionResult:
     """Return the findings without a comparison; a rest still shows the gyro's bias."""
     why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
-    bias = not_shown("gyro_bias", "gyro: bias", why)
+    bias = undetermined("gyro_bias", "gyro: bias", why)
     findings = (
-        not_shown("axes", "axes", why),
+        undetermined("axes", "axes", why),
         bias if rest is None else _bias(rest.rate, TUNING.at_rest, 1.0),
-        not_shown("rate_scale", "gyro: scale", why),
-        not_shown("latency", "field: latency", why),
-        upright(log, None, None, turned_left)[0],
+        undetermined("rate_scale", "gyro: scale", why),
+        undetermined("latency", "field: latency", why),
+        check_gravity_direction(log, None, None, turned_left)[0],
     )
-    return MotionFound(findings)
+    return MotionResult(findings)
 
 
 def _unit(factor: float, turns_alike: bool) -> Finding:
     if factor == 1.0 and not turns_alike:
-        return not_shown("rate_unit", "gyro: unit", "turn on the spot, away from iron")
+        return undetermined("rate_unit", "gyro: unit", "turn on the spot, away from iron")
     if factor == 1.0:
-        return looked_at("rate_unit", "gyro: unit", "rad/s, by how fast the field turns")
+        return ok_or_warning("rate_unit", "gyro: unit", "rad/s, by how fast the field turns")
     evidence = f"rad/s times {1.0 / factor:.4g}, by how fast the field turns"
     times, size = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
     words = (
         f"the gyro's rates are {times:.3g} times too {size}, which looks like "
         f"{dict(UNIT_ERRORS)[factor]}; multiply them by {factor:.6g} in the driver"
     )
-    return wrong("rate_unit", "gyro: unit", evidence, words)
+    return severe_finding("rate_unit", "gyro: unit", evidence, words)
 
 
 def _gyro_errors(
-    way: Way, factor: float, rest: LongestRest | None, restamped: bool
+    hypothesis: AxesHypothesis, factor: float, rest: LongestRest | None, restamped: bool
 ) -> tuple[Finding, Finding]:
     """Return the findings on the gyro's bias and scale."""
-    state, sigma = way.state, way.sigma
-    hidden = not_shown("gyro_bias", "gyro: bias", FULL_TURN)
+    state, sigma = hypothesis.state, hypothesis.sigma
+    hidden = undetermined("gyro_bias", "gyro: bias", FULL_TURN)
     if not np.isfinite(sigma).all():
-        return hidden, not_shown("rate_scale", "gyro: scale", FULL_TURN)
+        return hidden, undetermined("rate_scale", "gyro: scale", FULL_TURN)
     # In the gyro's own axes and scale, so that the driver can subtract it.
-    bias = way.gyro @ state[BIAS] / (1.0 + state[SCALE])
-    off = math.sqrt(float((way.gyro**2 @ sigma[BIAS] ** 2).max()))
+    bias = hypothesis.gyro @ state[BIAS] / (1.0 + state[SCALE])
+    off = math.sqrt(float((hypothesis.gyro**2 @ sigma[BIAS] ** 2).max()))
     if rest is not None and rest.is_certain and off > TUNING.vague[0]:
         bias, off = rest.rate, TUNING.at_rest
     line = _bias(bias, off, factor)
@@ -209,14 +224,14 @@ def _gyro_errors(
     is_confirmed = rest is not None and float(np.linalg.norm(rest.rate - bias)) < most
     if off > TUNING.vague[0] or (line.is_wrong and not is_confirmed):
         line = hidden
-    return line, _scale(way, factor, restamped)
+    return line, _scale(hypothesis, factor, restamped)
 
 
-def _scale(way: Way, factor: float, restamped: bool) -> Finding:
-    scale, off = float(way.state[SCALE]), float(way.sigma[SCALE])
+def _scale(hypothesis: AxesHypothesis, factor: float, restamped: bool) -> Finding:
+    scale, off = float(hypothesis.state[SCALE]), float(hypothesis.sigma[SCALE])
     if restamped or off > TUNING.vague[1]:
         why = NO_BURSTS if restamped else f"within {off:.1%}; {FULL_TURN}"
-        return not_shown("rate_scale", "gyro: scale", why)
+        return undetermined("rate_scale", "gyro: scale", why)
     too_large = abs(scale) > max(TUNING.scale, CLEAR * off)
     evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
     # Motors and iron that change the field during one turn look like a scale error.
@@ -225,7 +240,7 @@ def _scale(way: Way, factor: float, restamped: bool) -> Finding:
         f"still. If the field again turns by so much {'more' if scale > 0.0 else 'less'} than the "
         f"gyro shows, multiply the gyro's rates by {factor * (1.0 + scale):.4g} in the driver"
     )
-    return looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)
+    return ok_or_warning("rate_scale", "gyro: scale", evidence, remedy * too_large)
 
 
 def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
@@ -237,13 +252,13 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
         f"({as_published}) from its rates"
     )
     too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, CLEAR * off)
-    return looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large)
+    return ok_or_warning("gyro_bias", "gyro: bias", evidence, remedy * too_large)
 
 
-def _latencies(log: SensorLog, way: Way) -> list[Finding]:
+def _latencies(log: SensorLog, hypothesis: AxesHypothesis) -> list[Finding]:
     """Return the findings on both latencies; if they are equal, the gyro's stamps are early."""
-    field, field_lag = _shown(field_latency(log, way), TUNING.vague[2])
-    force, force_lag = _shown(force_latency(log, way), TUNING.vague[3])
+    field, field_lag = _shown(field_latency(log, hypothesis), TUNING.vague[2])
+    force, force_lag = _shown(force_latency(log, hypothesis), TUNING.vague[3])
     if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < TUNING.lag:
         of_field = of_force = (
             f"the gyro is {field_lag * 1e3:.0f} ms ahead of both field and accelerometer: stamp it "
@@ -279,7 +294,7 @@ def _shown(found: Latency | None, vague: float) -> tuple[Latency | None, float]:
 
 def _latency(key: str, name: str, latency: Latency | None, tells: str, remedy: str) -> Finding:
     if latency is None:
-        return not_shown(key, name, tells)
+        return undetermined(key, name, tells)
     lag, off = round(latency.lag * 1e3), latency.sigma * 1e3
     how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
-    return looked_at(key, name, how, remedy)
+    return ok_or_warning(key, name, how, remedy)

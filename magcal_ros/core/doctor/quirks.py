@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.doctor.health import Finding, looked_at
+from magcal_ros.core.doctor.health import Finding, ok_or_warning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.knowledge import Knowledge
@@ -41,7 +41,7 @@ class Quirk:
     """A known fault of a driver."""
 
     driver: str  # names of the drivers
-    habit: str  # description of the fault
+    fault: str  # its description
     remedy: str
     line: str = "driver"  # `Finding.name` of the finding on the fault
     shows: Callable[[SensorLog, FloatArray | None], bool] | None = None
@@ -128,13 +128,13 @@ QUIRKS: tuple[Quirk, ...] = (
 )
 
 
-def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding]:
+def known_quirks(log: SensorLog, axes: FloatArray | None = None) -> list[Finding]:
     """Return a finding for each driver whose known fault a log has.
 
     Rows of `axes` (3, 3) are the magnetometer's axes in the IMU's, if only these are wrong.
     """
     return [
-        looked_at("driver", "driver", f"as {each.driver}: {each.habit}", each.remedy)
+        ok_or_warning("driver", "driver", f"as {each.driver}: {each.fault}", each.remedy)
         for each in QUIRKS
         if each.shows is not None and each.shows(log, axes)
     ]
@@ -195,9 +195,9 @@ def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
     sizes = f"{math.degrees(off):+.0f} ± {math.degrees(sigma):.0f}°"
     words = f"its yaw is {sizes} off the magnetic yaw (ENU)"
     if max(least - off, off - most) < 3.0 * math.hypot(sigma, YAW.own):
-        return [looked_at("orientation", "IMU: orientation", words)]
+        return [ok_or_warning("orientation", "IMU: orientation", words)]
     words += (
         ": it counts from north instead of east, or it does not refer to north (game rotation "
         "vector of a BNO08x)"
     )
-    return [looked_at("orientation", "IMU: orientation", words, NO_NORTH)]
+    return [ok_or_warning("orientation", "IMU: orientation", words, NO_NORTH)]

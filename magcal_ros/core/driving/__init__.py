@@ -9,6 +9,6 @@ __getattr__, __dir__, __all__ = lazy_names(
     driving_tuning: COURSE SPEED SpeedSource
     mounting_yaw: MountingYaw SpeedFault fault_words
     speed: SpeedTrack Speedometer
-    travelling: Travelling
+    travel_estimator: TravelEstimator
     """,
 )

@@ -18,14 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.driving.driving_tuning import COURSE, MOUNTING, OWN, SPEED
+from magcal_ros.core.driving.driving_tuning import ACCELERATION, COURSE, MOUNTING, SPEED
 from magcal_ros.core.geometry.arrays import ComplexArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.geometry.vec3 import (
     Triple,
-    between,
     cross,
     dot,
+    interpolate,
     length,
     minus,
     plus,
@@ -78,7 +78,7 @@ class GyroFrame:
         if last is None or self.axes is None or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._begin(sample.force)
             return None
-        turn = scaled(minus(between(last.rate, sample.rate, 0.5), bias), seconds)
+        turn = scaled(minus(interpolate(last.rate, sample.rate, 0.5), bias), seconds)
         first, second, _ = self.axes
         first, second = propagated(first, turn), propagated(second, turn)
         third = cross(first, second)
@@ -87,7 +87,7 @@ class GyroFrame:
         self._force = plus(self._force, scaled(force, seconds))
         self._turned += dot(third, turn)
         self._seconds += seconds
-        return self._end(stamp) if self._seconds >= OWN.seconds - 1e-6 else None
+        return self._end(stamp) if self._seconds >= ACCELERATION.seconds - 1e-6 else None
 
     def to_body(self, vector: Triple) -> Triple:
         """Turn a vector from the frame's axes into body axes."""
@@ -112,13 +112,13 @@ class GyroFrame:
         self._force = (0.0, 0.0, 0.0)
         self._turned = self._seconds = 0.0
         self._level((x, y, z), seconds)
-        if abs(forward) < OWN.steepest:
+        if abs(forward) < ACCELERATION.steepest:
             return None
         return Tick(stamp, seconds, (x, y, z), cmath.phase(forward), turned / seconds)
 
     def _level(self, force: Triple, seconds: float) -> None:
         """Tilt the frame slightly towards the force, whose long-term mean is up."""
-        self._levelled = min(self._levelled + seconds, OWN.levelling)
+        self._levelled = min(self._levelled + seconds, ACCELERATION.levelling)
         size = length(force)
         if size <= 0.0:
             return
@@ -221,15 +221,15 @@ class Chords:
         seconds = math.inf if before is None else fix.stamp - before.stamp
         if not 0.0 < seconds <= COURSE.longest:
             return None
-        way = seconds * complex(fix.east, fix.north)
+        shift = seconds * complex(fix.east, fix.north)
         if fix.stamp - self._placed_at > COURSE.longest:
             x, y = self._place
-            self._place = (x + way.real, y + way.imag)
+            self._place = (x + shift.real, y + shift.imag)
         span = fix.stamp - 0.5, fix.stamp + 0.1
-        return self._chord(span, self._place, way, fix.sigma / max(speed, 1e-9))
+        return self._chord(span, self._place, shift, fix.sigma / max(speed, 1e-9))
 
     def _chord(
-        self, span: tuple[float, float], place: tuple[float, float], way: complex, sigma: float
+        self, span: tuple[float, float], place: tuple[float, float], shift: complex, sigma: float
     ) -> Chord | None:
         """Return the chord of a displacement, metres, if the path is straight with a compass."""
         if sigma > COURSE.largest_sigma:
@@ -248,7 +248,7 @@ class Chords:
         turned = abs(math.remainder(last.yaw - first.yaw, math.tau))
         if not is_whole or turned > COURSE.largest_turn:
             return None
-        course = cmath.phase(way)
+        course = cmath.phase(shift)
         compass_yaw = cmath.phase(sum(compass / abs(compass) for _, compass in among))
         gyro_yaw = cmath.phase(sum(cmath.exp(1j * tick.yaw) for tick, _ in among))
         return Chord(
@@ -258,7 +258,7 @@ class Chords:
             math.remainder(compass_yaw - course, math.tau),
             math.remainder(gyro_yaw - course, math.tau),
             sigma,
-            abs(way),
+            abs(shift),
         )
 
 

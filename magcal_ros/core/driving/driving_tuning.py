@@ -42,7 +42,7 @@ class SpeedTuning:
 
 
 @dataclass(frozen=True)
-class OwnAccelerationTuning:
+class VehicleAccelerationTuning:
     """When the vehicle's acceleration is subtracted, and how the direction of travel is found."""
 
     seconds: float = 0.25  # duration of a tick: short compared with a start or a curve
@@ -68,7 +68,7 @@ class OwnAccelerationTuning:
     """Least fraction of the changes of velocity that are starts and stops, for fixes."""
     quiet: float = 0.3  # m/s², scatter of the force that needs no explanation
     correlated: float = 4.0  # factor of the variance, as errors of the force are correlated
-    standing: float = 0.5  # m/s, of an unsigned speed at rest; that of a receiver drifts
+    speed_at_rest: float = 0.5  # m/s, of an unsigned speed at rest; that of a receiver drifts
     crawling: float = 1.5
     """m/s below which a vehicle may have stopped between two samples of a receiver."""
     longest: float = 40.0  # seconds for which a chord waits for the direction of travel
@@ -97,7 +97,7 @@ class MountingYawTuning:
     floor: float = math.radians(0.3)  # least sigma, radians: suspension, tyres
     largest_delay: float = 8.0  # largest latency that is tried, seconds; the least is -1/8 of it
     reuse: float = 8.0  # seconds between fits
-    wild: float = 0.02  # largest fraction of samples with impossible jumps
+    outliers: float = 0.02  # largest fraction of samples with impossible jumps
     recent: int = 240  # ticks of the last minute, in which wheels are also tested separately
     stuck: int = 48
     """Newest ticks, 12 s, in which a constant speed is tested separately."""
@@ -148,5 +148,5 @@ class CourseTuning:
     fewest: int = 5  # cells before the first fit
 
 
-SPEED, OWN = SpeedTuning(), OwnAccelerationTuning()
+SPEED, ACCELERATION = SpeedTuning(), VehicleAccelerationTuning()
 MOUNTING, COURSE = MountingYawTuning(), CourseTuning()

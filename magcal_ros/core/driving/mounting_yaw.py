@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.driving.chords import Tick
-from magcal_ros.core.driving.driving_tuning import MOUNTING, OWN, SpeedSource
+from magcal_ros.core.driving.driving_tuning import ACCELERATION, MOUNTING, SpeedSource
 from magcal_ros.core.driving.speed import Speedometer, SpeedRecord
 from magcal_ros.core.geometry.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 
@@ -97,7 +97,7 @@ class TickTable(NamedTuple):
         return self._replace(**{n: getattr(self, n)[-count:] for n in self._fields[:-1]})
 
 
-class Judged(NamedTuple):
+class SpeedCheck(NamedTuple):
     """The result of a fit for one source of speed: yaw, fault and latency."""
 
     source: SpeedSource
@@ -108,7 +108,7 @@ class Judged(NamedTuple):
 
 def _judge(
     source: SpeedSource, table: TickTable, record: SpeedRecord, measures_delay: bool
-) -> Judged:
+) -> SpeedCheck:
     delay = _delay(table, record) if measures_delay else record.delay
     met = _at_delay(table, record, delay)
     is_rough = source is not SpeedSource.ODOMETRY
@@ -117,7 +117,7 @@ def _judge(
         stuck = fit_mounting_yaw(newest, delay, is_rough)
         is_moved = stuck is not None and stuck.force_energy > MOUNTING.first_energy
         if stuck is not None and is_moved and stuck.explained < MOUNTING.explained:
-            return Judged(source, stuck, SpeedFault.FROZEN, delay)
+            return SpeedCheck(source, stuck, SpeedFault.FROZEN, delay)
     # Wheels are also tested over the last minute, in which a new fault is clear. A receiver is
     # temporarily worse between houses.
     for ticks in (met,) if is_rough else (met.last(MOUNTING.recent), met):
@@ -125,7 +125,7 @@ def _judge(
         fault = None if found is None else _fault(record, found)
         if fault is not None:
             break
-    return Judged(source, found, fault, delay)
+    return SpeedCheck(source, found, fault, delay)
 
 
 def _at_delay(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
@@ -134,7 +134,7 @@ def _at_delay(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
 
 
 def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
-    if record.wild_share > MOUNTING.wild:
+    if record.outlier_share > MOUNTING.outliers:
         return SpeedFault.JUMPS
     if fitted.force_energy < MOUNTING.energy:
         return None
@@ -144,12 +144,12 @@ def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
         return SpeedFault.UNRELATED
     if not fitted.has_scale:
         return SpeedFault.SCALE
-    return SpeedFault.LATE if fitted.delay > OWN.latest else None
+    return SpeedFault.LATE if fitted.delay > ACCELERATION.latest else None
 
 
 def _delay(table: TickTable, record: SpeedRecord) -> float:
     """Return the latency with the largest correlation of force and change of velocity."""
-    step = 2.0 * OWN.seconds
+    step = 2.0 * ACCELERATION.seconds
     if len(table.stamp) < 2 * MOUNTING.highpass:
         return record.delay
     delays = np.arange(-MOUNTING.largest_delay / 8.0, MOUNTING.largest_delay + step, step)
@@ -203,7 +203,7 @@ def _running(sums: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
 def _signs(ticks: TickTable, force: ComplexArray, change: ComplexArray) -> FloatArray:
     """Return the sign of the speed in each row; most of the path counts as forwards."""
     speed = np.abs(np.nan_to_num(ticks.speed))
-    moving = speed > OWN.standing
+    moving = speed > ACCELERATION.speed_at_rest
     label = np.where(moving, np.cumsum(moving & ~np.append(False, moving[:-1])), 0)
     count = int(label.max()) + 1
     product = force * np.conj(change)
@@ -272,11 +272,11 @@ def fit_mounting_yaw(ticks: TickTable, delay: float, is_rough: bool) -> Mounting
     )
 
 
-class MountingWatch:
+class MountingYawEstimator:
     """Keeps the ticks of some minutes, and fits them periodically.
 
-    `found` is the newest fit of the source in use, `seen` that of each source, and `faults` are the
-    faults by source.
+    `found` is the newest fit of the source in use, `checked` that of each source, and `faults` are
+    the faults by source.
     """
 
     def __init__(self, speedometer: Speedometer) -> None:
@@ -286,7 +286,7 @@ class MountingWatch:
         self._fits = 0
         self.found: MountingYaw | None = None
         self.faults: dict[SpeedSource, SpeedFault] = {}
-        self.seen: dict[SpeedSource, MountingYaw] = {}
+        self.checked: dict[SpeedSource, MountingYaw] = {}
 
     def add(self, tick: Tick, speed: float) -> bool:
         """Add a tick and its speed (m/s, NaN if unknown); return whether a fit is due."""
@@ -300,7 +300,7 @@ class MountingWatch:
         self._ticks.clear()
         self._fitted_at = -math.inf
 
-    def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
+    def begin_fit(self, stamp: float) -> Callable[[], tuple[SpeedCheck, ...]]:
         """Return a function that fits the drive, for any thread; `take` uses its result.
 
         Every eighth fit tests all sources and measures their latencies; the others end at the first
@@ -315,12 +315,12 @@ class MountingWatch:
             if stamp - track.newest <= 2.0 * MOUNTING.reuse
         ]
 
-        def work() -> tuple[Judged, ...]:
+        def work() -> tuple[SpeedCheck, ...]:
             rows = [(t.stamp, t.seconds, t.yaw, t.turn_rate, math.nan) for t in ticks]
             stamps, seconds, yaw, rate, speed = np.array(rows, dtype=float).reshape(-1, 5).T
             force = np.array([tick.level_force for tick in ticks], dtype=np.complex128)
             table = TickTable(stamps, seconds, force, yaw, rate, speed, True)
-            judged: list[Judged] = []
+            judged: list[SpeedCheck] = []
             for source, record in recent:
                 judged.append(_judge(source, table, record, is_thorough))
                 is_good = judged[-1].fitted is not None and judged[-1].fault is None
@@ -330,12 +330,12 @@ class MountingWatch:
 
         return work
 
-    def take(self, judged: tuple[Judged, ...]) -> None:
+    def take(self, judged: tuple[SpeedCheck, ...]) -> None:
         """Use the results of a fit: the best source without a fault is used."""
         self.found = None
         for source, fitted, fault, delay in judged:
             if fitted is not None:
-                self.seen[source] = fitted
+                self.checked[source] = fitted
             self._speedometer.tracks[source].delay = delay
             if fault is None:
                 self.faults.pop(source, None)

@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from magcal_ros.core.driving.chords import GyroFrame, Tick
-from magcal_ros.core.driving.driving_tuning import OWN, SPEED, SpeedSource
+from magcal_ros.core.driving.driving_tuning import ACCELERATION, SPEED, SpeedSource
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple, minus
 from magcal_ros.core.knowledge import CLEAR
@@ -42,7 +42,7 @@ class SpeedRecord:
     """A copy of the measurements of one source."""
 
     kept: FloatArray  # stamps and speeds of some minutes, thinned. Shape (n, 2).
-    wild_share: float  # fraction of the newest samples with impossible jumps
+    outlier_share: float  # fraction of the newest samples with impossible jumps
     delay: float
     gap: float
     """Latency of the stamps, and longest gap that is interpolated, seconds."""
@@ -75,7 +75,7 @@ class SpeedTrack:
         self.is_signed = own
         self._stamps = StampGuard()
         self._doubted: tuple[float, float] | None = None
-        self._wild: deque[bool] = deque(maxlen=SPEED.newest)
+        self._outliers: deque[bool] = deque(maxlen=SPEED.newest)
         self._recent: deque[tuple[float, float]] = deque(maxlen=SPEED.newest)
         self._kept: deque[tuple[float, float]] = deque(maxlen=SPEED.remembered)
 
@@ -109,7 +109,7 @@ class SpeedTrack:
         """Accept a sample; after a jump only if the next sample confirms it."""
         doubted, self._doubted = self._doubted, None
         is_wild = bool(self._recent) and is_jump(self._recent[-1], sample)
-        self._wild.append(is_wild)
+        self._outliers.append(is_wild)
         if is_wild and (doubted is None or is_jump(doubted, sample)):
             self._doubted = sample
             return
@@ -151,8 +151,8 @@ class SpeedTrack:
     def record(self) -> SpeedRecord:
         """Return a copy of the measurements, for another thread."""
         kept = np.array(self._kept).reshape(-1, 2)
-        wild = sum(self._wild) / SPEED.newest
-        return SpeedRecord(kept, wild, self.delay, self.gap, self.is_signed)
+        outliers = sum(self._outliers) / SPEED.newest
+        return SpeedRecord(kept, outliers, self.delay, self.gap, self.is_signed)
 
 
 class Speedometer:
@@ -181,8 +181,10 @@ class Speedometer:
         if before is None or not 0.05 < sample.stamp - before.stamp <= SPEED.receiver_gap:
             return False
         span = sample.stamp - before.stamp
-        way = math.hypot(sample.east - before.east, sample.north - before.north)
-        return self.tracks[SpeedSource.FIXES].add(0.5 * (sample.stamp + before.stamp), way / span)
+        distance = math.hypot(sample.east - before.east, sample.north - before.north)
+        return self.tracks[SpeedSource.FIXES].add(
+            0.5 * (sample.stamp + before.stamp), distance / span
+        )
 
     @property
     def track(self) -> SpeedTrack | None:
@@ -203,7 +205,7 @@ class _Trip(NamedTuple):
     is_clear: bool = False
 
 
-class OwnAcceleration:
+class VehicleAcceleration:
     """Subtracts the vehicle's acceleration from the force.
 
     Over the last half second with a known speed, the mean force minus the change of velocity is
@@ -222,11 +224,13 @@ class OwnAcceleration:
         self.yaw, self.is_yaw_usable, self.is_yaw_known = 0.0, False, False
         self.scale, self.noise = 1.0, 0.3
         self._waiting: deque[Tick] = deque(maxlen=64)
-        self._matched: deque[tuple[Tick, complex]] = deque(maxlen=max(OWN.spans.values()) + 1)
+        self._matched: deque[tuple[Tick, complex]] = deque(
+            maxlen=max(ACCELERATION.spans.values()) + 1
+        )
         # Force, change of velocity in the direction of travel, and of speed, m/s².
-        self._seen: deque[tuple[complex, complex, float]] = deque(maxlen=OWN.watched)
-        self._is_rough, self._slow = False, OWN.slow[SpeedSource.ODOMETRY]
-        self._is_signed, self._span = True, OWN.spans[SpeedSource.ODOMETRY]
+        self._seen: deque[tuple[complex, complex, float]] = deque(maxlen=ACCELERATION.watched)
+        self._is_rough, self._slow = False, ACCELERATION.slow[SpeedSource.ODOMETRY]
+        self._is_signed, self._span = True, ACCELERATION.spans[SpeedSource.ODOMETRY]
         self._track_key: tuple[SpeedSource, float] | None = None
         self.restart()
 
@@ -264,13 +268,13 @@ class OwnAcceleration:
             self._try_anew()
         if track is not None:
             self._is_signed = track.is_signed
-            self._slow = OWN.slow[track.source]
+            self._slow = ACCELERATION.slow[track.source]
             self._is_rough = track.source is SpeedSource.FIXES
-            self._span = OWN.spans[SpeedSource.VELOCITY if track.is_slow else track.source]
+            self._span = ACCELERATION.spans[SpeedSource.VELOCITY if track.is_slow else track.source]
         met: list[tuple[Tick, float]] = []
         while self._waiting:
             first = self._waiting[0]
-            is_late = tick.stamp - first.stamp > OWN.oldest
+            is_late = tick.stamp - first.stamp > ACCELERATION.oldest
             if track is not None and not track.has_passed(first.stamp) and not is_late:
                 break
             self._waiting.popleft()
@@ -285,10 +289,10 @@ class OwnAcceleration:
         After a gap it pauses for some seconds: brief corrections would mislead the filter of up.
         """
         since, gravity = self._gravity or (math.inf, force)
-        is_known = self.is_used and 0.0 <= stamp - since <= OWN.oldest
+        is_known = self.is_used and 0.0 <= stamp - since <= ACCELERATION.oldest
         if not is_known or frame.axes is None or stamp < self._pauses_until:
             if self._gives:
-                self._pauses_until = stamp + OWN.oldest
+                self._pauses_until = stamp + ACCELERATION.oldest
             self._gives = False
             return None
         self._gives = True
@@ -311,10 +315,12 @@ class OwnAcceleration:
             self._matched.clear()
             self._gravity = None
             return
-        is_slow = abs(speed) < OWN.standing
+        is_slow = abs(speed) < ACCELERATION.speed_at_rest
         if is_slow and self._is_under_way:
             self._begin_trip(tick.stamp, 1.0, False)
-        elif not is_slow and self._span > 2 and abs(speed) < min(OWN.crawling, self._speed):
+        elif (
+            not is_slow and self._span > 2 and abs(speed) < min(ACCELERATION.crawling, self._speed)
+        ):
             # A speed at 1 Hz may miss a stop, and fixes smear a stop over seconds.
             self._begin_trip(tick.stamp, self.sign, self.is_clear and not self._is_rough)
         self._is_under_way, self._speed = not is_slow, abs(speed)
@@ -348,15 +354,15 @@ class OwnAcceleration:
     def _judge(self) -> None:
         """Test whether the speed explains the force of the last seconds."""
         force, change, along = np.array(self._seen).T
-        without, quiet = float(np.var(force)), OWN.quiet**2
-        limit = OWN.gain * without if without > quiet else quiet
+        without, quiet = float(np.var(force)), ACCELERATION.quiet**2
+        limit = ACCELERATION.gain * without if without > quiet else quiet
         is_explained = float(np.var(force - self._turn * change)) <= limit
         # In a steady circle the gyro is enough: the speed from fixes would only add noise.
         changes, starts = (float(np.sum(np.abs(each) ** 2)) for each in (change, along))
         is_tested = not self._is_rough or (
-            self.is_yaw_usable and starts >= OWN.along * changes > 0.0
+            self.is_yaw_usable and starts >= ACCELERATION.along * changes > 0.0
         )
-        self.is_used = len(force) >= OWN.fewest and is_explained and is_tested
+        self.is_used = len(force) >= ACCELERATION.fewest and is_explained and is_tested
 
     def _decide(self, shown: complex, forwards: complex) -> None:
         """Accumulate the evidence for the direction of travel since the last stop."""
@@ -366,7 +372,7 @@ class OwnAcceleration:
         self._energy += abs(forwards) ** 2
         if not self.is_yaw_known or self._energy <= 0.0:
             return
-        sigmas = self._explained / (math.sqrt(OWN.correlated * self._energy) * self.noise)
+        sigmas = self._explained / (math.sqrt(ACCELERATION.correlated * self._energy) * self.noise)
         if sigmas * self.sign < -CLEAR:
             self.sign = -self.sign
             for row in range(max(0, len(self._seen) - self._in_trip), len(self._seen)):

@@ -154,7 +154,7 @@ class LocalPlane:
         return PositionSample(fix.stamp, EARTH_RADIUS * east * shrink, EARTH_RADIUS * north)
 
 
-class Unit(NamedTuple):
+class ReferenceUnit(NamedTuple):
     """How a number is shown: suffix of its key, factor from SI, and symbol."""
 
     suffix: str
@@ -163,13 +163,13 @@ class Unit(NamedTuple):
 
 
 UNITS = {
-    "strength": Unit("ut", 1e6, " µT"),
-    "inclination": Unit("deg", 180.0 / math.pi, "°"),
-    "declination": Unit("deg", 180.0 / math.pi, "°"),
+    "strength": ReferenceUnit("ut", 1e6, " µT"),
+    "inclination": ReferenceUnit("deg", 180.0 / math.pi, "°"),
+    "declination": ReferenceUnit("deg", 180.0 / math.pi, "°"),
 }
 
 
-class Local(NamedTuple):
+class LocalField(NamedTuple):
     """Local deviation from the Earth's main field by crust, buildings and iron (1 σ)."""
 
     strength: float = STRENGTH_SIGMA_UT * 1e-6  # tesla
@@ -179,23 +179,23 @@ class Local(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Given:
+class GivenReference:
     """The Earth's field and the place as given by the user."""
 
     field: ReferenceField
-    local: Local
+    local: LocalField
     place: Place | None
     """None unless latitude and longitude are given."""
     half_place: bool  # whether only one of latitude and longitude is given
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Given:
+    def of(cls, values: Mapping[str, Any]) -> GivenReference:
         """Build from the values of the parameters `reference.*`; NaN means not given."""
         sigmas = ("strength_sigma_ut", "inclination_sigma_deg", "declination_sigma_deg")
         names = ("strength_ut", "inclination_deg", "declination_deg", *sigmas)
         known = knowledge_of(**{name: values[name] for name in names})
         strength, *angles = (values[name] for name in sigmas)
-        local = Local(strength * 1e-6, *map(math.radians, angles))
+        local = LocalField(strength * 1e-6, *map(math.radians, angles))
         spot = values["latitude_deg"], values["longitude_deg"]
         unset = [math.isnan(angle) for angle in spot]
         place = None if any(unset) else Place(*spot, values["altitude_m"])
@@ -245,21 +245,21 @@ class Reference:
 
 
 def resolve(
-    given: ReferenceField, local: Local, place: Place | None, year: float | None
+    given: ReferenceField, local: LocalField, place: Place | None, year: float | None
 ) -> Reference:
     """Return the reference field: given numbers, and the others from the model.
 
     The variances of local deviation and model are added. `place` and `year` (decimal) are None if
     unknown. A missing model is a complaint, not an exception.
     """
-    lacking = [name for name, belief in _beliefs(given) if belief.is_unknown]
-    source = "unknown" if len(lacking) == len(UNITS) else "given"
+    missing = [name for name, belief in _beliefs(given) if belief.is_unknown]
+    source = "unknown" if len(missing) == len(UNITS) else "given"
     if place is None or year is None:
         return Reference(given, source)
     try:
         model = model_field(place, year)
     except NoModel as error:
-        return Reference(given, source, (str(error),) if lacking else ())
+        return Reference(given, source, (str(error),) if missing else ())
     spot = f"{model.model} at {place.words}, {year:.1f}"
     pairs = zip((model.strength, model.inclination, model.declination), local, strict=True)
     here = [Belief(each.value, math.hypot(each.sigma, sigma)) for each, sigma in pairs]
@@ -273,8 +273,8 @@ def resolve(
     doubts = [*_contradictions(given, here, spot), *_doubts(model, field)]
     if source == "unknown":
         source = spot
-    elif lacking:
-        known = " and ".join(name for name, _ in _beliefs(given) if name not in lacking)
+    elif missing:
+        known = " and ".join(name for name, _ in _beliefs(given) if name not in missing)
         source = f"{known} given, the rest from the {spot}"
     return Reference(field, source, tuple(doubts))
 

@@ -117,7 +117,7 @@ VALIDITY = Validity()
 
 
 @dataclass(frozen=True)
-class Errors:
+class ModelErrors:
     """The published error model (1 σ) of a World Magnetic Model."""
 
     strength_nt: float
@@ -129,9 +129,9 @@ class Errors:
 
 
 ERRORS = {
-    2015: Errors(152.0, 0.22, 0.23, 5430.0),
-    2020: Errors(148.0, 0.21, 0.26, 5625.0),
-    2025: Errors(138.0, 0.20, 0.26, 5417.0),
+    2015: ModelErrors(152.0, 0.22, 0.23, 5430.0),
+    2020: ModelErrors(148.0, 0.21, 0.26, 5625.0),
+    2025: ModelErrors(138.0, 0.20, 0.26, 5417.0),
 }
 """By the year in which a model begins: the included models (their Technical Reports)."""
 

@@ -16,7 +16,7 @@ from magcal_ros.core.geometry.rotations import rpy_from_rotation
 FIXED = "fixed"  # the kind of joint that does not move, by its name in URDF
 
 
-class FrameTrouble(MagcalError):
+class FrameTreeError(MagcalError):
     """The pose of one frame in another is unknown; the text says what to do next."""
 
 
@@ -54,17 +54,17 @@ class FrameTree:
     def pose(self, frame: str, parent: str) -> FloatArray:
         """Return the rotation (3, 3) from the axes of `frame` to those of `parent`.
 
-        `parent` need not be above `frame`. Raises `FrameTrouble` if one of them is missing, if
+        `parent` need not be above `frame`. Raises `FrameTreeError` if one of them is missing, if
         nothing joins them, or if a joint between them moves.
         """
         for name in (frame, parent):
             if name not in self.frames:
-                raise FrameTrouble(
+                raise FrameTreeError(
                     f"the robot's description has no frame {name!r}; it has {_some(self.frames)}"
                 )
         below, above = self._upwards(frame), self._upwards(parent)
         if not {frame, *(j.parent for j in below)} & {parent, *(j.parent for j in above)}:
-            raise FrameTrouble(
+            raise FrameTreeError(
                 f"nothing joins the frames {frame!r} and {parent!r} in the robot's description"
             )
         while below and above and below[-1] is above[-1]:
@@ -78,7 +78,7 @@ class FrameTree:
             joints.append(joint)
             frame = joint.parent
             if frame in seen:
-                raise FrameTrouble(
+                raise FrameTreeError(
                     f"the robot's description has a loop of joints through the frame {frame!r}"
                 )
             seen.add(frame)
@@ -90,7 +90,7 @@ def _climbed(joints: list[FrameJoint]) -> FloatArray:
     pose: FloatArray = np.eye(3)
     for joint in joints:
         if joint.kind != FIXED:
-            raise FrameTrouble(
+            raise FrameTreeError(
                 f"the joint {joint.name!r} between {joint.parent!r} and {joint.child!r} moves "
                 f"({joint.kind}), so the sensors' pose is not known; give mount_rpy_deg by hand"
             )
@@ -172,8 +172,8 @@ def _pose(frame: str, parent: str, tree: FrameTree) -> tuple[FloatArray | None, 
     words = f"the pose of {frame!r} in {parent!r} is unknown: no robot_description came"
     try:
         return (tree.pose(frame, parent), ()) if tree.frames else (None, (words,))
-    except FrameTrouble as trouble:
-        return None, (str(trouble),)
+    except FrameTreeError as problem:
+        return None, (str(problem),)
 
 
 def pose_in_words(pose: FloatArray) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
 
-UNTURNED = frozen_array(np.eye(3), (3, 3), "rotation")
+IDENTITY = frozen_array(np.eye(3), (3, 3), "rotation")
 
 
 def skew(v: FloatArray) -> FloatArray:
@@ -71,7 +71,7 @@ def exp_rotations(vectors: FloatArray) -> FloatArray:
     # 1 - cos by the half angle: no cancellation for small steps.
     versine = np.where(angle < 1e-8, 0.5, 2.0 * (np.sin(0.5 * safe) / safe) ** 2)
     k = skews(vectors)
-    return np.asarray(UNTURNED + sine[:, None, None] * k + versine[:, None, None] * (k @ k))
+    return np.asarray(IDENTITY + sine[:, None, None] * k + versine[:, None, None] * (k @ k))
 
 
 def rotation_vectors(rotations: FloatArray) -> FloatArray:
@@ -266,7 +266,7 @@ def is_mirrored(axes: FloatArray) -> bool:
     return bool(np.linalg.det(axes) < 0.0)
 
 
-def spoken(
+def axes_in_words(
     axes: FloatArray, directions: Sequence[tuple[str, str]] = DIRECTIONS, verb: str = " "
 ) -> str:
     """Return the directions of the axes (3, 3) in words, as "x forward, y left, z up"."""

@@ -49,7 +49,7 @@ def distance(a: Triple, b: Triple) -> float:
     return length(minus(a, b))
 
 
-def between(a: Triple, b: Triple, share: float) -> Triple:
+def interpolate(a: Triple, b: Triple, share: float) -> Triple:
     """Return a + share (b - a)."""
     return (
         a[0] + share * (b[0] - a[0]),

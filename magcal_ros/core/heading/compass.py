@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import INPUTS, PARAMETERS, MotorField, Running
+from magcal_ros.core.calibration.correction import INPUTS, PARAMETERS, MotorField, MotorState
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length
-from magcal_ros.core.heading.motors_now import MotorDoubt, MotorsNow
+from magcal_ros.core.heading.motor_field_filter import MotorCovariance, MotorFieldFilter
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up.follower import Up
 
@@ -73,10 +73,10 @@ def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
     )
 
 
-def yaw_ahead(north: Triple, seen: Triple, up: Triple) -> float:
-    """Return the yaw by north as `seen` minus the yaw by `north`, radians; `north` is level."""
+def yaw_between(north: Triple, other: Triple, up: Triple) -> float:
+    """Return the yaw by north as `other` minus the yaw by `north`, radians; `north` is level."""
     # North that lies further to the left is a yaw further to the right.
-    return -math.atan2(dot(cross(north, seen), up), dot(north, seen))
+    return -math.atan2(dot(cross(north, other), up), dot(north, other))
 
 
 def levelled(vector: Triple, up: Triple) -> Triple | None:
@@ -100,7 +100,7 @@ class Compass:
         variances, directions = np.linalg.eigh(_body_covariance(calibration))
         self._errors = directions * np.sqrt(np.maximum(variances, 0.0))
         self.motors: MotorField | None = None
-        self._now: MotorsNow | None = None
+        self._now: MotorFieldFilter | None = None
         self._gains: tuple[tuple[int, float, float, float], ...] = ()
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
         local = calibration.evidence.figure(Figure.LOCAL_FIELD, 0.0)
@@ -119,13 +119,13 @@ class Compass:
             if self._now is None:
                 own = level_field_covariance(self.calibration)
                 matrix = self.calibration.correction.matrix
-                self._now = MotorsNow(motors, matrix, own, self._noise)
+                self._now = MotorFieldFilter(motors, matrix, own, self._noise)
             self._now.use(motors)
 
-    def without_motors(self, raw: Triple, running: Running) -> Triple:
+    def without_motors(self, raw: Triple, motor_state: MotorState) -> Triple:
         """Return a raw field, tesla, without the motors' field."""
         x, y, z = raw
-        values = running.values
+        values = motor_state.values
         for place, by_x, by_y, by_z in self._gains:
             value = values[place]
             if value and not math.isnan(value):
@@ -143,21 +143,23 @@ class Compass:
         )
 
     def at_rest(
-        self, stamp: float, raw: Triple, rate: Triple | None, running: Running
-    ) -> tuple[Triple, MotorDoubt | None]:
+        self, stamp: float, raw: Triple, rate: Triple | None, motor_state: MotorState
+    ) -> tuple[Triple, MotorCovariance | None]:
         """Return the corrected field without the motors' field, and its errors.
 
-        The stamps increase (`MotorsNow.add`). The errors are None if no motors are known.
+        The stamps increase (`MotorFieldFilter.add`). The errors are None if no motors are known.
         """
         field = self.correct(raw)
-        return (field, None) if self._now is None else self._now.add(stamp, field, rate, running)
+        return (
+            (field, None) if self._now is None else self._now.add(stamp, field, rate, motor_state)
+        )
 
     def heading(
         self,
         field: Triple,
         force: Triple,
         tilt_variance: float | None = None,
-        motors: MotorDoubt | None = None,
+        motors: MotorCovariance | None = None,
     ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
@@ -247,7 +249,7 @@ def _body_covariance(calibration: Calibration) -> FloatArray:
     return np.asarray(carry @ calibration.covariance @ carry.T)
 
 
-class Moment(NamedTuple):
+class CompassReading(NamedTuple):
     """A field sample, corrected by a calibration."""
 
     stamp: float  # of the field message, seconds
@@ -263,17 +265,17 @@ class Moment(NamedTuple):
         sample: FieldSample,
         up: Up | None,
         rate: Triple | None,
-        running: Running | None = None,
+        motor_state: MotorState | None = None,
         turning: Triple | None = None,
-    ) -> Moment:
+    ) -> CompassReading:
         """Return a field sample, corrected by a compass.
 
-        Unless `running` is given, the motors are assumed to be off. `turning` is the rate without
-        the gyro's bias, rad/s, body axes; None without a usable gyro.
+        Unless `motor_state` is given, the motors are assumed to be off. `turning` is the rate
+        without the gyro's bias, rad/s, body axes; None without a usable gyro.
         """
         field, motors, heading = compass.correct(sample.field), None, None
-        if running is not None:
-            field, motors = compass.at_rest(sample.stamp, sample.field, turning, running)
+        if motor_state is not None:
+            field, motors = compass.at_rest(sample.stamp, sample.field, turning, motor_state)
         if up is not None:
             heading = compass.heading(field, up.direction, up.variance, motors)
         return cls(sample.stamp, field, up, heading, rate)

@@ -80,7 +80,7 @@ class DisturbanceDetector:
     def __init__(self, calibration: Calibration, patience: float) -> None:
         self.patience = patience
         self.trust = Trust.GOOD  # use of the newest sample
-        self.departure = 0.0  # of the newest sample, sigmas
+        self.deviation = 0.0  # of the newest sample, sigmas
         self.last: Disturbance | None = None  # the newest
         # Estimated variance of the local disturbance per axis, over the squared strength.
         self.amplitude_variance = DISTURBANCE.amplitude**2
@@ -109,7 +109,7 @@ class DisturbanceDetector:
         self._mean = (old_size + share * (size - old_size), old_dip + share * (dip - old_dip))
         if self._distance(self._calibrated, tilt_variance) < 1.0:
             self._expected = self._calibrated
-        self.departure = self._distance(self._expected, tilt_variance)
+        self.deviation = self._distance(self._expected, tilt_variance)
         self.trust = self._judge()
         if self.trust is not Trust.IGNORED:
             self._disturbed_since = None
@@ -124,12 +124,12 @@ class DisturbanceDetector:
         over the squared strength.
         """
         old = self.amplitude_variance
-        strength, dip = self._off(self._calibrated)
+        strength, dip = self._deviation(self._calibrated)
         most = DISTURBANCE.gate**2 * old
-        seen = min(strength**2, most) + min(max(dip**2 - tilt_variance, 0.0), most)
-        seen = (seen + min(across, most)) / 3.0
+        square = min(strength**2, most) + min(max(dip**2 - tilt_variance, 0.0), most)
+        square = (square + min(across, most)) / 3.0
         share = min(1.0, seconds / DISTURBANCE.amplitude_memory)
-        new = max(old + share * (seen - old), (0.5 * DISTURBANCE.amplitude) ** 2)
+        new = max(old + share * (square - old), (0.5 * DISTURBANCE.amplitude) ** 2)
         self.amplitude_variance = new
         return max(1.0, new / old)
 
@@ -142,19 +142,19 @@ class DisturbanceDetector:
         # Hysteresis, so that a field at the limit is not used intermittently.
         was_ignored = self.trust is Trust.IGNORED
         edge = DISTURBANCE.believed_below if was_ignored else DISTURBANCE.gate
-        if self.departure >= edge:
+        if self.deviation >= edge:
             return Trust.IGNORED
-        return Trust.GOOD if self.departure <= 1.0 else Trust.WEIGHED_DOWN
+        return Trust.GOOD if self.deviation <= 1.0 else Trust.WEIGHED_DOWN
 
     def _distance(self, expected: tuple[float, float], tilt_variance: float) -> float:
         """Return the distance of the mean from a field, in sigmas."""
-        strength, dip = self._off(expected)
+        strength, dip = self._deviation(expected)
         common = self._noise + self.amplitude_variance
         of_strength = DISTURBANCE.strength**2 + common
         of_dip = DISTURBANCE.dip**2 + common + tilt_variance
         return math.sqrt(strength**2 / of_strength + dip**2 / of_dip)
 
-    def _off(self, expected: tuple[float, float]) -> tuple[float, float]:
+    def _deviation(self, expected: tuple[float, float]) -> tuple[float, float]:
         """Return the deviation of the mean from a field: relative strength, and dip in radians."""
         assert self._mean is not None
         strength, dip = self._mean
@@ -162,7 +162,7 @@ class DisturbanceDetector:
 
     def _note(self, stamp: float, yaw: float) -> bool:
         """Record the disturbance; return whether it has lasted long enough."""
-        strength, dip = self._off(self._expected)
+        strength, dip = self._deviation(self._expected)
         last = self.last
         if self._disturbed_since is None or last is None:
             self._disturbed_since = stamp
@@ -189,7 +189,7 @@ def _own_variance(calibration: Calibration) -> float:
     return noise**2 + field_variance(calibration)
 
 
-class FieldDoubt:
+class FieldDeviation:
     """The additional variance of the yaw, if the field contradicts the calibration.
 
     Strength and dip show two components of the field's error. The third component, across north,
@@ -205,7 +205,7 @@ class FieldDoubt:
         self._usual = strength**2 * places + 2.0 * own
         places = DISTURBANCE.dip**2 + DISTURBANCE.amplitude**2
         self._usual_across = strength**2 * places + own
-        self._seen = self._seconds = 0.0
+        self._mean_excess = self._seconds = 0.0
         self._stamp = math.nan
         self.is_turned = False  # whether most of the error turns the yaw
 
@@ -238,7 +238,7 @@ class FieldDoubt:
         seconds = seconds if 0.0 < seconds < 1.0 else 1.0
         self._stamp = stamp
         self._seconds = min(self._seconds + seconds, DISTURBANCE.amplitude_memory)
-        self._seen += seconds / self._seconds * (excess - self._seen)
+        self._mean_excess += seconds / self._seconds * (excess - self._mean_excess)
         # The level field of a disturbance must not count as a strong level field of the Earth.
         level = max(min(level, self._level), 1e-9)
-        return min(max(excess, self._seen) / level**2, UNKNOWN_YAW)
+        return min(max(excess, self._mean_excess) / level**2, UNKNOWN_YAW)

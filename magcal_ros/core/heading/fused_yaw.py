@@ -19,18 +19,18 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import (
     Triple,
-    between,
     cross,
     dot,
+    interpolate,
     length,
     minus,
     propagated,
     scaled,
 )
-from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_ahead
-from magcal_ros.core.heading.dispute import Dispute, Scene
+from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, levelled, yaw_between
 from magcal_ros.core.heading.disturbance import DISTURBANCE, DisturbanceDetector, Trust
-from magcal_ros.core.heading.yaw_filter import FUSION, GyroLoss, YawFilter
+from magcal_ros.core.heading.field_jump import FieldJump, LevelField
+from magcal_ros.core.heading.yaw_filter import FUSION, GyroDrift, YawFilter
 from magcal_ros.core.samples.streams import STREAMS, enclosing
 from magcal_ros.core.up.follower import Up
 from magcal_ros.core.up.propagation import GyroBias
@@ -39,7 +39,7 @@ HISTORY = 512  # IMU messages that are kept to find the moment of a field messag
 UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)  # of a gyro whose bias is already subtracted
 
 
-class _Moment(NamedTuple):
+class _YawRecord(NamedTuple):
     """North as propagated to a stamp, and the sum of the yaw's corrections until then."""
 
     stamp: float
@@ -51,8 +51,8 @@ class FusedYaw:
     """The gyro-aided yaw of one calibration; a field that deviates for `patience` s is accepted."""
 
     def __init__(self, calibration: Calibration, patience: float) -> None:
-        self._path: deque[_Moment] = deque(maxlen=HISTORY)
-        self._filter, self._loss = YawFilter(), GyroLoss()
+        self._path: deque[_YawRecord] = deque(maxlen=HISTORY)
+        self._filter, self._gyro_drift = YawFilter(), GyroDrift()
         self._measure_by(calibration, patience)
         self.restart()
 
@@ -76,18 +76,18 @@ class FusedYaw:
         self._up = Up((0.0, 0.0, 1.0), 0.0)
         self._stamp = -math.inf
         self._rate: Triple = (0.0, 0.0, 0.0)
-        self._shift = self._unlearnt = self._drift = self._lost = 0.0
+        self._shift = self._seconds_unlearned = self._drift = self._walk_variance = 0.0
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
         self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
         self._is_at_rest = False
         self._corrected = self._start_stamp = self._heading_stamp = self._heading_since = -math.inf
         self.last_heading_gap = 0.0  # last heading of another device minus the yaw, radians
-        self._overruled = 0.0
-        self.dispute: Dispute | None = None
+        self._contradicted_seconds = 0.0
+        self.field_jump: FieldJump | None = None
         """Two hypotheses of the last field that overruled the yaw; None if none did."""
-        self._disputed_shift = 0.0
-        self._headings_ahead: list[float] = []
-        self._doubted = 0.0  # variance of the yaw by errors of the headings that correct it, rad²
+        self._jump_shift = 0.0
+        self._heading_gaps: list[float] = []
+        self._heading_variance = 0.0  # of the yaw by errors of the headings, rad²
         self._rests: list[tuple[float, float, float]] = []
         self._path.clear()
 
@@ -112,7 +112,7 @@ class FusedYaw:
             self._take_bias(known)
         if self._north is None:
             return
-        if self._doubted and not self.has_external_yaw:
+        if self._heading_variance and not self.has_external_yaw:
             self._end_headings()
         x, y, z = up.direction
         bias = self._filter.bias
@@ -124,11 +124,11 @@ class FusedYaw:
             self.restart()
             return
         self._north = level
-        self._path.append(_Moment(stamp, level, self._shift))
-        lost = FUSION.lost(length(rate)) * seconds
-        self._filter.propagate(seconds, self._loss.share * lost, self._loss.walked * seconds)
+        self._path.append(_YawRecord(stamp, level, self._shift))
+        walk, drift = FUSION.walk_variance(length(rate)) * seconds, self._gyro_drift
+        self._filter.propagate(seconds, drift.share * walk, drift.walked * seconds)
         self._drift += (bias + dot(self._known.rate, up.direction)) * seconds
-        self._lost += lost
+        self._walk_variance += walk
 
     def _take_bias(self, known: GyroBias) -> None:
         """Keep the estimate of the whole bias when the subtracted part changes."""
@@ -143,24 +143,24 @@ class FusedYaw:
             # With this noise the posterior variance of the bias is the known one.
             noise = variance * own / (own - variance)
             self._turn(following.observe_bias(-following.bias, noise))
-            self._loss.begin(dot(known.rate, self._up.direction), variance)
-        self._rest(known)
+            self._gyro_drift.begin(dot(known.rate, self._up.direction), variance)
+        self._learn_at_rest(known)
 
-    def _rest(self, known: GyroBias) -> None:
+    def _learn_at_rest(self, known: GyroBias) -> None:
         """Learn the bias and its random walk at rest."""
         rests, following = self._rests, self._filter
         if known.at_rest is not None:
             rate, noise = known.at_rest
             rests.append((self._stamp, dot(rate, self._up.direction), 1.0 / noise))
-        if not rests or (known.at_rest and self._stamp - rests[0][0] < FUSION.rest_lasts):
+        if not rests or (known.at_rest and self._stamp - rests[0][0] < FUSION.rest_time):
             return
         weight = sum(each for *_, each in rests)
         shown = sum(each * about for _, about, each in rests) / weight
         rests.clear()
-        self._loss.add_rest(self._stamp, shown, 1.0 / weight, self._lost)
-        self._lost = 0.0
+        self._gyro_drift.add_rest(self._stamp, shown, 1.0 / weight, self._walk_variance)
+        self._walk_variance = 0.0
         left = shown - dot(known.rate, self._up.direction) - following.bias
-        noise = 1.0 / weight + self._loss.rest_turn
+        noise = 1.0 / weight + self._gyro_drift.rest_turn
         self._turn(following.observe_bias(left, noise))
 
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
@@ -168,49 +168,49 @@ class FusedYaw:
 
         `field` is corrected, tesla, body axes; `heading` follows from `field` and `up` at `stamp`.
         """
-        seen = levelled(field, up.direction)
-        if seen is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
+        measured = levelled(field, up.direction)
+        if measured is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
             return
         detector = self.detector
         is_new = detector.add(stamp, field, up.direction, up.variance, heading.yaw)
         if self._north is None:
-            self._begin(seen, heading)
+            self._begin(measured, heading)
             return
         then = self._at(stamp)
         if then is None or stamp <= self._corrected:
             return
         since = min(stamp - self._corrected, STREAMS.longest_gyro_step)
         self._corrected = stamp
-        ahead = yaw_ahead(then.north, seen, up.direction)
+        yaw_gap = yaw_between(then.north, measured, up.direction)
         compass = _errors_of(heading)
         error = float(self._filter.errors @ compass)
-        innovation = wrapped(ahead - (self._shift - then.shift) - error)
-        self._unlearnt += since
-        if self._unlearnt >= FUSION.learning_step:
-            self._move_on(self._unlearnt, innovation, heading)
-            self._unlearnt = 0.0
+        innovation = wrapped(yaw_gap - (self._shift - then.shift) - error)
+        self._seconds_unlearned += since
+        if self._seconds_unlearned >= FUSION.learning_step:
+            self._change_disturbance(self._seconds_unlearned, innovation, heading)
+            self._seconds_unlearned = 0.0
         if self.has_external_yaw:
             # A compass that is calibrated by headings adds no information to them.
-            self.dispute = None
+            self.field_jump = None
             return
-        if self.dispute is not None:
-            scene = self._scene(stamp, field, up, then)
-            self.dispute.weigh(scene, since / FUSION.moving_tau)
+        if self.field_jump is not None:
+            level_field = self._level_field(stamp, field, up, then)
+            self.field_jump.add(level_field, since / FUSION.moving_tau)
         if is_new:
             self._filter.yaw_variance += innovation**2
         elif detector.trust is Trust.IGNORED:
-            self._overruled = 0.0
+            self._contradicted_seconds = 0.0
             if stamp - self._start_stamp < FUSION.start:
                 # A field that is disturbed soon after the start was so at the start.
                 missing = FUSION.unknown**2 - self._filter.yaw_variance
                 self._filter.yaw_variance += max(0.0, missing)
             return
-        if self._weigh(innovation, heading, compass, min(since, FUSION.noise_tau)):
-            self._disputed_shift = then.shift
-            scene, before = self._scene(stamp, field, up, then), self.dispute
+        if self._correct(innovation, heading, compass, min(since, FUSION.noise_tau)):
+            self._jump_shift = then.shift
+            level_field, before = self._level_field(stamp, field, up, then), self.field_jump
             variance = self._filter.known_spread(self._by_tilt(heading) + heading.noise_variance)
             odds = 0.0 if before is None else before.after(innovation, variance)
-            self.dispute = Dispute(stamp, innovation, scene, odds)
+            self.field_jump = FieldJump(stamp, innovation, level_field, odds)
 
     def take_heading(
         self, stamp: float, yaw: float, variance: float, forward: Triple
@@ -233,33 +233,35 @@ class FusedYaw:
         missed = abs(innovation) / math.sqrt(self._filter.yaw_variance + own + variance)
         if missed > FUSION.heading_gate:
             return missed
-        noise = variance * max(1.0, 2.0 * self._loss.heading_lasts / since)
-        self._learn_loss(stamp, innovation, variance, since)
+        noise = variance * max(1.0, 2.0 * self._gyro_drift.heading_error_time / since)
+        self._learn_drift(stamp, innovation, variance, since)
         self._turn(self._filter.observe_yaw(innovation, noise))
         return missed
 
-    def _learn_loss(self, stamp: float, innovation: float, variance: float, since: float) -> None:
+    def _learn_drift(self, stamp: float, innovation: float, variance: float, since: float) -> None:
         """Learn the gyro's random walk from headings minus the yaw of the gyro alone."""
         if since >= FUSION.heading_tau:
-            self._headings_ahead, self._heading_since = [], -math.inf
-        self._headings_ahead.append(innovation + self._shift - self._drift)
+            self._heading_gaps, self._heading_since = [], -math.inf
+        self._heading_gaps.append(innovation + self._shift - self._drift)
         if stamp - self._heading_since >= FUSION.heading_tau:
-            count = len(self._headings_ahead)
-            ahead = sum(self._headings_ahead) / count
-            self._loss.add_heading(stamp, ahead, variance, count, self._lost)
-            self._headings_ahead, self._heading_since, self._lost = [], stamp, 0.0
-            mean, covariance = self._loss.ahead()
-            self._doubted = float(covariance[0, 0]) + (mean[0] - self._shift + self._drift) ** 2
+            count = len(self._heading_gaps)
+            yaw_gap = sum(self._heading_gaps) / count
+            self._gyro_drift.add_heading(stamp, yaw_gap, variance, count, self._walk_variance)
+            self._heading_gaps, self._heading_since, self._walk_variance = [], stamp, 0.0
+            mean, covariance = self._gyro_drift.yaw_gap()
+            self._heading_variance = (
+                float(covariance[0, 0]) + (mean[0] - self._shift + self._drift) ** 2
+            )
 
     def _end_headings(self) -> None:
         """Continue without headings, with the variance by a possible drift of the headings."""
-        self._loss.go_on(self._stamp, self._lost)
-        self._lost = self._doubted = 0.0
-        mean, covariance = self._loss.ahead()
+        self._gyro_drift.propagate(self._stamp, self._walk_variance)
+        self._walk_variance = self._heading_variance = 0.0
+        mean, covariance = self._gyro_drift.yaw_gap()
         if covariance[0, 0] > self._filter.yaw_variance:
             bias = self._filter.bias + dot(self._known.rate, self._up.direction)
             off = mean - (self._shift - self._drift, -bias)
-            self._filter.doubt(covariance + np.outer(off, off))
+            self._filter.use_larger_covariance(covariance + np.outer(off, off))
 
     @property
     def has_external_yaw(self) -> bool:
@@ -274,7 +276,7 @@ class FusedYaw:
         east = cross(north, up)
         yaw = math.atan2(north[0], east[0])
         roll, pitch = math.atan2(up[1], up[2]), math.atan2(-up[0], math.hypot(up[1], up[2]))
-        variance = max(self.yaw_variance, self._doubted) + self._filter.own_error_variance
+        variance = max(self.yaw_variance, self._heading_variance) + self._filter.own_error_variance
         return Heading(roll, pitch, yaw, self._up.variance, variance, 0.0, 0.0)
 
     def north_at(self, stamp: float) -> Triple | None:
@@ -284,17 +286,17 @@ class FusedYaw:
         then = self._at(stamp)
         if then is None:
             return None
-        # Corrections since then apply to the earlier moment as well.
+        # Corrections since then apply to the earlier record as well.
         return propagated(then.north, scaled(self._up.direction, self._shift - then.shift))
 
     @property
     def yaw_variance(self) -> float:
         """Variance of the propagated yaw without the calibration's part, rad²."""
-        return self._filter.yaw_variance + (self.dispute.variance if self.dispute else 0.0)
+        return self._filter.yaw_variance + (self.field_jump.variance if self.field_jump else 0.0)
 
     @property
-    def is_disputed(self) -> bool:
-        """Whether most of the yaw's variance is due to the dispute."""
+    def is_ambiguous(self) -> bool:
+        """Whether most of the yaw's variance is due to the ambiguity of a jump."""
         return self.yaw_variance > 2.0 * self._filter.yaw_variance
 
     @property
@@ -302,8 +304,8 @@ class FusedYaw:
         """Variance of the compass's yaw by local disturbances, rad²."""
         return self.detector.amplitude_variance / self._level_share
 
-    def _begin(self, seen: Triple, heading: Heading) -> None:
-        level = levelled(seen, self._up.direction)
+    def _begin(self, measured: Triple, heading: Heading) -> None:
+        level = levelled(measured, self._up.direction)
         if level is None:
             return
         self._north = level
@@ -311,35 +313,35 @@ class FusedYaw:
         bias = self._known.variance + FUSION.bias_sigma**2
         bent = self._disturbance_variance
         self._filter.begin(variance, min(bias, 1.0), bent, _errors_of(heading))
-        self._loss.begin(dot(self._known.rate, self._up.direction), min(bias, 1.0))
+        self._gyro_drift.begin(dot(self._known.rate, self._up.direction), min(bias, 1.0))
         self._start_stamp = self._stamp
-        self._path.append(_Moment(self._stamp, level, self._shift))
+        self._path.append(_YawRecord(self._stamp, level, self._shift))
 
-    def _move_on(self, seconds: float, innovation: float, heading: Heading) -> None:
+    def _change_disturbance(self, seconds: float, innovation: float, heading: Heading) -> None:
         """Let the disturbance change with the place, and learn its size."""
         known = self._filter.yaw_variance + self._by_tilt(heading)
         across = max(0.0, innovation**2 - known) * self._level_share
         self._filter.widen(self.detector.learn(seconds, self._up.variance, across))
         tau = FUSION.standing_tau if self._is_at_rest else FUSION.moving_tau
-        self._filter.move_on(max(0.0, 1.0 - seconds / tau), self._disturbance_variance)
+        self._filter.change_disturbance(max(0.0, 1.0 - seconds / tau), self._disturbance_variance)
 
     @staticmethod
     def _by_tilt(heading: Heading) -> float:
         own = heading.noise_variance + heading.lasting_variance
         return max(0.0, heading.yaw_variance - own)
 
-    def _scene(self, stamp: float, field: Triple, up: Up, then: _Moment) -> Scene:
-        """Return the level field, and the Earth's by the disputed yaw."""
-        axis, since = up.direction, then.shift - self._disputed_shift
+    def _level_field(self, stamp: float, field: Triple, up: Up, then: _YawRecord) -> LevelField:
+        """Return the level field, and the Earth's by the yaw before the jump."""
+        axis, since = up.direction, then.shift - self._jump_shift
         north = propagated(then.north, scaled(axis, -since))
         level = self._strength * math.sqrt(self._level_share)
-        seconds = 0.0 if self.dispute is None else stamp - self.dispute.stamp
+        seconds = 0.0 if self.field_jump is None else stamp - self.field_jump.stamp
         drifted = self._filter.bias_variance * seconds**2
         variance = self._strength**2 * self.detector.usual_variance + level**2 * drifted
-        seen = minus(field, scaled(axis, dot(field, axis)))
-        return Scene(seen, north, axis, level, variance)
+        measured = minus(field, scaled(axis, dot(field, axis)))
+        return LevelField(measured, north, axis, level, variance)
 
-    def _weigh(
+    def _correct(
         self, innovation: float, heading: Heading, compass: FloatArray, seconds: float
     ) -> bool:
         """Correct yaw and bias by the innovation; return whether the field overrules the yaw."""
@@ -348,19 +350,21 @@ class FusedYaw:
         by_tilt = self._by_tilt(heading)
         by_noise = heading.noise_variance + FUSION.small_iron * bent
         spread = following.spread(by_tilt + by_noise, compass)
-        doubt = (innovation / DISTURBANCE.gate) ** 2 / spread
+        contradiction = (innovation / DISTURBANCE.gate) ** 2 / spread
         is_good = self.detector.trust is Trust.GOOD
-        clear = min(doubt - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
-        self._overruled = max(0.0, self._overruled + clear * seconds) if is_good else 0.0
-        is_overruled = self._overruled > FUSION.overruled_after
+        clear = min(contradiction - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
+        self._contradicted_seconds = (
+            max(0.0, self._contradicted_seconds + clear * seconds) if is_good else 0.0
+        )
+        is_overruled = self._contradicted_seconds > FUSION.contradicted_after
         if is_overruled:
             following.yaw_variance += innovation**2
-            self._overruled = doubt = 0.0
-        departed = max(1.0, self.detector.departure**4)
+            self._contradicted_seconds = contradiction = 0.0
+        excess = max(1.0, self.detector.deviation**4)
         noise = (by_tilt * FUSION.tilt_tau + by_noise * FUSION.noise_tau) / seconds
-        noise += bent * (departed - 1.0) * FUSION.moving_tau / seconds
-        noise *= max(1.0, doubt)
-        momentary = (by_tilt + heading.noise_variance + bent) * max(1.0, doubt) * departed
+        noise += bent * (excess - 1.0) * FUSION.moving_tau / seconds
+        noise *= max(1.0, contradiction)
+        momentary = (by_tilt + heading.noise_variance + bent) * max(1.0, contradiction) * excess
         spread = following.known_spread(noise)
         share = min(1.0, seconds / FUSION.noise_tau)
         if momentary < following.yaw_variance and share * spread > following.yaw_variance:
@@ -377,18 +381,18 @@ class FusedYaw:
         self._north = propagated(self._north, scaled(self._up.direction, angle))
         self._shift += angle
 
-    def _at(self, stamp: float) -> _Moment | None:
+    def _at(self, stamp: float) -> _YawRecord | None:
         """Return north at a stamp; after the newest message the turn rate is constant."""
         found = enclosing(self._path, stamp)
         if found is None:
             return None
-        moment, after = found
-        since = stamp - moment.stamp
+        record, after = found
+        since = stamp - record.stamp
         if after is None:
-            north = propagated(moment.north, scaled(self._rate, since))
+            north = propagated(record.north, scaled(self._rate, since))
         else:
-            north = between(moment.north, after.north, since / (after.stamp - moment.stamp))
-        return moment._replace(north=north)
+            north = interpolate(record.north, after.north, since / (after.stamp - record.stamp))
+        return record._replace(north=north)
 
 
 def _errors_of(heading: Heading) -> FloatArray:

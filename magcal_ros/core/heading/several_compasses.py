@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.geometry.vec3 import Triple, between, minus, plus, propagated, scaled
-from magcal_ros.core.heading.compass import Compass, Heading, Moment, levelled, yaw_ahead
-from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDoubt
+from magcal_ros.core.geometry.vec3 import Triple, interpolate, minus, plus, propagated, scaled
+from magcal_ros.core.heading.compass import Compass, CompassReading, Heading, levelled, yaw_between
+from magcal_ros.core.heading.disturbance import DISTURBANCE, FieldDeviation
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up.follower import Up
@@ -36,11 +36,11 @@ class CompassYaw(NamedTuple):
 
     number: int  # of the magnetometer
     field: Triple  # in the body axes of the moment, tesla
-    ahead: float  # yaw relative to an origin common to all, radians
+    relative_yaw: float  # yaw relative to an origin common to all, radians
     variance: float  # of the yaw, rad²
 
 
-class Share(NamedTuple):
+class CompassWeight(NamedTuple):
     """The part of one magnetometer in the heading."""
 
     weight: float  # 0 to 1
@@ -83,43 +83,43 @@ def _log_likelihood(yaws: list[CompassYaw], more: float) -> float:
 
 
 @dataclass
-class _Member:
+class _CompassState:
     """A magnetometer with its calibration and its last message."""
 
     compass: Compass
-    doubt: FieldDoubt
-    moment: Moment | None = None
+    deviation: FieldDeviation
+    reading: CompassReading | None = None
     arrived: float = -math.inf  # stamp of the IMU at the last message
     changed: float = -math.inf  # the same for the last message with other values
-    doubt_variance: float = 0.0  # variance of the yaw by a disturbed field, rad²
-    off: float = math.nan  # smoothed yaw relative to the common origin, radians
+    extra_variance: float = 0.0  # variance of the yaw by a disturbed field, rad²
+    relative_yaw: float = math.nan  # smoothed yaw relative to the common origin, radians
     offset: Triple = (0.0, 0.0, 0.0)  # its field minus the mean of all, body axes, tesla
-    learnt: float = 0.0  # seconds over which the offset was learnt
-    share: Share = field(default_factory=lambda: Share(0.0))
+    offset_seconds: float = 0.0  # seconds over which the offset was learnt
+    weight: CompassWeight = field(default_factory=lambda: CompassWeight(0.0))
 
-    def take(self, moment: Moment, now: float) -> None:
+    def take(self, reading: CompassReading, now: float) -> None:
         """Add a message of this magnetometer."""
-        if self.moment is None or moment.field != self.moment.field:
+        if self.reading is None or reading.field != self.reading.field:
             self.changed = now
-        self.moment, self.arrived = moment, now
+        self.reading, self.arrived = reading, now
 
-    def learn_doubt(self, stamp: float, turned: tuple[float, float]) -> None:
+    def learn_deviation(self, stamp: float, turned: tuple[float, float]) -> None:
         """Learn the deviation of its field from calibration and gyro.
 
         `turned` is its yaw minus that of the gyro, radians, and the variance of the gyro's yaw,
         rad², infinite without one.
         """
-        assert self.moment is not None
-        assert self.moment.up is not None
-        field, up = self.moment.field, self.moment.up
-        self.doubt_variance = self.doubt.add(stamp, field, up.direction, up.variance, turned)
+        assert self.reading is not None
+        assert self.reading.up is not None
+        field, up = self.reading.field, self.reading.up
+        self.extra_variance = self.deviation.add(stamp, field, up.direction, up.variance, turned)
 
     @property
     def heading(self) -> Heading:
         """The heading of its last message, which has one."""
-        assert self.moment is not None
-        assert self.moment.heading is not None
-        return self.moment.heading
+        assert self.reading is not None
+        assert self.reading.heading is not None
+        return self.reading.heading
 
     @property
     def own_variance(self) -> float:
@@ -128,16 +128,16 @@ class _Member:
         return max(own, SMALLEST_VARIANCE)
 
     @property
-    def is_doubted(self) -> bool:
+    def deviates(self) -> bool:
         """Whether its field deviates from the calibrated one by more than its sigma."""
-        return self.doubt_variance > self.own_variance
+        return self.extra_variance > self.own_variance
 
 
 class SeveralCompasses:
-    """Joins the moments of several magnetometers."""
+    """Joins the readings of several magnetometers."""
 
     def __init__(self) -> None:
-        self._members: dict[int, _Member] = {}
+        self._members: dict[int, _CompassState] = {}
         self._now = self._stamp = -math.inf
         self._forget()
 
@@ -145,149 +145,149 @@ class SeveralCompasses:
         """Use another calibration for a magnetometer; None leaves it out."""
         self._members.pop(number, None)
         if calibration is not None:
-            self._members[number] = _Member(Compass(calibration), FieldDoubt(calibration))
+            self._members[number] = _CompassState(Compass(calibration), FieldDeviation(calibration))
         self._forget()
 
     @property
-    def lead(self) -> Compass | None:
+    def reference_compass(self) -> Compass | None:
         """The first calibrated compass, whose terms the joined field is in."""
         return self._members[min(self._members)].compass if self._members else None
 
     @property
-    def shares(self) -> dict[int, Share]:
+    def weights(self) -> dict[int, CompassWeight]:
         """The part of each calibrated magnetometer, by its number."""
-        return {number: self._members[number].share for number in sorted(self._members)}
+        return {number: self._members[number].weight for number in sorted(self._members)}
 
     def add(
-        self, number: int, moment: Moment, now: float, fused: FusedYaw | None = None
-    ) -> Moment | None:
-        """Add a moment of a magnetometer; return that of all if it is the first that sends.
+        self, number: int, reading: CompassReading, now: float, fused: FusedYaw | None = None
+    ) -> CompassReading | None:
+        """Add a reading of a magnetometer; return that of all if it is the first that sends.
 
-        The heading has the rate of this sensor. `moment` is a message of magnetometer `number`,
+        The heading has the rate of this sensor. `reading` is a message of magnetometer `number`,
         corrected by its calibration. `now` is the stamp of the newest IMU message, seconds, as the
         clocks of drivers may differ. The gyro's yaw, `fused`, shows which compass is wrong.
         """
         if number not in self._members:
             return None
-        if moment.up is None:
-            return moment
+        if reading.up is None:
+            return reading
         if now < self._now:
             self._forget()
         self._now = now
-        self._members[number].take(moment, now)
+        self._members[number].take(reading, now)
         sending = [k for k, each in self._members.items() if self._is_new(each.arrived)]
         if number != min(sending):
             return None
-        return self._joined(moment, moment.up, fused)
+        return self._joined(reading, reading.up, fused)
 
     def _forget(self) -> None:
         self._now = self._stamp = -math.inf
         self._is_by_gyro = False
-        self._apart = Disagreement()
+        self._disagreement = Disagreement()
         # Radians between compasses that disagree while none is known to be wrong.
         self.disagreement = 0.0
         self._members = {
-            number: _Member(each.compass, each.doubt, share=each.share)
+            number: _CompassState(each.compass, each.deviation, weight=each.weight)
             for number, each in self._members.items()
         }
 
     def _is_new(self, stamp: float) -> bool:
         return self._now - stamp <= STREAMS.longest_gyro_step
 
-    def _is_frozen(self, member: _Member) -> bool:
+    def _is_frozen(self, member: _CompassState) -> bool:
         """Whether a magnetometer repeats one value although another one has changed since."""
         newest = max(each.changed for each in self._members.values())
         return newest - member.changed > STREAMS.longest_gyro_step
 
-    def _joined(self, moment: Moment, up: Up, fused: FusedYaw | None) -> Moment:
-        seconds, self._stamp = moment.stamp - self._stamp, moment.stamp
-        yaws = self._compass_yaws(moment, up.direction, fused, seconds)
+    def _joined(self, reading: CompassReading, up: Up, fused: FusedYaw | None) -> CompassReading:
+        seconds, self._stamp = reading.stamp - self._stamp, reading.stamp
+        yaws = self._compass_yaws(reading, up.direction, fused, seconds)
         if not yaws:
-            return moment._replace(heading=None)
+            return reading._replace(heading=None)
         kept = without_outliers(yaws)
         self._note_disagreement(kept, seconds)
-        weights = [1.0 / (each.variance + self._apart.variance) for each in kept]
+        weights = [1.0 / (each.variance + self._disagreement.variance) for each in kept]
         shares = [weight / sum(weights) for weight in weights]
         self._note_shares(yaws, kept, shares)
         joined = _mean([minus(w.field, self._members[w.number].offset) for w in kept], shares)
         self._learn_offsets(kept, shares, seconds)
-        return self._with_heading(moment._replace(field=joined), up, kept, shares)
+        return self._with_heading(reading._replace(field=joined), up, kept, shares)
 
     def _compass_yaws(
-        self, moment: Moment, up: Triple, fused: FusedYaw | None, seconds: float
+        self, reading: CompassReading, up: Triple, fused: FusedYaw | None, seconds: float
     ) -> list[CompassYaw]:
         """Return the yaws of magnetometers that send, and do not repeat one value."""
         turned: dict[int, Triple] = {}
         for number, member in sorted(self._members.items()):
             is_heard = self._is_new(member.arrived) and not self._is_frozen(member)
-            seen = self._seen(member, moment, up) if is_heard else None
+            seen = self._seen(member, reading, up) if is_heard else None
             if seen is None:
-                member.share = Share(0.0, self._silence(member))
-                member.off = math.nan
+                member.weight = CompassWeight(0.0, self._silence(member))
+                member.relative_yaw = math.nan
             else:
                 turned[number] = seen
         if not turned:
             return []
-        origin = None if fused is None else fused.north_at(moment.stamp)
+        origin = None if fused is None else fused.north_at(reading.stamp)
         if self._is_by_gyro is (origin is None) or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._is_by_gyro = origin is not None
             for member in self._members.values():
-                member.off = math.nan
+                member.relative_yaw = math.nan
         north = levelled(next(iter(turned.values())), up) if origin is None else origin
         assert north is not None
         share = 1.0 - math.exp(-max(seconds, 0.0) / DISTURBANCE.memory)
         # The gyro shows which compass has changed. Until they have agreed, this is no evidence.
-        shows = origin is not None and any(self._members[k].learnt for k in turned)
+        shows = origin is not None and any(self._members[k].offset_seconds for k in turned)
         known = fused.yaw_variance if fused is not None and shows else math.inf
-        ahead = {
-            number: self._ahead(number, yaw_ahead(north, seen, up), share)
+        yaws = {
+            number: self._smoothed_yaw(number, yaw_between(north, seen, up), share)
             for number, seen in turned.items()
         }
-        return [self._compass_yaw(number, seen, ahead, known) for number, seen in turned.items()]
+        return [self._compass_yaw(number, seen, yaws, known) for number, seen in turned.items()]
 
-    def _seen(self, member: _Member, moment: Moment, up: Triple) -> Triple | None:
-        """Return a member's field at a moment, in the lead's terms; None if it has none."""
-        then, lead = member.moment, self.lead
-        if then is None or then.heading is None or lead is None:
+    def _seen(self, member: _CompassState, reading: CompassReading, up: Triple) -> Triple | None:
+        """Return a member's field as if by the reference compass; None if it has none."""
+        then, reference = member.reading, self.reference_compass
+        if then is None or then.heading is None or reference is None:
             return None
-        since = moment.stamp - then.stamp
+        since = reading.stamp - then.stamp
         if abs(since) > STREAMS.longest_gyro_step:
             return None
-        seen, rate = then.field, moment.rate
+        seen, rate = then.field, reading.rate
         if since and rate is not None and math.isfinite(rate[0]):
             seen = propagated(seen, scaled(rate, since))
         level = levelled(seen, up)
         if level is None:
             return None
         # Different strengths or dips in two calibrations are no disturbance.
-        own, common = member.compass.calibration, lead.calibration
+        own, common = member.compass.calibration, reference.calibration
         further = common.strength * math.cos(common.inclination)
         further -= own.strength * math.cos(own.inclination)
         higher = own.strength * math.sin(own.inclination)
         higher -= common.strength * math.sin(common.inclination)
         return plus(seen, plus(scaled(level, further), scaled(up, higher)))
 
-    def _ahead(self, number: int, ahead: float, share: float) -> float:
+    def _smoothed_yaw(self, number: int, yaw: float, share: float) -> float:
         """Return the smoothed yaw of a member relative to the origin, radians."""
         member = self._members[number]
-        change = wrapped(ahead - member.off)
+        change = wrapped(yaw - member.relative_yaw)
         # A step that is larger than noise is not averaged.
         is_noise = abs(change) <= DISTURBANCE.gate * math.sqrt(member.heading.noise_variance)
-        member.off = wrapped(member.off + share * change) if is_noise else ahead
-        return member.off
+        member.relative_yaw = wrapped(member.relative_yaw + share * change) if is_noise else yaw
+        return member.relative_yaw
 
     def _compass_yaw(
-        self, number: int, seen: Triple, ahead: dict[int, float], known: float
+        self, number: int, seen: Triple, yaws: dict[int, float], known: float
     ) -> CompassYaw:
-        member, own = self._members[number], ahead[number]
+        member, own = self._members[number], yaws[number]
         # A single compass, or one that agrees with another, may be right and the gyro's yaw wrong.
-        others = [wrapped(own - each) for other, each in ahead.items() if other != number]
-        member.learn_doubt(
+        others = [wrapped(own - each) for other, each in yaws.items() if other != number]
+        member.learn_deviation(
             self._stamp, (min([own, *others], key=abs), known if others else math.inf)
         )
-        return CompassYaw(number, seen, own, member.own_variance + member.doubt_variance)
+        return CompassYaw(number, seen, own, member.own_variance + member.extra_variance)
 
-    def _silence(self, member: _Member) -> str:
+    def _silence(self, member: _CompassState) -> str:
         if not self._is_new(member.arrived):
             return "it is silent"
         if self._is_frozen(member):
@@ -299,10 +299,10 @@ class SeveralCompasses:
         if len(yaws) < 2:
             return
         own = sum(self._members[each.number].own_variance for each in yaws)
-        self._apart.add(yaws, own / sum(each.variance for each in yaws), seconds)
-        if self._apart.chance > 0.5:
-            first = yaws[0].ahead
-            self.disagreement = max(abs(wrapped(each.ahead - first)) for each in yaws)
+        self._disagreement.add(yaws, own / sum(each.variance for each in yaws), seconds)
+        if self._disagreement.chance > 0.5:
+            first = yaws[0].relative_yaw
+            self.disagreement = max(abs(wrapped(each.relative_yaw - first)) for each in yaws)
 
     def _learn_offsets(self, kept: list[CompassYaw], shares: list[float], seconds: float) -> None:
         """Learn the offset of each field from the mean, while no compass seems wrong.
@@ -310,59 +310,59 @@ class SeveralCompasses:
         A difference of hard iron is constant in body axes. With the offsets subtracted, the mean
         does not jump when a compass is left out.
         """
-        is_bent = any(self._members[each.number].is_doubted for each in kept)
+        is_bent = any(self._members[each.number].deviates for each in kept)
         if len(kept) < 2 or self.disagreement or is_bent or seconds <= 0.0:
             return
         mean = _mean([each.field for each in kept], shares)
         for each in kept:
             member = self._members[each.number]
             step = min(seconds, STREAMS.longest_gyro_step)
-            member.learnt = min(member.learnt + step, DISTURBANCE.amplitude_memory)
+            member.offset_seconds = min(member.offset_seconds + step, DISTURBANCE.amplitude_memory)
             new = minus(each.field, mean)
-            member.offset = between(member.offset, new, step / member.learnt)
+            member.offset = interpolate(member.offset, new, step / member.offset_seconds)
 
     def _note_shares(
         self, yaws: list[CompassYaw], kept: list[CompassYaw], shares: list[float]
     ) -> None:
         weights = {each.number: share for each, share in zip(kept, shares, strict=True)}
-        first = 0.0 if self._is_by_gyro else kept[0].ahead
+        first = 0.0 if self._is_by_gyro else kept[0].relative_yaw
         for each in yaws:
             member, why = self._members[each.number], ""
-            if each not in kept or (member.is_doubted and member.doubt.is_turned):
-                off = math.degrees(wrapped(each.ahead - first))
-                why = f"its yaw differs by {off:+.0f}° from the others and the gyro"
-            elif member.is_doubted:
+            if each not in kept or (member.deviates and member.deviation.is_turned):
+                gap = math.degrees(wrapped(each.relative_yaw - first))
+                why = f"its yaw differs by {gap:+.0f}° from the others and the gyro"
+            elif member.deviates:
                 why = "its field is not the calibrated one"
-            member.share = Share(weights.get(each.number, 0.0), why)
+            member.weight = CompassWeight(weights.get(each.number, 0.0), why)
 
     def _with_heading(
-        self, moment: Moment, up: Up, kept: list[CompassYaw], shares: list[float]
-    ) -> Moment:
-        """Return the moment with the heading of its joined field, and the variances.
+        self, reading: CompassReading, up: Up, kept: list[CompassYaw], shares: list[float]
+    ) -> CompassReading:
+        """Return the reading with the heading of its joined field, and the variances.
 
-        All calibration errors are assumed to depend on the attitude like those of the lead. The
-        additional yaw error is constant, like that of a wrong mounting.
+        All calibration errors are assumed to depend on the attitude like those of the reference
+        compass. The additional yaw error is constant, like that of a wrong mounting.
         """
-        assert self.lead is not None
-        heading = self.lead.heading(moment.field, up.direction, up.variance)
+        assert self.reference_compass is not None
+        heading = self.reference_compass.heading(reading.field, up.direction, up.variance)
         if heading is None:
-            return moment._replace(heading=None)
+            return reading._replace(heading=None)
         by_tilt = heading.yaw_variance - heading.lasting_variance - heading.noise_variance
-        lasting = between = noise = bent = 0.0
+        lasting = differing = noise = bent = 0.0
         for share, each in zip(shares, kept, strict=True):
             own = self._members[each.number].heading
             lasting += share**2 * own.lasting_variance
-            between += share**2 * self._apart.variance
+            differing += share**2 * self._disagreement.variance
             noise += share**2 * own.noise_variance
             # If all fields are disturbed differently, their mean may look undisturbed.
-            bent += share**2 * self._members[each.number].doubt_variance * (len(kept) > 1)
+            bent += share**2 * self._members[each.number].extra_variance * (len(kept) > 1)
         scale = math.sqrt(lasting / max(heading.lasting_variance, SMALLEST_VARIANCE))
-        return moment._replace(
+        return reading._replace(
             heading=heading._replace(
-                yaw_variance=by_tilt + lasting + between + noise + bent,
-                lasting_variance=lasting + between,
+                yaw_variance=by_tilt + lasting + differing + noise + bent,
+                lasting_variance=lasting + differing,
                 noise_variance=noise,
-                lasting=(*(scale * each for each in heading.lasting[:-1]), math.sqrt(between)),
+                lasting=(*(scale * each for each in heading.lasting[:-1]), math.sqrt(differing)),
             )
         )
 
@@ -391,10 +391,10 @@ def without_outliers(yaws: list[CompassYaw]) -> list[CompassYaw]:
 
 def misfit(yaws: list[CompassYaw]) -> float:
     """Return the sum of squared normalised residuals of yaws about their weighted mean."""
-    whole = moment = square = 0.0
+    whole = reading = square = 0.0
     for each in yaws:
-        ahead, weight = wrapped(each.ahead - yaws[0].ahead), 1.0 / each.variance
+        yaw, weight = wrapped(each.relative_yaw - yaws[0].relative_yaw), 1.0 / each.variance
         whole += weight
-        moment += weight * ahead
-        square += weight * ahead * ahead
-    return square - moment * moment / whole
+        reading += weight * yaw
+        square += weight * yaw * yaw
+    return square - reading * reading / whole

@@ -28,8 +28,10 @@ class FusionTuning:
     natural logarithm. Cheap gyros drift by .001 to .01 °/s in a minute."""
     rest_turn: float = 1e-4  # rad/s, median turn rate of a robot that seems to rest
     rest_spread: float = 1.5  # sigma of the natural logarithm: wheels stand, boats swing
-    rest_lasts: float = 10.0  # correlation time of this turn rate, seconds
-    loss_spread: float = 1.5  # sigma of the logarithm of a gyro's random walk over `angle_walk`²
+    rest_time: float = 10.0  # correlation time of this turn rate, seconds
+    angle_walk_spread: float = (
+        1.5  # sigma of the logarithm of a gyro's random walk over `angle_walk`²
+    )
     tilt_tau: float = 3.0  # correlation time of errors by tilt, seconds
     noise_tau: float = 0.5  # the same for the field's noise and for small iron near the path
     small_iron: float = 0.3  # fraction of the disturbance's variance that changes within two metres
@@ -39,19 +41,19 @@ class FusionTuning:
     variance of the yaw too small."""
     standing_tau: float = 300.0  # the same at rest
     learning_step: float = 0.1  # seconds between updates of the disturbance
-    overruled_after: float = 3.0  # seconds of disagreement after which a good field overrules
+    contradicted_after: float = 3.0  # seconds of disagreement after which a good field overrules
     beyond_doubt: float = 4.0  # squared gates of disagreement that count fully
     heading_tau: float = 2.0  # seconds of headings from another device that are joined
-    heading_lasts: float = 1.0
-    lasts_spread: float = 1.5
+    heading_error_time: float = 1.0
+    error_time_spread: float = 1.5
     """Correlation time of the error of such a heading, seconds: median, and standard deviation of
     the natural logarithm. Noise is white, reflections last for a minute."""
-    heading_wander: float = 7e-4  # rad/s per root second: .3°/s within a minute
+    heading_drift: float = 7e-4  # rad/s per root second: .3°/s within a minute
     """Random walk of the drift rate of such headings, by reflections or a wrong ambiguity. It looks
     like a random walk of the gyro's bias."""
-    wander_lasts: float = 100.0  # correlation time of the drift's rate and angle, seconds
-    wander_jump: float = 0.1  # radians of error when headings come back from beyond the gate
-    wander_odds: tuple[float, float] = (0.1, 1e-3)
+    drift_time: float = 100.0  # correlation time of the drift's rate and angle, seconds
+    drift_jump: float = 0.1  # radians of error when headings come back from beyond the gate
+    drift_odds: tuple[float, float] = (0.1, 1e-3)
     """Prior odds that a device drifts, and that a good one starts to within `heading_tau`."""
     integrated_rate: float = 2e-3  # rad/s, usual bias of a gyro that a device integrates
     integrated_odds: float = 0.01  # prior odds of such a device
@@ -59,7 +61,7 @@ class FusionTuning:
     unknown: float = 0.5  # sigma of the yaw after a start in a disturbed field, radians
     start: float = 5.0  # seconds from the start in which a disturbance may still be detected
 
-    def lost(self, rate: float) -> float:
+    def walk_variance(self, rate: float) -> float:
         """Return the growth of the variance of the gyro's angle, without bias, rad²/s.
 
         `rate` is the turn rate, rad/s.
@@ -110,9 +112,9 @@ class YawFilter:
         # The error of the yaw is that of the disturbance.
         self._yaw_disturbance = -disturbance
         self._yaw_bias = self._bias_disturbance = 0.0
-        self._know_nothing_of_errors(compass)
+        self._forget_errors(compass)
 
-    def _know_nothing_of_errors(self, shares: FloatArray) -> None:
+    def _forget_errors(self, shares: FloatArray) -> None:
         self._shares = shares
         self._bias_shares = self._disturbance_shares = self.errors = 0.0 * shares
         self._covariance = np.diag(np.append(np.ones(len(CERTAIN)), 0.0))
@@ -120,23 +122,23 @@ class YawFilter:
     def use_another_calibration(self) -> None:
         """Continue with a compass that has other errors; the old ones remain in the variance."""
         self.yaw_variance += self.own_error_variance
-        self._know_nothing_of_errors(0.0 * self._shares)
+        self._forget_errors(0.0 * self._shares)
 
     @property
     def own_error_variance(self) -> float:
         """Variance of the yaw by the calibration, rad²."""
         return float(self._shares @ self._covariance @ self._shares)
 
-    def propagate(self, seconds: float, lost: float, bias_lost: float) -> None:
+    def propagate(self, seconds: float, walk_variance: float, bias_lost: float) -> None:
         """Propagate with process noises of the angle, rad², and of the bias, (rad/s)²."""
         bias_part = self.bias_variance * seconds
-        self.yaw_variance += (bias_part - 2.0 * self._yaw_bias) * seconds + lost
+        self.yaw_variance += (bias_part - 2.0 * self._yaw_bias) * seconds + walk_variance
         self._yaw_bias -= bias_part
         self._yaw_disturbance -= seconds * self._bias_disturbance
         self._shares = self._shares + self._bias_shares * seconds
         self.bias_variance += bias_lost
 
-    def move_on(self, share: float, variance: float) -> None:
+    def change_disturbance(self, share: float, variance: float) -> None:
         """Propagate the disturbance as a Gauss-Markov process.
 
         `share` is its correlation, 0 to 1, and `variance` its stationary variance, rad².
@@ -222,7 +224,7 @@ class YawFilter:
         self.disturbance += float(self._disturbance_shares @ found)
         return by_yaw * left - float(self._shares @ found)
 
-    def doubt(self, covariance: FloatArray) -> None:
+    def use_larger_covariance(self, covariance: FloatArray) -> None:
         """Use a larger covariance (2, 2) of the yaw and minus the bias."""
         self.yaw_variance, self.bias_variance = float(covariance[0, 0]), float(covariance[1, 1])
         self._yaw_bias = -float(covariance[0, 1])
@@ -235,12 +237,12 @@ class YawFilter:
         self._shares = self._shares + share * self._apart(compass)
 
 
-KINDS = 3
+DRIFT_KINDS = 3
 """Kinds of devices: without drift, with a random drift, and with an integrated gyro bias."""
-WANDERS = 1
+RANDOM_DRIFT = 1
 
 
-class GyroLoss:
+class GyroDrift:
     """The random walks of a gyro's angle and bias, from headings of another device and from rests.
 
     There is a Kalman filter for each set of sizes on a grid. Its states are the yaw minus that of
@@ -249,12 +251,12 @@ class GyroLoss:
 
     `share` is the variance of this gyro's random walk of angle over the usual one. `walked` is the
     random walk of its bias, (rad/s)² per second, and `rest_turn` the squared turn rate of a robot
-    that seems to rest, (rad/s)². `heading_lasts` is the correlation time of the headings' errors,
-    seconds.
+    that seems to rest, (rad/s)². `heading_error_time` is the correlation time of the headings'
+    errors, seconds.
     """
 
     def __init__(self) -> None:
-        spread = FUSION.loss_spread
+        spread = FUSION.angle_walk_spread
         first, second, third, fourth, kinds = (
             each.ravel()
             for each in np.meshgrid(
@@ -262,22 +264,24 @@ class GyroLoss:
                 np.linspace(-3.0, 3.0, 7),
                 np.linspace(-2.0, 3.0, 6),
                 np.linspace(-2.0, 3.0, 6),
-                np.arange(KINDS, dtype=float),
+                np.arange(DRIFT_KINDS, dtype=float),
             )
         )
         self._walks: FloatArray = (FUSION.bias_walk * np.exp(FUSION.walk_spread * first)) ** 2
         self._shares: FloatArray = np.exp(spread * second - 0.5 * spread**2)
         self._turns: FloatArray = (FUSION.rest_turn * np.exp(FUSION.rest_spread * third)) ** 2
-        self._lasts: FloatArray = FUSION.heading_lasts * np.exp(FUSION.lasts_spread * fourth)
+        self._lasts: FloatArray = FUSION.heading_error_time * np.exp(
+            FUSION.error_time_spread * fourth
+        )
         kind = kinds.astype(int)
-        self._wanders: FloatArray = np.array([0.0, FUSION.heading_wander, BIAS_WALK])[kind] ** 2
+        self._drift_walks: FloatArray = np.array([0.0, FUSION.heading_drift, BIAS_WALK])[kind] ** 2
         self._drift_rates: FloatArray = np.array([0.0, 0.0, FUSION.integrated_rate])[kind] ** 2
         part = self._lasts / FUSION.heading_tau
         self._left: FloatArray = 2.0 * part * (1.0 - part * (1.0 - np.exp(-1.0 / part)))
         self._log_odds: FloatArray = -0.5 * (first**2 + second**2 + third**2 + fourth**2)
-        odds = np.array([1.0, FUSION.wander_odds[0], FUSION.integrated_odds])
+        odds = np.array([1.0, FUSION.drift_odds[0], FUSION.integrated_odds])
         self._log_odds += np.log(odds)[kind]
-        self._weigh()
+        self._update_weights()
         self.begin(0.0, 0.0)
 
     def begin(self, bias: float, variance: float) -> None:
@@ -293,73 +297,73 @@ class GyroLoss:
         self._covariance[:, 4, 4] = self._drift_rates
 
     def add_heading(
-        self, stamp: float, ahead: float, variance: float, count: int, lost: float
+        self, stamp: float, yaw_gap: float, variance: float, count: int, walk_variance: float
     ) -> None:
         """Add the mean of headings over `FUSION.heading_tau` seconds.
 
-        `ahead` is the mean minus the yaw of the gyro alone, radians. `variance` is the variance of
-        each of `count` headings, rad². `lost` is the usual random walk of the gyro's angle since
-        the last heading or rest, rad².
+        `yaw_gap` is the mean minus the yaw of the gyro alone, radians. `variance` is the variance
+        of each of `count` headings, rad². `walk_variance` is the usual random walk of the gyro's
+        angle since the last heading or rest, rad².
         """
-        self.go_on(stamp, lost)
+        self.propagate(stamp, walk_variance)
         if stamp - self._heard > 2.0 * FUSION.heading_tau:
-            self._covariance[:, 3, 3] += FUSION.wander_jump**2 * (self._wanders > 0.0)
-        steady, drifting, _ = self._log_odds.reshape(-1, KINDS).T
-        drifting[:] = np.logaddexp(drifting, steady + math.log(FUSION.wander_odds[1]))
+            self._covariance[:, 3, 3] += FUSION.drift_jump**2 * (self._drift_walks > 0.0)
+        steady, drifting, _ = self._log_odds.reshape(-1, DRIFT_KINDS).T
+        drifting[:] = np.logaddexp(drifting, steady + math.log(FUSION.drift_odds[1]))
         kept = np.exp((self._heard - stamp) / self._lasts)
         self._heard = stamp
         self._state[:, 2] *= kept
         self._covariance[:, 2] *= kept[:, None]
         self._covariance[:, :, 2] *= kept[:, None]
         self._covariance[:, 2, 2] += (1.0 - kept**2) * self._left * variance
-        self._take(ahead, np.array([1.0, 0.0, 1.0, 1.0, 0.0]), variance / count)
+        self._update(yaw_gap, np.array([1.0, 0.0, 1.0, 1.0, 0.0]), variance / count)
 
-    def add_rest(self, stamp: float, rate: float, variance: float, lost: float) -> None:
+    def add_rest(self, stamp: float, rate: float, variance: float, walk_variance: float) -> None:
         """Add the gyro's mean rate about up while the robot seems to rest; as `add_heading`."""
-        self.go_on(stamp, lost)
-        self._take(-rate, np.array([0.0, 1.0, 0.0, 0.0, 0.0]), variance + self._turns)
+        self.propagate(stamp, walk_variance)
+        self._update(-rate, np.array([0.0, 1.0, 0.0, 0.0, 0.0]), variance + self._turns)
 
-    def go_on(self, stamp: float, lost: float) -> None:
-        """Propagate to a stamp; `lost` as for `add_heading`."""
+    def propagate(self, stamp: float, walk_variance: float) -> None:
+        """Propagate to a stamp; `walk_variance` as for `add_heading`."""
         seconds, self._stamp = stamp - self._stamp, stamp
         if not seconds > 0.0:
             return
         covariance = self._covariance
-        for kind in range(KINDS):
+        for kind in range(DRIFT_KINDS):
             step = np.eye(5)
             step[0, 1] = step[3, 4] = seconds
-            if kind == WANDERS:
-                step[3:, 3:] *= math.exp(-seconds / FUSION.wander_lasts)
-            self._state[kind::KINDS] = self._state[kind::KINDS] @ step.T
-            covariance[kind::KINDS] = step @ covariance[kind::KINDS] @ step.T
-        covariance[:, 0, 0] += lost * self._shares
-        for angle, walks in ((0, self._walks), (3, self._wanders)):
+            if kind == RANDOM_DRIFT:
+                step[3:, 3:] *= math.exp(-seconds / FUSION.drift_time)
+            self._state[kind::DRIFT_KINDS] = self._state[kind::DRIFT_KINDS] @ step.T
+            covariance[kind::DRIFT_KINDS] = step @ covariance[kind::DRIFT_KINDS] @ step.T
+        covariance[:, 0, 0] += walk_variance * self._shares
+        for angle, walks in ((0, self._walks), (3, self._drift_walks)):
             rate, walked = angle + 1, walks * seconds
             covariance[:, angle, angle] += walked * seconds**2 / 3.0
             covariance[:, angle, rate] += 0.5 * walked * seconds
             covariance[:, rate, angle] += 0.5 * walked * seconds
             covariance[:, rate, rate] += walked
 
-    def ahead(self) -> tuple[FloatArray, FloatArray]:
+    def yaw_gap(self) -> tuple[FloatArray, FloatArray]:
         """Return yaw minus that of the gyro and minus the bias, by all sets, with covariance."""
         mean = self._weights @ self._state[:, :2]
         off = self._state[:, :2] - mean
         spread = self._covariance[:, :2, :2] + off[:, :, None] * off[:, None]
         return mean, np.einsum("n,nij->ij", self._weights, spread)
 
-    def _take(self, shown: float, sight: FloatArray, noise: FloatArray | float) -> None:
+    def _update(self, shown: float, sight: FloatArray, noise: FloatArray | float) -> None:
         by = self._covariance @ sight
         spread, left = by @ sight + noise, shown - self._state @ sight
         self._log_odds = self._log_odds - 0.5 * (np.log(spread) + left**2 / spread)
         gain = by / spread[:, None]
         self._state += gain * left[:, None]
         self._covariance -= gain[:, :, None] * by[:, None]
-        self._weigh()
+        self._update_weights()
 
-    def _weigh(self) -> None:
+    def _update_weights(self) -> None:
         weights = np.exp(self._log_odds - self._log_odds.max())
         self._weights: FloatArray = weights / weights.sum()
-        self.share, self.walked, self.rest_turn, self.heading_lasts = (
+        self.share, self.walked, self.rest_turn, self.heading_error_time = (
             float(self._weights @ each)
             for each in (self._shares, self._walks, self._turns, self._lasts)
         )

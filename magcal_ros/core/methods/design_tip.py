@@ -32,10 +32,10 @@ from magcal_ros.core.methods.tip_steps import (
     TipSamples,
     TurnAxis,
     derotation,
-    enter,
     find_axis,
     find_candidates,
     fit_field_circle,
+    prepare_samples,
 )
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.window import Window
@@ -108,7 +108,7 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
 
 def solve(window: Window, knowledge: Knowledge) -> TipSolution:
     """Return the results of the tip's steps. Raises `Refusal` if a step has no solution."""
-    samples = enter(window, knowledge.mounting)
+    samples = prepare_samples(window, knowledge.mounting)
     circle = fit_field_circle(samples)
     axis = find_axis(samples, circle)
     chosen, rival, assumed = _choose(samples, axis, circle, knowledge.reference)

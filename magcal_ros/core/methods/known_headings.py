@@ -20,12 +20,12 @@ from magcal_ros.core.smoother.headings import (
     fit_headings,
     sigma_with,
 )
-from magcal_ros.core.smoother.standings import Standing
-from magcal_ros.core.smoother.unknowns import ROLL_PITCH, STANDING, YAW, Size
+from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
+from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, ROLL_PITCH, YAW, Size
 
 METHOD = "known_headings"
 DEGREES = 180.0 / math.pi
-MOST_SEARCHED = 24  # most standings among which the contradicting one is searched
+MOST_SEARCHED = 24  # most measurements among which the contradicting one is searched
 
 
 @dataclass(frozen=True)
@@ -58,13 +58,17 @@ READINGS: dict[str, tuple[float, float]] = {
 """Common mistakes of headings, and the factor and shift (radians) that correct them."""
 
 
-def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING) -> Estimate:
+def fit(
+    measurements: Sequence[KnownHeadingMeasurement],
+    knowledge: Knowledge,
+    place: Size = DISTURBANCE_AT_REST,
+) -> Estimate:
     """Find the twelve numbers from known headings.
 
     Returns
     -------
     Estimate
-        Includes the yaw of the installation. Its samples are the standings.
+        Includes the yaw of the installation. Its samples are the measurements.
 
     Raises
     ------
@@ -72,14 +76,14 @@ def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STAND
         If headings, field and gyro contradict each other; the text names what is likely wrong.
     """
     try:
-        found = fit_headings(standings, knowledge, place)
+        found = fit_headings(measurements, knowledge, place)
     except np.linalg.LinAlgError:
         words = "the samples do not determine a calibration; stand at another known heading"
         raise Refusal(Reason.NO_SOLUTION, words) from None
-    _refuse_contradiction(found.agreement, standings, knowledge, place)
+    _refuse_contradiction(found.agreement, measurements, knowledge, place)
     shared, posterior = found.state.shared, found.posterior
     roll, pitch = shared[ROLL_PITCH]
-    count = len(standings)
+    count = len(measurements)
     figures = {
         Figure.KNOWN_HEADINGS: float(count),
         Figure.INSTALLATION_YAW_SIGMA: found.yaw_sigma,
@@ -92,12 +96,12 @@ def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STAND
         correction=posterior.correction,
         covariance=posterior.covariance,
         installation=Installation(float(roll), float(pitch), float(shared[YAW])),
-        axis=unit(np.mean([unit(each.force) for each in standings], axis=0)),
-        arc=math.tau - Coverage.of(np.array([each.heading for each in standings])).gap,
+        axis=unit(np.mean([unit(each.force) for each in measurements], axis=0)),
+        arc=math.tau - Coverage.of(np.array([each.heading for each in measurements])).gap,
         strength=posterior.strength,
         inclination=posterior.inclination,
-        noise_field=max(each.noise_field for each in standings),
-        noise_up=max(each.noise_up for each in standings),
+        noise_field=max(each.noise_field for each in measurements),
+        noise_up=max(each.noise_up for each in measurements),
         inliers=np.ones(count, dtype=bool),
         residual=found.residual,
         figures=figures,
@@ -106,12 +110,15 @@ def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STAND
 
 
 def _refuse_contradiction(
-    agreement: HeadingAgreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
+    agreement: HeadingAgreement,
+    measurements: Sequence[KnownHeadingMeasurement],
+    knowledge: Knowledge,
+    place: Size,
 ) -> None:
     """Refuse headings that field and gyro contradict, and name the likely mistake."""
     if not agreement.freedom:
         return
-    rivals = _rivals(standings, knowledge, place)
+    rivals = _rivals(measurements, knowledge, place)
     words = min(rivals, key=lambda each: rivals[each].cost)
     best = rivals[words]
     if best.cost < agreement.cost - TUNING.odds and best.chance > TUNING.chance:
@@ -121,55 +128,58 @@ def _refuse_contradiction(
         )
     if agreement.chance < TUNING.chance:
         raise Refusal(
-            Reason.HEADING_CONTRADICTED, _contradiction(agreement, standings, knowledge, place)
+            Reason.HEADING_CONTRADICTED, _contradiction(agreement, measurements, knowledge, place)
         )
 
 
 def _rivals(
-    standings: Sequence[Standing], knowledge: Knowledge, place: Size
+    measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge, place: Size
 ) -> dict[str, HeadingAgreement]:
     """Return the agreement of other interpretations of the headings, by their words."""
     found = {}
-    norths = [_shift(each, knowledge) for each in standings]
-    told = [wrapped(each.heading - north) for each, north in zip(standings, norths, strict=True)]
+    norths = [_shift(each, knowledge) for each in measurements]
+    told = [wrapped(each.heading - north) for each, north in zip(measurements, norths, strict=True)]
     for words, (factor, shift) in READINGS.items():
         yaws = [factor * yaw for yaw in told]
         # No yaw in radians is beyond half a turn.
         if max(map(abs, yaws)) <= math.pi:
             read = [
                 replace(each, heading=wrapped(yaw + shift + north))
-                for each, yaw, north in zip(standings, yaws, norths, strict=True)
+                for each, yaw, north in zip(measurements, yaws, norths, strict=True)
             ]
             found[words] = agreement_of(read, knowledge, place)
     return found
 
 
-def _shift(standing: Standing, knowledge: Knowledge) -> float:
+def _shift(measurement: KnownHeadingMeasurement, knowledge: Knowledge) -> float:
     """Return a heading to magnetic north minus the given one, radians."""
-    return (knowledge.reference.declination or 0.0) if standing.by_declination else 0.0
+    return (knowledge.reference.declination or 0.0) if measurement.by_declination else 0.0
 
 
-def _as_told(standing: Standing, knowledge: Knowledge) -> str:
+def _as_given(measurement: KnownHeadingMeasurement, knowledge: Knowledge) -> str:
     """Return a heading as it was given, in words."""
-    given = wrapped(standing.heading - _shift(standing, knowledge)) * DEGREES
-    return f"{given:.0f}° to {'true' if standing.by_declination else 'magnetic'} north"
+    given = wrapped(measurement.heading - _shift(measurement, knowledge)) * DEGREES
+    return f"{given:.0f}° to {'true' if measurement.by_declination else 'magnetic'} north"
 
 
 def _contradiction(
-    agreement: HeadingAgreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
+    agreement: HeadingAgreement,
+    measurements: Sequence[KnownHeadingMeasurement],
+    knowledge: Knowledge,
+    place: Size,
 ) -> str:
     """Say which heading contradicts the others; if none stands out, that they disagree."""
-    count = len(standings)
-    apart = [replace(each, turned_sigma=math.inf) for each in standings]
+    count = len(measurements)
+    apart = [replace(each, turned_sigma=math.inf) for each in measurements]
     alone = agreement_of(apart, knowledge, place)
     if alone.chance > TUNING.chance:
-        return _by_gyro(standings)
+        return _by_gyro(measurements)
     if 2 < count <= MOST_SEARCHED:
-        found = [agreement_of(_without(standings, k), knowledge, place) for k in range(count)]
+        found = [agreement_of(_without(measurements, k), knowledge, place) for k in range(count)]
         k = min(range(count), key=lambda j: found[j].cost)
         if found[k].chance > TUNING.chance:
             return (
-                f"Known heading {k + 1} of {count} ({_as_told(standings[k], knowledge)}) "
+                f"Known heading {k + 1} of {count} ({_as_given(measurements[k], knowledge)}) "
                 "contradicts the others, by the field: check that it was typed correctly, and "
                 "that no iron stood beside the robot there."
             )
@@ -179,16 +189,18 @@ def _contradiction(
     )
 
 
-def _by_gyro(standings: Sequence[Standing]) -> str:
+def _by_gyro(measurements: Sequence[KnownHeadingMeasurement]) -> str:
     """Say between which headings the gyro measured another turn."""
 
     def off(k: int) -> float:
-        one, next_ = standings[k], standings[k + 1]
+        one, next_ = measurements[k], measurements[k + 1]
         return wrapped(next_.heading - one.heading - next_.turned)
 
-    k = max(range(len(standings) - 1), key=lambda j: abs(off(j)) / standings[j + 1].turned_sigma)
-    given = wrapped(standings[k + 1].heading - standings[k].heading) * DEGREES
-    seen = wrapped(standings[k + 1].turned) * DEGREES
+    k = max(
+        range(len(measurements) - 1), key=lambda j: abs(off(j)) / measurements[j + 1].turned_sigma
+    )
+    given = wrapped(measurements[k + 1].heading - measurements[k].heading) * DEGREES
+    seen = wrapped(measurements[k + 1].turned) * DEGREES
     return (
         f"Between known headings {k + 1} and {k + 2} the robot should have turned by {given:.0f}°, "
         f"but the gyro measured {seen:.0f}° (to the left): check both headings, and the sign and "
@@ -196,18 +208,20 @@ def _by_gyro(standings: Sequence[Standing]) -> str:
     )
 
 
-def _without(standings: Sequence[Standing], left_out: int) -> list[Standing]:
-    """Return all standings but one, without the gyro's turn across the gap."""
-    rest = [each for k, each in enumerate(standings) if k != left_out]
+def _without(
+    measurements: Sequence[KnownHeadingMeasurement], left_out: int
+) -> list[KnownHeadingMeasurement]:
+    """Return all measurements but one, without the gyro's turn across the gap."""
+    rest = [each for k, each in enumerate(measurements) if k != left_out]
     if left_out < len(rest):
         next_ = rest[left_out]
-        way = standings[left_out].way + next_.way
-        rest[left_out] = replace(next_, turned_sigma=math.inf, way=way)
+        distance = measurements[left_out].distance + next_.distance
+        rest[left_out] = replace(next_, turned_sigma=math.inf, distance=distance)
     return rest
 
 
 def declination_hint(
-    estimate: Estimate, standings: Sequence[Standing], knowledge: Knowledge
+    estimate: Estimate, measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge
 ) -> str:
     """Say that the headings may be to the other north; empty if that is unlikely.
 
@@ -219,7 +233,7 @@ def declination_hint(
     yaw, sigma = estimate.installation.yaw, estimate.figures[Figure.INSTALLATION_YAW_SIGMA]
     if declination is None or abs(declination) < CLEAR * sigma:
         return ""
-    told_true = [each.by_declination for each in standings]
+    told_true = [each.by_declination for each in measurements]
     # Given to true north but counted from magnetic, the yaw comes out as minus the declination.
     expected = -declination if all(told_true) else declination
     if all(told_true) is not any(told_true) or abs(yaw - expected) > abs(yaw):
@@ -234,14 +248,16 @@ def declination_hint(
     )
 
 
-def next_heading(standings: Sequence[Standing], knowledge: Knowledge) -> tuple[float, float]:
+def next_heading(
+    measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge
+) -> tuple[float, float]:
     """Return the most informative further heading, and the compass's sigma with it, radians.
 
-    The heading is that of the last standing's `forward`, to magnetic north.
+    The heading is that of the last measurement's `forward`, to magnetic north.
     """
-    found = fit_headings(standings, knowledge)
-    last = standings[-1].heading
+    found = fit_headings(measurements, knowledge)
+    last = measurements[-1].heading
     headings = [wrapped(last + k * 0.5 * QUARTER) for k in range(1, 8)]
-    sigmas = [sigma_with(found, standings, knowledge, heading) for heading in headings]
+    sigmas = [sigma_with(found, measurements, knowledge, heading) for heading in headings]
     best = int(np.argmin(sigmas))
     return headings[best], sigmas[best]

@@ -18,7 +18,7 @@ from magcal_ros.core.knowledge import CLEAR, Knowledge
 from magcal_ros.core.methods.checks import check_shape, check_window, refuse_empty, too_slow
 from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.units import likely_field_unit
-from magcal_ros.core.samples.window import Window, living_axes
+from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.drives import check_length, drive_nodes
 from magcal_ros.core.smoother.factors import (
     QUARTER,
@@ -120,7 +120,7 @@ def smoothed(
     hint = likely_field_unit(usual_size(window.field))
     if hint:
         raise Refusal(Reason.NO_SOLUTION, hint)
-    if living_axes(window.angular_rate)[2]:
+    if working_axes(window.angular_rate)[2]:
         return smooth(window, knowledge, progress)
     return smooth_by_field(window, knowledge)
 
@@ -131,7 +131,7 @@ def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowle
         _check_turn_without_gyro(found, estimate, knowledge)
         return
     if found.mode in DRIVES:
-        _check_drive(found, estimate, all(living_axes(window.angular_rate)))
+        _check_drive(found, estimate, all(working_axes(window.angular_rate)))
     elif not gyro_is_usual(found.fit):
         raise too_slow(window, knowledge) or Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
 

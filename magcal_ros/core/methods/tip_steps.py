@@ -68,7 +68,7 @@ class TipSamples:
     """Rotation between neighbouring samples by the gyro, body axes, radians. Shape (n - 1, 3)."""
 
 
-def enter(window: Window, mounting: Mounting) -> TipSamples:
+def prepare_samples(window: Window, mounting: Mounting) -> TipSamples:
     """Return a window in the tip's frame."""
     matrix = mounting.matrix @ FRD_FROM_FLU
     down = -window.specific_force @ FRD_FROM_FLU

@@ -78,7 +78,7 @@ class Record(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Waves:
+class HarmonicFit:
     """Harmonics of the heading, fitted to values of records."""
 
     columns: FloatArray
@@ -116,18 +116,18 @@ class Waves:
 
 
 def harmonics(heading: FloatArray) -> FloatArray:
-    """Return the columns of `Waves` for headings (n,), radians; shape (n, 5)."""
+    """Return the columns of `HarmonicFit` for headings (n,), radians; shape (n, 5)."""
     one, twice = np.ones(len(heading)), 2.0 * heading
     return np.column_stack([one, np.sin(heading), np.cos(heading), np.cos(twice), np.sin(twice)])
 
 
-def fit_waves(
+def fit_harmonics(
     columns: FloatArray,
     values: FloatArray,
     stamp: FloatArray,
     sigmas: float,
     prior: tuple[int, float] | None = None,
-) -> Waves:
+) -> HarmonicFit:
     """Fit coefficients with Huber weights.
 
     Errors of neighbours are correlated: the covariance is that of Newey and West (1987), and never
@@ -150,7 +150,7 @@ def fit_waves(
     alone = scatter**2 * inverse
     stretches = float(np.ptp(stamp)) / CHANGE.correlation_time
     if stretches < 2.0:
-        return Waves(columns, found, np.asarray(alone, dtype=np.float64), sigmas)
+        return HarmonicFit(columns, found, np.asarray(alone, dtype=np.float64), sigmas)
     # In steps of a sixth of that time, to limit the memory for an hour of records.
     sixth = ((stamp - stamp.min()) * (6.0 / CHANGE.correlation_time)).astype(np.int64)
     scores = np.zeros((int(sixth.max()) + 1, columns.shape[1]))
@@ -159,10 +159,10 @@ def fit_waves(
     alike = np.maximum(1.0 - np.abs(count[:, None] - count) / 6.0, 0.0)
     together = inverse @ (scores.T @ alike @ scores) @ inverse
     covariance = np.asarray(max(together, alone, key=np.trace), dtype=np.float64)
-    return Waves(columns, found, covariance, sigmas * (1.0 + CHANGE.few / stretches))
+    return HarmonicFit(columns, found, covariance, sigmas * (1.0 + CHANGE.few / stretches))
 
 
-class GyroWaves(NamedTuple):
+class GyroComparison(NamedTuple):
     """Compass minus gyro: the rows that are compared, the deviation, and its harmonics.
 
     A part of a turn has no harmonics: they cannot be separated from a bias of the gyro.
@@ -170,7 +170,7 @@ class GyroWaves(NamedTuple):
 
     rows: IntArray
     deviation: FloatArray
-    waves: Waves | None
+    waves: HarmonicFit | None
 
     @property
     def rms(self) -> float:
@@ -178,7 +178,9 @@ class GyroWaves(NamedTuple):
         return math.sqrt(float(np.mean(self.deviation**2)))
 
 
-def compass_less_gyro(records: FloatArray, heading: FloatArray, sigmas: float) -> GyroWaves | None:
+def compass_minus_gyro(
+    records: FloatArray, heading: FloatArray, sigmas: float
+) -> GyroComparison | None:
     """Return the deviation of the compass from the gyro; None if there is nothing to compare.
 
     An offset for each piece and one constant bias are removed. Deviations are angles modulo a turn:
@@ -206,9 +208,9 @@ def compass_less_gyro(records: FloatArray, heading: FloatArray, sigmas: float) -
         columns.append(basis[rows] - basis[rows].mean(axis=0))
     every, gap = np.concatenate(pieces), np.concatenate(gaps)
     drift = 0, COVERAGE.largest_gyro_bias
-    waves = fit_waves(np.concatenate(columns), gap, stamp[every], sigmas, drift)
+    waves = fit_harmonics(np.concatenate(columns), gap, stamp[every], sigmas, drift)
     deviation = wrap_angle(gap - waves.columns[:, 0] * waves.values[0])
-    return GyroWaves(every, deviation, waves if is_round else None)
+    return GyroComparison(every, deviation, waves if is_round else None)
 
 
 def check_beside_chance(

@@ -31,9 +31,9 @@ from magcal_ros.core.monitoring.change import (
     CHANGE,
     GYRO_BOUND,
     check_beside_chance,
-    compass_less_gyro,
+    compass_minus_gyro,
     doubtful,
-    fit_waves,
+    fit_harmonics,
     harmonics,
     rule_of,
 )
@@ -266,14 +266,14 @@ def _figures(
         Figure.DIP_SPREAD: dip,
     }
     columns = harmonics(heading)
-    waves = {k: fit_waves(columns, v, stamp, CHANGE.chance) for k, v in swings.items()}
+    waves = {k: fit_harmonics(columns, v, stamp, CHANGE.chance) for k, v in swings.items()}
     found = {figure: each.spread for figure, each in waves.items()}
     for figure, of, off in (
         (Figure.STRENGTH_OFFSET, Figure.STRENGTH_SPREAD, size / calibration.strength - 1.0),
         (Figure.DIP_OFFSET, Figure.DIP_SPREAD, dip - calibration.inclination),
     ):
         found[figure] = abs(float(off.mean())), waves[of].chance_of_mean
-    gyro = compass_less_gyro(records, heading, CHANGE.chance)
+    gyro = compass_minus_gyro(records, heading, CHANGE.chance)
     if gyro is None:
         return found, None
     rms = gyro.rms

@@ -14,10 +14,10 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.driving.chords import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
-from magcal_ros.core.driving.travelling import TravelReplay
+from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import mean_angle, wrap_angle, wrapped
-from magcal_ros.core.heading.compass import Compass, Moment
+from magcal_ros.core.heading.compass import Compass, CompassReading
 from magcal_ros.core.monitoring.change import CHANGE
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample
 
@@ -73,13 +73,13 @@ def recorded_course(
     place.
     """
     replay = TravelReplay(travel, Streams(STREAMS.max_gap))
-    travelling = replay.travelling
+    estimator = replay.estimator
     for _, yaw in _yaws(calibration, replay, readings):
-        travelling.add_yaw(yaw)
-    course = travelling.fit_course()
+        estimator.add_yaw(yaw)
+    course = estimator.fit_course()
     if course is None:
         return None
-    mounting = travelling.known_mounting
+    mounting = estimator.known_mounting
     checks = () if mounting is None else check_by_course(course)
     return RecordedCourse(course, checks, mounting, declination)
 
@@ -94,7 +94,7 @@ def _yaws(
     for sample in replay.readings(readings):
         if isinstance(sample, FieldSample):
             up = replay.up.at(sample.stamp, STREAMS.max_gap)
-            heading = Moment.of(compass, sample, up, None).heading
+            heading = CompassReading.of(compass, sample, up, None).heading
             if heading is not None:
                 yield sample.stamp, heading.yaw
 

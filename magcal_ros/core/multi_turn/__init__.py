@@ -5,6 +5,6 @@ from magcal_ros.core.lazy_names import lazy_names
 __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     """
-    result: Advice Kept Several Shown TurnFate names_of
+    result: KeptTurns MultiTurnReport TurnAccuracy TurnAdvice TurnResult names_of
     """,
 )

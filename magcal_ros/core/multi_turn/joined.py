@@ -19,19 +19,19 @@ from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.correction import PARAMETERS
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import CHECKED_TILT, heading_jacobian, rms_sigma
-from magcal_ros.core.doctor.page import blamed_on_axes, wrong_axes
+from magcal_ros.core.doctor.sensor_report import refusal_by_axes, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother import check, estimate_of, smoothed
-from magcal_ros.core.multi_turn.result import Advice, Several, Shown, TurnFate
+from magcal_ros.core.multi_turn.result import MultiTurnReport, TurnAccuracy, TurnAdvice, TurnResult
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.joint_fit import JointFit, fit_jointly, imagined_information
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed
 from magcal_ros.core.smoother.posterior import Posterior, posterior, posterior_at
-from magcal_ros.core.smoother.several import Together, fit_together, imagined_information
 from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
@@ -77,7 +77,8 @@ SIDES = (
 class Turn:
     """One turn with its estimate and fits, None if there are none.
 
-    `reason` is why the turn is not enough alone, `unfit` why it cannot join; empty if it can.
+    `reason` is why the turn is not enough alone, `refusal_words` why it cannot join; empty if it
+    can.
     """
 
     name: str
@@ -85,7 +86,7 @@ class Turn:
     estimate: Estimate | None
     smoothed: Smoothed | None
     reason: Reason | None = None
-    unfit: str = ""
+    refusal_words: str = ""
 
     @property
     def found(self) -> tuple[Estimate, Smoothed]:
@@ -100,37 +101,37 @@ class Turn:
         return self.found[1].fit
 
 
-def survey(windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge) -> list[Turn]:
+def fit_turns(windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge) -> list[Turn]:
     """Fit each turn alone, and note why it cannot join."""
     turns: list[Turn] = []
     for window, name in zip(windows, names, strict=True):
         twin = next((t for t in turns if _is_copy(window, t.window)), None)
-        turn = _alone(window, name, knowledge)
+        turn = _single_turn(window, name, knowledge)
         if twin is not None:
-            turn = replace(turn, unfit=f"it holds the same samples as {twin.name}")
+            turn = replace(turn, refusal_words=f"it holds the same samples as {twin.name}")
         turns.append(turn)
     return turns
 
 
-def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
+def _single_turn(window: Window, name: str, knowledge: Knowledge) -> Turn:
     found = estimate = None
     try:
         found = smoothed(window, knowledge)
         estimate = estimate_of(found, window, knowledge)
         check(found, estimate, window, knowledge)
     except Refusal as refusal:
-        why = blamed_on_axes(refusal, window, knowledge)
+        why = refusal_by_axes(refusal, window, knowledge)
         reference = knowledge.reference
         guessed = reference.strength.is_unknown and reference.inclination.is_unknown
         mended = estimate is not None and refusal.reason in JOINABLE + ALSO_JOINABLE * guessed
-        unfit = "" if mended else str(why).rstrip(".")
-        return Turn(name, window, estimate, found, why.reason, unfit)
+        refusal_words = "" if mended else str(why).rstrip(".")
+        return Turn(name, window, estimate, found, why.reason, refusal_words)
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
         return Turn(name, window, estimate, found, wrong.reason, str(wrong))
     verdict = judge(estimate, knowledge, window)
-    unfit = verdict.summary.rstrip(".") if verdict.quality is Grade.REFUSED else ""
-    return Turn(name, window, estimate, found, unfit=unfit)
+    refusal_words = verdict.summary.rstrip(".") if verdict.quality is Grade.REFUSED else ""
+    return Turn(name, window, estimate, found, refusal_words=refusal_words)
 
 
 def _is_copy(window: Window, other: Window) -> bool:
@@ -142,7 +143,7 @@ def _is_copy(window: Window, other: Window) -> bool:
     return len(one & two) > COPY_SHARE * min(len(one), len(two))
 
 
-def agreement(alone: Sequence[Fit], together: Together, sigma: float) -> tuple[float, int | None]:
+def agreement(alone: Sequence[Fit], joint_fit: JointFit, sigma: float) -> tuple[float, int | None]:
     """Compare each turn with all others.
 
     Returns the largest normalised difference of a turn's hard iron from that of all turns, and the
@@ -150,20 +151,20 @@ def agreement(alone: Sequence[Fit], together: Together, sigma: float) -> tuple[f
     disagree it is the later one. `alone` are the separate fits, `sigma` (rad) is the prior of the
     installation's yaw.
     """
-    misfit = max(_misfit(one, joint) for one, joint in zip(alone, together.fits, strict=True))
+    misfit = max(_misfit(one, joint) for one, joint in zip(alone, joint_fit.fits, strict=True))
     if misfit < COMPARED_ABOVE or len(alone) < 2:
         return misfit, None
     asked = range(len(alone)) if len(alone) > 2 else [1]
-    gains = {k: _gain(alone, k, together, sigma) for k in asked}
+    gains = {k: _gain(alone, k, joint_fit, sigma) for k in asked}
     odd = max(gains, key=lambda k: gains[k])
     return misfit, odd if gains[odd] > 0.0 else None
 
 
-def _gain(alone: Sequence[Fit], odd: int, together: Together, yaw_sigma: float) -> float:
+def _gain(alone: Sequence[Fit], odd: int, joint_fit: JointFit, yaw_sigma: float) -> float:
     """Return twice the log likelihood ratio of a separate calibration for one turn."""
-    rest = fit_together([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
-    own = fit_together([alone[odd]], yaw_sigma)
-    return together.evidence - rest.evidence - own.evidence
+    rest = fit_jointly([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
+    own = fit_jointly([alone[odd]], yaw_sigma)
+    return joint_fit.evidence - rest.evidence - own.evidence
 
 
 def _misfit(alone: Fit, joint: Fit) -> float:
@@ -182,31 +183,31 @@ def _misfit(alone: Fit, joint: Fit) -> float:
 
 def agreeing_turns(
     surveyed: Sequence[Turn], knowledge: Knowledge
-) -> tuple[list[Turn], Together | None, float]:
+) -> tuple[list[Turn], JointFit | None, float]:
     """Leave out one turn after another until the rest agrees on one calibration.
 
     Returns all turns, those left out with the reason; the joint fit of the others with the yaw of
     the installation free, None if none is left; and their misfit (`agreement`).
     """
     turns, sigma = list(surveyed), knowledge.mounting.yaw_sigma
-    while members := [turn for turn in turns if not turn.unfit]:
+    while members := [turn for turn in turns if not turn.refusal_words]:
         alone = [turn.fit for turn in members]
         try:
-            together = fit_together(alone, sigma)
-            misfit, odd = agreement(alone, together, sigma)
+            joint_fit = fit_jointly(alone, sigma)
+            misfit, odd = agreement(alone, joint_fit, sigma)
         except np.linalg.LinAlgError:
             left_out, words = members[-1], "it has no solution together with the others"
         else:
             if odd is None:
-                return turns, together, misfit
+                return turns, joint_fit, misfit
             others = "the other turns" if len(members) > 2 else "the turn before"
             left_out, words = members[odd], CONTRADICTS.format(others, misfit)
-        turns[turns.index(left_out)] = replace(left_out, unfit=words)
+        turns[turns.index(left_out)] = replace(left_out, refusal_words=words)
     return turns, None, 0.0
 
 
 def joint_estimate(
-    together: Together, misfit: float, turns: Sequence[Turn], knowledge: Knowledge
+    joint_fit: JointFit, misfit: float, turns: Sequence[Turn], knowledge: Knowledge
 ) -> Estimate:
     """Return the estimate of a joint fit.
 
@@ -216,10 +217,10 @@ def joint_estimate(
     until the turns determine it.
     """
     prior_sigma = knowledge.mounting.yaw_sigma
-    is_shown = yaw_sigma(together.fits[-1].covariance) < SHOWN_YAW * prior_sigma
+    is_shown = yaw_sigma(joint_fit.fits[-1].covariance) < SHOWN_YAW * prior_sigma
     if not is_shown:
-        together = fit_together([turn.fit for turn in turns], 0.0)
-    fit, (_, own) = together.fits[-1], turns[-1].found
+        joint_fit = fit_jointly([turn.fit for turn in turns], 0.0)
+    fit, (_, own) = joint_fit.fits[-1], turns[-1].found
     found = posterior(fit, knowledge.mounting.matrix)
     offset = rms_sigma(found.heading_jacobian, found.by_offset)
     joint = replace(
@@ -287,7 +288,7 @@ def yaw_sigma(covariance: FloatArray) -> float:
     return math.sqrt(float(covariance[np.ix_(rows, rows)].sum()))
 
 
-def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> Shown:
+def accuracy_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> TurnAccuracy:
     """Return the standard deviations that an information matrix (SHARED, SHARED) implies at a fit.
 
     It includes the priors. `mounting` (3, 3) is from nominal body axes to sensor axes.
@@ -304,7 +305,7 @@ def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> Shown:
     strength = math.hypot(north, down)
     along, across = np.array([north, down]) / strength, np.array([-down, north]) / strength**2
     earth = covariance[EARTH, EARTH]
-    return Shown(
+    return TurnAccuracy(
         installation_yaw=yaw_sigma(covariance),
         soft_iron=tuple(float(v) for v in np.sqrt(np.diag(iron @ covariance @ iron.T))),
         axial_hard_iron=math.sqrt(max(float(axial @ found.covariance @ axial), 0.0)),
@@ -326,7 +327,7 @@ def _inverse(information: FloatArray) -> FloatArray:
     return out
 
 
-def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Advice, ...]:
+def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[TurnAdvice, ...]:
     """Return further turns, in order of the expected absolute heading error.
 
     Each repeats the turn of `fit` about another axis; its expected information is added to
@@ -336,62 +337,62 @@ def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Adv
     inside, _, outside = np.linalg.svd(fit.state.attitude.mean(axis=0))
     axis, up = (math.copysign(1.0, outside[0, 2]) * each for each in (inside[:, 0], outside[0]))
 
-    def after(body: FloatArray, world: FloatArray) -> Shown:
+    def after(body: FloatArray, world: FloatArray) -> TurnAccuracy:
         turned = minimal_rotation(axis, body), minimal_rotation(world, up)
-        return shown_by(information + imagined_information(fit, *turned), fit, mounting)
+        return accuracy_by(information + imagined_information(fit, *turned), fit, mounting)
 
-    imagined = [Advice("on level ground once more", after(Z, Z))]
+    imagined = [TurnAdvice("on level ground once more", after(Z, Z))]
     for slope, leaning, (roll, pitch) in SIDES:
         axis_there = rotation_from_rpy(roll, pitch).T @ Z
         imagined += [
-            Advice(f"on a slope of 10° that rises to the {slope}", after(Z, axis_there)),
-            Advice(f"about the vertical with {leaning}", after(axis_there, Z)),
+            TurnAdvice(f"on a slope of 10° that rises to the {slope}", after(Z, axis_there)),
+            TurnAdvice(f"about the vertical with {leaning}", after(axis_there, Z)),
         ]
     return tuple(sorted(imagined, key=lambda advice: advice.after.absolute_tilted))
 
 
 def join(
     surveyed: Sequence[Turn], knowledge: Knowledge
-) -> tuple[list[Turn], Estimate | None, Several | None]:
+) -> tuple[list[Turn], Estimate | None, MultiTurnReport | None]:
     """Join the turns that agree.
 
     Returns all turns, the joint estimate (None for less than two turns), and the report; None if
     no turn joined.
     """
-    turns, together, misfit = agreeing_turns(surveyed, knowledge)
-    members = [turn for turn in turns if not turn.unfit]
-    if together is None:
+    turns, joint_fit, misfit = agreeing_turns(surveyed, knowledge)
+    members = [turn for turn in turns if not turn.refusal_words]
+    if joint_fit is None:
         return turns, None, None
     mounting, count = knowledge.mounting.matrix, len(members)
-    known = [_known(together, first) for first in range(1, count + 1)]
-    shown = [shown_by(each, together.fits[0], mounting) for each in known]
+    known = [_known(joint_fit, first) for first in range(1, count + 1)]
+    shown = [accuracy_by(each, joint_fit.fits[0], mounting) for each in known]
     # The advice repeats the turn with the longest arc at other tilts.
     whole = int(np.argmax([turn.found[0].arc for turn in members]))
-    advice = advise(known[-1], together.fits[whole], mounting)
-    several = Several(_fates(turns, shown), shown[-1], advice)
-    joint = joint_estimate(together, misfit, members, knowledge) if count > 1 else None
-    return turns, joint, several
+    advice = advise(known[-1], joint_fit.fits[whole], mounting)
+    multi_turn = MultiTurnReport(_turn_results(turns, shown), shown[-1], advice)
+    joint = joint_estimate(joint_fit, misfit, members, knowledge) if count > 1 else None
+    return turns, joint, multi_turn
 
 
-def _known(together: Together, count: int) -> FloatArray:
+def _known(joint_fit: JointFit, count: int) -> FloatArray:
     """Return the information on the common unknowns, by the priors and the first turns.
 
     After one turn, the yaw of the installation is zero by convention, whatever sway shows of it.
     """
-    known = np.asarray(together.prior + np.sum(together.informations[:count], axis=0))
+    known = np.asarray(joint_fit.prior + np.sum(joint_fit.informations[:count], axis=0))
     if count == 1:
         known[TURNED] = known[:, TURNED] = 0.0
-        known[TURNED, TURNED] = together.prior[TURNED, TURNED]
+        known[TURNED, TURNED] = joint_fit.prior[TURNED, TURNED]
     return known
 
 
-def _fates(turns: list[Turn], shown: Sequence[Shown]) -> tuple[TurnFate, ...]:
-    fates: list[TurnFate] = []
+def _turn_results(turns: list[Turn], shown: Sequence[TurnAccuracy]) -> tuple[TurnResult, ...]:
+    results: list[TurnResult] = []
     coming, before = iter(shown), None
     for turn in turns:
-        now = None if turn.unfit else next(coming)
-        words = turn.unfit
+        now = None if turn.refusal_words else next(coming)
+        words = turn.refusal_words
         if now is not None:
-            words, before = now.in_words if before is None else now.brought(before), now
-        fates.append(TurnFate(turn.name, now is not None, words, now))
-    return tuple(fates)
+            words, before = now.in_words if before is None else now.improvement(before), now
+        results.append(TurnResult(turn.name, now is not None, words, now))
+    return tuple(results)

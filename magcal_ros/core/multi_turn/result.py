@@ -12,29 +12,29 @@ from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True)
-class KeptTuning:
+class KeptTurnsTuning:
     """How much is kept of the turns: the oldest is dropped first, and a long one is thinned."""
 
     most_turns: int = 12
     most_samples: int = 4000
 
 
-TUNING = KeptTuning()
+TUNING = KeptTurnsTuning()
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class KeptTurns:
     """Turns that agree, in their order."""
 
     windows: tuple[Window, ...] = ()
     names: tuple[str, ...] = ()
     count: int = 0  # how many turns were tried, for the next one's name
 
-    def joined(self, window: Window, several: Several) -> Kept:
+    def joined(self, window: Window, multi_turn: MultiTurnReport) -> KeptTurns:
         """Return the kept turns after a turn has joined, without those it has excluded."""
         windows, names = (*self.windows, window), (*self.names, self.next_name)
-        rows = several.joined[-TUNING.most_turns :]
-        return Kept(
+        rows = multi_turn.joined[-TUNING.most_turns :]
+        return KeptTurns(
             tuple(_thinned(windows[row]) for row in rows),
             tuple(names[row] for row in rows),
             self.count + 1,
@@ -65,7 +65,7 @@ applies to the absolute heading."""
 
 
 @dataclass(frozen=True)
-class Shown:
+class TurnAccuracy:
     """Standard deviations of quantities that one turn cannot determine, and of the heading.
 
     They include the priors of soft iron and the installation's yaw, so that those after one turn
@@ -114,14 +114,14 @@ class Shown:
         facts["soft_iron_percent"] = [round(100.0 * value, 4) for value in self.soft_iron]
         return facts
 
-    def brought(self, before: Shown) -> str:
+    def improvement(self, before: TurnAccuracy) -> str:
         """Return in words what a turn has improved, compared with `before`."""
         said = self.changes(before)
         if not said:
             return "the same tilt as before: this reduces noise, but shows nothing new"
         return "brought " + ", ".join(said)
 
-    def changes(self, before: Shown) -> list[str]:
+    def changes(self, before: TurnAccuracy) -> list[str]:
         """Return what is better known than before, the most important first."""
         tilted, iron = "absolute heading at 10° of tilt", max(self.soft_iron)
         rows = [
@@ -137,41 +137,41 @@ class Shown:
             if new < WORTH_A_TURN * old
         ]
 
-    def is_worth_a_turn(self, before: Shown) -> bool:
+    def is_worth_a_turn(self, before: TurnAccuracy) -> bool:
         """Whether the absolute heading is so much better known that a turn is advised."""
         return self.absolute_tilted < WORTH_A_TURN * before.absolute_tilted
 
 
 @dataclass(frozen=True)
-class Advice:
+class TurnAdvice:
     """A further turn, and the expected result."""
 
     pose: str  # how the robot should stand, to be read after "turn"
-    after: Shown
+    after: TurnAccuracy
 
 
 @dataclass(frozen=True)
-class TurnFate:
+class TurnResult:
     """The result for one turn."""
 
     name: str
     joined: bool
     words: str  # what it added, or why it was left out
-    shown: Shown | None = None  # standard deviations after it joined; None if it did not
+    shown: TurnAccuracy | None = None  # standard deviations after it joined; None if it did not
 
 
 @dataclass(frozen=True)
-class Several:
+class MultiTurnReport:
     """The report on joined turns."""
 
-    fates: tuple[TurnFate, ...]  # one for each turn, in order
-    shown: Shown  # standard deviations by the turns that joined
-    advice: tuple[Advice, ...]  # further turns, the best first
+    turns: tuple[TurnResult, ...]  # one for each turn, in order
+    shown: TurnAccuracy  # standard deviations by the turns that joined
+    advice: tuple[TurnAdvice, ...]  # further turns, the best first
 
     @property
     def joined(self) -> tuple[int, ...]:
         """Indices of the turns that are part of the estimate."""
-        return tuple(index for index, fate in enumerate(self.fates) if fate.joined)
+        return tuple(index for index, each in enumerate(self.turns) if each.joined)
 
     @property
     def newest(self) -> int:
@@ -201,9 +201,9 @@ class Several:
         """Several sentences: which turns joined, why others did not, results, advice."""
         count = len(self.joined)
         words = f"{count} turn{'s' if count > 1 else ''} together: {self.shown.in_words}."
-        for fate in self.fates:
-            if not fate.joined:
-                words += f" Not joined: {fate.name}: {fate.words}."
+        for each in self.turns:
+            if not each.joined:
+                words += f" Not joined: {each.name}: {each.words}."
         return f"{words} {self.advice_in_words}"
 
     def facts(self) -> dict[str, object]:
@@ -211,12 +211,12 @@ class Several:
         return {
             "turns": [
                 {
-                    "name": fate.name,
-                    "joined": fate.joined,
-                    "words": fate.words,
-                    "shown": None if fate.shown is None else fate.shown.facts(),
+                    "name": each.name,
+                    "joined": each.joined,
+                    "words": each.words,
+                    "shown": None if each.shown is None else each.shown.facts(),
                 }
-                for fate in self.fates
+                for each in self.turns
             ],
             "shown": self.shown.facts(),
             "next": [{"pose": a.pose, "after": a.after.facts()} for a in self.advice],

@@ -11,10 +11,10 @@ __getattr__, __dir__, __all__ = lazy_names(
     drive_log: DriveRecorder log_of
     lever: without_lever_arm
     rest: COLUMNS GyroAtRest rests_around
-    streams: Drop FieldSample ImuSample Pair Pairer PositionSample STREAMS SpeedSample
+    streams: DropReason FieldSample ImuSample Pair Pairer PositionSample STREAMS SpeedSample
         StampGuard Streams VelocitySample
-    units: Heard complaints explained likely_acceleration_unit likely_field_unit
-        unit_by_strength was_turned_over
-    window: SensorLog Steps living_axes spikes_replaced stretch_of_log
+    units: InputCounts complaints likely_acceleration_unit likely_field_unit unit_by_strength
+        was_turned_over with_explanation
+    window: SensorLog Steps segment_of_log spikes_replaced working_axes
     """,
 )

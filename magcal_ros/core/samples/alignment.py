@@ -22,7 +22,7 @@ from magcal_ros.core.geometry.rotations import (
     signed_permutations,
     skews,
 )
-from magcal_ros.core.samples.window import Stretch
+from magcal_ros.core.samples.window import Segment
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Alignment:
 
 
 def align(
-    stretch: Stretch,
+    segment: Segment,
     axes: FloatArray,
     gyro: FloatArray,
     with_up: bool = True,
@@ -97,7 +97,7 @@ def align(
 
     Parameters as for `AlignmentFit`; `bias` (3,) is the initial bias of the gyro, rad/s.
     """
-    problem = AlignmentFit(stretch, axes, gyro, WIDE, with_up)
+    problem = AlignmentFit(segment, axes, gyro, WIDE, with_up)
     some, noise = problem.descend(problem.start(bias), START_NOISE, FIRST_STEPS), START_NOISE
     information, _, cost = problem.normal_equations(some, noise)
     state, rms, misfit = some.copy(), problem.rms(some), cost - cost.min()
@@ -105,7 +105,7 @@ def align(
     for limit, steps in ROUNDS:
         left = misfit[kept] <= limit
         kept, some = kept[left], some[left]
-        problem = AlignmentFit(stretch, axes[kept], gyro[kept], WIDE, with_up)
+        problem = AlignmentFit(segment, axes[kept], gyro[kept], WIDE, with_up)
         best = int(np.argmin(cost[left]))
         noise = problem.noise(some, best)
         residual = problem.linearised(some)[0][best]
@@ -120,7 +120,7 @@ def align(
     power = np.einsum("nij,nik->jk", apart, apart) / len(attitude)
     # Deviation of the attitudes from a turn about one axis.
     tilt = math.sqrt(max(float(np.linalg.eigvalsh(power)[0]), 0.0))
-    wandering = _gravity_spread(attitude, stretch.up)
+    wandering = _gravity_spread(attitude, segment.up)
     least_tilt = math.sqrt(max(tilt**2 - wandering**2, 0.0))
     return Alignment(misfit, rms, state, covariance, tilt, least_tilt)
 
@@ -157,22 +157,22 @@ class AlignmentFit:
 
     def __init__(
         self,
-        stretch: Stretch,
+        segment: Segment,
         axes: FloatArray,
         gyro: FloatArray,
         tuning: AlignmentTuning,
         with_up: bool = True,
     ) -> None:
         self.tuning = tuning
-        self.stretch = stretch
+        self.segment = segment
         self.sensors = 2 if with_up else 1
         self.share = np.ones(self.sensors)
         self.gyro = gyro
-        self.rate = stretch.rate @ gyro
+        self.rate = segment.rate @ gyro
         # A mirrored gyro reverses the order of two turns.
         sense = np.linalg.det(gyro)[:, None, None]
-        self.rotation = stretch.turn @ gyro + sense * (stretch.coning @ gyro)
-        self.measured = np.einsum("kij,ni->knj", axes, stretch.field)
+        self.rotation = segment.turn @ gyro + sense * (segment.coning @ gyro)
+        self.measured = np.einsum("kij,ni->knj", axes, segment.field)
         mirror = np.array([0, 3, 6, 1, 4, 7, 2, 5, 8])
         antisymmetric = 0.5 * (np.eye(9) - np.eye(9)[mirror])
         symmetric = np.eye(9) - antisymmetric
@@ -198,7 +198,7 @@ class AlignmentFit:
         normal = transposed @ design + 1e-3 * n * np.diag([0.1] * 3 + [1.0] * 3)
         seen = transposed @ self.measured.reshape(count, 3 * n, 1)
         state[:, 9:15] = np.linalg.solve(normal, seen)[..., 0]
-        state[:, UP] = np.einsum("knij,ni->kj", rotation, self.stretch.up) / n
+        state[:, UP] = np.einsum("knij,ni->kj", rotation, self.segment.up) / n
         return state
 
     def propagate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -207,7 +207,7 @@ class AlignmentFit:
         The derivatives are rotation vectors on the left of the attitudes, shape (k, n, 3, 4).
         """
         bias, scale = state[:, BIAS], state[:, SCALE]
-        seconds = self.stretch.seconds
+        seconds = self.segment.seconds
         count, n = len(state), len(seconds) + 1
         vectors = (1.0 + scale[:, None, None]) * self.rotation
         vectors = vectors - bias[:, None, :] * seconds[:, None]
@@ -246,7 +246,7 @@ class AlignmentFit:
         jacobian[:, 0][..., OF_FIELD] = soft @ before
         if self.sensors > 1:
             up = np.einsum("knij,kj->kni", attitude, state[:, UP])
-            residual[:, 1] = self.stretch.up - up
+            residual[:, 1] = self.segment.up - up
             jacobian[:, 1][..., OF_UP] = np.concatenate([attitude, turned(up, moved)], axis=3)
         return residual, jacobian
 

@@ -78,7 +78,7 @@ TUNING = BiasAtRestTuning()
 
 
 @dataclass(frozen=True, eq=False)
-class RestBeside:
+class AttachedRest:
     """Measurements at a rest right before or after a turn."""
 
     seconds: float  # duration
@@ -94,9 +94,9 @@ class RestBeside:
         freeze(self, field=(3,), force=(3,), rate=(3,), turned=(3, 3))
 
 
-def apart_from_rests(
+def without_rests(
     rows: FloatArray, known: GyroAtRest | None = None
-) -> tuple[FloatArray, tuple[RestBeside, ...], float]:
+) -> tuple[FloatArray, tuple[AttachedRest, ...], float]:
     """Subtract the gyro's bias, and separate the rests before and after the turn.
 
     The rows (n, COLUMNS) hold samples; the rates are all finite, or none is. `known` is the bias at
@@ -134,7 +134,7 @@ def _mean_rates(rows: FloatArray) -> FloatArray:
     return rate
 
 
-def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool) -> RestBeside:
+def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool) -> AttachedRest:
     """Return the rest from its rows; `last` is the row next to the turn's row `beside`."""
     time = rows[:, 0]
     rate, rate_sigma, step = np.zeros(3), math.inf, np.zeros(3)
@@ -148,7 +148,7 @@ def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool
         step = gained - rate * way
     seconds, stamp, turned = float(time[-1] - time[0]), float(beside[0]), exp_rotation(-step)
     field, force = rows[:, FIELD].mean(axis=0), rows[:, FORCE].mean(axis=0)
-    return RestBeside(seconds, field, force, rate, rate_sigma, stamp, turned)
+    return AttachedRest(seconds, field, force, rate, rate_sigma, stamp, turned)
 
 
 def rests_around(
@@ -180,7 +180,7 @@ def rests_around(
     return first, end, np.median(np.concatenate(shown), axis=0) if has_bias else None
 
 
-def longest_stand(time: FloatArray, field: FloatArray, rate: FloatArray) -> LongestRest | None:
+def longest_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> LongestRest | None:
     """Return the longest rest; None if there was none. Parameters as for `rests_around`."""
     if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
         return None
@@ -211,7 +211,7 @@ def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
     return first, count
 
 
-class _Stretch(NamedTuple):
+class _SteadyInterval(NamedTuple):
     """Consecutive blocks without a change from one to the next."""
 
     first: int
@@ -230,7 +230,7 @@ class _Stretch(NamedTuple):
 
 def _rests(
     field: FloatArray, rate: FloatArray, blocks: tuple[IntArray, IntArray]
-) -> list[_Stretch]:
+) -> list[_SteadyInterval]:
     """Return every stretch in which the robot rested."""
     rates = np.linalg.norm(block_means(rate, blocks[0]), axis=1)
     creeps = TUNING.slow_share * float(np.sort(rates)[-TUNING.at_least])
@@ -239,12 +239,12 @@ def _rests(
     return [s for s, mean in zip(found, means, strict=True) if s.is_proven or mean <= creeps]
 
 
-def _rests_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_Stretch]:
+def _rests_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> list[_SteadyInterval]:
     """Return every rest without a gyro: the field is constant over the whole stretch."""
     alone = _Blocks.of(field, *blocks, TUNING.smallest_turn * float(np.ptp(field, axis=0).max()))
     turned = np.ptp(alone.mean, axis=0) > TUNING.shown * np.median(alone.limit, axis=0)
     return [
-        _Stretch(start, end, np.zeros((end - start, 3)))
+        _SteadyInterval(start, end, np.zeros((end - start, 3)))
         for start, end in (_runs(alone.stays) if turned.any() else [])
         if (np.ptp(alone.mean[start:end], axis=0) <= alone.limit[start:end].max(axis=0)).all()
     ]
@@ -252,7 +252,7 @@ def _rests_by_field(field: FloatArray, blocks: tuple[IntArray, IntArray]) -> lis
 
 def _steady(
     field: FloatArray, rate: FloatArray, blocks: tuple[IntArray, IntArray], radius: float
-) -> list[_Stretch]:
+) -> list[_SteadyInterval]:
     """Return where field and rate are constant; `radius` is that of the field's circle."""
     swing = float(np.ptp(field, axis=0).max())
     fields = _Blocks.of(field, *blocks, TUNING.smallest_turn * swing)
@@ -265,7 +265,7 @@ def _steady(
         chord = 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
         moved = float(np.linalg.norm(seen - seen[0], axis=1).max())
         shows = chord > TUNING.shown * float(fields.limit[start:end].max())
-        found.append(_Stretch(start, end, inside, moved < TUNING.most_moved * chord, shows))
+        found.append(_SteadyInterval(start, end, inside, moved < TUNING.most_moved * chord, shows))
     return found
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple, TypeVar
 
-from magcal_ros.core.geometry.vec3 import Triple, between, dot, length, scaled
+from magcal_ros.core.geometry.vec3 import Triple, dot, interpolate, length, scaled
 from magcal_ros.core.samples.bursts import BurstWatch
 
 Stamped = TypeVar("Stamped", bound=tuple[object, ...])
@@ -40,7 +40,7 @@ class StreamTuning:
 STREAMS = StreamTuning()
 
 
-class Drop(str, Enum):
+class DropReason(str, Enum):
     """Why a sample was not used."""
 
     NOT_FINITE = "not_finite"
@@ -100,16 +100,16 @@ class StampGuard:
         self.bursts = BurstWatch()
         self._backward = 0
 
-    def check(self, stamp: float) -> Drop | None:
+    def check(self, stamp: float) -> DropReason | None:
         """Return why a stamp is refused, or None and remember it as the newest."""
         if stamp <= 0.0 or not math.isfinite(stamp):
-            return Drop.ZERO_STAMP
+            return DropReason.ZERO_STAMP
         if stamp == self.newest:
-            return Drop.REPEATED
+            return DropReason.REPEATED
         if stamp < self.newest:
             self._backward += 1
             if self._backward < STREAMS.restart_after:
-                return Drop.BACKWARD_STAMP
+                return DropReason.BACKWARD_STAMP
         self._backward = 0
         if -math.inf < self.newest < stamp:
             self.bursts.add(stamp - self.newest)
@@ -130,8 +130,8 @@ class Streams:
 
     def __init__(self, max_gap: float) -> None:
         self.max_gap = max_gap
-        self.imu_drops: Counter[Drop] = Counter()
-        self.field_drops: Counter[Drop] = Counter()
+        self.imu_drops: Counter[DropReason] = Counter()
+        self.field_drops: Counter[DropReason] = Counter()
         self.imu_stamps = StampGuard()
         self.field_stamps = StampGuard()
         self._imu: deque[ImuSample] = deque(maxlen=STREAMS.remembered)
@@ -153,12 +153,12 @@ class Streams:
         reason = _fault(sample.force, STREAMS.largest_force)
         # Without a gyro the rate is NaN, and the comparison is false.
         if reason is None and p * p + q * q + r * r > STREAMS.largest_rate**2:
-            reason = Drop.TOO_LARGE
+            reason = DropReason.TOO_LARGE
         has_rate = math.isfinite(p + q + r)
         # A rate shortly before means that there is a gyro.
         has_gyro = abs(sample.stamp - self._last_rate) < STREAMS.longest_gyro_step
         if reason is None and not has_rate and has_gyro:
-            reason = Drop.NOT_FINITE
+            reason = DropReason.NOT_FINITE
         reason = reason or self.imu_stamps.check(sample.stamp)
         if reason is not None:
             self.imu_drops[reason] += 1
@@ -178,7 +178,7 @@ class Streams:
         quantised values may repeat.
         """
         reason = _fault(sample.field, STREAMS.largest_field)
-        if reason is Drop.TOO_LARGE:
+        if reason is DropReason.TOO_LARGE:
             self.largest_field = length(sample.field)
         reason = reason or self.field_stamps.check(sample.stamp)
         if reason is not None:
@@ -187,7 +187,7 @@ class Streams:
         self.lead_at_field = sample.stamp - self.imu_stamps.newest
         self.is_repeated = sample.field == self._last_field
         if self.is_repeated:
-            self.field_drops[Drop.REPEATED] += 1
+            self.field_drops[DropReason.REPEATED] += 1
         self._last_field = sample.field
         return True
 
@@ -202,8 +202,8 @@ class Streams:
         if after is None or after.stamp - before.stamp > self.max_gap:
             return None
         share = (stamp - before.stamp) / (after.stamp - before.stamp)
-        force = between(before.force, after.force, share)
-        return ImuSample(stamp, force, between(before.rate, after.rate, share))
+        force = interpolate(before.force, after.force, share)
+        return ImuSample(stamp, force, interpolate(before.rate, after.rate, share))
 
     def imu_between(self, start: ImuSample, end: ImuSample) -> ImuSpan | None:
         """Integrate the IMU between two samples; None if samples or rates are missing there.
@@ -272,15 +272,15 @@ def enclosing(samples: Sequence[Stamped], stamp: float) -> tuple[Stamped, Stampe
     return None
 
 
-def _fault(vector: Triple, largest: float) -> Drop | None:
+def _fault(vector: Triple, largest: float) -> DropReason | None:
     """Return why a vector cannot have been measured; None if it can."""
     x, y, z = vector
     square = x * x + y * y + z * z
     if not math.isfinite(square):
-        return Drop.NOT_FINITE
+        return DropReason.NOT_FINITE
     if square < STREAMS.smallest**2:
-        return Drop.ZERO
-    return Drop.TOO_LARGE if square > largest * largest else None
+        return DropReason.ZERO
+    return DropReason.TOO_LARGE if square > largest * largest else None
 
 
 def _vector_of(w: float, part: Triple, near: Triple) -> Triple:
@@ -333,7 +333,7 @@ class Pairer:
 
     def _count_unpaired(self) -> None:
         if self._counts:
-            self._streams.field_drops[Drop.UNPAIRED] += 1
+            self._streams.field_drops[DropReason.UNPAIRED] += 1
 
 
 class SpeedSample(NamedTuple):

@@ -12,7 +12,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
 from magcal_ros.core.samples.lever import without_lever_arm
-from magcal_ros.core.samples.streams import STREAMS, SWAY, Drop, Streams
+from magcal_ros.core.samples.streams import STREAMS, SWAY, DropReason, Streams
 from magcal_ros.core.samples.window import Window
 
 LOCAL_STRENGTH = (
@@ -188,7 +188,7 @@ def was_turned_over(window: Window) -> bool:
     return float(np.linalg.norm(mean)) < LEAST_UPRIGHT
 
 
-def explained(refusal: Refusal, window: Window) -> Refusal:
+def with_explanation(refusal: Refusal, window: Window) -> Refusal:
     """Add the likely cause to a refusal, if it is a fault of the samples.
 
     Such faults are the field's unit, axes that point down, stamps in bursts, and a slow IMU.
@@ -236,38 +236,38 @@ TUNING = DiagnosisTuning()
 NOT_NUMBERS = "samples are not finite (NaN or infinite): let the driver leave them out"
 
 WORDS = {
-    Drop.NOT_FINITE: NOT_NUMBERS,
-    Drop.ZERO: "samples are all zero",
-    Drop.ABSENT: "messages carry no acceleration",
-    Drop.ZERO_STAMP: "stamps are zero: the driver must stamp its messages",
-    Drop.BACKWARD_STAMP: "stamps go backward",
-    Drop.UNPAIRED: "samples have no IMU samples within window.max_gap_s around their stamp",
-    Drop.UNREADABLE: "messages are damaged: their bytes do not match their type",
+    DropReason.NOT_FINITE: NOT_NUMBERS,
+    DropReason.ZERO: "samples are all zero",
+    DropReason.ABSENT: "messages carry no acceleration",
+    DropReason.ZERO_STAMP: "stamps are zero: the driver must stamp its messages",
+    DropReason.BACKWARD_STAMP: "stamps go backward",
+    DropReason.UNPAIRED: "samples have no IMU samples within window.max_gap_s around their stamp",
+    DropReason.UNREADABLE: "messages are damaged: their bytes do not match their type",
 }
 
 IMU_WORDS = WORDS | {
-    Drop.TOO_LARGE: "samples are too large for an acceleration in m/s² or a rate in rad/s"
+    DropReason.TOO_LARGE: "samples are too large for an acceleration in m/s² or a rate in rad/s"
 }
 
 
 @dataclass(frozen=True)
-class Heard:
+class InputCounts:
     """Counts of the messages of one topic."""
 
     topic: str
     messages: int
-    drops: Counter[Drop] = field(default_factory=Counter)  # messages not used, by reason
+    drops: Counter[DropReason] = field(default_factory=Counter)  # messages not used, by reason
 
-    def since(self, earlier: Heard) -> Heard:
+    def since(self, earlier: InputCounts) -> InputCounts:
         """Return the counts since an earlier count of the same topic."""
         drops = Counter({drop: n - earlier.drops[drop] for drop, n in self.drops.items()})
-        return Heard(self.topic, self.messages - earlier.messages, drops)
+        return InputCounts(self.topic, self.messages - earlier.messages, drops)
 
 
-def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
+def complaints(streams: Streams, imu: InputCounts, mag: InputCounts) -> list[str]:
     """Return the faults of two streams in words, with remedies; empty if there is none."""
     found = []
-    if mag.drops[Drop.TOO_LARGE]:
+    if mag.drops[DropReason.TOO_LARGE]:
         unit = likely_field_unit(streams.largest_field)
         found.append(unit or f"a field of {streams.largest_field:.3g} T is not the Earth's")
     for heard, all_words in ((imu, IMU_WORDS), (mag, WORDS)):
@@ -276,7 +276,7 @@ def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
             for drop, words in all_words.items()
             if heard.drops[drop] > TUNING.worth_a_word * max(heard.messages, 1)
         ]
-    if mag.drops[Drop.REPEATED] > TUNING.most_repeats * max(mag.messages, 1):
+    if mag.drops[DropReason.REPEATED] > TUNING.most_repeats * max(mag.messages, 1):
         found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
     for heard, stamps in ((imu, streams.imu_stamps), (mag, streams.field_stamps)):
         found += [f"{heard.topic}: {words}"] if (words := stamps.bursts.words) else []

@@ -23,7 +23,7 @@ from magcal_ros.core.geometry.arrays import (
 from magcal_ros.core.geometry.attitude import usual_size
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors_near
 from magcal_ros.core.samples.battery import Battery, Messages, battery_of
-from magcal_ros.core.samples.rest import FORCE, RATE, SPAN, RestBeside
+from magcal_ros.core.samples.rest import FORCE, RATE, SPAN, AttachedRest
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 
 NO_ORIENTATION = (math.nan,) * 4
@@ -97,7 +97,7 @@ class Window:
     missed: Steps | None = None
     """Difference of `steps` from straight lines, by the IMU samples between those of the window;
     None if these are unknown, or without a gyro."""
-    rests: tuple[RestBeside, ...] = ()
+    rests: tuple[AttachedRest, ...] = ()
     """Rests right before and after the turn. The gyro's bias at the rests is subtracted from
     `angular_rate`."""
     sigma_before: float = math.inf
@@ -210,7 +210,7 @@ def is_noiseless(rate: FloatArray) -> bool:
     return bool(np.median(bend) < NOISELESS * np.abs(rate).max())
 
 
-def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
+def working_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
     """Return which axes of a gyro (n, 3) measure: without noise all do, if any changes."""
     if rate is None or not len(rate):
         return False, False, False
@@ -305,7 +305,7 @@ class SensorLog:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Segment:
     """Averaged samples with the turns between them."""
 
     field: FloatArray  # over `size`, shape (n, 3)
@@ -320,9 +320,9 @@ class Stretch:
     time: FloatArray  # stamps of the IMU to which the samples belong, seconds. Shape (n,).
 
 
-def stretch_of_log(
+def segment_of_log(
     log: SensorLog, lag: float = 0.0, fewest: int = 120, most: int = 240
-) -> Stretch | None:
+) -> Segment | None:
     """Average a log with a gyro, finite values and increasing stamps; None if it is too short.
 
     `lag`, the latency of the field in seconds, is subtracted from the field's stamps. The result
@@ -354,7 +354,7 @@ def stretch_of_log(
     # The size of the field's changing part.
     swing = np.ptp(np.quantile(field, (0.02, 0.98), axis=0), axis=0)
     size = max(float(np.linalg.norm(swing)) / 2.0, 1e-12)
-    return Stretch(
+    return Segment(
         field / size,
         force / max(usual_size(force), 1e-12),
         step,

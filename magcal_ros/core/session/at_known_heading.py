@@ -24,8 +24,8 @@ from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair
 from magcal_ros.core.session import external_heading
 from magcal_ros.core.session.external_heading import LOG, TUNING, ExternalHeading, GyroTurn
-from magcal_ros.core.smoother.standings import Standing
-from magcal_ros.core.smoother.unknowns import MICROTESLA, SIZES, STANDING
+from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
+from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, MICROTESLA, SIZES
 from magcal_ros.core.up.follower import UpFollower
 
 
@@ -55,7 +55,7 @@ def _noise(values: FloatArray) -> float:
 class HeadingResult:
     """The result of a rest at a known heading."""
 
-    standings: tuple[Standing, ...]  # all rests to use from now on
+    measurements: tuple[KnownHeadingMeasurement, ...]  # all rests to use from now on
     outcome: Outcome
     applies: bool
     """Whether the new calibration is to be put in force."""
@@ -71,10 +71,10 @@ class CollectedSamples:
     knowledge: Knowledge
     """With the declination, if the heading is to true north."""
     forward: FloatArray  # direction to which the heading refers, IMU axes. Shape (3,).
-    since: GyroTurn = field(default_factory=GyroTurn)  # measured since the previous standing
+    since: GyroTurn = field(default_factory=GyroTurn)  # measured since the previous measurement
     bias: Triple = (0.0, 0.0, 0.0)  # estimated bias of the gyro, rad/s; zero if unknown
 
-    def standing(self) -> Standing:
+    def measurement(self) -> KnownHeadingMeasurement:
         """Return the means; raises Refusal if the robot moved or there are too few samples."""
         declination = self.given.to_magnetic(self.knowledge.reference)
         if declination is None:
@@ -97,7 +97,7 @@ class CollectedSamples:
         rate = np.array([pair.imu.rate for pair in self.pairs]) - self.bias
         noise = _noise(field)
         _refuse_motion(field, rate, noise)
-        return Standing(
+        return KnownHeadingMeasurement(
             mean_and_sigma(time, field)[0],
             force.mean(axis=0),
             wrapped(self.given.yaw + declination),
@@ -112,47 +112,49 @@ class CollectedSamples:
         )
 
 
-def calibrate_standing(
-    before: tuple[Standing, ...], collected: CollectedSamples, in_force: Calibration | None = None
+def calibrate_at_known_heading(
+    before: tuple[KnownHeadingMeasurement, ...],
+    collected: CollectedSamples,
+    in_force: Calibration | None = None,
 ) -> HeadingResult:
-    """Calibrate with the earlier standings and the new samples."""
+    """Calibrate with the earlier measurements and the new samples."""
     try:
-        new = collected.standing()
+        new = collected.measurement()
     except Refusal as refusal:
         return _refused(before, refusal)
-    return add_standing(before, new, collected.knowledge, in_force)
+    return add_known_heading(before, new, collected.knowledge, in_force)
 
 
-def _refused(before: tuple[Standing, ...], refusal: Refusal) -> HeadingResult:
+def _refused(before: tuple[KnownHeadingMeasurement, ...], refusal: Refusal) -> HeadingResult:
     kept = f" Earlier known headings that are kept: {len(before)}." if before else ""
     words = str(refusal).rstrip(".")
     return HeadingResult(before, Outcome.refused(refusal), False, f"Refused: {words}.{kept}")
 
 
-def add_standing(
-    before: tuple[Standing, ...],
-    new: Standing,
+def add_known_heading(
+    before: tuple[KnownHeadingMeasurement, ...],
+    new: KnownHeadingMeasurement,
     knowledge: Knowledge,
     in_force: Calibration | None = None,
 ) -> HeadingResult:
-    """Add a standing to the earlier ones, fit, and judge; bad data are a refused result.
+    """Add a measurement to the earlier ones, fit, and judge; bad data are a refused result.
 
     A calibration in force from a turn or drive is kept if its heading sigma is smaller. A heading
     that contradicts this calibration is refused.
     """
     other = None if in_force is None or external_heading.is_by_headings(in_force) else in_force
-    standings = (*_apart_from(before, new), new)[-TUNING.most :]
+    measurements = (*_without_repeated(before, new), new)[-TUNING.most :]
     try:
         gap, sigma = (0.0, math.inf) if other is None else _gap(other, new)
         if abs(gap) > TUNING.contradicted * sigma:
             raise Refusal(Reason.HEADING_CONTRADICTED, _contradicted(gap, sigma))
-        estimate = fit(standings, knowledge)
+        estimate = fit(measurements, knowledge)
     except Refusal as refusal:
         return _refused(before, refusal)
     outcome = judged(estimate, knowledge)
     verdict = outcome.verdict
-    words = [verdict.summary, declination_hint(estimate, standings, knowledge)]
-    words.append(_next_in_words(standings, knowledge))
+    words = [verdict.summary, declination_hint(estimate, measurements, knowledge)]
+    words.append(_next_in_words(measurements, knowledge))
     applies = verdict.accepted
     if applies and other is not None:
         own, theirs = (calibration_sigma(each) for each in (estimate, other))
@@ -164,33 +166,37 @@ def add_standing(
                 f"and predicts ±{theirs * DEGREES:.1f}°, so it is kept. By known headings:",
             )
     said = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
-    return HeadingResult(standings, outcome, applies, said.replace(":.", ":"))
+    return HeadingResult(measurements, outcome, applies, said.replace(":.", ":"))
 
 
-def _apart_from(before: tuple[Standing, ...], new: Standing) -> tuple[Standing, ...]:
-    """Return the earlier standings without those that the new one repeats."""
-    kept: list[Standing] = []
+def _without_repeated(
+    before: tuple[KnownHeadingMeasurement, ...], new: KnownHeadingMeasurement
+) -> tuple[KnownHeadingMeasurement, ...]:
+    """Return the earlier measurements without those that the new one repeats."""
+    kept: list[KnownHeadingMeasurement] = []
     lost = False
     for each in before:
         near = abs(wrapped(each.heading - new.heading)) < TUNING.same
-        is_same = near and np.linalg.norm(each.field - new.field) * MICROTESLA < STANDING.usual
+        is_same = (
+            near and np.linalg.norm(each.field - new.field) * MICROTESLA < DISTURBANCE_AT_REST.usual
+        )
         if not is_same:
-            # The turn since a standing that is left out is not known.
+            # The turn since a measurement that is left out is not known.
             kept.append(replace(each, turned_sigma=math.inf) if lost else each)
         lost = bool(is_same)
     return tuple(kept)
 
 
-def _gap(calibration: Calibration, new: Standing) -> tuple[float, float]:
+def _gap(calibration: Calibration, new: KnownHeadingMeasurement) -> tuple[float, float]:
     """Return a calibration's heading minus the known heading, and its sigma, radians."""
     field, up = calibration.correction.apply(new.field), unit(new.force)
     east, north, _ = body_from_enu(up, field).T @ new.forward
     yaw = math.atan2(float(north), float(east))
     level = max(float(np.linalg.norm(np.cross(field, up))), 1e-9)
     jacobian = yaw_jacobian(calibration.correction, up, field)
-    by_twelve = float(jacobian @ calibration.covariance @ jacobian)
-    place = STANDING.usual * math.exp(STANDING.spread**2) / MICROTESLA / level
-    return wrapped(yaw - new.heading), math.sqrt(by_twelve + place**2 + new.sigma**2)
+    gradient_by_parameters = float(jacobian @ calibration.covariance @ jacobian)
+    place = DISTURBANCE_AT_REST.usual * math.exp(DISTURBANCE_AT_REST.spread**2) / MICROTESLA / level
+    return wrapped(yaw - new.heading), math.sqrt(gradient_by_parameters + place**2 + new.sigma**2)
 
 
 def _contradicted(gap: float, sigma: float) -> str:
@@ -203,10 +209,10 @@ def _contradicted(gap: float, sigma: float) -> str:
     )
 
 
-def _next_in_words(standings: Sequence[Standing], knowledge: Knowledge) -> str:
+def _next_in_words(measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge) -> str:
     """Return the best next known heading and the accuracy to expect, in words."""
-    heading, sigma = next_heading(standings, knowledge)
-    shift = wrapped(heading - standings[-1].heading) * DEGREES
+    heading, sigma = next_heading(measurements, knowledge)
+    shift = wrapped(heading - measurements[-1].heading) * DEGREES
     side = "" if abs(shift) > 179.0 else " to the left" if shift > 0.0 else " to the right"
     return (
         f"One more known heading, {abs(shift):.0f}°{side} of this one, would give "
@@ -214,22 +220,22 @@ def _next_in_words(standings: Sequence[Standing], knowledge: Knowledge) -> str:
     )
 
 
-class _Kept(NamedTuple):
+class _DriveMean(NamedTuple):
     """A mean of samples in a drive, with the gyro's turn and the metres since the log began."""
 
     stamp: float
-    standing: Standing
+    measurement: KnownHeadingMeasurement
     turn: GyroTurn
     metres: float
 
-    def after(self, before: _Kept | None) -> Standing:
-        """Return the standing with distance, time and turn since the previous one, if any."""
+    def after(self, before: _DriveMean | None) -> KnownHeadingMeasurement:
+        """Return the measurement with distance, time and turn since the previous one, if any."""
         if before is None:
-            return self.standing
+            return self.measurement
         turn = self.turn.since(before.turn)
         return replace(
-            self.standing,
-            way=self.metres - before.metres,
+            self.measurement,
+            distance=self.metres - before.metres,
             seconds=self.stamp - before.stamp,
             turned=turn.angle,
             turned_sigma=turn.sigma,
@@ -244,7 +250,7 @@ class HeadingLog:
 
     def __init__(self, forward: FloatArray) -> None:
         self.forward = forward
-        self._kept: list[deque[_Kept]] = [deque(maxlen=LOG.each) for _ in range(LOG.sectors)]
+        self._kept: list[deque[_DriveMean]] = [deque(maxlen=LOG.each) for _ in range(LOG.sectors)]
         self._newest, self._fresh = -math.inf, 0
         self._rested = False
         self._heard, self._metres = math.nan, 0.0
@@ -285,7 +291,7 @@ class HeadingLog:
             return False
         mean = np.mean(self._block, axis=0)
         heading = wrapped(math.atan2(mean[8], mean[7]) + shift)
-        standing = Standing(
+        measurement = KnownHeadingMeasurement(
             mean[1:4],
             STANDARD_GRAVITY * mean[4:7],
             heading,
@@ -298,9 +304,9 @@ class HeadingLog:
         )
         self._block, self._rested = [], is_at_rest
         turn = turn._replace(angle=float(mean[9]))
-        return self._keep(heading, _Kept(stamp, standing, turn, self._metres))
+        return self._keep(heading, _DriveMean(stamp, measurement, turn, self._metres))
 
-    def _keep(self, heading: float, new: _Kept) -> bool:
+    def _keep(self, heading: float, new: _DriveMean) -> bool:
         sector = self._kept[int((heading % math.tau) / math.tau * LOG.sectors) % LOG.sectors]
         since = new.stamp - (sector[-1].stamp if sector else self._newest)
         if 0.0 <= since < (LOG.pause if sector else LOG.block):
@@ -308,31 +314,33 @@ class HeadingLog:
         sector.append(new)
         self._newest = new.stamp
         self._fresh += 1
-        return self._fresh >= max(LOG.first, len(self.standings) // 3)
+        return self._fresh >= max(LOG.first, len(self.measurements) // 3)
 
     @property
-    def standings(self) -> tuple[Standing, ...]:
+    def measurements(self) -> tuple[KnownHeadingMeasurement, ...]:
         """The kept means in the order of time."""
         found = [each for sector in self._kept for each in sector]
         kept = sorted(found, key=lambda each: each.stamp)
         return tuple(each.after(kept[k - 1] if k else None) for k, each in enumerate(kept))
 
-    def take(self) -> tuple[Standing, ...]:
+    def take(self) -> tuple[KnownHeadingMeasurement, ...]:
         """Return the kept means for a fit; means that come later count as new."""
         self._fresh = 0
-        return self.standings
+        return self.measurements
 
 
-def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outcome, str]:
+def fit_log(
+    measurements: tuple[KnownHeadingMeasurement, ...], knowledge: Knowledge
+) -> tuple[Outcome, str]:
     """Calibrate from headings in a drive; returns the outcome and a warning.
 
     The warning says that the headings seem to refer to the other north; it is empty if not.
     """
     try:
-        estimate = fit(standings, knowledge, SIZES["street"])
+        estimate = fit(measurements, knowledge, SIZES["street"])
     except Refusal as refusal:
         return Outcome.refused(refusal), ""
-    return judged(estimate, knowledge), declination_hint(estimate, standings, knowledge)
+    return judged(estimate, knowledge), declination_hint(estimate, measurements, knowledge)
 
 
 class HeadingCollector:

@@ -29,8 +29,8 @@ class KnownHeadingTuning:
     rate: float = math.radians(1.5)  # rad/s without the bias from which the robot turns
     creep: float = 0.7e-6  # largest change of the field in a rest, without noise, tesla
     contradicted: float = 3.0  # sigmas by which a calibration in force may miss a known heading
-    same: float = math.radians(5.0)  # radians of heading within which a standing replaces another
-    most: int = 24  # standings that are kept
+    same: float = math.radians(5.0)  # radians within which a new heading replaces another
+    most: int = 24  # measurements that are kept
     turn: float = math.radians(40.0)  # smallest turn by the gyro for a comparison, radians
     apart: float = math.radians(12.0)  # largest difference in a comparison, radians
     times: int = 3  # successive failed comparisons from which the headings are refused
@@ -41,7 +41,7 @@ TUNING = KnownHeadingTuning()
 
 
 @dataclass(frozen=True)
-class LogTuning:
+class HeadingLogTuning:
     """The means that are kept of a drive with external headings."""
 
     sectors: int = 12  # sectors of headings
@@ -59,7 +59,7 @@ class LogTuning:
     first: int = 8  # new means needed for a fit
 
 
-LOG = LogTuning()
+LOG = HeadingLogTuning()
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class GyroTurn(NamedTuple):
             stamp,
             self.seconds + seconds,
             self.angle + turn * seconds,
-            self.variance + FUSION.lost(turn) * seconds,
+            self.variance + FUSION.walk_variance(turn) * seconds,
             self.by_bias + more * seconds,
         )
 

@@ -19,18 +19,18 @@ from magcal_ros.core.calibrate import (
     calibrate_turns,
 )
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.doctor.page import blamed_on_sensors
-from magcal_ros.core.driving.travelling import TravelReplay
+from magcal_ros.core.doctor.sensor_report import refusal_by_sensors
+from magcal_ros.core.driving.travel_estimator import TravelReplay
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.motion_sense import MotionSense
+from magcal_ros.core.heading.motion_detector import MotionDetector
 from magcal_ros.core.knowledge import Knowledge, Mounting, ReferenceField
-from magcal_ros.core.multi_turn.result import TurnFate
+from magcal_ros.core.multi_turn.result import TurnResult
 from magcal_ros.core.samples.battery import SILENT, Messages
 from magcal_ros.core.samples.drive_log import DriveRecorder
 from magcal_ros.core.samples.streams import (
     STREAMS,
-    Drop,
+    DropReason,
     FieldSample,
     HeadingSample,
     ImuSample,
@@ -40,17 +40,17 @@ from magcal_ros.core.samples.streams import (
     Streams,
     TravelSample,
 )
-from magcal_ros.core.samples.units import Heard, complaints, slow_field_words
+from magcal_ros.core.samples.units import InputCounts, complaints, slow_field_words
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.at_known_heading import (
     CollectedSamples,
     HeadingCollector,
-    calibrate_standing,
+    calibrate_at_known_heading,
     fit_log,
 )
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits, Progress, Session
-from magcal_ros.core.smoother.standings import Standing
+from magcal_ros.core.smoother.known_heading_model import KnownHeadingMeasurement
 from magcal_ros.core.up.follower import UpFollower
 
 Reading: TypeAlias = ImuSample | FieldSample | None
@@ -65,7 +65,7 @@ LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 NEVER_TOGETHER = "their stamps have no time in common: `magcal doctor` shows how far apart they are"
 
 
-class Gathering:
+class SampleCollector:
     """Collects a whole recording in one session, which does not end automatically.
 
     Memory is bounded, because the session thins its samples. The topics are the names that messages
@@ -104,7 +104,7 @@ class Gathering:
         for reading in self._replay.readings(readings):
             self.heard[isinstance(reading, FieldSample)] += 1
             if reading is None:
-                streams.imu_drops[Drop.ABSENT] += 1
+                streams.imu_drops[DropReason.ABSENT] += 1
             elif isinstance(reading, ImuSample):
                 streams.add_imu(reading)
             elif streams.add_field(reading) and not streams.is_repeated:
@@ -121,7 +121,7 @@ class Gathering:
     @property
     def repeats(self) -> int:
         """Number of field samples that repeat the previous one; they are left out."""
-        return self.streams.field_drops[Drop.REPEATED]
+        return self.streams.field_drops[DropReason.REPEATED]
 
     def drive(self) -> Window:
         """Return the samples of the drive; empty without a gyro or if the field is too slow."""
@@ -137,7 +137,7 @@ class Gathering:
     def complaints(self) -> list[str]:
         """Return the faults of the messages in words."""
         drops = (self.streams.imu_drops, self.streams.field_drops)
-        imu, field = map(Heard, self._topics, self.heard, drops)
+        imu, field = map(InputCounts, self._topics, self.heard, drops)
         return complaints(self.streams, imu, field)
 
     def progress(self) -> Progress:
@@ -160,7 +160,7 @@ class Gathering:
             self.progress().require_arc(self._session.limits.smallest_arc)
         except Refusal as refusal:
             known = Knowledge(reference, self.mounting)
-            raise blamed_on_sensors(refusal, window, known) from refusal
+            raise refusal_by_sensors(refusal, window, known) from refusal
         return window
 
     def _collect(self) -> None:
@@ -170,10 +170,10 @@ class Gathering:
                 self._best = self._session
                 self._session = Session(Limits(), self.mounting, 0.0, longer=LONGER)
                 self._session.note_currents(*self._currents)
-            travelling = self._replay.travelling
-            self._session.add(pair, 0.0, travelling.wheel_speed(pair.field.stamp))
+            estimator = self._replay.estimator
+            self._session.add(pair, 0.0, estimator.wheel_speed(pair.field.stamp))
             if math.isfinite(sum(pair.imu.rate)):
-                self._drive.add(pair, travelling.speed)
+                self._drive.add(pair, estimator.speed)
 
     def _choose(self) -> None:
         """Keep the part with the largest arc, if time was set back and there are two parts."""
@@ -183,8 +183,8 @@ class Gathering:
         self._best = None
 
 
-def fit_gathered(
-    gathering: Gathering,
+def fit_collected(
+    collector: SampleCollector,
     knowledge: Knowledge,
     method: str = METHODS[0],
     progress: Callable[[float], object] | None = None,
@@ -193,7 +193,7 @@ def fit_gathered(
 
     A slow fit calls `progress` with the fraction of the work that is done.
     """
-    log = gathering.drive()
+    log = collector.drive()
     if method == DRIVES:
         return calibrate_drive(log, knowledge)
     drive: Outcome | None = None
@@ -202,10 +202,10 @@ def fit_gathered(
         drive = calibrate_drive(log, knowledge)
         if drive.verdict.accepted:
             return drive
-    window = _window_or_refusal(gathering, knowledge)
+    window = _window_or_refusal(collector, knowledge)
     if isinstance(window, Window):
         outcome = calibrate(window, knowledge, method, progress)
-        verdict, slow = outcome.verdict, gathering.slow_field
+        verdict, slow = outcome.verdict, collector.slow_field
         if slow and not verdict.accepted and outcome.reason is not Reason.TOO_SLOW:
             verdict = replace(verdict, says=f"{verdict.summary} {slow}.")
         return replace(outcome, verdict=verdict)
@@ -214,24 +214,24 @@ def fit_gathered(
     return drive if drive and drive.verdict.accepted else Outcome.refused(window)
 
 
-def fault_of_drive(gathering: Gathering, knowledge: Knowledge) -> str:
+def fault_of_drive(collector: SampleCollector, knowledge: Knowledge) -> str:
     """Return the likely fault of the sensors in a drive without a result; empty if none is found.
 
     Raises `Refusal` with the reason if there is no pair of field and acceleration samples.
     """
-    newest, log = gathering.streams.newest_imu, gathering.drive()
+    newest, log = collector.streams.newest_imu, collector.drive()
     has_gyro = newest is not None and math.isfinite(newest.rate[0])
-    if has_gyro and not gathering.has_samples:
+    if has_gyro and not collector.has_samples:
         # Raises the refusal, because there are no samples.
-        gathering.window(knowledge.reference)
+        collector.window(knowledge.reference)
     if not len(log):
         return ""
     nothing = Refusal(Reason.TOO_FEW_SAMPLES, "")
-    return str(blamed_on_sensors(nothing, log, knowledge)).rstrip(".")
+    return str(refusal_by_sensors(nothing, log, knowledge)).rstrip(".")
 
 
 def fit_several(
-    gatherings: Sequence[Gathering],
+    collectors: Sequence[SampleCollector],
     names: Sequence[str],
     knowledge: Knowledge,
     method: str = METHODS[0],
@@ -239,27 +239,27 @@ def fit_several(
     """Join the turns of several recordings into one calibration.
 
     Returns the outcome, and the index of the recording that its window is from. A recording without
-    a turn is left out, with the reason. Raises Misuse if the method cannot join turns.
+    a turn is left out, with the reason. Raises UsageError if the method cannot join turns.
     """
-    looked = [_window_or_refusal(gathering, knowledge) for gathering in gatherings]
+    looked = [_window_or_refusal(collector, knowledge) for collector in collectors]
     windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}
     left_out = {k: found for k, found in enumerate(looked) if isinstance(found, Refusal)}
     if not windows:
-        return Outcome.refused(left_out[len(gatherings) - 1]), len(gatherings) - 1
+        return Outcome.refused(left_out[len(collectors) - 1]), len(collectors) - 1
     used, turns = list(windows), list(windows.values())
     outcome = calibrate_turns(turns, knowledge, method, [names[index] for index in used])
-    if outcome.several is None:
+    if outcome.multi_turn is None:
         return outcome, used[-1]
-    newest = used[outcome.several.newest]
-    fates = dict(zip(used, outcome.several.fates, strict=True))
-    fates |= {k: TurnFate(names[k], False, str(why).rstrip(".")) for k, why in left_out.items()}
-    ordered = tuple(fates[index] for index in sorted(fates))
-    return replace(outcome, several=replace(outcome.several, fates=ordered)), newest
+    newest = used[outcome.multi_turn.newest]
+    results = dict(zip(used, outcome.multi_turn.turns, strict=True))
+    results |= {k: TurnResult(names[k], False, str(why).rstrip(".")) for k, why in left_out.items()}
+    ordered = tuple(results[index] for index in sorted(results))
+    return replace(outcome, multi_turn=replace(outcome.multi_turn, turns=ordered)), newest
 
 
-def _window_or_refusal(gathering: Gathering, knowledge: Knowledge) -> Window | Refusal:
+def _window_or_refusal(collector: SampleCollector, knowledge: Knowledge) -> Window | Refusal:
     try:
-        return gathering.window(knowledge.reference)
+        return collector.window(knowledge.reference)
     except Refusal as refusal:
         return refusal
 
@@ -280,7 +280,7 @@ def without_motors(
     if calibration.motors is None:
         yield from readings
         return
-    compass, up, sense = Compass(calibration), UpFollower(), MotionSense()
+    compass, up, sense = Compass(calibration), UpFollower(), MotionDetector()
     speeds = [(each.stamp, each.speed) for each in travel if isinstance(each, SpeedSample)]
     for reading in readings:
         if isinstance(reading, ImuSample):
@@ -291,8 +291,8 @@ def without_motors(
             rate = up.rate if up.is_propagated else None
             inputs = _newest(speeds, stamp), _newest(currents, stamp)
             reference = calibration.motors.reference
-            running = sense.at(stamp, rate, up.is_at_rest, *inputs, reference)
-            field, _ = compass.at_rest(stamp, reading.field, rate, running)
+            motor_state = sense.at(stamp, rate, up.is_at_rest, *inputs, reference)
+            field, _ = compass.at_rest(stamp, reading.field, rate, motor_state)
             x, y, z = calibration.correction.undo(np.array(field)).tolist()
             yield FieldSample(stamp, (x, y, z))
             continue
@@ -309,7 +309,7 @@ def _newest(values: Messages, stamp: float) -> float:
 FORWARD = np.array([1.0, 0.0, 0.0])  # direction to which the headings refer: the IMU's x axis
 
 
-def standing_pairs(readings: Iterable[Reading]) -> tuple[Pair, ...]:
+def pairs_at_rest(readings: Iterable[Reading]) -> tuple[Pair, ...]:
     """Return the field samples of a recording, each with the IMU sample at its stamp."""
     streams = Streams(STREAMS.max_gap)
     pairer, found = Pairer(streams), list[Pair]()
@@ -326,11 +326,13 @@ def fit_at_headings(
     recordings: Sequence[tuple[Pair, ...]], given: Sequence[ExternalHeading], knowledge: Knowledge
 ) -> tuple[Outcome, str]:
     """Calibrate from recordings of a robot at rest; returns the outcome and its summary."""
-    standings: tuple[Standing, ...] = ()
+    measurements: tuple[KnownHeadingMeasurement, ...] = ()
     outcome, words = Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, "no heading was given")), ""
     for pairs, heading in zip(recordings, given, strict=True):
-        result = calibrate_standing(standings, CollectedSamples(pairs, heading, knowledge, FORWARD))
-        standings, outcome, words = result.standings, result.outcome, result.words
+        result = calibrate_at_known_heading(
+            measurements, CollectedSamples(pairs, heading, knowledge, FORWARD)
+        )
+        measurements, outcome, words = result.measurements, result.outcome, result.words
         if outcome.calibration is None:
             break
     return outcome, words
@@ -365,10 +367,10 @@ def fit_heading_topic(
         if collector.check.fault:
             refusal = Refusal(Reason.HEADING_CONTRADICTED, collector.check.fault)
             return Outcome.refused(refusal)
-    if collector.log is None or not collector.log.standings:
+    if collector.log is None or not collector.log.measurements:
         words = "no field sample with a gyro came within half a second of a heading"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
-    outcome, north = fit_log(collector.log.standings, knowledge)
+    outcome, north = fit_log(collector.log.measurements, knowledge)
     if not north:
         return outcome
     words = f"{outcome.verdict.summary} But {north}."

@@ -38,8 +38,8 @@ class RotationTuning:
     leeway: float = 1.5  # limit of time and angle in multiples of the plan, because wheels slip
     farthest_beyond: float = math.radians(45.0)  # limit beyond either end, because a robot coasts
     rate_span: float = 0.5  # seconds over which the gyro's rate is averaged
-    kept: int = 2000  # samples that are kept to compare gyro, commands and field
-    asked_every: float = 0.25  # seconds between two tests of the gyro by the field
+    most_samples: int = 2000  # samples that are kept to compare gyro, commands and field
+    test_every: float = 0.25  # seconds between two tests of the gyro by the field
     spans: tuple[float, float, float] = (
         math.radians(75.0),
         math.radians(150.0),
@@ -74,7 +74,7 @@ class Fault(str, Enum):
 
 
 @dataclass(frozen=True)
-class Seen:
+class MeasuredTurn:
     """The turn as measured by the sensors."""
 
     turned: float  # radians since the start, left positive
@@ -124,7 +124,7 @@ class RotationPlan:
         """Whether the time limit of the turn is exceeded."""
         return now > self._deadline
 
-    def note(self, now: float, command: float, seen: Seen) -> None:
+    def note(self, now: float, command: float, measured: MeasuredTurn) -> None:
         """Take the command (rad/s) that was in force until `now`, and the measured turn."""
         step, self._noted = (now - self._noted) * command, now
         self._commanded += step
@@ -132,10 +132,10 @@ class RotationPlan:
         if self.objection:
             return
         beyond = TUNING.farthest_beyond
-        if seen.by_gyro and not -beyond <= seen.turned <= math.tau + beyond:
+        if measured.by_gyro and not -beyond <= measured.turned <= math.tau + beyond:
             self.objection = (
-                f"the gyro measured {math.degrees(seen.turned):+.0f}°, outside the planned turn "
-                "from 0° to 360°"
+                f"the gyro measured {math.degrees(measured.turned):+.0f}°, outside the planned "
+                "turn from 0° to 360°"
             )
         elif max(abs(self._commanded), 0.5 * self._path) > TUNING.leeway * math.tau:
             self.objection = (
@@ -147,30 +147,32 @@ class RotationPlan:
         """+1 for the turn to the left, -1 for the turn back."""
         return -1.0 if self.phase is Phase.BACK else 1.0
 
-    def step(self, now: float, seen: Seen) -> float:
+    def step(self, now: float, measured: MeasuredTurn) -> float:
         """Return the yaw rate to command at `now`, rad/s, left positive."""
         elapsed, self._last = min(now - self._last, TUNING.longest_step), now
         if self.phase is not Phase.ENDED:
-            self.fault = self._find_fault(now, seen)
+            self.fault = self._find_fault(now, measured)
         if self.fault is not None or self.phase is Phase.ENDED:
             self.phase, self.command = Phase.ENDED, 0.0
         elif self.phase is Phase.PAUSE:
-            self._wait(now, seen)
+            self._wait(now, measured)
         else:
-            self._drive(now, elapsed, seen)
+            self._drive(now, elapsed, measured)
         return self.command
 
-    def _wait(self, now: float, seen: Seen) -> None:
+    def _wait(self, now: float, measured: MeasuredTurn) -> None:
         if now - self._paused_at >= TUNING.pause:
-            self._target = abs(seen.turned - self._from)
-            self.phase, self._from, self._brakes = Phase.BACK, seen.turned, False
+            self._target = abs(measured.turned - self._from)
+            self.phase, self._from, self._brakes = Phase.BACK, measured.turned, False
             self._suspected.clear()
 
-    def _drive(self, now: float, elapsed: float, seen: Seen) -> None:
+    def _drive(self, now: float, elapsed: float, measured: MeasuredTurn) -> None:
         size = abs(self.command)
-        covered = self.direction * (seen.turned - self._from)
+        covered = self.direction * (measured.turned - self._from)
         braking_arc = size * size / (2.0 * TUNING.acceleration)
-        if covered + braking_arc >= self._target or (self.phase is Phase.OUT and seen.is_complete):
+        if covered + braking_arc >= self._target or (
+            self.phase is Phase.OUT and measured.is_complete
+        ):
             self._brakes = True
         change = TUNING.acceleration * elapsed
         size = max(size - change, 0.0) if self._brakes else min(size + change, self._speed)
@@ -179,16 +181,16 @@ class RotationPlan:
             self.phase = Phase.PAUSE if self.phase is Phase.OUT else Phase.ENDED
             self._paused_at = now
 
-    def _find_fault(self, now: float, seen: Seen) -> Fault | None:
+    def _find_fault(self, now: float, measured: MeasuredTurn) -> Fault | None:
         """Return a fault that has lasted longer than `patience`."""
-        along = self.direction * seen.rate
+        along = self.direction * measured.rate
         commanded = 0.0 if self._brakes else abs(self.command)
         shows = {
-            Fault.TOO_FAST: abs(seen.rate) > TUNING.most_share * self._speed + TUNING.most_more,
+            Fault.TOO_FAST: abs(measured.rate) > TUNING.most_share * self._speed + TUNING.most_more,
             Fault.WRONG_WAY: commanded > 0.0 and along < -TUNING.least_share * self._speed,
             Fault.NOT_TURNING: commanded > 0.0 and along < TUNING.least_share * commanded,
         }
-        longest = patience(seen.by_gyro, self._speed)
+        longest = patience(measured.by_gyro, self._speed)
         for fault, shown in shows.items():
             if not shown:
                 self._suspected.pop(fault, None)
@@ -267,7 +269,7 @@ def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
     return np.unique(rows.round().astype(int))
 
 
-class RotationProof:
+class TurnMonitor:
     """Integrates the gyro over one turn and tests it by the field.
 
     `to_body` (3, 3) rotates the raw field to nominal body axes.
@@ -279,8 +281,8 @@ class RotationProof:
         self._newest: tuple[float, float] | None = None
         self._has_gyro = False
         self._commanded = 0.0
-        self._asked = -math.inf
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=TUNING.kept)
+        self._tested_at = -math.inf
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=TUNING.most_samples)
 
     def add(self, pair: Pair, command: float = 0.0) -> None:
         """Take the next sample, and the commanded rate (rad/s) at its stamp."""
@@ -298,40 +300,40 @@ class RotationProof:
         row = (self._turned, *pair.field.field, *force, stamp, self._commanded)
         self._rows.append(row)
 
-    def seen(self, progress: Progress) -> Seen:
+    def measured(self, progress: Progress) -> MeasuredTurn:
         """Return the turn by the gyro, or without a gyro by the session's compass."""
         coverage = progress.coverage
         if self._has_gyro:
-            return Seen(self._turned, self._rate(), True, coverage.is_complete)
-        return Seen(coverage.turned, progress.turn_rate, False, coverage.is_complete)
+            return MeasuredTurn(self._turned, self._rate(), True, coverage.is_complete)
+        return MeasuredTurn(coverage.turned, progress.turn_rate, False, coverage.is_complete)
 
     def objection(self, now: float) -> str:
-        """Return how the field contradicts the gyro, if so; tests at most every `asked_every`."""
-        if not self._has_gyro or now - self._asked < TUNING.asked_every:
+        """Return how the field contradicts the gyro, if so; tests at most every `test_every`."""
+        if not self._has_gyro or now - self._tested_at < TUNING.test_every:
             return ""
-        self._asked = now
+        self._tested_at = now
         found = objection_to_gyro(*self._angles_and_field())
         why = "the gyro is frozen, or the robot turns faster than the gyro's range"
         return f"{found}: {why}" if found else ""
 
-    def explain(self, fault: Fault, seen: Seen, command: float) -> str:
+    def explain(self, fault: Fault, measured: MeasuredTurn, command: float) -> str:
         """Describe a fault at a command in rad/s, with what to check."""
-        shown, commanded = math.degrees(seen.rate), math.degrees(command)
-        sensor = "gyro" if seen.by_gyro else "compass"
+        shown, commanded = math.degrees(measured.rate), math.degrees(command)
+        sensor = "gyro" if measured.by_gyro else "compass"
         rates = f"the {sensor} measures {shown:+.0f}°/s at a command of {commanded:+.0f}°/s"
         if fault is Fault.TOO_FAST:
             return f"the robot turns far too fast: {rates}"
         if fault is Fault.WRONG_WAY:
-            return f"{rates}: {self._blame(seen)}"
+            return f"{rates}: {self._wrong_way_cause(measured)}"
         turned, asked, level = self._angles_and_field()
-        if seen.by_gyro and _turns_rather_by(asked, turned, level):
+        if measured.by_gyro and _turns_rather_by(asked, turned, level):
             return f"{rates}, but the field turns: the gyro does not measure the turn"
         remedy = "check the emergency stop, and that the base obeys cmd_vel"
         return f"the robot does not turn: {rates}; {remedy}"
 
-    def _blame(self, seen: Seen) -> str:
+    def _wrong_way_cause(self, measured: MeasuredTurn) -> str:
         base = "the base turns the wrong way (angular.z is positive to the left)"
-        if not seen.by_gyro:
+        if not measured.by_gyro:
             return f"{base}, or the magnetometer's axes are mirrored"
         return {
             1: f"{base}; the compass agrees with the gyro",

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
-from magcal_ros.core.session.rotation import Phase, RotationPlan, RotationProof
-from magcal_ros.core.session.session import Brief, Progress
+from magcal_ros.core.session.rotation import Phase, RotationPlan, TurnMonitor
+from magcal_ros.core.session.session import Progress, TurnRequest
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ GUARD_GONE = (
 
 
 @dataclass(frozen=True)
-class Around:
+class TurnConditions:
     """The state of sensors, base and guard at one moment."""
 
     imu_age: float  # seconds since the newest IMU message; infinite before the first
@@ -55,20 +55,20 @@ class Around:
 
 
 @dataclass(frozen=True)
-class Steering:
+class ControlStep:
     """The result of one control step."""
 
     rate: float | None = None  # to command, rad/s, if any
-    broken_off: str = ""  # why the turn is given up, if it is
+    aborted: str = ""  # why the turn is given up, if it is
     ended: str = ""  # why the turn ends before it is complete; its samples are fitted
 
 
 @dataclass(frozen=True)
-class Moving:
+class TurnInProgress:
     """The robot turns."""
 
     plan: RotationPlan
-    proof: RotationProof
+    monitor: TurnMonitor
 
 
 class SelfTurn:
@@ -81,8 +81,8 @@ class SelfTurn:
         self, imu: str = "the IMU", field: str = "the field", command: str = "cmd_vel"
     ) -> None:
         self._imu, self._field, self._command = imu, field, command
-        self._stage: Brief | Moving | None = None
-        """A `Brief` while it waits for both sensors, a subscription of the commands, the guard."""
+        self._stage: TurnRequest | TurnInProgress | None = None
+        """A `TurnRequest` while it waits for sensors, a subscription of the commands, the guard."""
         self._zeros = 0  # zeros that are still to be sent
         self._opened = self._looked = self._paired = 0.0
         self._gyro_heard: float | None = None
@@ -97,13 +97,13 @@ class SelfTurn:
         """Whether the turn is over and all zeros are sent."""
         return self._stage is None and not self._zeros
 
-    def open(self, brief: Brief, now: float) -> None:
+    def open(self, request: TurnRequest, now: float) -> None:
         """Start the turn as soon as its conditions are met."""
-        self._stage = brief
+        self._stage = request
         self._gyro_heard = None
         self._opened = self._looked = self._paired = now
 
-    def hear(self, rate: Triple, now: float) -> None:
+    def add_rate(self, rate: Triple, now: float) -> None:
         """Note the angular velocity (rad/s, NaN without one) of an IMU message."""
         is_finite = all(map(math.isfinite, rate))
         # Many drivers without a gyro send zeros; after another value, zero is a measured rate.
@@ -113,99 +113,106 @@ class SelfTurn:
     def take(self, pair: Pair, now: float) -> None:
         """Take the next sample of the turn."""
         stage = self._stage
-        if isinstance(stage, Moving):
+        if isinstance(stage, TurnInProgress):
             self._paired = now
-            stage.proof.add(pair, stage.plan.command)
+            stage.monitor.add(pair, stage.plan.command)
 
-    def look(self, now: float, progress: Progress, around: Around) -> Steering:
+    def look(self, now: float, progress: Progress, conditions: TurnConditions) -> ControlStep:
         """Return the control step at `now` (s, steady clock); called twenty times a second."""
         stage = self._stage
         since, self._looked = now - self._looked, now
         if self._zeros:
             self._zeros -= 1
-            return Steering(0.0)
-        if isinstance(stage, Brief):
-            return self._wait(stage, now, around)
-        if isinstance(stage, Moving):
-            return self._lead(stage, now, since, progress, around)
-        return Steering()
+            return ControlStep(0.0)
+        if isinstance(stage, TurnRequest):
+            return self._wait(stage, now, conditions)
+        if isinstance(stage, TurnInProgress):
+            return self._lead(stage, now, since, progress, conditions)
+        return ControlStep()
 
-    def stop(self) -> Steering:
+    def stop(self) -> ControlStep:
         """Stop the robot."""
         stage, self._stage = self._stage, None
-        if not isinstance(stage, Moving):
-            return Steering()
+        if not isinstance(stage, TurnInProgress):
+            return ControlStep()
         self._zeros = TUNING.zeros
-        return Steering(0.0)
+        return ControlStep(0.0)
 
-    def break_off(self, reason: str) -> Steering:
+    def abort(self, reason: str) -> ControlStep:
         """Stop the robot and end its turn, with the reason."""
-        moved = isinstance(self._stage, Moving) or self._zeros > 0
+        moved = isinstance(self._stage, TurnInProgress) or self._zeros > 0
         rate = self.stop().rate
-        return Steering(rate, f"the robot was stopped: {reason}" if moved else reason)
+        return ControlStep(rate, f"the robot was stopped: {reason}" if moved else reason)
 
-    def _wait(self, brief: Brief, now: float, around: Around) -> Steering:
+    def _wait(self, request: TurnRequest, now: float, conditions: TurnConditions) -> ControlStep:
         waited = now - self._opened
-        if not around.is_allowed:
-            return self.break_off("rotate.enabled was switched off")
-        if max(around.imu_age, around.field_age) >= TUNING.silence:
-            return Steering()
-        if not around.listeners:
+        if not conditions.is_allowed:
+            return self.abort("rotate.enabled was switched off")
+        if max(conditions.imu_age, conditions.field_age) >= TUNING.silence:
+            return ControlStep()
+        if not conditions.listeners:
             if waited > TUNING.listeners_within:
                 remedy = "remap cmd_vel to the base's topic"
-                return self.break_off(f"nothing subscribes to {self._command}: {remedy}")
-        elif around.is_guarded:
+                return self.abort(f"nothing subscribes to {self._command}: {remedy}")
+        elif conditions.is_guarded:
             if waited >= TUNING.stands_first:
-                assert brief.speed is not None
-                plan = RotationPlan(brief.speed, now, brief.limits.timeout)
-                self._stage = Moving(plan, RotationProof(brief.knowledge.mounting.to_body))
+                assert request.speed is not None
+                plan = RotationPlan(request.speed, now, request.limits.timeout)
+                self._stage = TurnInProgress(plan, TurnMonitor(request.knowledge.mounting.to_body))
                 self._paired = now
         elif waited > TUNING.guarded_within:
-            return self.break_off(UNGUARDED)
-        return Steering()
+            return self.abort(UNGUARDED)
+        return ControlStep()
 
     def _lead(
-        self, stage: Moving, now: float, since: float, progress: Progress, around: Around
-    ) -> Steering:
-        plan, proof = stage.plan, stage.proof
-        seen, commanded = proof.seen(progress), plan.command
-        plan.note(now, commanded, seen)
-        objection = self._objection(stage, now, since, around) or plan.objection
+        self,
+        stage: TurnInProgress,
+        now: float,
+        since: float,
+        progress: Progress,
+        conditions: TurnConditions,
+    ) -> ControlStep:
+        plan, monitor = stage.plan, stage.monitor
+        measured, commanded = monitor.measured(progress), plan.command
+        plan.note(now, commanded, measured)
+        objection = self._objection(stage, now, since, conditions) or plan.objection
         if objection:
-            return self.break_off(objection)
+            return self.abort(objection)
         if plan.is_late(now):
             words = "the robot did not complete its turn in time"
-            return Steering(self.stop().rate, ended=words)
-        rate = plan.step(now, seen)
+            return ControlStep(self.stop().rate, ended=words)
+        rate = plan.step(now, measured)
         if plan.fault is not None:
-            return self.break_off(proof.explain(plan.fault, seen, commanded))
+            return self.abort(monitor.explain(plan.fault, measured, commanded))
         if plan.phase is Phase.ENDED:
-            words = "" if seen.is_complete else "the robot has turned once each way"
-            return Steering(self.stop().rate, ended=words)
-        return Steering(rate)
+            words = "" if measured.is_complete else "the robot has turned once each way"
+            return ControlStep(self.stop().rate, ended=words)
+        return ControlStep(rate)
 
-    def _objection(self, stage: Moving, now: float, since: float, around: Around) -> str:
+    def _objection(
+        self, stage: TurnInProgress, now: float, since: float, conditions: TurnConditions
+    ) -> str:
         """Return why the turn must not continue; empty if it may."""
         if since > TUNING.gyro_silence:
             return (
                 f"the machine was too busy to supervise the robot for {since:.1f} s: "
                 "end other programs that keep the machine busy"
             )
-        if not around.is_allowed:
+        if not conditions.is_allowed:
             return "rotate.enabled was switched off"
-        if not around.is_guarded:
+        if not conditions.is_guarded:
             return GUARD_GONE
-        return self._silence(stage, now, around) or stage.proof.objection(now)
+        return self._silence(stage, now, conditions) or stage.monitor.objection(now)
 
-    def _silence(self, stage: Moving, now: float, around: Around) -> str:
+    def _silence(self, stage: TurnInProgress, now: float, conditions: TurnConditions) -> str:
         is_pausing = stage.plan.phase is Phase.PAUSE
         is_unpaired = now - self._paired > TUNING.silence and not is_pausing
         by_gyro = self._gyro_heard is not None
         # A pair needs both sensors, so pairs end a little before a sensor counts as silent.
         longest = TUNING.silence / 2.0 if is_unpaired else TUNING.silence
         for topic, age, limit in (
-            (self._imu, around.imu_age, TUNING.gyro_silence if by_gyro else longest),
-            (self._field, around.field_age, longest),
+            (self._imu, conditions.imu_age, TUNING.gyro_silence if by_gyro else longest),
+            (self._field, conditions.field_age, longest),
         ):
             if age > limit:
                 return f"{topic} has been silent for {age:.1f} s"

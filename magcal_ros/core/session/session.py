@@ -24,7 +24,7 @@ from magcal_ros.core.samples.rest import (
     SPAN,
     SPEED,
     GyroAtRest,
-    apart_from_rests,
+    without_rests,
 )
 from magcal_ros.core.samples.streams import STREAMS, Pair
 from magcal_ros.core.samples.window import Window, steps_of
@@ -74,7 +74,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Brief:
+class TurnRequest:
     """The request for a turn."""
 
     limits: Limits
@@ -199,7 +199,7 @@ class Session:
         self._sigma, self._seen = sigma, self._looked_at
 
     @property
-    def was_seen_whole(self) -> bool:
+    def covers_whole_turn(self) -> bool:
         """Whether a predicted sigma is of a whole turn."""
         return self._seen >= math.tau - COVERAGE.largest_gap
 
@@ -226,12 +226,12 @@ class Session:
             )
         rows = np.array(self._buffer[: self._size])
         if _rate_if_any(rows) is None:
-            rows, rests, _ = apart_from_rests(rows)
+            rows, rests, _ = without_rests(rows)
             rows = rows[self._kept(rows)]
             window = Window(rows[:, 0], rows[:, FIELD], rows[:, FORCE], rests=rests)
             return window.with_battery(self._currents)
         rows = rows[np.isfinite(rows[:, RATE]).all(axis=1)]
-        rows, rests, sigma = apart_from_rests(rows, self._gyro)
+        rows, rests, sigma = without_rests(rows, self._gyro)
         steps, kept = steps_of(rows), self._kept(rows)
         gaps = [np.diff(rows[each, 0]).max(initial=0.0) for each in (kept, slice(None))]
         if gaps[0] > max(STREAMS.longest_gyro_step, 2.0 * gaps[1]):
@@ -269,7 +269,7 @@ class Session:
         is_near = self._sigma <= TUNING.near * target
         return (
             self._sigma <= target
-            or ((is_near or not self.was_seen_whole) and turns >= TUNING.once_more)
+            or ((is_near or not self.covers_whole_turn) and turns >= TUNING.once_more)
             or turns >= TUNING.most_turns
             or now - self._last_turning > TUNING.stands_still
         )

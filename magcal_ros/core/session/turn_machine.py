@@ -15,13 +15,13 @@ from typing import ClassVar, TypeAlias
 from magcal_ros.core.calibrate import JOINS, Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.multi_turn.result import Kept
+from magcal_ros.core.multi_turn.result import KeptTurns
 from magcal_ros.core.samples.battery import Messages
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.rotation import planned_duration
-from magcal_ros.core.session.self_turn import Around, SelfTurn, Steering
-from magcal_ros.core.session.session import TUNING, Brief, Progress, Session, Stage
+from magcal_ros.core.session.self_turn import ControlStep, SelfTurn, TurnConditions
+from magcal_ros.core.session.session import TUNING, Progress, Session, Stage, TurnRequest
 
 
 @dataclass(frozen=True)
@@ -40,16 +40,16 @@ class Preview:
     """Predict the heading sigma of a fit; answered by `note_preview`."""
 
     window: Window
-    brief: Brief
+    request: TurnRequest
 
 
 @dataclass(frozen=True, eq=False)
 class FitTurn:
     """Fit a turn together with the kept ones; answered by `note_fit` or `note_failed_fit`."""
 
-    kept: Kept
+    kept: KeptTurns
     window: Window
-    brief: Brief
+    request: TurnRequest
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class TurnState(str, Enum):
 class Collecting:
     """Samples are collected; a preview of the fit is running or will be."""
 
-    brief: Brief
+    request: TurnRequest
     session: Session
     state: ClassVar = TurnState.COLLECTING
     asked: Preview | None = None  # the preview that is running
@@ -133,7 +133,7 @@ class TurnMachine:
         self.last_outcome: Outcome | None = None
         self.last_conclusion: Conclusion | None = None
         self._stage: Collecting | Fitting | Saving | None = None
-        self._kept = Kept()
+        self._kept = KeptTurns()
         self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NO_SENSORS
         self._commands: list[Command] = []
 
@@ -159,40 +159,40 @@ class TurnMachine:
 
     def forget(self) -> None:
         """Discard the turns kept so far."""
-        self._kept = Kept()
+        self._kept = KeptTurns()
 
-    def open(self, brief: Brief, now: float) -> Conclusion:
+    def open(self, request: TurnRequest, now: float) -> Conclusion:
         """Begin a turn at `now`, seconds on a steady clock; returns whether the turn has begun."""
-        refusal = self._why_not(brief)
+        refusal = self._why_not(request)
         if refusal:
             return Conclusion(False, refusal)
-        if not brief.accumulate:
+        if not request.accumulate:
             self.forget()
         self.last_window = None
-        session = Session(brief.limits, brief.knowledge.mounting, now, brief.gyro)
-        self._stage = Collecting(brief, session)
+        session = Session(request.limits, request.knowledge.mounting, now, request.gyro)
+        self._stage = Collecting(request, session)
         self.progress = session.progress(now)
         words = "turn the robot once, a full circle, 0.5 rad/s or less"
-        if brief.speed is not None:
+        if request.speed is not None:
             self._steer(self.robot.stop())
-            self.robot.open(brief, now)
+            self.robot.open(request, now)
             words = "the robot turns itself, once each way; keep clear"
         return Conclusion(True, f"collecting: {words}")
 
-    def _why_not(self, brief: Brief) -> str:
+    def _why_not(self, request: TurnRequest) -> str:
         """Return why a turn cannot begin; empty if it can."""
-        longest = brief.limits.timeout
-        if brief.speed is not None and planned_duration(brief.speed) > longest:
+        longest = request.limits.timeout
+        if request.speed is not None and planned_duration(request.speed) > longest:
             return (
-                f"a turn each way at rotate.speed_rad_s {brief.speed:g} takes"
-                f" {planned_duration(brief.speed):.0f} s,"
+                f"a turn each way at rotate.speed_rad_s {request.speed:g} takes"
+                f" {planned_duration(request.speed):.0f} s,"
                 f" longer than window.timeout_s ({longest:g} s): raise one of them"
             )
         if self._stage is not None:
             return f"already {self.state.value}: wait for the end, or call ~/cancel first"
-        if brief.accumulate and brief.method != JOINS:
+        if request.accumulate and request.method != JOINS:
             return (
-                f"the method {brief.method} does not join turns: set method to {JOINS}, or "
+                f"the method {request.method} does not join turns: set method to {JOINS}, or "
                 "accumulate to false"
             )
         return ""
@@ -228,11 +228,11 @@ class TurnMachine:
 
     def _look_ahead(self, stage: Collecting, progress: Progress, now: float) -> None:
         """Request a preview at intervals, and once the circle is complete."""
-        waits = progress.coverage.is_complete and not stage.session.was_seen_whole
+        waits = progress.coverage.is_complete and not stage.session.covers_whole_turn
         is_due = now > stage.next_preview or waits
         if stage.asked is None and is_due and progress.coverage.arc > TUNING.preview_arc:
             window = self.last_window = stage.session.look()
-            asked = Preview(window, stage.brief)
+            asked = Preview(window, stage.request)
             self._stage = replace(stage, asked=asked, asked_at=now)
             self._commands.append(asked)
 
@@ -244,29 +244,29 @@ class TurnMachine:
             pause = (now - stage.asked_at) * (1.0 / TUNING.preview_share - 1.0)
             self._stage = replace(stage, asked=None, next_preview=now + pause)
 
-    def look(self, around: Around, now: float) -> None:
+    def look(self, conditions: TurnConditions, now: float) -> None:
         """Make a control step of a robot that turns itself."""
         assert self.progress is not None
-        self._follow(self.robot.look(now, self.progress, around), now)
+        self._follow(self.robot.look(now, self.progress, conditions), now)
 
-    def _follow(self, steering: Steering, now: float) -> None:
+    def _follow(self, step: ControlStep, now: float) -> None:
         # The robot is stopped first, because the rest may take a moment.
-        self._steer(steering)
+        self._steer(step)
         if not isinstance(self._stage, Collecting):
             return
-        if steering.broken_off:
-            self.break_off(f"{steering.broken_off}; {UNCHANGED}")
-        elif steering.ended:
-            self._begin_fit(self._stage, steering.ended, now)
+        if step.aborted:
+            self.abort(f"{step.aborted}; {UNCHANGED}")
+        elif step.ended:
+            self._begin_fit(self._stage, step.ended, now)
 
     def stop_robot(self, reason: str, now: float) -> None:
         """Stop a robot that turns itself, because its supervision may have failed."""
         if self.robot.is_under_way:
-            self._follow(self.robot.break_off(reason), now)
+            self._follow(self.robot.abort(reason), now)
 
-    def _steer(self, steering: Steering) -> None:
-        if steering.rate is not None:
-            self._commands.append(MoveBase(steering.rate))
+    def _steer(self, step: ControlStep) -> None:
+        if step.rate is not None:
+            self._commands.append(MoveBase(step.rate))
 
     def _leave_collecting(self) -> None:
         self._steer(self.robot.stop())
@@ -294,11 +294,11 @@ class TurnMachine:
         if self._sensors != self._sensors_of_kept:
             self._sensors_of_kept = self._sensors
             self.forget()
-        asked = FitTurn(self._kept, window, stage.brief)
+        asked = FitTurn(self._kept, window, stage.request)
         self._stage = Fitting(why, asked)
         self._commands.append(asked)
 
-    def note_fit(self, asked: FitTurn, outcome: Outcome, kept: Kept) -> None:
+    def note_fit(self, asked: FitTurn, outcome: Outcome, kept: KeptTurns) -> None:
         """Take the fit of a turn, and the turns to keep for the next one."""
         stage = self._stage
         if not isinstance(stage, Fitting) or stage.asked is not asked:
@@ -318,8 +318,8 @@ class TurnMachine:
         """Put the calibration in force if it is accepted; otherwise name the remedy."""
         self.last_outcome, self._sensors_of_outcome = outcome, self._sensors
         words = outcome.verdict.summary
-        if outcome.several is not None and outcome.calibration is not None:
-            words = f"{words} {outcome.several.in_words}"
+        if outcome.multi_turn is not None and outcome.calibration is not None:
+            words = f"{words} {outcome.multi_turn.in_words}"
         words = _with_ending(words, why, outcome.verdict.accepted)
         report = "" if self.last_window is None else self._report(self.last_window, outcome)
         ending = f" {report}" if report else ""
@@ -348,7 +348,7 @@ class TurnMachine:
             words = "nothing to cancel: no turn is being collected or fitted"
             return Conclusion(False, words)
         words = f"cancelled; {UNCHANGED}"
-        self.break_off(words)
+        self.abort(words)
         return Conclusion(True, words)
 
     def note_sensors(self, field: str, imu: str) -> None:
@@ -360,12 +360,12 @@ class TurnMachine:
         self._sensors = field or before[0], imu or before[1]
         changes = _changes(before, self._sensors)
         if changes and isinstance(self._stage, (Collecting, Fitting)):
-            self.break_off(
+            self.abort(
                 f"{' and '.join(changes)} during the turn: let one sensor publish, and turn "
                 f"again; {UNCHANGED}"
             )
 
-    def break_off(self, words: str, was_under_way: bool = False) -> None:
+    def abort(self, words: str, was_under_way: bool = False) -> None:
         """End the turn after a failure, also a turn that has left its stage already."""
         if self._stage is not None or was_under_way:
             self._leave_collecting()

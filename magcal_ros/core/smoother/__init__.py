@@ -11,21 +11,21 @@ __getattr__, __dir__, __all__ = lazy_names(
     """
     currents: Clock Currents
     drives: corrected drive_nodes fit_drive fit_iron likelihood_ratio_of
-    earth: EarthPrior Fields
+    earth: EarthFieldPrior GaussianEarthPrior
     factors: Linear
     fit: Damping Fit
     gyro_swing: gyro_compass_swing
     headings: fit_headings
     iron_added: find_change
-    kinds_of_motion: liveliest_part smooth
+    joint_fit: JointFit fit_jointly imagined_information
+    kinds_of_motion: part_with_most_motion smooth
+    known_heading_model: KnownHeadingMeasurement
     nodes: nodes_of
     places: Places
     priors: priors_of
-    several: Together fit_together imagined_information
-    standings: Standing
     state: Course State
     turn_by_field: smooth_by_field
-    unknowns: ACCELERATION ALIKE AT CURRENT_LATE DRIVES LOCAL Lengths MICROTESLA MODULE RATE
-        SHARED SIZES SMALL_CIRCLE STREET TURNED UNKNOWNS VELOCITY
+    unknowns: ACCELERATION ALIKE AT CURRENT_LATE DRIVES LOCAL Lengths MICROTESLA MODULE RATE SHARED
+        SIZES SMALL_CIRCLE STREET TURNED UNKNOWNS VELOCITY
     """,
 )

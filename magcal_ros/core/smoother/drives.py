@@ -15,7 +15,7 @@ from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window, living_axes
+from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import (
     DIFFERENT_TURNS,
@@ -109,7 +109,7 @@ def fit_drive(log: Window, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     `NO_SOLUTION` if no fit converges, `AXES_DISAGREE` if the gyro or the axes are wrong.
     """
     check_length(nodes)
-    if not all(living_axes(log.angular_rate)):
+    if not all(working_axes(log.angular_rate)):
         raise Refusal(Reason.AXES_DISAGREE, DEAD_AXES)
     state, about = start(nodes, priors_of(knowledge, log.bias_sigma))
     try:
@@ -252,13 +252,13 @@ class LikelihoodRatio:
         return np.bincount(self.sector, self.by_node, SECTORS).astype(np.float64)
 
     @property
-    def elsewhere(self) -> float:
+    def without_best_quarter(self) -> float:
         """The ratio without the three sectors that favour the new calibration most."""
         quarters = sum(np.roll(self.by_sector, -shift) for shift in range(SECTORS // 4))
         return float(self.gain - np.max(quarters))
 
     @property
-    def against(self) -> float:
+    def opposing(self) -> float:
         """The sum over the sectors that favour the old calibration, as a positive number."""
         return float(-np.sum(np.minimum(self.by_sector, 0.0)))
 

@@ -15,7 +15,7 @@ from magcal_ros.core.smoother.unknowns import FIELDS_ON_EARTH, MICROTESLA
 LEVEL_SIGMA = 2.0  # µT, sigma of the level field measured at the start
 
 
-class EarthPrior(NamedTuple):
+class GaussianEarthPrior(NamedTuple):
     """A Gaussian prior of level and downward field, µT."""
 
     mean: FloatArray  # shape (2,)
@@ -29,7 +29,7 @@ class EarthPrior(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Fields:
+class EarthFieldPrior:
     """Prior of the Earth's field at the robot: one Gaussian if it is known, else a mixture."""
 
     shares: FloatArray  # weights of the components. Shape (k,).
@@ -37,7 +37,7 @@ class Fields:
     covariances: FloatArray  # µT². Shape (k, 2, 2).
 
     @classmethod
-    def of(cls, reference: ReferenceField) -> Fields:
+    def of(cls, reference: ReferenceField) -> EarthFieldPrior:
         """Return the prior, given what is known of strength and inclination."""
         strength, dip = reference.strength, reference.inclination
         if reference.is_complete:
@@ -65,12 +65,12 @@ class Fields:
         return len(self.shares) == 1
 
     @property
-    def gaussian(self) -> EarthPrior:
+    def gaussian(self) -> GaussianEarthPrior:
         """The Gaussian of the same mean and covariance."""
         mean, covariance, _ = self._given(np.zeros((2, 2)), np.zeros(2))
-        return EarthPrior(mean, np.asarray(np.linalg.inv(covariance)))
+        return GaussianEarthPrior(mean, np.asarray(np.linalg.inv(covariance)))
 
-    def about(self, earth: FloatArray) -> EarthPrior:
+    def about(self, earth: FloatArray) -> GaussianEarthPrior:
         """Return the initial Gaussian, about the field of the start if the field is not known."""
         prior = self.gaussian
         return prior if self.is_known else prior._replace(mean=self.at_level(earth[0]))
@@ -80,8 +80,8 @@ class Fields:
         information = np.array([LEVEL_SIGMA**-2.0, 0.0])
         return self._given(np.diag(information), information * level)[0]
 
-    def seen(
-        self, prior: EarthPrior, mean: FloatArray, covariance: FloatArray
+    def updated(
+        self, prior: GaussianEarthPrior, mean: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, FloatArray, float]:
         """Return the shift of the posterior mean, its covariance, and the gain in log evidence.
 
@@ -95,8 +95,8 @@ class Fields:
         # The mean is the origin: the samples may be far more precise than the prior.
         drawn = prior.information @ (mean - prior.mean)
         spread = np.asarray(np.linalg.inv(prior.information))
-        before = Fields(np.ones(1), (prior.mean - mean)[None], spread[None])
-        fields = Fields(self.shares, self.means - mean, self.covariances)
+        before = EarthFieldPrior(np.ones(1), (prior.mean - mean)[None], spread[None])
+        fields = EarthFieldPrior(self.shares, self.means - mean, self.covariances)
         shift, spread, likely = fields._given(by_samples, drawn)
         return shift, spread, likely - before._given(by_samples, drawn)[2]
 
@@ -123,7 +123,9 @@ class Fields:
         covariance = np.einsum("k,kij->ij", odds, posterior + off[:, :, None] * off[:, None])
         return mean, covariance, likely
 
-    def _measured(self, along: FloatArray, value: float, sigma: FloatArray | float) -> Fields:
+    def _measured(
+        self, along: FloatArray, value: float, sigma: FloatArray | float
+    ) -> EarthFieldPrior:
         """Return the mixture, given measured components along unit vectors (k, 2), µT."""
         variance = np.maximum(np.square(sigma), 1e-6) * np.ones(len(self.shares))
         gain = np.einsum("kij,kj->ki", self.covariances, along)
@@ -132,7 +134,7 @@ class Fields:
         log = np.log(self.shares) - 0.5 * (off**2 / total + np.log(total))
         shares = np.exp(log - log.max())
         gain_over = gain / total[:, None]
-        return Fields(
+        return EarthFieldPrior(
             shares / shares.sum(),
             self.means + gain_over * off[:, None],
             self.covariances - gain_over[:, :, None] * gain[:, None],

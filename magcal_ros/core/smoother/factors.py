@@ -68,8 +68,8 @@ class Linear:
     """Residuals of one kind with their derivatives."""
 
     residual: FloatArray  # Shape (k, d)
-    here: FloatArray  # derivatives by the unknowns of node k. Shape (k, d, LOCAL).
-    there: FloatArray | None = None
+    by_node: FloatArray  # derivatives by the unknowns of node k. Shape (k, d, LOCAL).
+    by_next: FloatArray | None = None
     """By the unknowns of node k + 1, for residuals between neighbours. Shape (k, d, LOCAL)."""
     shared: FloatArray | None = None
     """By the shared unknowns; the last columns, of the centres of `Places`, may be missing. Shape
@@ -77,14 +77,16 @@ class Linear:
 
     def part(self, components: slice) -> Linear:
         """Return some components of the residuals."""
-        rest = (None if each is None else each[:, components] for each in (self.there, self.shared))
-        return Linear(self.residual[:, components], self.here[:, components], *rest)
+        rest = (
+            None if each is None else each[:, components] for each in (self.by_next, self.shared)
+        )
+        return Linear(self.residual[:, components], self.by_node[:, components], *rest)
 
     def times(self, matrices: FloatArray) -> Linear:
         """Return the residuals, each multiplied by its matrix, shape (k, d, d)."""
-        rest = (None if each is None else matrices @ each for each in (self.there, self.shared))
+        rest = (None if each is None else matrices @ each for each in (self.by_next, self.shared))
         residual = np.einsum("kij,kj->ki", matrices, self.residual)
-        return Linear(residual, matrices @ self.here, *rest)
+        return Linear(residual, matrices @ self.by_node, *rest)
 
     def by(self, free: IntArray) -> FloatArray:
         """Return the derivatives by the free shared unknowns, without missing columns."""
@@ -170,13 +172,13 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     of_the_body["added"] = added
     predicted = inside_earth @ full.T + inside_street @ turn.T + state.local[:, BODY_FIELD]
     predicted += sum(share * shared[AT[name]] for name, share in of_the_body.items())
-    here = np.zeros((count, 3, LOCAL))
-    here[:, :, ATTITUDE] = -(by_earth @ skews(earth) + by_street @ skews(street)) @ late
+    by_node = np.zeros((count, 3, LOCAL))
+    by_node[:, :, ATTITUDE] = -(by_earth @ skews(earth) + by_street @ skews(street)) @ late
     by_place = by_street @ attitude
     swung = np.swapaxes(state.attitude, 1, 2)[:, :2] @ skew(X)
-    here[:, :, ATTITUDE] += by_place @ gradient @ swung
-    here[:, :, STREET] = by_place * places.rest[:, None, None]
-    here[:, :, BODY_FIELD] = np.eye(3)
+    by_node[:, :, ATTITUDE] += by_place @ gradient @ swung
+    by_node[:, :, STREET] = by_place * places.rest[:, None, None]
+    by_node[:, :, BODY_FIELD] = np.eye(3)
     by = np.zeros((count, 3, SHARED + 3 * len(places)))
     by[:, :, SHARED:] = np.einsum("nk,nij->nikj", places.weights, by_place).reshape(count, 3, -1)
     on_the_way = by_place[:, :, :, None] * ahead[:, None, None, :]
@@ -203,7 +205,7 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     by[:, :, AT["latency"].start] = np.einsum(
         "nij,nj->ni", by_earth, crossed(rate, earth)
     ) + np.einsum("nij,nj->ni", by_street, crossed(rate, street))
-    return Linear(nodes.field - predicted, here, None, by)
+    return Linear(nodes.field - predicted, by_node, None, by)
 
 
 def _about_x(shared: FloatArray) -> FloatArray:
@@ -238,12 +240,12 @@ def force(course: Course, state: State) -> Linear:
     moving = 0.5 * (course.moving[1:] + course.moving[:-1])[:, None]
     predicted += shared[AT["force_offset"]] + moving * shared[AT["force_moving"]]
     count = len(seconds)
-    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
-    here[:, :, ATTITUDE] = -along @ skews(gravity[:-1])
-    there[:, :, ATTITUDE] = -back @ skews(gravity[1:])
+    by_node, by_next = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
+    by_node[:, :, ATTITUDE] = -along @ skews(gravity[:-1])
+    by_next[:, :, ATTITUDE] = -back @ skews(gravity[1:])
     bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
-    here[:, :, VELOCITY] = bend - level / seconds[:, :, None]
-    there[:, :, VELOCITY] = bend + level / seconds[:, :, None]
+    by_node[:, :, VELOCITY] = bend - level / seconds[:, :, None]
+    by_next[:, :, VELOCITY] = bend + level / seconds[:, :, None]
     by = np.zeros((count, 3, SHARED))
     by[:, :, AT["lever_arm"]] = by_arm
     by[:, :, AT["force_offset"]] = np.eye(3)
@@ -255,17 +257,17 @@ def force(course: Course, state: State) -> Linear:
     by[:, :, AT["gyro_bias"]] = (
         skews(crossed(rate, arm)) + spin @ skews(arm[None])[0] - sideways[:, :, None] * up
     )
-    return Linear(nodes.force - predicted, here, there, by)
+    return Linear(nodes.force - predicted, by_node, by_next, by)
 
 
 def force_at_rest(measured: FloatArray, state: State) -> Linear:
     """Return the residuals of the specific force at nodes at rest, (n, 3) in m/s²."""
     gravity = STANDARD_GRAVITY * state.attitude[:, :, 2]
-    here = np.zeros((len(measured), 3, LOCAL))
-    here[:, :, ATTITUDE] = -skews(gravity)
+    by_node = np.zeros((len(measured), 3, LOCAL))
+    by_node[:, :, ATTITUDE] = -skews(gravity)
     by = np.zeros((len(measured), 3, SHARED))
     by[:, :, AT["force_offset"]] = np.eye(3)
-    return Linear(measured - gravity - state.shared[AT["force_offset"]], here, None, by)
+    return Linear(measured - gravity - state.shared[AT["force_offset"]], by_node, None, by)
 
 
 def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Linear:
@@ -275,10 +277,10 @@ def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Lin
     body axes.
     """
     off, by_attitude = _heading_residual(heading, forward, state)
-    here = np.zeros((len(heading), 1, LOCAL))
-    here[:, 0, ATTITUDE] = by_attitude
-    here[:, :, HEADING_DRIFT] = DEGREE
-    return Linear(wrap_angle(off[:, None] - DEGREE * state.local[:, HEADING_DRIFT]), here)
+    by_node = np.zeros((len(heading), 1, LOCAL))
+    by_node[:, 0, ATTITUDE] = by_attitude
+    by_node[:, :, HEADING_DRIFT] = DEGREE
+    return Linear(wrap_angle(off[:, None] - DEGREE * state.local[:, HEADING_DRIFT]), by_node)
 
 
 def known_turn(
@@ -289,13 +291,13 @@ def known_turn(
     `seconds` (n - 1,) are the durations over which the gyro's bias was integrated.
     """
     ahead, by_attitude = _heading_residual(np.zeros(len(forward)), forward, state)
-    here, there = (np.zeros((len(turned), 1, LOCAL)) for _ in range(2))
-    here[:, 0, ATTITUDE], there[:, 0, ATTITUDE] = -by_attitude[:-1], by_attitude[1:]
+    by_node, by_next = (np.zeros((len(turned), 1, LOCAL)) for _ in range(2))
+    by_node[:, 0, ATTITUDE], by_next[:, 0, ATTITUDE] = -by_attitude[:-1], by_attitude[1:]
     by = np.zeros((len(turned), 1, SHARED))
     by[:, 0, BIAS_UP] = seconds
     # `ahead` is minus the heading.
     off = turned - seconds * state.shared[BIAS_UP] + ahead[1:] - ahead[:-1]
-    return Linear(wrap_angle(off)[:, None], here, there, by)
+    return Linear(wrap_angle(off)[:, None], by_node, by_next, by)
 
 
 def _heading_residual(
@@ -313,15 +315,15 @@ def speed(measured: FloatArray, state: State, *, is_ahead: bool) -> Linear:
 
     The speed is along the body's x axis if `is_ahead`, else in any direction.
     """
-    here = np.zeros((len(measured), 1, LOCAL))
+    by_node = np.zeros((len(measured), 1, LOCAL))
     velocity = state.local[:, VELOCITY]
     if is_ahead:
-        here[:, 0, VELOCITY.start] = 1.0
+        by_node[:, 0, VELOCITY.start] = 1.0
         known, modelled = measured, velocity[:, 0]
     else:
         known, modelled = np.abs(measured), np.linalg.norm(velocity, axis=1)
-        here[:, 0, VELOCITY] = velocity / np.maximum(modelled, 1e-9)[:, None]
-    return Linear(np.where(np.isfinite(measured), known - modelled, 0.0)[:, None], here)
+        by_node[:, 0, VELOCITY] = velocity / np.maximum(modelled, 1e-9)[:, None]
+    return Linear(np.where(np.isfinite(measured), known - modelled, 0.0)[:, None], by_node)
 
 
 def gyro(course: Course, state: State) -> Linear:
@@ -331,48 +333,48 @@ def gyro(course: Course, state: State) -> Linear:
     between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
     off = rotation_vectors(between @ np.swapaxes(nodes.turned, 1, 2) @ exp_rotations(-error))
     count = len(error)
-    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
-    here[:, :, ATTITUDE] = -between
-    there[:, :, ATTITUDE] = np.eye(3)
+    by_node, by_next = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
+    by_node[:, :, ATTITUDE] = -between
+    by_next[:, :, ATTITUDE] = np.eye(3)
     by = np.zeros((count, 3, SHARED))
     by[:, :, AT["gyro_bias"]] = -nodes.seconds[:, None, None] * np.eye(3)
     by[:, 2, AT["bias_walk"]] = -bias_waves(nodes)
     for row in range(3):
         columns = AT["gyro_matrix"].start + 3 * row
         by[:, row, columns : columns + 3] = -nodes.angle
-    return Linear(-off, here, there, by)
+    return Linear(-off, by_node, by_next, by)
 
 
-def second_order(state: State, row: int, keeps: FloatArray, by: tuple[int, int]) -> Linear:
-    """Return the residuals of a process of second order, x[k + 1] = keeps x[k] + noise.
+def second_order(state: State, row: int, correlation: FloatArray, by: tuple[int, int]) -> Linear:
+    """Return the residuals of a process of second order, x[k + 1] = F x[k] + noise.
 
-    `row` is the index of the unknown at the nodes. `keeps` (2, n - 1) are the coefficients of the
-    two unknowns `by` at the previous node.
+    `row` is the index of the unknown at the nodes. `correlation` (2, n - 1) are the coefficients F
+    of the two unknowns `by` at the previous node.
     """
     values, count = state.local, len(state.local) - 1
-    here, there = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))
+    by_node, by_next = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))
     residual = -values[1:, row]
-    for share, column in zip(keeps, by, strict=True):
+    for share, column in zip(correlation, by, strict=True):
         residual = residual + share * values[:-1, column]
-        here[:, 0, column] = -share
-    there[:, 0, row] = 1.0
-    return Linear(residual[:, None], here, there)
+        by_node[:, 0, column] = -share
+    by_next[:, 0, row] = 1.0
+    return Linear(residual[:, None], by_node, by_next)
 
 
-def process(state: State, which: slice, keeps: FloatArray) -> Linear:
+def process(state: State, which: slice, correlation: FloatArray) -> Linear:
     """Return the residuals of a Gauss-Markov process, x[k + 1] = keeps[k] x[k] + noise."""
     values = state.local[:, which]
-    residual = keeps[:, None] * values[:-1] - values[1:]
+    residual = correlation[:, None] * values[:-1] - values[1:]
     width = which.stop - which.start
-    here, there = (np.zeros((len(keeps), width, LOCAL)) for _ in range(2))
-    here[:, :, which] = -keeps[:, None, None] * np.eye(width)
-    there[:, :, which] = np.eye(width)
-    return Linear(residual, here, there)
+    by_node, by_next = (np.zeros((len(correlation), width, LOCAL)) for _ in range(2))
+    by_node[:, :, which] = -correlation[:, None, None] * np.eye(width)
+    by_next[:, :, which] = np.eye(width)
+    return Linear(residual, by_node, by_next)
 
 
-def heading_drift(state: State, keeps: FloatArray, seconds: FloatArray) -> Linear:
+def heading_drift(state: State, correlation: FloatArray, seconds: FloatArray) -> Linear:
     """Return the residuals of a heading drift: a Gauss-Markov process, plus a constant rate."""
-    drift = process(state, HEADING_DRIFT, keeps)
-    drift.here[:, :, HEADING_RATE] = -seconds[:, None, None]
+    drift = process(state, HEADING_DRIFT, correlation)
+    drift.by_node[:, :, HEADING_RATE] = -seconds[:, None, None]
     evenly = seconds[:, None] * state.local[:-1, HEADING_RATE]
     return replace(drift, residual=drift.residual + evenly)

@@ -49,18 +49,18 @@ def force_at_nodes(course: Course, state: State) -> Linear:
         + moving * shared[AT["force_moving"]]
     )
     count = len(seconds)
-    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
-    here[:, :, ATTITUDE] = -inside @ skews(gravity)
+    by_node, by_next = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
+    by_node[:, :, ATTITUDE] = -inside @ skews(gravity)
     bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
-    here[:, :, VELOCITY] = bend - level / seconds[:, :, None]
-    there[:, :, VELOCITY] = bend + level / seconds[:, :, None]
-    there[:, :, CLIMB] = up / seconds
-    here[:, :, CLIMB] = -there[:, :, CLIMB]
+    by_node[:, :, VELOCITY] = bend - level / seconds[:, :, None]
+    by_next[:, :, VELOCITY] = bend + level / seconds[:, :, None]
+    by_next[:, :, CLIMB] = up / seconds
+    by_node[:, :, CLIMB] = -by_next[:, :, CLIMB]
     by = np.zeros((count, 3, SHARED))
     by[:, :, AT["lever_arm"]] = by_arm
     by[:, :, AT["force_offset"]] = np.eye(3)
     by[:, :, AT["force_moving"]] = moving[:, :, None] * np.eye(3)
-    return Linear(nodes.mean_force[:-1] - predicted, here, there, by)
+    return Linear(nodes.mean_force[:-1] - predicted, by_node, by_next, by)
 
 
 def sway(course: Course, state: State) -> Linear:
@@ -81,20 +81,20 @@ def sway(course: Course, state: State) -> Linear:
     axis = attitude @ upright
     rises = (axis[1:] - axis[:-1]) / seconds
     count = len(seconds)
-    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
+    by_node, by_next = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
     by_rate = height * across / seconds[:, :, None]
-    here[:, :2, ATTITUDE] = -by_rate @ between
-    there[:, :2, ATTITUDE] = by_rate
-    here[:, 2, ATTITUDE] = -arm @ skews(axis[:-1]) / seconds
-    there[:, 2, ATTITUDE] = arm @ skews(axis[1:]) / seconds
+    by_node[:, :2, ATTITUDE] = -by_rate @ between
+    by_next[:, :2, ATTITUDE] = by_rate
+    by_node[:, 2, ATTITUDE] = -arm @ skews(axis[:-1]) / seconds
+    by_next[:, 2, ATTITUDE] = arm @ skews(axis[1:]) / seconds
     moves = [*range(VELOCITY.start, VELOCITY.stop), CLIMB]
-    there[:, :, moves] = np.eye(3)
+    by_next[:, :, moves] = np.eye(3)
     by = np.zeros((count, 3, SHARED))
     by[:, :2, AT["sway_arm"].stop - 1] = -rate @ across.T
     by[:, 2, AT["sway_arm"]] = -rises @ course.axes
     by[:, 2, AT["upright"]] = -arm @ (attitude[1:] - attitude[:-1]) @ by_upright / seconds
     moved = np.column_stack([height * rate @ across.T, rises @ arm])
-    return Linear(moved - state.local[1:, moves], here, there, by)
+    return Linear(moved - state.local[1:, moves], by_node, by_next, by)
 
 
 def turning(course: Course, state: State, axes: FloatArray) -> Linear:
@@ -107,16 +107,16 @@ def turning(course: Course, state: State, axes: FloatArray) -> Linear:
     between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
     off = rotation_vectors(between @ exp_rotations(seconds * rate * axis))
     count = len(seconds)
-    here, there = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))
-    here[:, 0, ATTITUDE] = -axis @ between
-    there[:, 0, ATTITUDE] = axis
-    here[:, :, RATE] = seconds[:, :, None]
+    by_node, by_next = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))
+    by_node[:, 0, ATTITUDE] = -axis @ between
+    by_next[:, 0, ATTITUDE] = axis
+    by_node[:, :, RATE] = seconds[:, :, None]
     by = np.zeros((count, 1, SHARED))
     by[:, 0, AT["axis"]] = off @ by_axis
-    return Linear(-off @ axis[:, None], here, there, by)
+    return Linear(-off @ axis[:, None], by_node, by_next, by)
 
 
-def lean(state: State, axes: FloatArray, keeps: FloatArray) -> Linear:
+def lean(state: State, axes: FloatArray, correlation: FloatArray) -> Linear:
     """Return the residuals of a Gauss-Markov process of the axis' tilt, (n - 1, 2) radians.
 
     The body turns about an axis fixed in the body and in the world, and sways about this axis.
@@ -130,12 +130,12 @@ def lean(state: State, axes: FloatArray, keeps: FloatArray) -> Linear:
     by = np.zeros((len(leans), 2, SHARED))
     by[:, :, AT["axis"]] = -across @ by_axis
     by[:, :, AT["upright"]] = across @ state.attitude @ by_upright
-    count, kept = len(keeps), keeps[:, None, None]
-    here, there = np.zeros((count, 2, LOCAL)), np.zeros((count, 2, LOCAL))
-    here[:, :, ATTITUDE] = -kept * by_attitude[:-1]
-    there[:, :, ATTITUDE] = by_attitude[1:]
-    residual = keeps[:, None] * leans[:-1] - leans[1:]
-    return Linear(residual, here, there, by[1:] - kept * by[:-1])
+    count, kept = len(correlation), correlation[:, None, None]
+    by_node, by_next = np.zeros((count, 2, LOCAL)), np.zeros((count, 2, LOCAL))
+    by_node[:, :, ATTITUDE] = -kept * by_attitude[:-1]
+    by_next[:, :, ATTITUDE] = by_attitude[1:]
+    residual = correlation[:, None] * leans[:-1] - leans[1:]
+    return Linear(residual, by_node, by_next, by[1:] - kept * by[:-1])
 
 
 def _tilted(axes: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -232,7 +232,7 @@ def _with_mixture(
     for model, solution, mean in zip(models, joint.solutions, means, strict=True):
         at, known = model.rows_of_earth, solution.covariance
         spread = known[np.ix_(at, at)]
-        shift, wanted, gain = model.priors.fields.seen(model.earth, mean, spread)
+        shift, wanted, gain = model.priors.fields.updated(model.earth, mean, spread)
         by_earth = np.linalg.solve(spread, known[at]).T
         covariance = known + by_earth @ (wanted - spread) @ by_earth.T
         moved = by_earth @ shift
@@ -341,7 +341,7 @@ class SizeSteps:
 
     def next(self, model: Model, point: Point, solution: Solution) -> tuple[SizeSteps, Point]:
         """Return the step and the point after it."""
-        wanted, _, doubt = noise_sizes(model, point, solution)
+        wanted, _, velocity_variance = noise_sizes(model, point, solution)
         pace, steps = {}, {}
         for name, size in wanted.items():
             step = math.log(size / point.sizes[name])
@@ -350,7 +350,9 @@ class SizeSteps:
             pace[name] = 0.5 * last if step * before < 0.0 else min(2.0, 1.3 * last)
             steps[name] = pace[name] * step
         sizes = {name: size * math.exp(steps.get(name, 0.0)) for name, size in point.sizes.items()}
-        return SizeSteps(pace, steps), replace(point, sizes=sizes, doubt=doubt)
+        return SizeSteps(pace, steps), replace(
+            point, sizes=sizes, velocity_variance=velocity_variance
+        )
 
 
 def _widened(model: Model, point: Point, solution: Solution) -> Point:

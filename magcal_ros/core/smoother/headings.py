@@ -11,17 +11,17 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother import factors
-from magcal_ros.core.smoother.posterior import Posterior, posterior_at
-from magcal_ros.core.smoother.standings import (
+from magcal_ros.core.smoother.known_heading_model import (
     DRIFTS,
-    Standing,
-    StandingOptimum,
-    Standings,
+    KnownHeadingMeasurement,
+    KnownHeadingModel,
+    KnownHeadingOptimum,
     course_of,
     rms_size,
 )
+from magcal_ros.core.smoother.posterior import Posterior, posterior_at
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import MICROTESLA, SHARED, STANDING, YAW, Size
+from magcal_ros.core.smoother.unknowns import DISTURBANCE_AT_REST, MICROTESLA, SHARED, YAW, Size
 
 SPREADS = np.linspace(-2.4, 2.4, 7)
 """Sizes of the local disturbance that are tried, as prior spreads of its logarithm."""
@@ -34,7 +34,7 @@ class HeadingAgreement:
     """How well known headings, field and gyro agree."""
 
     cost: float
-    """Minus twice the logarithm of the evidence, up to a constant of the number of standings."""
+    """Minus twice the logarithm of the evidence, up to a constant of the number of measurements."""
     misfit: float
     """Sum of squared normalised residuals at the usual size of the local disturbance."""
     least: float  # the same at the largest plausible size
@@ -56,7 +56,7 @@ class HeadingAgreement:
 
 @dataclass(frozen=True, eq=False)
 class HeadingFit:
-    """The fit of standings at known headings."""
+    """The fit of measurements at known headings."""
 
     state: State
     covariance: FloatArray  # of the shared unknowns. Shape (SHARED, SHARED).
@@ -68,14 +68,16 @@ class HeadingFit:
 
 
 def fit_headings(
-    standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
+    measurements: Sequence[KnownHeadingMeasurement],
+    knowledge: Knowledge,
+    place: Size = DISTURBANCE_AT_REST,
 ) -> HeadingFit:
-    """Return the fit of the shared unknowns to one or more standings at known headings.
+    """Return the fit of the shared unknowns to one or more measurements at known headings.
 
     `place` is the size of the local disturbance. Raises
     `numpy.linalg.LinAlgError` if a matrix is not positive definite.
     """
-    model = Standings.of(standings, knowledge)
+    model = KnownHeadingModel.of(measurements, knowledge)
     found, costs, agreement = _optima(model, place)
     weights = np.exp(-0.5 * (costs - costs.min()))
     weights = weights / weights.sum()
@@ -94,8 +96,8 @@ def fit_headings(
 
 
 def _optima(
-    model: Standings, place: Size
-) -> tuple[list[StandingOptimum], FloatArray, HeadingAgreement]:
+    model: KnownHeadingModel, place: Size
+) -> tuple[list[KnownHeadingOptimum], FloatArray, HeadingAgreement]:
     """Return the optima at sizes of the local disturbance and of a drift, costs, and agreement."""
     middle = model.optimum(rms_size(place))
     sizes = place.usual * np.exp(place.spread * SPREADS)
@@ -120,34 +122,41 @@ def _optima(
 
 
 def agreement_of(
-    standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
+    measurements: Sequence[KnownHeadingMeasurement],
+    knowledge: Knowledge,
+    place: Size = DISTURBANCE_AT_REST,
 ) -> HeadingAgreement:
-    """Return the agreement of standings; parameters and errors as for `fit_headings`."""
-    model = Standings.of(standings, knowledge)
+    """Return the agreement of measurements; parameters and errors as for `fit_headings`."""
+    model = KnownHeadingModel.of(measurements, knowledge)
     middle = model.optimum(rms_size(place))
     size = place.usual * math.exp(place.spread * SPREADS[LARGEST_PLAUSIBLE])
     return _agreement(model, middle, model.optimum(size, middle.state))
 
 
 def _agreement(
-    model: Standings, usual: StandingOptimum, large: StandingOptimum
+    model: KnownHeadingModel, usual: KnownHeadingOptimum, large: KnownHeadingOptimum
 ) -> HeadingAgreement:
     freedom = 3 * len(model.heading) - 3 + int(np.isfinite(model.turned_sigma).sum())
     return HeadingAgreement(usual.cost, usual.misfit, large.misfit, freedom)
 
 
 def sigma_with(
-    fit: HeadingFit, standings: Sequence[Standing], knowledge: Knowledge, heading: float
+    fit: HeadingFit,
+    measurements: Sequence[KnownHeadingMeasurement],
+    knowledge: Knowledge,
+    heading: float,
 ) -> float:
-    """Return the sigma of the heading on the level after one more standing, radians.
+    """Return the sigma of the heading on the level after one more measurement, radians.
 
-    `fit` is the fit of the standings so far. The next standing has `heading`, radians to magnetic
-    north, and the sigma of the last standing.
+    `fit` is the fit of the measurements so far. The next one has `heading`, radians to magnetic
+    north, and the sigma of the last one.
     """
-    last = replace(standings[-1], heading=heading, turned_sigma=math.inf, way=math.inf)
-    more = Standings.of([*standings, last], knowledge)
+    last = replace(measurements[-1], heading=heading, turned_sigma=math.inf, distance=math.inf)
+    more = KnownHeadingModel.of([*measurements, last], knowledge)
     # The new field is the expected one, so that only the covariance changes.
     state = replace(more.start, shared=fit.state.shared)
     fields = more.course.nodes.field - more.field_of(state).residual
-    found = replace(more, course=course_of(fields), start=state).optimum(rms_size(STANDING))
+    found = replace(more, course=course_of(fields), start=state).optimum(
+        rms_size(DISTURBANCE_AT_REST)
+    )
     return posterior_at(found.state, found.covariance, knowledge.mounting.matrix).heading_sigma

@@ -117,7 +117,7 @@ def _moments(same: Fit) -> set[int]:
     weight, free = part.weight[:, None, None], same.model.free
     since = np.arange(FEWEST_SINCE, count - FEWEST_SINCE)
     later = np.arange(count)[:, None] >= since
-    by_node = np.swapaxes(weight * part.linear.here, 1, 2)
+    by_node = np.swapaxes(weight * part.linear.by_node, 1, 2)
     right = by_node[:, :, None, :] * later[:, None, :, None]
     flat = right.reshape(count, by_node.shape[1], -1)
     solved = solution.chain.solve(flat).reshape(right.shape)

@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window, living_axes
+from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
@@ -87,7 +87,7 @@ class Smoothed:
         return self.fits[self.mode]
 
 
-class _Trials:
+class _MotionFits:
     """The fits of a window by kind of motion, the best of each as `fits`.
 
     `progress` is called with the fraction of the work that is done.
@@ -108,7 +108,7 @@ class _Trials:
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
         self.nodes = nodes_of(samples, knowledge.mounting.to_body, spacing)
-        lives = living_axes(samples.angular_rate)
+        lives = working_axes(samples.angular_rate)
         priors = with_dead_axes(priors_of(knowledge, samples.bias_sigma), lives)
         self._state, self._priors = start(self.nodes, priors)
         self.fits = {}
@@ -117,8 +117,8 @@ class _Trials:
         """Return a coarse fit of a turn on the spot if it explains the samples, else None."""
         if self._samples.rolls:
             return None
-        part = liveliest_part(self._samples)
-        if part is not None and _Trials(part, self._knowledge).on_the_spot() is None:
+        part = part_with_most_motion(self._samples)
+        if part is not None and _MotionFits(part, self._knowledge).on_the_spot() is None:
             return None
         self._begin(Spacing())
         self.add(ON_THE_SPOT, tolerances=ROUGH)
@@ -156,7 +156,7 @@ class _Trials:
 
     def _equal_weight(self, name: str, spot: Fit) -> float:
         """Return the evidence at which a kind of motion has the weight of a turn on the spot."""
-        # With the same weights as in `mixed`.
+        # With the same weights as in `mixture_of_kinds`.
         odds = self._usual.get(name, 1.0) / self._usual[ON_THE_SPOT]
         return spot.evidence + math.log(odds) / EVIDENCE_WEIGHT
 
@@ -243,16 +243,16 @@ class _Trials:
         self._begin(WHILE_DRIVING)
         self._without_false_rests()
 
-    def mixed(self) -> Smoothed:
+    def mixture_of_kinds(self) -> Smoothed:
         """Return the weighted result of the fits."""
         if not self.fits and self._impossible:
             raise Refusal(Reason.AXES_DISAGREE, DIFFERENT_TURNS)
         if not self.fits:
             raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
-        return mixed(self.fits, self.nodes, self._knowledge, self._usual)
+        return mixture_of_kinds(self.fits, self.nodes, self._knowledge, self._usual)
 
 
-def liveliest_part(window: Window) -> Window | None:
+def part_with_most_motion(window: Window) -> Window | None:
     """Return the part of a long window in which the force changes most.
 
     None if the window is short or the part has too few samples.
@@ -279,7 +279,7 @@ def smooth(
     The window has a gyro. `progress` is called with the fraction of the work that is done. Raises
     `Refusal` if no fit converges.
     """
-    trials = _Trials(window, knowledge, progress)
+    trials = _MotionFits(window, knowledge, progress)
     if (spot := trials.on_the_spot()) is not None:
         if not spot.converged:
             trials.add(ON_THE_SPOT, spot)
@@ -291,21 +291,21 @@ def smooth(
                 trials.add(name, best)
     else:
         trials.drives()
-    return trials.mixed()
+    return trials.mixture_of_kinds()
 
 
-def promised_sigma(window: Window, knowledge: Knowledge) -> float:
+def expected_sigma(window: Window, knowledge: Knowledge) -> float:
     """Return an approximate sigma of the heading on the level by `smooth`, radians.
 
     Parameters and errors as for `smooth`. It takes less time (two fifths for a drive): only two
     fits are made, with few iterations.
     """
-    trials = _Trials(window, knowledge)
+    trials = _MotionFits(window, knowledge)
     if (spot := trials.on_the_spot()) is not None:
         trials.add(SMALL_CIRCLE, spot, ROUGH)
     else:
         trials.drives_roughly()
-    return trials.mixed().posterior.heading_sigma
+    return trials.mixture_of_kinds().posterior.heading_sigma
 
 
 def gyro_is_usual(fit: Fit) -> bool:
@@ -318,7 +318,7 @@ def gyro_is_usual(fit: Fit) -> bool:
     )
 
 
-def mixed(
+def mixture_of_kinds(
     fits: dict[str, Fit], nodes: Nodes, knowledge: Knowledge, usual: Mapping[str, float] = USUAL
 ) -> Smoothed:
     """Return fits with their weights: evidence times the prior weight of the kind of motion."""
@@ -333,7 +333,7 @@ def mixed(
     mean = mixture(found, weights, best)
     square = sum(
         weights[name]
-        * (each.apart(mean) ** 2 + rms_sigma(each.heading_jacobian, each.by_offset) ** 2)
+        * (each.distance_to(mean) ** 2 + rms_sigma(each.heading_jacobian, each.by_offset) ** 2)
         for name, each in found.items()
     )
     return Smoothed(nodes, best, fits, weights, mean, math.sqrt(square))

@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.smoother import factors, factors_by_field
-from magcal_ros.core.smoother.earth import EarthPrior
+from magcal_ros.core.smoother.earth import GaussianEarthPrior
 from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Linear
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
@@ -53,7 +53,7 @@ class Model:
     axes: FloatArray  # the body's level axes (`level_axes`). Shape (3, 3).
     priors: Priors
     kind: KindOfMotion
-    earth: EarthPrior  # the Gaussian of the iterations
+    earth: GaussianEarthPrior  # the Gaussian of the iterations
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -72,7 +72,7 @@ class Model:
             scale[CURRENT_LATE] = UNKNOWNS["current_late"].sigma[0]
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         # On wheels the velocity changes less sideways than ahead.
-        begun = zip(CHANGES, (1.0, math.sqrt(kind.aside)), strict=True)
+        begun = zip(CHANGES, (1.0, math.sqrt(kind.sideways)), strict=True)
         begins = {n: priors.sizes[n]._replace(start=kind.begins * by) for n, by in begun}
         spread = {**priors.spread, **dict.fromkeys(MOTORS, kind.motors)}
         return cls(
@@ -132,7 +132,7 @@ class Point:
     sizes: dict[str, float]  # of the noises (`SIZES`)
     groups: dict[str, float]  # factors of the sigmas of the shared unknowns (`Unknown`)
     places: Places
-    doubt: FloatArray = field(repr=False)
+    velocity_variance: FloatArray = field(repr=False)
     """Variance of the nodes' velocities, both axes together, (m/s)². Shape (n,)."""
     marginal: FloatArray | None = field(default=None, repr=False)
     """Gradient by the shared unknowns of the log determinant of the nodes' information matrix, to
@@ -247,13 +247,13 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     # The fluctuation of running motors is independent of the field in the rest before or after.
     still = course.still
     fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
-    keeps = np.exp(-fades)
+    correlation = np.exp(-fades)
     found = {
         "field": measured("field", field, per_node),
         "body_field": changing(
             ("body_field", "motors_noise"),
-            factors.process(state, BODY_FIELD, keeps),
-            1.0 - keeps**2,
+            factors.process(state, BODY_FIELD, correlation),
+            1.0 - correlation**2,
             still[1:],
         ),
     }
@@ -266,7 +266,7 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         )
     force, gyro, unseen = factors.force(course, state), factors.gyro(course, state), nodes.unseen
     stands = still[1:] & still[:-1] & model.kind.traffic
-    keeps = np.where(stands, 1.0, np.exp(-path_between(model, point) / places.length))
+    correlation = np.where(stands, 1.0, np.exp(-path_between(model, point) / places.length))
     return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),
         "force_up": measured("force_up", force.part(UP_AXIS), per_link),
@@ -276,8 +276,8 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         "gyro_up": measured("gyro_up", gyro.part(UP_AXIS), seconds, unseen[:, 2]),
         "street": changing(
             ("traffic", "street"),
-            factors.process(state, STREET, keeps),
-            np.where(stands, seconds, 1.0 - keeps**2),
+            factors.process(state, STREET, correlation),
+            np.where(stands, seconds, 1.0 - correlation**2),
             stands,
         ),
         **_motion(model, point, 0),
@@ -299,12 +299,12 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
     v_square = speed**2 * (1.0 - by_v[0] ** 2) - size**2 * by_v[1] ** 2
     a_square = size**2 * (1.0 - by_a[1] ** 2) - speed**2 * by_a[0] ** 2
     found = {}
-    for kind, keeps, variance, column in (
+    for kind, correlation, variance, column in (
         (VELOCITIES[axis], by_v, v_square, VELOCITY),
         (name, by_a, a_square, ACCELERATION),
     ):
         by = VELOCITY.start + axis, ACCELERATION.start + axis
-        linear = factors.second_order(point.state, column.start + axis, keeps, by)
+        linear = factors.second_order(point.state, column.start + axis, correlation, by)
         sized = {kind: np.ones(len(seconds), dtype=bool)} if kind == name else {}
         found[kind] = Weighted(
             linear, np.maximum(variance, 0.0) + LEAST_VARIANCE, point.freedom(model, name), sized
@@ -318,7 +318,7 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     assert nodes.tied_to is not None
     per_node = np.median(nodes.count) / nodes.count[:-1]
     force = factors_by_field.force_at_nodes(course, state)
-    keeps = np.exp(-nodes.seconds / model.priors.lengths.sway)
+    correlation = np.exp(-nodes.seconds / model.priors.lengths.sway)
     # At starts and stops the motors turn the field, which looks like a turn of the robot.
     starts = course.still[1:] != course.still[:-1]
 
@@ -326,7 +326,9 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     return {
         "force": sized("force", force.part(LEVEL_AXES), per_node),
         "force_up": sized("force_up", force.part(UP_AXIS), per_node),
-        "lean": sized("lean", factors_by_field.lean(state, nodes.tied_to, keeps), 1.0 - keeps**2),
+        "lean": sized(
+            "lean", factors_by_field.lean(state, nodes.tied_to, correlation), 1.0 - correlation**2
+        ),
         "gyro_up": sized(
             "gyro_up",
             factors_by_field.turning(course, state, nodes.tied_to),
@@ -345,7 +347,9 @@ def path_between(model: Model, point: Point) -> FloatArray:
     """Return the path of the magnetometer between nodes, m, (n - 1,), by the RMS velocity."""
     velocity, nodes, moving = point.state.local[:, VELOCITY], model.nodes, point.course.moving
     mean = 0.5 * (velocity[1:] + velocity[:-1])
-    square = np.sum(mean**2, axis=1) + 0.5 * (point.doubt[1:] + point.doubt[:-1])
+    square = np.sum(mean**2, axis=1) + 0.5 * (
+        point.velocity_variance[1:] + point.velocity_variance[:-1]
+    )
     around = model.priors.lengths.beside * np.linalg.norm(nodes.link_rate, axis=1)
     share = 0.5 * (moving[1:] + moving[:-1])
     return np.asarray(nodes.seconds * np.sqrt(square + around**2) * share + 1e-6)

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, block_means
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
-from magcal_ros.core.samples.rest import RestBeside
+from magcal_ros.core.samples.rest import AttachedRest
 from magcal_ros.core.samples.window import NEIGHBOURS, Window, spikes_replaced, white_noise
 from magcal_ros.core.smoother.currents import Clock, Currents
 from magcal_ros.core.smoother.gyro_steps import gyro_steps
@@ -296,7 +296,7 @@ def _with_rests(
     return nodes
 
 
-def _with_rest(nodes: Nodes, rest: RestBeside, to_rest: FloatArray, to_body: FloatArray) -> Nodes:
+def _with_rest(nodes: Nodes, rest: AttachedRest, to_rest: FloatArray, to_body: FloatArray) -> Nodes:
     """Add a rest before or after a window as two nodes, its start and its end.
 
     `to_rest` is the rotation from the body axes of the nearest node to those at rest.

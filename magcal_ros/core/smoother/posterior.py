@@ -8,7 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction, MotorField, MotorInput
-from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_apart, rms_sigma
+from magcal_ros.core.calibration.heading_sigma import (
+    heading_jacobian,
+    rms_heading_difference,
+    rms_sigma,
+)
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_from_rpy, skew
@@ -78,9 +82,11 @@ class Posterior:
         field = self.strength * np.array([0.0, level, -down])
         return heading_jacobian(self.correction, field, 0.0)
 
-    def apart(self, other: Posterior) -> float:
+    def distance_to(self, other: Posterior) -> float:
         """Return the RMS difference of heading on the level, radians."""
-        return rms_apart(self.correction, other.correction, self.strength, self.inclination)
+        return rms_heading_difference(
+            self.correction, other.correction, self.strength, self.inclination
+        )
 
 
 def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:

@@ -11,7 +11,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.smoother.earth import Fields
+from magcal_ros.core.smoother.earth import EarthFieldPrior
 from magcal_ros.core.smoother.unknowns import (
     ALIKE,
     AT,
@@ -41,7 +41,7 @@ class Priors:
 
     mean: FloatArray  # Shape (SHARED,)
     scale: FloatArray  # sigma of each unknown; zero if it is held fixed. Shape (SHARED,).
-    fields: Fields  # of the Earth, in place of mean and scale
+    fields: EarthFieldPrior  # of the Earth, in place of mean and scale
     forward: FloatArray  # front of the vehicle in body axes. Shape (3,).
     spread: Mapping[str, float] = field(
         default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
@@ -165,7 +165,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         "current_late",
     ):
         scale[AT[name]] = 0.0
-    fields = Fields.of(knowledge.reference)
+    fields = EarthFieldPrior.of(knowledge.reference)
     mean[EARTH] = fields.gaussian.mean
     mean[CURRENT_LATE] = USUALLY_LATE
     most = {name: each.most for name, each in UNKNOWNS.items()}

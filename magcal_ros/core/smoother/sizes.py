@@ -50,8 +50,8 @@ def noise_sizes(
             sizes[name] = _next_size(
                 point.sizes[name], total, shown[name], model.priors.sizes[name]
             )
-    doubt = np.trace(spread.own[:, VELOCITY, VELOCITY], axis1=1, axis2=2)
-    return sizes, shown, doubt
+    velocity_variance = np.trace(spread.own[:, VELOCITY, VELOCITY], axis1=1, axis2=2)
+    return sizes, shown, velocity_variance
 
 
 def _by_centres(point: Point, solution: Solution) -> tuple[float, float]:
@@ -88,17 +88,19 @@ class _Spread:
         """Return the residuals with the sum of the variances of their components, shape (k,)."""
         for stack in stacks:
             by_local, count = stack.rows[:, :, : stack.reached], len(stack.rows)
-            here, there = by_local[:, :, :LOCAL], by_local[:, :, LOCAL:]
+            by_node, by_next = by_local[:, :, :LOCAL], by_local[:, :, LOCAL:]
             if stack.reached == LOCAL:
-                total = ((here @ self.own[:count]) * here).sum(axis=2)
+                total = ((by_node @ self.own[:count]) * by_node).sum(axis=2)
             else:
-                total = ((here @ self.own[:-1]) * here).sum(axis=2)
-                total += ((2.0 * here @ self.beside + there @ self.own[1:]) * there).sum(axis=2)
+                total = ((by_node @ self.own[:-1]) * by_node).sum(axis=2)
+                total += ((2.0 * by_node @ self.beside + by_next @ self.own[1:]) * by_next).sum(
+                    axis=2
+                )
             direct = stack.rows[:, :, stack.reached + 1 :]
             if known := direct.shape[2]:
-                cross = here @ self.cross[:count]
+                cross = by_node @ self.cross[:count]
                 if stack.reached > LOCAL:
-                    cross += there @ self.cross[1:]
+                    cross += by_next @ self.cross[1:]
                 own = (direct.reshape(-1, known) @ self.shared).reshape(direct.shape)
                 total += ((own + 2.0 * cross) * direct).sum(axis=2)
             for part, own_columns in stack.columns:

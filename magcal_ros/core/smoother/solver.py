@@ -155,24 +155,24 @@ class Stack:
         alike: dict[tuple[int, bool, bool], list[Weighted]] = {}
         for part in weighted:
             linear = part.linear
-            key = len(linear.here), linear.there is None, linear.shared is None
+            key = len(linear.by_node), linear.by_next is None, linear.shared is None
             alike.setdefault(key, []).append(part)
         return [cls._of_alike(parts, free) for parts in alike.values()]
 
     @classmethod
     def _of_alike(cls, parts: list[Weighted], free: IntArray) -> Stack:
         first = parts[0].linear
-        reached = LOCAL if first.there is None else 2 * LOCAL
+        reached = LOCAL if first.by_next is None else 2 * LOCAL
         count = 0 if first.shared is None else len(free)
         width = sum(part.linear.residual.shape[1] for part in parts)
-        rows = np.zeros((len(first.here), width, reached + 1 + count))
-        weight, columns, at = np.empty((len(first.here), width, 1)), [], 0
+        rows = np.zeros((len(first.by_node), width, reached + 1 + count))
+        weight, columns, at = np.empty((len(first.by_node), width, 1)), [], 0
         for part in parts:
             linear = part.linear
             own = slice(at, at + linear.residual.shape[1])
-            rows[:, own, :LOCAL] = linear.here
-            if linear.there is not None:
-                rows[:, own, LOCAL:reached] = linear.there
+            rows[:, own, :LOCAL] = linear.by_node
+            if linear.by_next is not None:
+                rows[:, own, LOCAL:reached] = linear.by_next
             rows[:, own, reached] = linear.residual
             if linear.shared is not None:
                 shared = linear.by(free)

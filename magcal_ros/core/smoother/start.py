@@ -50,7 +50,7 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     per turn rate (w). A current adds a term of the same form. Installation and soft iron start at
     zero.
     """
-    up, level, yaw = held_by_gyro(nodes)
+    up, level, yaw = in_first_axes(nodes)
     run = np.concatenate([[0], np.cumsum(~nodes.is_tied)])
     longest = run == np.bincount(run).argmax()
     piece = _pieces(nodes.time[longest])
@@ -90,7 +90,7 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     return State(turned @ north.T, np.zeros((len(nodes), LOCAL)), shared), about
 
 
-def held_by_gyro(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
+def in_first_axes(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return up in body axes (n, 3), level axes (n, 3, 3), and the yaw (n,) by the gyro alone."""
     up = _up(nodes, chained(nodes.turned[None])[0])
     spin = np.sum(nodes.rate * up, axis=1)
@@ -182,7 +182,7 @@ DIP = math.radians(60.0)  # dip that is tried if neither the field's strength no
 
 
 @dataclass(frozen=True, eq=False)
-class Guess:
+class StartGuess:
     """One geometric solution for axis, circle and dip."""
 
     attitude: FloatArray  # magnetic ENU to body axes. Shape (n, 3, 3).
@@ -194,14 +194,14 @@ class Guess:
     inclination: float  # µT, radians
 
 
-def starts(field: FloatArray, up: FloatArray, reference: ReferenceField) -> list[Guess]:
+def starts(field: FloatArray, up: FloatArray, reference: ReferenceField) -> list[StartGuess]:
     """Return first guesses in no particular order.
 
     The field (n, 3) is in nominal body axes, µT, and `up` (n, 3) are unit vectors in body axes.
     """
     circle = fit_circle_robustly(field)
     dips = _Dips(reference)
-    found: list[Guess] = []
+    found: list[StartGuess] = []
     for axis in _axes(up):
         normal = circle.normal * math.copysign(1.0, float(circle.normal @ axis))
         for tilt in roll_pitch_between(axis, normal, or_nearest=True):
@@ -258,7 +258,7 @@ class _Dips:
         field: FloatArray,
         tilt: tuple[float, float],
         iron: FloatArray,
-    ) -> Guess:
+    ) -> StartGuess:
         """Return the guess whose world fits `up` and `field` in the turn's frame.
 
         `turned` (n, 3, 3) leads from the turn's frame to body axes.
@@ -268,7 +268,7 @@ class _Dips:
         seen = math.asin(min(1.0, max(-1.0, sine)))
         east = unit(np.cross(field, up))
         world = np.stack([east, np.cross(up, east), up])
-        return Guess(
+        return StartGuess(
             turned @ world.T,
             turned[0, :, 2],
             iron,
@@ -286,7 +286,7 @@ def _with_dips(
     axis: FloatArray,
     tilt: tuple[float, float],
     dips: _Dips,
-) -> Iterator[Guess]:
+) -> Iterator[StartGuess]:
     """Yield a guess for each possible angle between the field and the turn's plane."""
     body_axis = minimal_rotation(Z, axis)
     installed = (field - circle.centre) @ rotation_from_rpy(*tilt).T @ body_axis
@@ -303,7 +303,7 @@ def _turned_to(field: FloatArray) -> FloatArray:
     return rotation_about(Z, np.arctan2(field[:, 1], field[:, 0]))
 
 
-def _level_start(field: FloatArray, up: FloatArray, dips: _Dips) -> Guess | None:
+def _level_start(field: FloatArray, up: FloatArray, dips: _Dips) -> StartGuess | None:
     """Guess without installation error: `m.u = c + h.u` and `|m|^2 = 2 m.h + k`, linear in h.
 
     It needs no circle, so that it also works if a turn wobbles too much for one.

@@ -15,18 +15,18 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
-from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_possible, mixed
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_possible, mixture_of_kinds
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.posterior import posterior
 from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, SMALL_CIRCLE
 from magcal_ros.core.smoother.without_gyro import (
-    apart,
     guesses,
     in_a_circle,
     in_a_gradient,
     nodes_by_field,
+    state_distance,
     without_rates,
 )
 
@@ -64,7 +64,7 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
         # With exact sensors only a turn on the spot is considered.
         found = {ON_THE_SPOT: each} if knowledge.exact_sensors else _with_gradient(each)
         fits |= {name + root: other for name, other in found.items()}
-    return mixed(fits, roots[0].model.nodes, knowledge, USUAL)
+    return mixture_of_kinds(fits, roots[0].model.nodes, knowledge, USUAL)
 
 
 def _with_gradient(first: Fit) -> dict[str, Fit]:
@@ -97,7 +97,7 @@ def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
     """Return the distinct fits whose evidence is near the best, in order of evidence."""
     kept: list[Fit] = []
     for each in sorted(fits, key=lambda fit: fit.evidence):
-        new = all(apart(each.state, other.state) > DISTINCT for other in kept)
+        new = all(state_distance(each.state, other.state) > DISTINCT for other in kept)
         if new and each.evidence < (kept or [each])[0].evidence + furthest:
             kept.append(each)
     return kept
@@ -130,4 +130,4 @@ def rival_gap(found: Smoothed) -> float:
     if len(by_root) < 2 or min(found.weights[name] for name in by_root.values()) < RIVAL:
         return 0.0
     one, other = (posterior(found.fits[name], np.eye(3)) for name in by_root.values())
-    return one.apart(other)
+    return one.distance_to(other)

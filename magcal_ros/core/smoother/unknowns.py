@@ -24,7 +24,7 @@ local disturbance of the Earth's field (µT, world axes); coloured noise of the 
 correlated change of the velocity (m/s², level axes of the body)."""
 LOCAL = 13
 HEADING_DRIFT, HEADING_RATE = slice(3, 4), slice(4, 5)
-"""At standings, in place of the velocity: the drift of a device's heading, degrees, and its
+"""At known headings, in place of the velocity: the drift of a device's heading, degrees, and its
 constant rate, degrees per second."""
 RATE, CLIMB = slice(5, 6), 6
 """Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s,
@@ -245,7 +245,7 @@ SIZES: dict[str, Size] = {
     "slip": Size(0.01, 2.0, 4.0, "m/s²", "the same sideways", "wheels .01 to .05", most=3.0),
 }
 
-STANDING = Size(
+DISTURBANCE_AT_REST = Size(
     0.7, 0.5, 6.0, "µT", "local disturbance where a robot stands, per axis", "open places: .3 to 2"
 )
 """Of a robot at rest at a known heading, in place of `street`."""
@@ -272,7 +272,7 @@ class KindOfMotion(NamedTuple):
     """A kind of motion, with the groups that are free in it."""
 
     speed: float  # usual velocity ahead, m/s
-    aside: float  # usual velocity sideways over that ahead: wheels roll ahead
+    sideways: float  # usual velocity sideways over that ahead: wheels roll ahead
     lever_arm: float  # usual distance of the accelerometer from the pivot, metres per axis
     begins: float
     """Initial size of the acceleration, m/s². If it is too small, acceleration is taken for tilt;
@@ -288,12 +288,12 @@ class KindOfMotion(NamedTuple):
     @property
     def velocity(self) -> FloatArray:
         """Usual velocity ahead and sideways, m/s, shape (2,)."""
-        return self.speed * np.array([1.0, self.aside])
+        return self.speed * np.array([1.0, self.sideways])
 
     @property
     def has_wheels(self) -> bool:
         """Whether the robot drives ahead, so that its accelerations show the forward direction."""
-        return self.aside < 1.0
+        return self.sideways < 1.0
 
 
 ON_THE_SPOT, SMALL_CIRCLE = "on the spot", "small circle"

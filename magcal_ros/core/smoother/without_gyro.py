@@ -21,7 +21,7 @@ from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window, without_spikes
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.priors import Priors
-from magcal_ros.core.smoother.start import Guess, starts
+from magcal_ros.core.smoother.start import StartGuess, starts
 from magcal_ros.core.smoother.state import State, level_axes
 from magcal_ros.core.smoother.unknowns import (
     AT,
@@ -145,14 +145,14 @@ def guesses(
     return found
 
 
-def apart(one: State, other: State) -> float:
+def state_distance(one: State, other: State) -> float:
     """Return the larger difference: of installation (radians), or of hard iron over the field."""
     off = np.abs(one.shared - other.shared)
     field = float(np.linalg.norm(one.shared[EARTH]))
     return float(max(off[ROLL_PITCH].max(), off[AT["iron"]].max() / field))
 
 
-def _as_state(guess: Guess, nodes: Nodes, priors: Priors) -> tuple[State, Priors]:
+def _as_state(guess: StartGuess, nodes: Nodes, priors: Priors) -> tuple[State, Priors]:
     shared = priors.mean.copy()
     shared[AT["iron"]] = guess.iron
     shared[ROLL_PITCH] = guess.roll, guess.pitch

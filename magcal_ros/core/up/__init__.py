@@ -8,6 +8,6 @@ __getattr__, __dir__, __all__ = lazy_names(
     filter: REST
     follower: Levelling Up UpFollower propagated_up
     propagation: GyroBias
-    stillness: BlockMeans GyroCheck ShakenRest SteadySpell
+    stillness: BlockMeans GyroCheck ShakenRest SteadyInterval
     """,
 )

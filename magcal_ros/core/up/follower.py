@@ -12,8 +12,8 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.vec3 import (
     Triple,
-    between,
     distance,
+    interpolate,
     length,
     minus,
     propagated,
@@ -99,11 +99,11 @@ class Levelling:
     def add(self, force: Triple, seconds: float) -> None:
         """Add a reading, `seconds` after the previous one."""
         seen = unit_triple(force)
-        up = between(self.up, seen, 1.0 - math.exp(-seconds / PROPAGATION.smoothing))
+        up = interpolate(self.up, seen, 1.0 - math.exp(-seconds / PROPAGATION.smoothing))
         self.up = unit_triple(up) if length(up) > 0.0 else seen
         self._seconds += seconds
         memory = 1.0 - math.exp(-seconds / PROPAGATION.memory)
-        self._mean = between(self._mean, self.up, memory)
+        self._mean = interpolate(self._mean, self.up, memory)
         away = distance(self.up, self._mean)
         self._scatter += memory * (0.5 * away * away - self._scatter)
         size = length(force)
@@ -118,8 +118,8 @@ class Levelling:
 
         It includes the scatter of up. An acceleration of p g across up lengthens the force by p²/2.
         """
-        stretch = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.smallest)
-        return FILTER.floor**2 + self._scatter + stretch
+        segment = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.smallest)
+        return FILTER.floor**2 + self._scatter + segment
 
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0
@@ -263,7 +263,7 @@ class UpFollower:
             if after is None:
                 up = propagated(up, scaled(self.rate, since))
             else:
-                up = between(up, after[1], since / span)
+                up = interpolate(up, after[1], since / span)
         return Up(unit_triple(up), variance) if length(up) > 0.0 else None
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.vec3 import (
     Triple,
-    between,
     distance,
     dot,
+    interpolate,
     length,
     minus,
     plus,
@@ -28,7 +28,7 @@ from magcal_ros.core.up.stillness import (
     FieldStillness,
     GyroCheck,
     ShakenRest,
-    SteadySpell,
+    SteadyInterval,
 )
 
 
@@ -82,7 +82,7 @@ class GyroPropagation:
         self._stamp, self._force, self._rate, self._is_given = stamp, force, rate, is_given
         self.mean_rate = ZERO
         self._block = Block()
-        self._spell = SteadySpell()
+        self._steady = SteadyInterval()
         self.field.begin()
         self._shaken.forget()
         self._is_still = self.is_settled = False
@@ -109,7 +109,7 @@ class GyroPropagation:
             # Velocity and acceleration of the filter are now residual ones, or no longer so.
             self._is_given = is_given
             self._filter.forget_motion(self._motion(self.is_settled), is_faster=True)
-        self.mean_rate = minus(between(before, rate, 0.5), self.bias)
+        self.mean_rate = minus(interpolate(before, rate, 0.5), self.bias)
         turn = scaled(self.mean_rate, seconds)
         self.up = propagated(self.up, turn)
         count, lasted, forces, ups, rates, turns = self._block
@@ -139,21 +139,21 @@ class GyroPropagation:
         self._at_rest = None
         turn_variance = self._rate_noise * block.seconds**2 / block.messages
         self.check.add(means.force, block.turn, block.seconds, turn_variance)
-        goes_on = self._spell.add(means, noise, math.sqrt(self._rate_noise))
+        goes_on = self._steady.add(means, noise, math.sqrt(self._rate_noise))
         if not goes_on:
             self.field.begin()
             self._is_still = False
-        doubt = self._turn_doubt()
-        motion = self._motion(self.is_settled and doubt is not None)
+        ambiguous_rate = self._ambiguous_rate()
+        motion = self._motion(self.is_settled and ambiguous_rate is not None)
         following.predict(self.up, block.turn, block.seconds, motion)
-        if self.is_settled and (doubt is None or not goes_on):
+        if self.is_settled and (ambiguous_rate is None or not goes_on):
             self.is_settled = False
             following.forget_motion(self._motion())
         # An average: noise of the rate times the velocity would look like an acceleration.
         share = min(1.0, block.seconds / FILTER.acceleration_lasts)
         newest = self._turn_rate(block.turn) / block.seconds
         self._steady_turn += share * (newest - self._steady_turn)
-        turning = 0.0 if doubt == 0.0 else self._steady_turn
+        turning = 0.0 if ambiguous_rate == 0.0 else self._steady_turn
         innovation = np.array(minus(means.force, scaled(block.up, 1.0 / block.messages)))
         following.observe_force(innovation, self._noise / block.messages, turning)
         if self._rest_sigma < FILTER.rest_length_sigma:
@@ -161,20 +161,20 @@ class GyroPropagation:
             tilt = following.tilt_variance
             following.observe_length(self._rest, self._rest_sigma**2 + tilt**2)
         if not self.is_settled:
-            self._settle(doubt, noise)
-        elif self._spell.seconds > REST.undecided:
-            self._learn(means, doubt, noise)
+            self._settle(ambiguous_rate, noise)
+        elif self._steady.seconds > REST.undecided:
+            self._learn(means, ambiguous_rate, noise)
         self._look_for_shaken_rest(means)
         self._take_over()
 
-    def _turn_doubt(self) -> float | None:
+    def _ambiguous_rate(self) -> float | None:
         """Return the rate (rad/s) that may be turn or bias: zero at rest, None in a turn."""
-        spell = self._spell
-        if length(spell.rate) > FILTER.largest_bias:
+        interval = self._steady
+        if length(interval.rate) > FILTER.largest_bias:
             return None
-        excess = minus(spell.rate, self.bias)
-        size = length(spell.force)
-        about = abs(dot(excess, spell.force)) / size if size > 0.0 else length(excess)
+        excess = minus(interval.rate, self.bias)
+        size = length(interval.force)
+        about = abs(dot(excess, interval.force)) / size if size > 0.0 else length(excess)
         if not self.field.is_heard(self._stamp):
             return 0.0 if about < REST.largest_rate else about
         if self._is_still or about < REST.doubtful_rate:
@@ -186,17 +186,17 @@ class GyroPropagation:
         self._is_still = not has_turned
         return 0.0 if self._is_still else None
 
-    def _learn(self, means: BlockMeans, doubt: float | None, noise: float) -> None:
+    def _learn(self, means: BlockMeans, ambiguous_rate: float | None, noise: float) -> None:
         """Learn the bias and the accelerometer's length from a robot at rest."""
-        spell = self._spell
-        axis = None if doubt == 0.0 else np.array(unit_triple(spell.force))
+        interval = self._steady
+        axis = None if ambiguous_rate == 0.0 else np.array(unit_triple(interval.force))
         white = self._rate_noise / means.messages
         # A rolling robot sways more slowly than a block: the mean of a block still contains sway.
-        sway = max(0.0, spell.sway - white) * REST.sways / means.seconds
+        sway = max(0.0, interval.sway - white) * REST.sways / means.seconds
         self._filter.observe_bias(np.array(means.rate), white + sway, axis)
         self._at_rest = (means.rate, white + sway) if axis is None else None
-        self._rest = length(spell.force)
-        self._rest_sigma = math.hypot(REST.length_floor, noise / math.sqrt(spell.count))
+        self._rest = length(interval.force)
+        self._rest_sigma = math.hypot(REST.length_floor, noise / math.sqrt(interval.count))
 
     def _look_for_shaken_rest(self, means: BlockMeans) -> None:
         """Learn bias and up from a robot that an engine shakes at rest."""
@@ -216,31 +216,31 @@ class GyroPropagation:
             following.begin(force, REST.agrees**2, 0.0, self._motion(True))
             following.forget_motion(self._motion())
 
-    def _settle(self, doubt: float | None, noise: float) -> None:
+    def _settle(self, ambiguous_rate: float | None, noise: float) -> None:
         """Use the accelerometer once it is steady for long enough, or its length shows a rest."""
-        spell, following, motion = self._spell, self._filter, self._motion(True)
-        if doubt is None:
+        interval, following, motion = self._steady, self._filter, self._motion(True)
+        if ambiguous_rate is None:
             return
-        is_short = spell.seconds <= REST.undecided
+        is_short = interval.seconds <= REST.undecided
         # Variance of the accelerations that a steady robot may hide, compared with that of up.
-        hidden = motion.acceleration**2 + (motion.speed * doubt) ** 2
-        if doubt and (is_short or following.tilt_variance <= hidden):
+        hidden = motion.acceleration**2 + (motion.speed * ambiguous_rate) ** 2
+        if ambiguous_rate and (is_short or following.tilt_variance <= hidden):
             return
         if self._is_given and is_short:
             # An error of the given acceleration tilts the force without changing its length.
             return
         up: Triple = tuple(following.up.tolist())
-        if not spell.shows_up(up, self._rest, self._rest_sigma, noise):
+        if not interval.shows_up(up, self._rest, self._rest_sigma, noise):
             return
         self.is_settled = True
-        jump = distance(unit_triple(spell.force), unit_triple(up))
+        jump = distance(unit_triple(interval.force), unit_triple(up))
         # A jump of up that the gyro does not show may be a long, constant acceleration.
-        is_doubtful = spell.seconds >= REST.agreeing
+        is_doubtful = interval.seconds >= REST.agreeing
         if not is_doubtful or jump < CLEAR * math.sqrt(following.tilt_variance):
             jump = 0.0
-        variance = self._noise / spell.count + FILTER.floor**2
+        variance = self._noise / interval.count + FILTER.floor**2
         motion = MotionPrior(motion.speed, math.hypot(motion.acceleration, jump))
-        following.begin(np.array(spell.force), variance, doubt or 0.0, motion)
+        following.begin(np.array(interval.force), variance, ambiguous_rate or 0.0, motion)
 
     def _turn_rate(self, rate: Triple) -> float:
         """Return the part about up of a rate without its bias."""
@@ -253,7 +253,7 @@ class GyroPropagation:
         if self._is_given:
             speed, acceleration = FILTER.given_speed, FILTER.given_acceleration
         if is_steady:
-            acceleration = max(FILTER.floor, math.sqrt(self._spell.shake))
+            acceleration = max(FILTER.floor, math.sqrt(self._steady.shake))
         return MotionPrior(speed / STANDARD_GRAVITY, acceleration)
 
     def _take_over(self) -> None:

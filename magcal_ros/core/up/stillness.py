@@ -15,10 +15,10 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import (
     Triple,
-    between,
     cross,
     distance,
     dot,
+    interpolate,
     length,
     minus,
     plus,
@@ -54,7 +54,7 @@ class FieldStillness:
             self.begin()
         else:
             share = min(1.0, seconds / REST.field_mean)
-            self.mean = between(self.mean, field, share)
+            self.mean = interpolate(self.mean, field, share)
             # Half the square of a difference is the noise.
             square = distance(field, self._last) ** 2 / 6.0
             self._noise += 0.2 * share * (square - self._noise)
@@ -63,7 +63,7 @@ class FieldStillness:
             self._since = stamp
         if stamp - self._since < REST.field_mean:
             self._first_count += 1
-            self._first = between(self._first, field, 1.0 / self._first_count)
+            self._first = interpolate(self._first, field, 1.0 / self._first_count)
 
     def is_heard(self, stamp: float) -> bool:
         """Whether a field sample came shortly before a stamp."""
@@ -97,7 +97,7 @@ class BlockMeans(NamedTuple):
     seconds: float
 
 
-class SteadySpell:
+class SteadyInterval:
     """Detects a spell of blocks in which force and rate are constant.
 
     `sway` and `shake` are the variances per axis of the rates, (rad/s)², and forces, g².
@@ -125,8 +125,8 @@ class SteadySpell:
                 third = (1.0 - share) / 3.0
                 self.sway += share * (third * distance(rate, self.rate) ** 2 - self.sway)
                 self.shake += share * (third * distance(force, self.force) ** 2 - self.shake)
-                self.force = between(self.force, force, share)
-                self.rate = between(self.rate, rate, share)
+                self.force = interpolate(self.force, force, share)
+                self.rate = interpolate(self.rate, rate, share)
                 self.seconds += seconds
                 return True
         self.seconds, self.count, self.force, self.rate = seconds, count, force, rate
@@ -143,12 +143,12 @@ class SteadySpell:
         if self.seconds >= REST.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
             return self.seconds >= REST.lasting
         cosine = min(1.0, dot(self.force, up) / (size * up_size))
-        stretch = rest / max(cosine, 0.1) - rest
+        segment = rest / max(cosine, 0.1) - rest
         excess = size - rest
         clear = CLEAR * math.sqrt(REST.length_floor**2 + rest_sigma**2 + noise**2 / self.count)
-        if stretch - excess > abs(excess) + clear:
+        if segment - excess > abs(excess) + clear:
             return self.seconds >= REST.shortest
-        if excess > 0.5 * stretch + 0.5 * clear:
+        if excess > 0.5 * segment + 0.5 * clear:
             return False
         return self.seconds >= (REST.agreeing if cosine > math.cos(REST.agrees) else REST.undecided)
 
@@ -239,7 +239,7 @@ class GyroCheck:
     def _compare(self, old: Triple, old_turn: Triple, new: Triple, seconds: float) -> None:
         """Compare the change of the mean force between spans with the gyro's prediction."""
         # A direction fixed in the world changes in the body by u x w dt.
-        expected = cross(old, between(old_turn, self._turn, 0.5))
+        expected = cross(old, interpolate(old_turn, self._turn, 0.5))
         seen = minus(new, old)
         keeps = math.exp(-seconds / CHECK.memory)
         self._together = keeps * self._together + dot(expected, seen)

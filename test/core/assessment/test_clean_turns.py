@@ -1,4 +1,4 @@
-"""A clean turn is not warned of: a warning asks for something that helps."""
+"""A good turn gives no warning: a warning names a remedy that helps."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def warnings_of(scene, knowledge, gyro):
     "case",
     first_of([("cheap", "slope", True), ("typical", "uneven", False), ("cheap", "even", True)]),
 )
-def test_a_clean_turn_is_not_warned_of(case):
+def test_a_good_turn_gives_no_warning(case):
     sensors, kind, gyro = case
     assert not warnings_of(*by_turn(kind, sensors, "open")(5003), gyro)
 
@@ -30,8 +30,8 @@ def test_a_clean_turn_is_not_warned_of(case):
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("gyro", "most"), [(True, 0.1), (False, 0.2)])
-def test_few_clean_turns_are_warned_of(gyro, most):
-    """Without a gyro a short way there and back is no full turn, and is said to be none."""
+def test_few_good_turns_give_a_warning(gyro, most):
+    """Without a gyro a short turn there and back is not taken for a full turn."""
     scenes = [by_turn(kind, each, "open") for kind in KINDS for each in SENSORS]
     scenes += [by_rested_turn("even", each, "open") for each in SENSORS]
     warned = [bool(warnings_of(*scene(seed), gyro)) for scene in scenes for seed in range(20, 23)]

@@ -1,4 +1,4 @@
-"""Cars in circles against the course of their GPS; skipped where the recordings are not at hand."""
+"""Cars in circles compared with the course of their GPS; skipped without the recordings."""
 
 import math
 
@@ -36,7 +36,7 @@ def judged(folder, name):
         ("car_neu2024_yash", "whole"),
     ],
 )
-def test_a_car_is_answered_as_well_as_the_best_usual_method_and_honestly(recording, car, window):
+def test_a_car_is_calibrated_as_well_as_by_the_best_usual_method(recording, car, window):
     outcome, ours, sigma, best, floor = judged(recording(car), window)
     assert outcome.verdict.accepted
     assert ours < 1.15 * best
@@ -45,7 +45,7 @@ def test_a_car_is_answered_as_well_as_the_best_usual_method_and_honestly(recordi
 
 
 @pytest.mark.nightly
-def test_a_car_whose_body_weakens_the_field_gets_its_circle_and_its_reason(recording):
+def test_a_car_whose_body_weakens_the_field_gets_its_circle_and_a_reason(recording):
     outcome, ours, sigma, best, _ = judged(recording("car_neu2024_rohx"), "whole")
     assert outcome.verdict.accepted
     assert outcome.verdict.quality is Grade.WARN
@@ -56,7 +56,7 @@ def test_a_car_whose_body_weakens_the_field_gets_its_circle_and_its_reason(recor
 
 
 @pytest.mark.nightly
-def test_a_car_that_sways_is_not_told_that_its_axes_are_wrong(recording):
+def test_a_swaying_car_is_not_reported_for_wrong_axes(recording):
     drive = read_drive(recording("car_neu2022_rahul"), None)
     for _, window in windows(drive):
         assert isinstance(window, Window)
@@ -64,7 +64,7 @@ def test_a_car_that_sways_is_not_told_that_its_axes_are_wrong(recording):
 
 
 @pytest.mark.nightly
-def test_a_car_that_sways_is_not_refused_for_its_axes(recording):
+def test_a_swaying_car_is_not_refused_for_wrong_axes(recording):
     drive = read_drive(recording("car_neu2022_rahul"), None)
     for _, window in windows(drive):
         verdict = calibrate(window, drive.knowledge).verdict
@@ -73,7 +73,7 @@ def test_a_car_that_sways_is_not_refused_for_its_axes(recording):
 
 
 @pytest.mark.nightly
-def test_a_distorted_place_does_not_make_axes_wrong(recording):
+def test_a_distorted_place_is_not_taken_for_wrong_axes(recording):
     """It looks like other axes and a gyro that is off by three degrees a second."""
     drive = read_drive(recording("car_neu2023_huang"), None)
     _, (_, asked) = asked_on_the_way(drive, 120.0)

@@ -1,4 +1,4 @@
-"""A reference of the wrong sign looks like a magnet along the turn's axis, and is said."""
+"""A reference of the wrong sign looks like a magnet along the axis of the turn; it is reported."""
 
 import math
 
@@ -14,7 +14,7 @@ STRENGTH = 48e-6
 
 
 def outcome_of(iron, dip=65.0, told=None, wobble=0.0, seed=1, gyro=True):
-    """Calibrate a robot with a hard iron (µT) where the inclination is one and told another."""
+    """Calibrate a robot with a hard iron (µT) and a wrong reference inclination."""
     rng = np.random.default_rng(seed)
     robot = Robot(
         strength=STRENGTH, inclination=dip * DEGREE, hard_iron=1e-6 * np.array(iron, dtype=float)
@@ -32,7 +32,7 @@ def doubt(outcome):
 
 
 @pytest.mark.parametrize("dip", first_of([-50.0, 30.0, 65.0, 75.0]))
-def test_the_wrong_sign_of_the_inclination_is_warned_of(dip):
+def test_a_wrong_sign_of_the_inclination_gives_a_warning(dip):
     outcome = outcome_of((15, -8, 10), dip, -dip)
     check = doubt(outcome)
     assert check.grade is Grade.WARN
@@ -50,34 +50,34 @@ def test_the_wrong_sign_of_the_inclination_is_warned_of(dip):
 @pytest.mark.nightly
 @pytest.mark.parametrize("dip", first_of([65.0, 30.0, -50.0, 75.0]))
 @pytest.mark.parametrize("iron", first_of([(120, -60, 10), (15, -8, 10), (0, 150, -15), (0, 0, 0)]))
-def test_a_right_reference_is_not_doubted_for_iron_across_the_axis(dip, iron):
+def test_iron_across_the_axis_gives_no_warning_on_the_reference(dip, iron):
     outcome = outcome_of(iron, dip)
     assert doubt(outcome).grade is Grade.EXCELLENT
     assert outcome.verdict.accepted
 
 
 @pytest.mark.parametrize("height", first_of([-70.0, 70.0]))
-def test_a_magnet_along_the_axis_that_is_larger_than_the_field_is_warned_of(height):
+def test_an_axial_magnet_larger_than_the_field_gives_a_warning(height):
     check = doubt(outcome_of((5, 5, height), 20.0))
     assert check.grade is Grade.WARN
     assert "more than the field itself" in check.words
 
 
 @pytest.mark.nightly
-def test_a_strong_axial_hard_iron_is_usual_where_that_across_the_axis_is_strong_too():
+def test_strong_axial_hard_iron_is_expected_if_that_across_the_axis_is_strong():
     assert doubt(outcome_of((20, -20, 52), 65.0)).grade is Grade.EXCELLENT
     assert doubt(outcome_of((4, -4, 52), 65.0)).grade is Grade.WARN
 
 
 @pytest.mark.nightly
-def test_where_the_turn_itself_shows_the_axis_it_is_not_the_references_word():
+def test_a_turn_that_shows_the_axial_field_gives_no_warning_on_the_reference():
     right = outcome_of((15, -8, 85), 65.0, wobble=4.0, gyro=False)
     assert doubt(right) is None
     assert right.verdict.accepted
     assert not outcome_of((15, -8, 85), 65.0, -65.0, wobble=4.0, gyro=False).verdict.accepted
 
 
-def test_without_a_reference_there_is_none_to_doubt():
+def test_without_a_reference_there_is_no_warning_on_it():
     rng = np.random.default_rng(1)
     robot = Robot(hard_iron=np.array([0.0, 0.0, 90e-6]))
     outcome = calibrate(measure(robot, turn(), rng, gyro=True), Knowledge())
@@ -86,7 +86,7 @@ def test_without_a_reference_there_is_none_to_doubt():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("factor", first_of([0.7, 1.4, 0.5, 2.0]))
-def test_a_strength_that_is_off_by_a_factor_is_no_excellent_one(factor):
+def test_a_strength_wrong_by_a_factor_is_not_excellent(factor):
     rng = np.random.default_rng(1)
     window = measure(Robot(strength=STRENGTH, inclination=65.0 * DEGREE), turn(), rng)
     beliefs = Belief(factor * STRENGTH, 1.5e-6), Belief(65.0 * DEGREE, DEGREE)

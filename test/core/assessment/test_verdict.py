@@ -50,12 +50,12 @@ every_threshold = pytest.mark.parametrize(
 
 
 def at(threshold, value):
-    """Check a value given in the unit people see."""
+    """Check a value given in the user's unit."""
     return threshold.check(value / threshold.scale)
 
 
 def refused_value(threshold):
-    """A value beyond the last bound, in the unit people see."""
+    """A value beyond the last bound, in the user's unit."""
     return threshold.warn * (0.5 if threshold.at_least else 2.0)
 
 
@@ -84,17 +84,17 @@ class TestBound:
 
     @every_threshold
     @pytest.mark.parametrize("value", [math.nan, math.inf])
-    def test_a_figure_that_is_no_number_is_refused(self, threshold, value):
+    def test_a_figure_that_is_not_a_number_is_refused(self, threshold, value):
         assert threshold.check(value).grade is Grade.REFUSED
 
     @every_threshold
-    def test_the_words_give_the_value_in_the_unit_people_see(self, threshold):
+    def test_the_words_give_the_value_in_the_users_unit(self, threshold):
         value = threshold.limits[0] * (2.0 if threshold.at_least else 0.5)
         words = at(threshold, value).words
         assert words == f"{threshold.words} {value:g}{threshold.unit}"
 
     @every_threshold
-    def test_what_falls_short_says_what_is_wanted_and_what_to_do(self, threshold):
+    def test_a_failed_check_names_the_limit_and_the_remedy(self, threshold):
         warned = at(threshold, 0.5 * (threshold.good + threshold.warn)).words
         side = "more" if threshold.at_least else "less"
         assert f"(want {threshold.good:g}{threshold.unit} or {side}): {threshold.remedy}" in warned
@@ -103,14 +103,14 @@ class TestBound:
         assert f"(want {threshold.warn:g}{threshold.unit} or {side}): {advice}" in refused
 
     @every_threshold
-    def test_what_is_good_needs_no_advice(self, threshold):
+    def test_a_good_check_has_no_remedy(self, threshold):
         inside = 1.01 if threshold.at_least else 0.99
         assert threshold.remedy not in at(threshold, threshold.good * inside).words
 
     @pytest.mark.parametrize(
         ("value", "words"), [(2450.0, "2450"), (999.6, "1000"), (1e-6, "below 0.001"), (0.0, "0")]
     )
-    def test_sizes_are_written_as_people_write_them(self, value, words):
+    def test_sizes_are_written_in_a_usual_form(self, value, words):
         assert shown(value) == words
 
     def test_each_figure_has_one_row(self):
@@ -139,7 +139,7 @@ class TestGrades:
 
 
 class TestJudge:
-    def test_a_flawless_estimate_is_excellent_in_both(self):
+    def test_a_perfect_estimate_is_excellent_in_both_aspects(self):
         verdict = judge(estimate(), KNOWN)
         assert verdict.quality is verdict.confidence is Grade.EXCELLENT
         assert verdict.accepted
@@ -157,14 +157,14 @@ class TestJudge:
         assert verdict.quality is expected.get(Aspect.QUALITY, Grade.EXCELLENT)
         assert verdict.confidence is expected.get(Aspect.CONFIDENCE, Grade.EXCELLENT)
         assert verdict.summary.startswith("Refused (quality")
-        # The flawless estimate saw the full circle.
+        # The perfect estimate has the full circle.
         assert (row.when_refused or row.after_full or row.remedy) in verdict.summary
 
     @pytest.mark.parametrize("field", ["strength", "inclination"])
-    def test_a_reference_field_that_is_no_number_is_refused(self, field):
+    def test_a_reference_field_that_is_not_a_number_is_refused(self, field):
         assert not judge(estimate(**{field: math.nan}), KNOWN).accepted
 
-    def test_a_residual_that_is_no_number_is_refused(self):
+    def test_a_residual_that_is_not_a_number_is_refused(self):
         residual = np.zeros((500, 3))
         residual[7, 1] = math.nan
         assert judge(estimate(residual=residual), KNOWN).quality is Grade.REFUSED
@@ -179,15 +179,15 @@ class TestJudge:
             (279.0, Grade.REFUSED),
         ],
     )
-    def test_a_strength_that_is_not_the_earths_warns(self, strength, grade):
+    def test_a_strength_unlike_that_of_the_earth_warns(self, strength, grade):
         verdict = judge(estimate(strength=strength * 1e-6, residual=np.zeros((500, 3))), KNOWN)
         assert verdict.quality is grade
         assert ("is not the Earth's" in verdict.summary) == (grade is not Grade.EXCELLENT)
 
-    def test_a_strength_in_gauss_is_called_so(self):
+    def test_a_strength_in_gauss_is_named(self):
         assert "looks like gauss" in judge(estimate(strength=0.48), KNOWN).summary
 
-    def test_the_summary_holds_what_was_found(self):
+    def test_the_summary_contains_the_result(self):
         summary = judge(estimate(), KNOWN).summary
         assert summary.startswith("Calibrated, quality excellent, confidence excellent: heading ±")
         assert "heading ±0.11° on level ground" in summary
@@ -229,11 +229,11 @@ class TestJudge:
         assert list(reasons) == warned
         assert len(warned) == 4
 
-    def test_a_summary_with_more_words_is_told_as_it_is(self):
+    def test_a_given_summary_is_unchanged(self):
         verdict = replace(judge(estimate(), KNOWN), says="Calibrated. But something else.")
         assert verdict.in_full == (verdict.summary, ())
 
-    def test_a_drive_says_apart_what_the_calibration_and_what_the_way_adds(self):
+    def test_a_drive_reports_the_errors_by_calibration_and_by_streets_separately(self):
         verdict = judge(estimate(figures=DRIVE), KNOWN)
         assert re.search(
             r"heading ±[\d.]+° on level ground, ±[\d.]+° at 10° of tilt \(1σ\) by the calibration; "
@@ -257,9 +257,7 @@ class TestJudge:
                 assert f"heading ±{degrees:.2f}° on level ground" in verdict.summary
 
     @pytest.mark.parametrize("arc", [math.tau, 4.0])
-    def test_a_drive_is_never_told_to_turn_and_to_all_headings_only_where_some_are_missing(
-        self, arc
-    ):
+    def test_the_remedy_for_a_drive_asks_for_missing_headings_only(self, arc):
         covariance = np.zeros((12, 12))
         covariance[9:, 9:] = np.eye(3) * (2e-6) ** 2
         figures = DRIVE | {"not_converged": 1.0}
@@ -285,7 +283,7 @@ class TestWhatTheEstimateItselfShows:
         ("arc", "grade"),
         [(360, Grade.EXCELLENT), (200, Grade.GOOD), (100, Grade.WARN), (30, Grade.REFUSED)],
     )
-    def test_a_short_arc_costs_confidence(self, arc, grade):
+    def test_a_short_arc_reduces_confidence(self, arc, grade):
         verdict = judge(estimate(arc=math.radians(arc)), KNOWN)
         assert (verdict.quality, verdict.confidence) == (Grade.EXCELLENT, grade)
         if grade is Grade.WARN:
@@ -297,7 +295,7 @@ class TestWhatTheEstimateItselfShows:
         ("arc", "iron_ut", "grade"),
         [(93, 0.05, Grade.WARN), (93, 1.0, Grade.REFUSED), (99, 1.0, Grade.WARN)],
     )
-    def test_an_arc_that_may_be_less_than_the_least_is_refused(self, arc, iron_ut, grade):
+    def test_an_arc_that_may_be_below_the_limit_is_refused(self, arc, iron_ut, grade):
         covariance = np.zeros((12, 12))
         covariance[9:, 9:] = np.eye(3) * (iron_ut * 1e-6) ** 2
         verdict = judge(estimate(arc=math.radians(arc), covariance=covariance), KNOWN)
@@ -308,7 +306,7 @@ class TestWhatTheEstimateItselfShows:
                 found.words
             )
 
-    def test_few_believed_samples_cost_confidence(self):
+    def test_few_inliers_reduce_confidence(self):
         few = {"inliers": np.ones(30, dtype=bool), "residual": np.zeros((30, 3))}
         verdict = judge(estimate(**few), KNOWN)
         assert verdict.confidence is Grade.WARN
@@ -323,21 +321,21 @@ class TestWhatTheEstimateItselfShows:
             ([0.0, 0.0, -1.0], Grade.REFUSED),
         ],
     )
-    def test_a_board_that_is_not_upright_is_told_so(self, axis, grade):
+    def test_a_board_that_is_not_upright_is_reported(self, axis, grade):
         check = grade_of(judge(estimate(axis=np.array(axis)), KNOWN), "axis_lean")
         assert check.grade is grade
         told = "z points down or sideways at rest" in check.words
         assert told == (grade.rank >= Grade.WARN.rank)
 
     @pytest.mark.parametrize(("carried", "grade"), [(1.0, Grade.EXCELLENT), (0.0, Grade.WARN)])
-    def test_a_gyro_that_tells_of_another_turn_warns(self, carried, grade):
+    def test_a_gyro_that_measures_another_turn_warns(self, carried, grade):
         figures = {"gyro_carried": carried, "gyro_compass_rms": 0.01}
         verdict = judge(estimate(figures=figures), KNOWN)
         assert verdict.quality is grade
         told = "the turn that the gyro measured does not explain the samples" in verdict.summary
         assert told == (grade is Grade.WARN)
 
-    def test_a_radius_within_what_the_reference_promises_is_no_fault(self):
+    def test_a_radius_within_the_sigma_of_the_reference_is_no_fault(self):
         figures = {"radius_ratio": 1.2}
         vague = Robot().knowledge(strength_sigma=5e-6, inclination_sigma=0.05)
         assert grade_of(judge(estimate(figures=figures), KNOWN), "radius_misfit").grade is (
@@ -362,7 +360,7 @@ class TestGravity:
             (12.0, "is not gravity's (9.81 m/s²)"),
         ],
     )
-    def test_a_length_that_is_not_gravitys_warns_by_name(self, size, words):
+    def test_a_force_unlike_gravity_warns(self, size, words):
         force = np.zeros((50, 3))
         force[:, 2] = size
         verdict = judge(estimate(), KNOWN, window(force))
@@ -372,7 +370,7 @@ class TestGravity:
     @pytest.mark.parametrize(
         ("size", "grade"), [(9.7, Grade.EXCELLENT), (8.8, Grade.GOOD), (-9.81, Grade.EXCELLENT)]
     )
-    def test_gravity_and_a_poor_scale_pass(self, size, grade):
+    def test_gravity_with_a_scale_error_passes(self, size, grade):
         verdict = judge(estimate(), KNOWN, window(np.full((50, 3), [0.0, 0.0, size])))
         assert grade_of(verdict, "gravity").grade is grade
 
@@ -381,10 +379,10 @@ class TestGravity:
 
 
 class TestNotShown:
-    def test_the_yaw_of_the_installation_never_is(self):
+    def test_the_yaw_of_the_installation_is_never_shown(self):
         assert NO_YAW in judge(estimate(), KNOWN).not_shown
 
-    def test_without_a_gyro_distortion_is_not(self):
+    def test_without_a_gyro_distortion_is_not_shown(self):
         assert NO_GYRO in judge(estimate(), KNOWN).not_shown
         seen = judge(estimate(figures={"gyro_compass_rms": 0.01}), KNOWN)
         assert NO_GYRO not in seen.not_shown
@@ -398,14 +396,14 @@ class TestNotShown:
             (ReferenceField(Belief(50e-6), Belief(1.0, 0.1)), True),
         ],
     )
-    def test_without_strength_and_inclination_the_radius_is_not(self, reference, complete):
+    def test_without_strength_and_inclination_the_radius_is_not_shown(self, reference, complete):
         not_shown = judge(estimate(), Knowledge(reference)).not_shown
         assert (NO_REFERENCE in not_shown) == (not complete)
         assert LEVEL_ONLY not in not_shown
         not_shown = judge(estimate(figures=DRIVE), Knowledge(reference)).not_shown
         assert (LEVEL_ONLY in not_shown) == (not complete)
 
-    def test_a_weak_level_field_counts_from_what_the_reference_allows(self):
+    def test_a_weak_level_field_is_judged_by_the_sigma_of_the_reference(self):
         figures = {"level_share": 0.89}
         assert grade_of(judge(estimate(figures=figures), KNOWN), "level_share").grade is Grade.WARN
         doubtful = replace(KNOWN.reference, strength=Belief(KNOWN.reference.strength.value, 1e-6))
@@ -413,7 +411,7 @@ class TestNotShown:
         assert found.grade is Grade.GOOD
         assert "share of the level field that reaches the sensor 89% ± 4% (2σ)" in found.words
 
-    def test_a_gyro_that_the_method_does_not_use_is_not_called_missing(self):
+    def test_an_unused_gyro_is_not_called_missing(self):
         one = window(np.full((50, 3), [0.0, 0.0, 9.81]))
         turning = Window(one.time, one.field, one.specific_force, np.full((50, 3), [0.0, 0.0, 0.4]))
         not_shown = judge(estimate(), KNOWN, turning).not_shown
@@ -421,7 +419,7 @@ class TestNotShown:
         assert NO_GYRO not in not_shown
 
     @pytest.mark.parametrize("known", [True, False])
-    def test_a_reference_field_that_was_given_is_not_asked_for(self, known):
+    def test_a_given_reference_field_is_not_asked_for(self, known):
         covariance = np.zeros((12, 12))
         covariance[11, 11] = (3e-6) ** 2
         bad = estimate(figures={"heading_sigma": math.radians(2.5)}, covariance=covariance)
@@ -429,7 +427,7 @@ class TestNotShown:
         told = " ".join([grade_of(verdict, "heading_sigma").words, *verdict.not_shown])
         assert ("give the reference field" in told) == (not known)
 
-    def test_an_uncertain_axial_hard_iron_is_named_with_its_cost(self):
+    def test_an_uncertain_axial_hard_iron_is_named_with_its_effect(self):
         covariance = np.zeros((12, 12))
         covariance[9:, 9:] = np.diag([0.05e-6, 0.05e-6, 5e-6]) ** 2
         not_shown = judge(estimate(covariance=covariance), KNOWN).not_shown
@@ -452,7 +450,7 @@ class TestRefuse:
         assert {check.figure for check in verdict.checks} == {"arc_too_short"}
         assert {check.words for check in verdict.checks} == {str(refusal)}
 
-    def test_the_sentence_ends_with_one_stop(self):
+    def test_the_sentence_ends_with_one_period(self):
         assert refuse(Refusal(Reason.PLANAR, "It is flat.")).summary == "Refused: It is flat."
 
     def test_dots_inside_the_words_are_kept(self):
@@ -461,14 +459,14 @@ class TestRefuse:
 
 
 @pytest.mark.parametrize(("figure", "grade"), [(0.0, Grade.EXCELLENT), (1.0, Grade.WARN)])
-def test_an_optimisation_that_did_not_converge_is_a_warning(figure, grade):
+def test_an_optimisation_without_convergence_gives_a_warning(figure, grade):
     verdict = judge(estimate(figures={Figure.NOT_CONVERGED: figure}), KNOWN)
     check = next(check for check in verdict.checks if check.figure is Figure.NOT_CONVERGED)
     assert check.grade is grade
     assert ("did not converge" in verdict.summary) is (grade is Grade.WARN)
 
 
-def test_a_method_that_does_not_iterate_is_not_asked_whether_it_converged():
+def test_convergence_is_not_checked_without_iterations():
     figures = {check.figure for check in judge(estimate(), KNOWN).checks}
     assert Figure.NOT_CONVERGED not in figures
 
@@ -476,7 +474,7 @@ def test_a_method_that_does_not_iterate_is_not_asked_whether_it_converged():
 @pytest.mark.parametrize(
     ("value", "words"), [(2.003, "2.003"), (2.4, "2.4"), (2.0000004, "2.0000004")]
 )
-def test_a_bound_that_is_missed_narrowly_is_not_called_met(value, words):
+def test_a_narrowly_missed_bound_is_not_shown_as_met(value, words):
     bound = Bound(Figure.STRENGTH_OFFSET, (None, 2.0, 8.0), "off by", "look", unit="%")
     check = bound.check(value / bound.scale)
     assert check.words.startswith(f"off by {words}%")

@@ -1,4 +1,4 @@
-"""What the verdict says of real turns; skipped where the recordings are not at hand."""
+"""The verdict on recorded turns; skipped without the recordings."""
 
 import functools
 import math
@@ -13,7 +13,7 @@ UNKNOWN = Knowledge()
 
 
 def knowledge(microtesla, degrees):
-    """Return what a world magnetic model says."""
+    """Return the field of a world magnetic model."""
     strength = Belief(microtesla * 1e-6, 0.03 * microtesla * 1e-6)
     return Knowledge(ReferenceField(strength, Belief(math.radians(degrees), math.radians(1.0))))
 
@@ -54,13 +54,13 @@ class TestHandHeldTurn:
         assert calibrate(turn, UNKNOWN).verdict.accepted
 
     @pytest.mark.nightly
-    def test_the_whole_recording_is_answered_and_not_taken_for_a_drive(self, recording):
+    def test_the_whole_recording_is_a_turn_and_not_a_drive(self, recording):
         verdict = calibrate(window(recording("broad05")), self.known).verdict
         assert verdict.accepted
         assert "of movement" not in verdict.summary
 
     @pytest.mark.nightly
-    def test_axes_that_are_not_the_imus_are_refused(self, turn):
+    def test_axes_unlike_those_of_the_imu_are_refused(self, turn):
         swapped = Window(
             turn.time, turn.field[:, [1, 0, 2]], turn.specific_force, turn.angular_rate
         )

@@ -27,7 +27,7 @@ def test_undo_is_the_inverse_of_apply(seed):
 
 
 @given(seeds, seeds)
-def test_after_is_one_and_then_the_other(first, second):
+def test_after_composes_two_corrections(first, second):
     first, second = any_correction(first), any_correction(second)
     field = np.array([[20e-6, -10e-6, 40e-6]])
     expected = second.apply(first.apply(field))
@@ -35,7 +35,7 @@ def test_after_is_one_and_then_the_other(first, second):
 
 
 @given(seeds)
-def test_parameters_come_back(seed):
+def test_parameters_are_recovered(seed):
     correction = any_correction(seed)
     again = Correction.from_parameters(correction.parameters)
     np.testing.assert_array_equal(again.matrix, correction.matrix)
@@ -63,7 +63,7 @@ def test_impossible_matrices_are_rejected(matrix):
         Correction(matrix, np.zeros(3))
 
 
-def test_it_cannot_be_changed_afterwards():
+def test_a_correction_is_immutable():
     matrix = np.eye(3)
     correction = Correction(matrix, np.zeros(3))
     matrix[0, 0] = 7.0

@@ -59,7 +59,7 @@ def test_hard_iron_sigma_in_the_plane_becomes_heading_sigma_over_the_radius():
     np.testing.assert_allclose(sigma, 0.25e-6 / estimate.circle_radius, rtol=1e-9)
 
 
-def test_no_uncertainty_no_sigma():
+def test_without_uncertainty_the_sigma_is_zero():
     sigma = sigma_at(estimate_with(np.zeros((12, 12))), UP_ENU, Robot().field_enu)
     assert float(sigma) == 0.0
 
@@ -70,7 +70,7 @@ def test_covariance_must_be_twelve_by_twelve_and_finite():
             estimate_with(wrong)
 
 
-def test_installation_angle_is_that_of_the_whole_turn():
+def test_the_installation_angle_combines_roll_pitch_and_yaw():
     assert Installation(0.1, 0.0).angle == pytest.approx(0.1)
     assert Installation(0.0, -0.2).angle == pytest.approx(0.2)
     both = Installation(0.1, 0.2)

@@ -7,13 +7,13 @@ from magcal_ros.core import Figure
 from magcal_ros.core.calibration import Evidence, along
 
 
-def test_a_figure_is_its_name_wherever_it_is_written():
+def test_a_figure_is_written_as_its_name():
     assert json.dumps({Figure.ARC: Figure.WOBBLE}) == '{"arc": "wobble"}'
     assert f"{Figure.ARC} {Figure.WOBBLE}" == "arc wobble"
     assert type(str(Figure.ARC)) is str
 
 
-def test_gyro_against_compass_keeps_the_name_that_readers_know():
+def test_the_key_of_gyro_against_compass_is_unchanged():
     one, two, three = (
         Figure.GYRO_COMPASS_SWING,
         Figure.GYRO_COMPASS_DIFFERENCE,
@@ -24,7 +24,7 @@ def test_gyro_against_compass_keeps_the_name_that_readers_know():
     assert all(figure.key == figure.value for figure in Figure if figure not in (two, three))
 
 
-def test_a_name_that_is_none_is_found_out():
+def test_an_unknown_name_is_refused():
     with pytest.raises(ValueError, match="centre_length_x"):
         along("centre_length", np.zeros(3))
 

@@ -27,7 +27,7 @@ def iron_only(sigma):
 
 
 class TestPredictedHeadingSigma:
-    def test_on_the_level_it_is_hard_iron_over_level_field(self):
+    def test_on_the_level_the_sigma_is_hard_iron_over_level_field(self):
         one = estimate(covariance=iron_only([0.4e-6, 0.4e-6, 9e-6]))
         assert predicted_heading_sigma(one, 0.0) == pytest.approx(0.4 / 25.0)
 
@@ -38,7 +38,7 @@ class TestPredictedHeadingSigma:
         expected = 3.0 / 25.0 * math.sin(tilt) / math.sqrt(2.0)
         assert predicted_heading_sigma(one, tilt) == pytest.approx(expected, rel=0.02)
 
-    def test_of_a_drive_it_counts_the_field_along_the_way_beside_the_calibration(self):
+    def test_the_sigma_of_a_drive_includes_the_local_disturbance(self):
         one = estimate(covariance=iron_only([0.3e-6, 0.3e-6, 9e-6]))
         one = replace(one, figures={Figure.LOCAL_FIELD: 0.4e-6})
         assert predicted_heading_sigma(one) == pytest.approx(0.5 / 25.0)
@@ -47,7 +47,7 @@ class TestPredictedHeadingSigma:
         assert figures[Figure.LOCAL_SIGMA] == pytest.approx(0.4 / 25.0)
         assert figures[Figure.HEADING_SIGMA] == predicted_heading_sigma(one)
 
-    def test_a_body_that_weakens_the_level_field_makes_local_fields_weigh_more(self):
+    def test_a_weakened_level_field_enlarges_the_effect_of_local_fields(self):
         weak = Correction(np.diag([4.0, 4.0, 1.0]), np.zeros(3))
         one = replace(
             estimate(correction=weak, covariance=np.zeros((12, 12))),
@@ -56,7 +56,7 @@ class TestPredictedHeadingSigma:
         assert predicted_heading_sigma(one) == pytest.approx(0.4 / 25.0)
 
     @pytest.mark.parametrize("tilt", first_of([math.radians(10.0), 0.0]))
-    def test_it_is_the_rms_error_of_corrections_drawn_from_the_covariance(self, tilt):
+    def test_the_sigma_is_the_rms_error_of_drawn_corrections(self, tilt):
         covariance = small_covariance(of_matrix=3e-3, of_iron=0.1e-6)
         robot = Robot()
         truth = robot.true_correction
@@ -78,13 +78,13 @@ def test_iron_moves_the_ends_of_an_arc_apart_by_its_chord(arc):
     assert arc_sigma(one) == pytest.approx(2.0 * math.sin(half) * 0.4 / 25.0, abs=1e-9)
 
 
-def test_the_centre_along_the_middle_of_an_arc_counts():
+def test_the_error_of_the_centre_along_the_middle_of_an_arc_counts():
     one = estimate(covariance=iron_only([0.4e-6, 0.0, 0.0]), arc=math.radians(90.0))
     assert arc_sigma(one) == pytest.approx(math.sqrt(2.0) * 0.4 / 25.0, rel=0.02)
 
 
 class TestCommonFigures:
-    def test_the_residual_counts_believed_samples_only_and_over_the_level_field(self):
+    def test_the_residual_is_that_of_inliers_over_the_level_field(self):
         residual = np.zeros((100, 3))
         residual[:80] = 0.5e-6
         residual[80:] = 40e-6
@@ -94,18 +94,18 @@ class TestCommonFigures:
         assert figures["outlier_share"] == pytest.approx(0.2)
 
     @pytest.mark.filterwarnings("ignore:Mean of empty slice", "ignore:invalid value")
-    def test_no_believed_sample_is_an_infinite_residual(self):
+    def test_without_inliers_the_residual_is_infinite(self):
         figures = every_figure(estimate(inliers=np.zeros(500, dtype=bool)))
         assert figures["residual_ratio"] == math.inf
         assert figures["outlier_share"] == 1.0
 
-    def test_the_installation_angle_is_there_where_the_method_knows_it(self):
+    def test_the_installation_angle_is_given_if_the_method_estimates_it(self):
         known = every_figure(estimate(installation=Installation(0.3, 0.0)))
         assert known["installation_angle"] == pytest.approx(0.3)
         assert "installation_angle" not in every_figure(estimate(installation=None))
 
     @pytest.mark.parametrize("ratio", [0.9, 1.1])
-    def test_a_radius_too_small_misfits_as_much_as_one_too_large(self, ratio):
+    def test_small_and_large_radii_have_the_same_misfit(self, ratio):
         figures = every_figure(estimate(figures={"radius_ratio": ratio}))
         assert figures["radius_misfit"] == pytest.approx(0.1)
 
@@ -122,7 +122,7 @@ class TestCommonFigures:
         assert figures["heading_sigma_tilted"] == tilted != figures["heading_sigma"]
 
 
-class TestSidewaysPull:
+class TestSidewaysAcceleration:
     @staticmethod
     def window(pull=0.0, **motion):
         one = measure(Robot(), turn(**motion), np.random.default_rng(3), gyro=True)
@@ -132,8 +132,8 @@ class TestSidewaysPull:
     @pytest.mark.parametrize(
         "motion", [{}, {"arc": -math.tau}, {"start_rpy": (0.2, 0.1, 1.0)}, {"axis": [0.3, 0, 1.0]}]
     )
-    def test_a_turn_on_the_spot_has_none(self, motion):
+    def test_a_turn_on_the_spot_has_no_acceleration(self, motion):
         assert sideways_acceleration(self.window(**motion)) < math.radians(0.5)
 
-    def test_a_circle_has_its_angle(self):
+    def test_a_circle_has_the_angle_of_its_acceleration(self):
         assert sideways_acceleration(self.window(0.1)) == pytest.approx(math.atan(0.1), abs=0.01)

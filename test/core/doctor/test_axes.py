@@ -32,7 +32,7 @@ def of(axes, kind, seed=0):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("which", first_of(range(0, 48, 9)))
-def test_after_a_turn_the_truth_is_among_those_named(which):
+def test_after_a_turn_the_true_axes_are_among_those_named(which):
     found, *_ = of(EVERY[which], "level")
     assert found.right == named(found, np.eye(3))
     assert found.right or named(found, EVERY[which])
@@ -40,21 +40,21 @@ def test_after_a_turn_the_truth_is_among_those_named(which):
 
 
 @pytest.mark.parametrize("which", first_of([6, 30, 0, 12, 18, 24, 36, 42]))
-def test_a_turn_and_a_lift_decide_among_all_48(which):
+def test_a_turn_and_a_lift_determine_one_of_48_axes(which):
     found, *_ = of(EVERY[which], "lift")
     assert len(found.candidates) == 1
-    assert np.array_equal(found.meant, EVERY[which])
+    assert np.array_equal(found.likeliest, EVERY[which])
     assert (found.mount_rpy_deg is None) == (which >= 24)
 
 
 @pytest.mark.nightly
-def test_a_turn_and_a_lift_decide_nearly_every_time_and_never_wrongly():
+def test_a_turn_and_a_lift_nearly_always_determine_the_axes_and_never_wrongly():
     decided = []
     for number in range(4 * len(EVERY)):
         axes = EVERY[number % len(EVERY)]
         found, *_ = of(axes, "lift", number)
         assert named(found, axes) or found.right, f"lift {number}: {found.words}"
-        decided.append(len(found.candidates) == 1 and np.array_equal(found.meant, axes))
+        decided.append(len(found.candidates) == 1 and np.array_equal(found.likeliest, axes))
     assert np.mean(decided) > 0.95
 
 
@@ -72,12 +72,12 @@ def test_good_sensors_are_not_called_wrong_in_hundreds_of_turns():
         assert found is None or found.right, seed
 
 
-def test_the_words_hold_the_line_to_paste():
+def test_the_words_contain_the_parameter_line():
     found, *_ = of(NED, "lift")
     assert "x forward, y right, z down (NED): set `mount_rpy_deg: [180.0, 0.0, 0.0]`" in found.words
 
 
-def test_the_line_to_paste_mends_it():
+def test_the_parameter_line_corrects_the_axes():
     found, window, knowledge = of(EVERY[13], "lift")
     mount = [math.radians(angle) for angle in found.mount_rpy_deg]
     mended = Knowledge(knowledge.reference, Mounting(pose=rotation_from_rpy(*mount)))
@@ -88,7 +88,7 @@ def test_the_line_to_paste_mends_it():
 
 @pytest.mark.nightly
 def test_a_wrong_mount_parameter_is_replaced_as_a_whole():
-    """The magnetometer sits square, but the parameter says that it lies upside down."""
+    """The magnetometer is parallel to the IMU, but the parameter says that it is upside down."""
     _, window, knowledge = of(np.eye(3), "lift")
     wrong = Knowledge(knowledge.reference, Mounting(pose=rotation_from_rpy(math.pi, 0.0, 0.0)))
     found = find_axes(window, wrong)
@@ -97,7 +97,7 @@ def test_a_wrong_mount_parameter_is_replaced_as_a_whole():
 
 
 @pytest.mark.nightly
-def test_without_the_inclination_axes_and_their_opposites_both_stay():
+def test_without_the_inclination_axes_and_their_opposites_are_named():
     _, window, _ = of(MIRRORED_Z, "lift")
     found = find_axes(window)
     assert len(found.candidates) == 2
@@ -106,13 +106,13 @@ def test_without_the_inclination_axes_and_their_opposites_both_stay():
     assert "give the place or the field's inclination" in found.words
 
 
-def test_what_a_level_turn_leaves_open_is_named_with_the_movement_that_tells():
+def test_candidates_after_a_level_turn_are_named_with_the_distinguishing_movement():
     found, *_ = of(NED, "level")
     assert "lift the nose by 20° while the robot turns, or drive over a kerb" in found.words
 
 
 @pytest.mark.parametrize("lacks", ["gyro", "turn", "samples"])
-def test_nothing_is_said_where_nothing_shows(lacks):
+def test_nothing_is_reported_if_nothing_is_observable(lacks):
     arc = 20.0 * DEGREE if lacks == "turn" else 2.0 * math.pi
     motion = turn(arc=arc, samples=10 if lacks == "samples" else 300)
     window = measure(Robot(), motion, np.random.default_rng(1), gyro=lacks != "gyro")
@@ -131,13 +131,13 @@ def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes, several):
 
 
 @pytest.mark.nightly
-def test_a_gyro_that_belongs_to_nothing_is_said():
+def test_a_gyro_that_fits_no_axes_is_reported():
     _, window, knowledge = of(np.eye(3), "lift")
     scrambled = np.random.default_rng(2).permutation(window.angular_rate)
     odd = Window(window.time, window.field, window.specific_force, scrambled * 5.0)
-    page = examine_window(odd, knowledge)
-    assert page.axes is None
-    assert any("check that the gyro responds to turns" in f.remedy for f in page.findings)
+    report = examine_window(odd, knowledge)
+    assert report.axes is None
+    assert any("check that the gyro responds to turns" in f.remedy for f in report.findings)
 
 
 def test_angles_are_written_within_half_a_turn():
@@ -145,7 +145,7 @@ def test_angles_are_written_within_half_a_turn():
     assert parameter_line((180, 0, -90)) == "mount_rpy_deg: [180.0, 0.0, -90.0]"
 
 
-def test_axes_that_fit_are_counted_beside_other_pairs_of_orientations():
+def test_the_number_of_other_fitting_orientations_is_given():
     case = case_of(np.random.default_rng([6, 0]), "turn")
     (line,) = (f for f in examine(case.log, case.knowledge).findings if f.key == "axes")
     assert "other pairs of orientations of gyro and magnetometer; to tell" in line.evidence

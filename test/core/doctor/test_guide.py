@@ -59,7 +59,7 @@ def in_other_units(sample):
     ],
     ids=["good", "mirrored", "degrees", "dead", "no gyro", "other units"],
 )
-def test_what_is_done_is_seen_whatever_the_sensors_get_wrong(spoil):
+def test_the_steps_are_detected_with_any_wrong_sensor(spoil):
     person = Person(spoil)
     assert person.guide.current is GuideStep.STAND
     person.does_all()
@@ -68,7 +68,7 @@ def test_what_is_done_is_seen_whatever_the_sensors_get_wrong(spoil):
     assert person.guide.turned_left is True
 
 
-def test_the_stages_are_asked_for_one_after_the_other():
+def test_the_steps_follow_one_another():
     person = Person()
     person.does(6.0)
     assert person.guide.current is GuideStep.TURN
@@ -82,7 +82,7 @@ def test_the_stages_are_asked_for_one_after_the_other():
 
 
 @pytest.mark.parametrize("spoil", [lambda sample: sample, scaled(0.0)], ids=["good", "no gyro"])
-def test_a_slow_turn_is_over_when_the_robot_stops(spoil):
+def test_a_slow_turn_ends_when_the_robot_stops(spoil):
     person = Person(spoil)
     person.does(6.0)
     person.does(25.0, rate=0.2)
@@ -91,7 +91,7 @@ def test_a_slow_turn_is_over_when_the_robot_stops(spoil):
     assert person.guide.current is GuideStep.LIFT
 
 
-def test_what_is_not_done_is_given_up_and_told():
+def test_a_step_that_is_not_done_ends_and_is_reported():
     person = Person()
     person.does(60.0)
     person.does(60.0)
@@ -99,17 +99,17 @@ def test_what_is_not_done_is_given_up_and_told():
     assert person.guide.turned_left is None
 
 
-def test_silence_is_given_up_too():
+def test_a_step_ends_without_samples_too():
     guide = Guide(0.0)
     for tick in range(1000):
         guide.pass_time(0.3 * tick)
     assert list(guide.ended.values()) == [False, False, False]
 
 
-def test_a_step_can_be_skipped_and_says_how_long_it_waits():
+def test_a_step_can_be_skipped_and_gives_its_remaining_time():
     person = Person()
     person.guide.skip(0.0)
-    assert person.guide.current is GuideStep.STAND  # nothing is seen without it
+    assert person.guide.current is GuideStep.STAND  # nothing is detected without it
     person.does(6.0)
     assert person.guide.current is GuideStep.TURN
     assert 30.0 < person.guide.left(6.0) <= 45.0

@@ -32,7 +32,7 @@ def with_signs(window, signs):
 
 
 @pytest.mark.parametrize("seed", first_of(range(5)))
-def test_a_true_gyro_is_believed(seed):
+def test_a_correct_gyro_is_accepted(seed):
     assert not is_refused(leaning_turn(seed))
 
 
@@ -42,7 +42,7 @@ def test_axes_that_turn_the_wrong_way_are_found(signs):
     assert "the gyro's axes do not match the accelerometer's" in str(found)
 
 
-def test_of_a_gyro_that_is_absent_nothing_is_said():
+def test_a_missing_gyro_gives_no_finding_on_signs():
     assert not is_refused(measure(Robot(), turn(), np.random.default_rng(1)))
 
 
@@ -53,16 +53,16 @@ PLACE = knowledge_of(48.0, inclination_deg=64.0)
 @pytest.mark.parametrize(
     ("source", "alive"), [(2, 0), (2, 2), pytest.param(2, 1, marks=pytest.mark.nightly)]
 )
-def test_a_gyro_with_dead_axes_accuses_no_other_sensor(knowledge, source, alive):
+def test_dead_axes_of_a_gyro_are_not_attributed_to_other_sensors(knowledge, source, alive):
     rest = [Leg(6.0), Leg(25.0, turn_rate=math.tau / 25.0), Leg(6.0)]
     robot = Robot(strength=48e-6, inclination=math.radians(64.0), noise_rate=2e-3)
     rng = np.random.default_rng(40)
     drive = simulated_drive(travel(rest, rng, rate=50.0), rng, Vehicle(robot), streets=None)
     rate = np.zeros_like(drive.rate)
     rate[:, alive] = drive.rate[:, source]
-    page = examine(SensorLog(drive.time, drive.force, rate, drive.time, drive.field), knowledge)
-    assert page.mount_rpy_deg is None
-    said = {finding.name: finding.remedy for finding in page.findings if finding.is_wrong}
+    report = examine(SensorLog(drive.time, drive.force, rate, drive.time, drive.field), knowledge)
+    assert report.mount_rpy_deg is None
+    said = {finding.name: finding.remedy for finding in report.findings if finding.is_wrong}
     assert list(said) == ["gyro: axes alive"]
     moved = f"and publishes the turn about z as {'xyz'[alive]}"
     assert (moved in said["gyro: axes alive"]) == (alive != source)

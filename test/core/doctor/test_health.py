@@ -40,7 +40,7 @@ def wrong(findings):
     return {f.key for f in findings if f.is_wrong}
 
 
-def test_good_streams_are_called_good(field, force):
+def test_good_streams_give_no_warning(field, force):
     jitter = np.random.default_rng(3).uniform(-4e-3, 4e-3, COUNT)
     assert not stamps_finding("field", 0.025 * np.arange(COUNT) + jitter).is_wrong
     assert not wrong(found_in(field))
@@ -76,7 +76,7 @@ def test_stamps_that_jitter_by_most_of_a_gap_are_named():
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.6])
-def test_lost_samples_are_told_from_stamps_that_jitter(share):
+def test_lost_samples_are_distinguished_from_jitter(share):
     rng = np.random.default_rng(6)
     time = 0.02 * np.arange(COUNT) + rng.normal(0.0, 1e-3, COUNT)
     found = stamps_finding("field", time[rng.random(COUNT) > share])
@@ -85,7 +85,7 @@ def test_lost_samples_are_told_from_stamps_that_jitter(share):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_stamps_that_are_late_now_and_then_are_no_lost_samples(seed):
+def test_single_late_stamps_are_no_lost_samples(seed):
     rng = np.random.default_rng(seed)
     late = rng.exponential(0.06, COUNT) * (rng.random(COUNT) < 0.3)
     found = stamps_finding("field", np.unique(0.02 * np.arange(COUNT) + late))
@@ -126,13 +126,13 @@ def test_a_fault_of_the_field_is_named_alone(field, fault, key, words):
     assert words in found[key].remedy
 
 
-def test_a_robot_that_rests_at_the_top_of_a_coarse_swing_is_not_saturated(field):
+def test_a_rest_at_the_extreme_of_a_coarse_field_is_no_saturation(field):
     resting = np.concatenate([np.round(field / 0.6e-6) * 0.6e-6, np.tile(field[:1], (300, 1))])
     resting[COUNT:, 0] = resting[:, 0].max()
     assert "saturation" not in wrong(field_findings(resting))
 
 
-def test_an_axis_at_its_limit_all_the_time_is_told_from_a_coarse_one(field):
+def test_an_axis_always_at_its_limit_is_distinguished_from_a_coarse_one(field):
     assert stuck_axes(dead(field)) == [1]
     assert stuck_axes(np.round(dead(field) / 0.15e-6) * 0.15e-6) == [1]
     # Without most of its noise the same turn leaves a rounded z at one number.
@@ -155,7 +155,7 @@ def test_a_wrong_size_of_gravity_is_named(force, factor, words):
 
 
 @pytest.mark.parametrize("seconds", first_of([0.1, 1.0, 0.5, 1.25, 1.5], 2))
-def test_a_turn_that_was_ended_after_a_moment_can_be_looked_at(seconds):
+def test_a_very_short_turn_can_be_examined(seconds):
     motion = turn(arc=math.radians(57.0), samples=max(3, round(60 * seconds)), duration=seconds)
     window = measure(Robot(noise_rate=1e-3), motion, np.random.default_rng(3), gyro=True)
     assert examine_window(window).findings

@@ -1,4 +1,4 @@
-"""Each fault put on good sensors is named, and nothing else is."""
+"""Each simulated fault of good sensors is named, and nothing else."""
 
 import math
 import re
@@ -13,31 +13,31 @@ from uneven_turns import ROBOT, driven, evenly
 
 from magcal_ros.core import Grade, Knowledge
 from magcal_ros.core.doctor import (
+    compare_axes,
     examine,
     examine_window,
-    explain,
     force_latency,
     gravity_misfit,
     prepare,
 )
 from magcal_ros.core.geometry import chained, exp_rotations, signed_permutations
-from magcal_ros.core.samples import SensorLog, stretch_of_log
+from magcal_ros.core.samples import SensorLog, segment_of_log
 from magcal_ros.core.simulation import DEGREE, Robot
 
 MOST_SEEN = "half minute"
 
 
-def page_of(case, log=None):
+def report_of(case, log=None):
     return examine(log or case.log, case.knowledge, case.turned_left)
 
 
-def wrong(page):
-    return {finding.key for finding in page.findings if finding.is_wrong}
+def wrong(report):
+    return {finding.key for finding in report.findings if finding.is_wrong}
 
 
 @pytest.mark.parametrize("motion", first_of(["turn", "half minute", "lift", "quarter"]))
-def test_nothing_is_said_of_good_sensors(motion):
-    assert wrong(page_of(good_case(np.random.default_rng(11), motion))) == set()
+def test_good_sensors_have_no_fault(motion):
+    assert wrong(report_of(good_case(np.random.default_rng(11), motion))) == set()
 
 
 ONE_OF_A_KIND = [
@@ -59,7 +59,7 @@ def test_a_fault_is_named_alone(name):
     fault, keys = FAULTS[name]
     rng = np.random.default_rng([5, 1])
     case = good_case(rng, MOST_SEEN)
-    assert wrong(page_of(case, fault(rng, case.log))) == set(keys)
+    assert wrong(report_of(case, fault(rng, case.log))) == set(keys)
 
 
 @pytest.mark.parametrize(
@@ -79,26 +79,26 @@ def test_two_faults_at_once_are_both_named(pair):
     rng = np.random.default_rng([5, 6])
     case = good_case(rng, MOST_SEEN)
     log = FAULTS[two][0](rng, FAULTS[one][0](rng, case.log))
-    assert wrong(page_of(case, log)) >= {*FAULTS[one][1], *FAULTS[two][1]}
+    assert wrong(report_of(case, log)) >= {*FAULTS[one][1], *FAULTS[two][1]}
 
 
 @pytest.mark.parametrize("number", first_of([17, 30, 1, 5, 24, 47]))
-def test_the_magnetometer_is_blamed_where_gyro_and_accelerometer_agree(number):
+def test_the_magnetometer_is_named_if_gyro_and_accelerometer_agree(number):
     case = good_case(np.random.default_rng([5, 3]), MOST_SEEN)
     axes = signed_permutations()[number]
-    page = page_of(case, replace(case.log, field=case.log.field @ axes.T))
-    assert wrong(page) == {"field_axes"}
+    report = report_of(case, replace(case.log, field=case.log.field @ axes.T))
+    assert wrong(report) == {"field_axes"}
 
 
 @pytest.mark.parametrize("axes", first_of([np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])]))
-def test_the_accelerometer_is_blamed_where_gyro_and_field_agree(axes):
+def test_the_accelerometer_is_named_if_gyro_and_field_agree(axes):
     case = good_case(np.random.default_rng([5, 4]), MOST_SEEN)
-    keys = wrong(page_of(case, replace(case.log, force=case.log.force @ axes.T)))
+    keys = wrong(report_of(case, replace(case.log, force=case.log.force @ axes.T)))
     assert keys & {"force_axes", "imu_axes", "gravity_sign"}
     assert not keys & {"gyro_axes", "field_axes"}
 
 
-def test_an_imu_that_lies_upside_down_is_told_from_gravity_of_the_wrong_sign():
+def test_an_imu_upside_down_is_distinguished_from_gravity_of_the_wrong_sign():
     case = good_case(np.random.default_rng([5, 5]), MOST_SEEN)
     over = np.diag([1.0, -1.0, -1.0])
     turned = replace(
@@ -107,17 +107,17 @@ def test_an_imu_that_lies_upside_down_is_told_from_gravity_of_the_wrong_sign():
         rate=case.log.rate @ over,
         field=case.log.field @ over,
     )
-    assert wrong(page_of(case, turned)) == {"imu_axes"}
-    assert wrong(page_of(case, replace(case.log, force=-case.log.force))) == {"gravity_sign"}
+    assert wrong(report_of(case, turned)) == {"imu_axes"}
+    assert wrong(report_of(case, replace(case.log, force=-case.log.force))) == {"gravity_sign"}
 
 
 @pytest.mark.parametrize("seeds", first_of([range(1, 2), range(3)]))
-def test_what_a_level_turn_cannot_tell_is_one_question_and_no_order(seeds):
+def test_an_ambiguity_of_a_level_turn_is_one_finding_with_a_movement(seeds):
     asked = 0
     for seed in seeds:
         case = good_case(np.random.default_rng([6, seed]), "turn")
         mirrored = replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0]))
-        (line,) = [f for f in page_of(case, mirrored).findings if f.is_wrong]
+        (line,) = [f for f in report_of(case, mirrored).findings if f.is_wrong]
         assert line.key in ("axes", "gyro_axes")
         asked += line.key == "axes"
         if line.key == "axes":
@@ -128,12 +128,12 @@ def test_what_a_level_turn_cannot_tell_is_one_question_and_no_order(seeds):
     assert asked
 
 
-def test_two_sensors_are_never_accused_at_once():
+def test_two_sensors_are_never_reported_together():
     case = good_case(np.random.default_rng([5, 2]), MOST_SEEN)
     slip = np.array([1.0, 1.0, -1.0])
     other = case.log.field[:, [1, 0, 2]]
-    page = page_of(case, replace(case.log, rate=case.log.rate * slip, field=other))
-    (line,) = [f for f in page.findings if f.is_wrong]
+    report = report_of(case, replace(case.log, rate=case.log.rate * slip, field=other))
+    (line,) = [f for f in report.findings if f.is_wrong]
     assert line.grade is Grade.WARN
     assert "wrong axes of one sensor do not explain it" in line.remedy
 
@@ -147,7 +147,7 @@ def seconds_late(line):
 def test_the_latency_of_the_field_is_measured(lag):
     case = good_case(np.random.default_rng([5, 6]), MOST_SEEN)
     late = replace(case.log, field_time=case.log.field_time + lag)
-    lines = {f.key: f for f in page_of(case, late).findings}
+    lines = {f.key: f for f in report_of(case, late).findings}
     assert lines["latency"].is_wrong
     assert seconds_late(lines["latency"]) == pytest.approx(lag, abs=8e-3)
     assert not lines["force_latency"].is_wrong
@@ -159,49 +159,49 @@ def test_the_latency_of_the_accelerometer_is_measured(samples):
     log = case.log
     lag = samples * float(np.median(np.diff(log.imu_time)))
     late = replace(log, force=np.roll(log.force, samples, axis=0))
-    page = page_of(case, late)
-    lines = {f.key: f for f in page.findings}
+    report = report_of(case, late)
+    lines = {f.key: f for f in report.findings}
     assert seconds_late(lines["force_latency"]) == pytest.approx(lag, abs=8e-3)
-    assert wrong(page) == {"force_latency"}
+    assert wrong(report) == {"force_latency"}
     ahead = replace(log, rate=np.roll(log.rate, -samples, axis=0))
-    lines = {f.key: f for f in page_of(case, ahead).findings if f.is_wrong}
+    lines = {f.key: f for f in report_of(case, ahead).findings if f.is_wrong}
     assert set(lines) == {"latency", "force_latency"}
     assert "the gyro is" in lines["latency"].remedy
 
 
 @pytest.mark.nightly
-def test_the_sigma_of_a_latency_is_what_it_errs_by():
+def test_the_sigma_of_a_latency_is_correct():
     errors = []
     for seed in range(60):
         case = good_case(np.random.default_rng([8, seed]), MOST_SEEN)
         log = prepare(case.log).log
-        explanations = explain(log, case.knowledge.reference.inclination)
-        latency = force_latency(log, explanations.way(explanations.best))
+        hypotheses = compare_axes(log, case.knowledge.reference.inclination)
+        latency = force_latency(log, hypotheses.hypothesis(hypotheses.best))
         errors.append(latency.lag / latency.sigma)
     assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
 @pytest.mark.parametrize("off", first_of([-3.0, 2.0, 1000.0]))
-def test_stamps_of_two_clocks_are_named_and_the_rest_is_looked_at(off):
+def test_stamps_of_two_clocks_are_named_and_the_other_checks_are_made(off):
     case = good_case(np.random.default_rng([5, 6]), MOST_SEEN)
     log = replace(case.log, field_time=case.log.field_time + off)
-    assert wrong(page_of(case, log)) == {"clocks"}
+    assert wrong(report_of(case, log)) == {"clocks"}
     ned = replace(log, field=log.field * np.array([1.0, -1.0, -1.0]))
-    page = page_of(case, ned)
-    assert wrong(page) == {"clocks", "field_axes", "driver"}
-    assert page.parameters == "mount_rpy_deg: [180.0, 0.0, 0.0]"
+    report = report_of(case, ned)
+    assert wrong(report) == {"clocks", "field_axes", "driver"}
+    assert report.parameters == "mount_rpy_deg: [180.0, 0.0, 0.0]"
 
 
 @pytest.mark.parametrize(("motion", "seed"), [("turn", 2), ("lift", 4), ("half minute", 9)])
-def test_a_frozen_sensor_does_not_stamp_by_another_clock(motion, seed):
+def test_a_frozen_sensor_is_not_taken_for_another_clock(motion, seed):
     """While it is frozen it does not show when the robot turned."""
     freeze, keys = FAULTS["frozen"]
     rng = np.random.default_rng([3401, seed])
     case = good_case(rng, motion)
-    assert wrong(page_of(case, freeze(rng, case.log))) == {*keys}
+    assert wrong(report_of(case, freeze(rng, case.log))) == {*keys}
 
 
-def test_a_person_who_turned_the_other_way_makes_no_sensor_wrong():
+def test_a_turn_in_the_other_direction_is_no_fault_of_a_sensor():
     case = good_case(np.random.default_rng([4, 0]), MOST_SEEN, habit=Habit(left=-1.0))
     (line,) = [f for f in examine(case.log, case.knowledge, True).findings if f.is_wrong]
     assert line.key == "imu_axes"
@@ -209,17 +209,17 @@ def test_a_person_who_turned_the_other_way_makes_no_sensor_wrong():
 
 
 @pytest.mark.parametrize("name", first_of(HABITS))
-def test_good_sensors_of_other_robots_and_movements_are_not_blamed(name):
+def test_good_sensors_of_other_robots_and_movements_have_no_fault(name):
     rng = np.random.default_rng([4, 3])
-    page = page_of(good_case(rng, MOST_SEEN, habit=HABITS[name]))
+    report = report_of(good_case(rng, MOST_SEEN, habit=HABITS[name]))
     said = {"bias of 2 °/s": {"gyro_bias"}, "half the field": {"reference"}}
     if "clock" in name:
-        # A field that comes later and later; between starts and stops motors look alike.
-        late = [each for each in page.findings if each.is_wrong]
+        # A field with growing latency; between starts and stops motors look the same.
+        late = [each for each in report.findings if each.is_wrong]
         assert [each.key for each in late] in (["latency"], ["motors"])
         assert late[0].key == "latency" or "Late stamps of the field" in late[0].remedy
         return
-    assert wrong(page) == said.get(name, set())
+    assert wrong(report) == said.get(name, set())
 
 
 MOTORS_HIDE = ("gyro_bias", "rate_scale", "reference", "axes")
@@ -232,26 +232,26 @@ def test_a_field_that_steps_with_the_motors_is_named():
     on = np.interp(log.field_time, log.imu_time, moving.astype(float)) > 0.5
     for size, words in ((1.0, "subtracts it while"), (10.0, "too large to be subtracted well")):
         added = size * np.outer(on, [3e-6, -2e-6, 4e-6])
-        page = page_of(case, replace(log, field=log.field + added))
-        (line,) = [each for each in page.findings if each.key == "motors"]
+        report = report_of(case, replace(log, field=log.field + added))
+        (line,) = [each for each in report.findings if each.key == "motors"]
         assert line.is_wrong
         assert words in line.remedy
         assert "° of heading" in line.evidence
-        hidden = [f for f in page.findings if f.evidence.startswith("not shown")]
-        # The robot stood, turned a circle and lifted its nose: asking for this again is no help.
+        hidden = [f for f in report.findings if f.evidence.startswith("not shown")]
+        # The robot has already rested, turned and lifted its nose: asking again is no help.
         assert not [f.evidence for f in hidden if "then turn a full circle" in f.evidence]
         assert all("motors off" in f.evidence for f in hidden if f.key in MOTORS_HIDE)
 
 
-def test_without_a_gyro_the_rest_is_looked_at_and_the_movement_said():
+def test_without_a_gyro_the_other_checks_are_made_and_a_movement_is_named():
     case = good_case(np.random.default_rng([5, 8]), MOST_SEEN)
     blind = replace(case.log, rate=np.full_like(case.log.rate, np.nan), force=-case.log.force)
-    lines = {f.key: f for f in page_of(case, blind).findings if f.is_wrong}
+    lines = {f.key: f for f in report_of(case, blind).findings if f.is_wrong}
     assert set(lines) == {"no_gyro", "gravity_sign"}
     assert "drive straight" in lines["no_gyro"].remedy
 
 
-def test_little_and_still_logs_are_no_crash_and_no_blame():
+def test_short_logs_and_logs_at_rest_give_no_error_and_no_fault():
     case = good_case(np.random.default_rng([5, 9]), MOST_SEEN)
     log = case.log
     still = replace(
@@ -262,7 +262,7 @@ def test_little_and_still_logs_are_no_crash_and_no_blame():
         field_time=log.field_time[:80],
         field=log.field[:80],
     )
-    assert wrong(page_of(case, still)) == set()
+    assert wrong(report_of(case, still)) == set()
     for count in (0, 1, 2, 5):
         short = replace(
             log,
@@ -272,16 +272,16 @@ def test_little_and_still_logs_are_no_crash_and_no_blame():
             field_time=log.field_time[:count],
             field=log.field[:count],
         )
-        assert wrong(page_of(case, short)) == set()
+        assert wrong(report_of(case, short)) == set()
 
 
-def test_the_mounting_that_mends_is_offered_alone():
+def test_only_the_correcting_mounting_is_offered():
     rng = np.random.default_rng([5, 10])
     case = good_case(rng, MOST_SEEN)
     ned = replace(case.log, field=case.log.field * np.array([1.0, -1.0, -1.0]))
-    assert page_of(case, ned).parameters == "mount_rpy_deg: [180.0, 0.0, 0.0]"
+    assert report_of(case, ned).parameters == "mount_rpy_deg: [180.0, 0.0, 0.0]"
     mirrored = replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0]))
-    assert page_of(case, mirrored).parameters == ""
+    assert report_of(case, mirrored).parameters == ""
 
 
 def test_the_reference_of_another_place_is_named():
@@ -289,17 +289,17 @@ def test_the_reference_of_another_place_is_named():
     believed = case.knowledge.reference
     dip = replace(believed.inclination, value=believed.inclination.value - math.radians(25.0))
     elsewhere = replace(case, knowledge=Knowledge(replace(believed, inclination=dip)))
-    (line,) = [f for f in page_of(elsewhere).findings if f.key == "reference"]
+    (line,) = [f for f in report_of(elsewhere).findings if f.key == "reference"]
     assert line.is_wrong
     assert f"an inclination of {math.degrees(dip.value):.0f}°" in line.remedy
 
 
-def test_what_a_piece_of_a_turn_cannot_show_is_asked_for():
+def test_a_part_of_a_turn_asks_for_the_missing_movement():
     robot = Robot()
     window = measure(robot, turn(arc=0.44), np.random.default_rng(1), gyro=True)
-    page = examine_window(window, robot.knowledge())
-    assert wrong(page) == set()
-    lines = {f.key: f for f in page.findings}
+    report = examine_window(window, robot.knowledge())
+    assert wrong(report) == set()
+    lines = {f.key: f for f in report.findings}
     for key in ("gyro_bias", "rate_scale"):
         assert "turn left once" in lines[key].evidence
 
@@ -316,13 +316,13 @@ def streets(case):
 @pytest.mark.nightly
 def test_a_field_that_changes_from_place_to_place_is_no_unit_of_the_gyro():
     case = good_case(np.random.default_rng([5, 6]), MOST_SEEN)
-    lines = {f.key: f for f in page_of(case, streets(case)).findings}
+    lines = {f.key: f for f in report_of(case, streets(case)).findings}
     assert "rate_unit" not in lines or not lines["rate_unit"].is_wrong
 
 
 @pytest.mark.parametrize("seed", first_of(range(3)))
-def test_a_lever_arm_is_no_turned_accelerometer(seed):
-    """A hand swings the sensor around an elbow: what it feels is the arm's acceleration."""
+def test_a_lever_arm_is_not_taken_for_a_rotated_accelerometer(seed):
+    """A hand swings the sensor around an elbow: it measures the arm's acceleration."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, 30.0, 0.01)
     phases = enumerate(rng.uniform(0.0, 6.0, 3))
@@ -333,12 +333,12 @@ def test_a_lever_arm_is_no_turned_accelerometer(seed):
     force = 9.81 * turns[:, :, 2] + swung + 0.05 * rng.normal(size=rate.shape)
     field = 45e-6 * (turns @ np.array([0.0, 0.4, -0.9])) + 0.3e-6 * rng.normal(size=rate.shape)
     noisy = rate + 0.003 * rng.normal(size=rate.shape)
-    part = stretch_of_log(SensorLog(time, force, noisy, time, field))
+    part = segment_of_log(SensorLog(time, force, noisy, time, field))
     misfit, _ = gravity_misfit(part, signed_permutations())
     assert misfit[0] < 5.0
 
 
-def test_a_robot_that_stands_shows_the_bias_of_its_gyro_and_no_quarrel_of_its_axes():
+def test_a_robot_at_rest_shows_the_gyro_bias_and_no_wrong_axes():
     """The field at rest wanders by half a microtesla; the gyro alone tells a turn of 140°."""
     rng, time = np.random.default_rng(8), np.arange(0.0, 30.0, 0.025)
     bias = np.array([3.5, 2.0, 2.0]) * DEGREE
@@ -352,12 +352,12 @@ def test_a_robot_that_stands_shows_the_bias_of_its_gyro_and_no_quarrel_of_its_ax
     assert lines["gyro_bias"].evidence.startswith(("(3.48", "(3.49", "(3.5"))
 
 
-def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():
+def test_a_gyro_scale_error_by_one_turn_asks_for_another_turn():
     """Currents that rise during one turn move the field as another scale would."""
     case = good_case(np.random.default_rng([5, 1]), MOST_SEEN)
     (line,) = [
         f
-        for f in page_of(case, replace(case.log, rate=1.08 * case.log.rate)).findings
+        for f in report_of(case, replace(case.log, rate=1.08 * case.log.rate)).findings
         if f.key == "rate_scale"
     ]
     assert line.is_wrong
@@ -365,7 +365,7 @@ def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():
 
 
 @pytest.mark.parametrize("case", first_of([(57.3, "57.3 times too large"), (1.0, "")]))
-def test_the_unit_of_the_gyro_is_told_by_a_slow_turn(case):
+def test_a_slow_turn_determines_the_unit_of_the_gyro(case):
     """In half a second a robot that turns by 15 degrees a second shows too little of it."""
     times, words = case
     rng = np.random.default_rng(4)
@@ -382,8 +382,8 @@ def test_the_unit_of_the_gyro_is_told_by_a_slow_turn(case):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("size", first_of([7e-6, 15e-6]))
-def test_motors_that_follow_the_rate_are_worth_a_look(size):
-    """A field that is early by .8 s explains the same turn: both are said."""
+def test_a_motor_field_in_proportion_to_the_rate_gives_a_warning(size):
+    """A field that is early by .8 s explains the same turn: both are reported."""
     rng = np.random.default_rng(4)
     time = np.arange(-6.0, 31.0, 1.0 / 30.0)
     rate = 0.26 * np.clip(np.minimum(time, 25.0 - time) / 0.5, 0.0, 1.0)
@@ -399,29 +399,29 @@ def test_motors_that_follow_the_rate_are_worth_a_look(size):
 
 
 @pytest.mark.nightly
-def test_a_turn_between_rests_says_that_its_motors_hide_the_gyros_scale():
-    """It stood still and turned a full circle, and was asked for both."""
+def test_after_a_turn_between_rests_motors_make_the_gyro_scale_unobservable():
+    """A robot that rested and turned a full circle was asked for both again."""
     _, window = driven(evenly, ROBOT, 6.0)
     rate = window.angular_rate[:, 2]
     added = np.outer(7e-6 * rate / np.abs(rate).max(), [0.6, -0.8, 0.0])
-    page = examine(SensorLog.of_window(replace(window, field=window.field + added)))
-    lines = {finding.key: finding for finding in page.findings}
+    report = examine(SensorLog.of_window(replace(window, field=window.field + added)))
+    lines = {finding.key: finding for finding in report.findings}
     assert lines["motors"].is_wrong
     said = lines["rate_scale"].evidence
     assert re.match(r"not shown: within \d\.\d%; turn once by hand with the motors off ", said)
 
 
-def test_an_imu_in_other_axes_is_not_said_of_the_magnetometer_as_well():
+def test_wrong_axes_of_the_imu_are_not_attributed_to_the_magnetometer():
     case = good_case(np.random.default_rng([5, 7]), "lift")
     forward_right_down = np.array([1.0, -1.0, -1.0])
     force, rate = case.log.force * forward_right_down, case.log.rate * forward_right_down
-    page = page_of(case, replace(case.log, force=force, rate=rate))
-    assert len(wrong(page)) == 1
-    assert page.mount_rpy_deg is None
+    report = report_of(case, replace(case.log, force=force, rate=rate))
+    assert len(wrong(report)) == 1
+    assert report.mount_rpy_deg is None
 
 
-def test_the_movement_that_shows_which_sensor_errs_is_asked_for_once():
+def test_the_distinguishing_movement_is_asked_for_once():
     case = good_case(np.random.default_rng([6, 1]), "turn")
-    page = page_of(case, replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0])))
-    (line,) = [f for f in page.findings if f.key == "axes"]
+    report = report_of(case, replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0])))
+    (line,) = [f for f in report.findings if f.key == "axes"]
     assert line.remedy.count("lift the nose") == 1

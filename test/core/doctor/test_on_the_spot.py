@@ -1,4 +1,4 @@
-"""Motors are named where a robot turned on the spot, and the field of another place never."""
+"""A motor field is reported only for turns on the spot, and not for another place."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def log_of(radius, added):
 
 
 @pytest.mark.parametrize("case", first_of([(0.6, True), (11.0, False), (0.0, True)]))
-def test_a_car_that_drove_to_its_circle_has_no_motors(case):
+def test_a_drive_before_a_circle_is_not_taken_for_motors(case):
     radius, is_named = case
     (line,) = (
         f for f in examine(log_of(radius, [3e-6, -2e-6, 4e-6])).findings if f.key == "motors"
@@ -37,7 +37,7 @@ def test_a_car_that_drove_to_its_circle_has_no_motors(case):
     assert ("the robot drove while it turned" in line.evidence) != is_named
 
 
-def test_a_sensor_that_a_hand_swings_neither_lies_on_its_side_nor_is_in_another_unit():
+def test_a_hand_held_swing_gives_no_fault_of_axes_or_unit():
     rng = np.random.default_rng(8)
     time = np.arange(0.0, 30.0, 0.01)
     moves = ((time > 3.0) & (time < 27.0))[:, None]

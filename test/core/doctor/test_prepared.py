@@ -1,4 +1,4 @@
-"""What single streams show by themselves, and what is left for the comparison of the sensors."""
+"""Faults of single streams, and the samples that are left to compare the sensors."""
 
 import math
 from dataclasses import replace
@@ -14,7 +14,7 @@ def seen_wrong(case, log):
     return [f for f in examine(log, case.knowledge, case.turned_left).findings if f.is_wrong]
 
 
-def test_bursts_of_which_some_are_missing_are_no_weak_field():
+def test_bursts_with_missing_ones_are_no_weak_field():
     """A line through all stamps would be seconds off, and the field 40% too weak."""
     rng = np.random.default_rng([5, 1])
     case = good_case(rng, "half minute")
@@ -29,7 +29,7 @@ def test_bursts_of_which_some_are_missing_are_no_weak_field():
     assert {line.key for line in seen_wrong(case, log)} == {"bursts"}
 
 
-def test_a_gyro_that_is_empty_now_and_then_is_named():
+def test_a_gyro_with_missing_samples_is_named():
     rng = np.random.default_rng([5, 1])
     case = good_case(rng, "half minute")
     rate = case.log.rate.copy()

@@ -1,4 +1,4 @@
-"""Each habit of a driver is named where it is put on good sensors, and nowhere else."""
+"""Each known fault of a driver is named when it is simulated, and only then."""
 
 import functools
 import re
@@ -26,8 +26,8 @@ def wrong_lines(case, log):
     return lines_of(examine(log, case.knowledge, case.turned_left))
 
 
-def lines_of(page):
-    return [f"{f.name} {f.evidence} {f.remedy}" for f in page.findings if f.is_wrong]
+def lines_of(report):
+    return [f"{f.name} {f.evidence} {f.remedy}" for f in report.findings if f.is_wrong]
 
 
 def scaled(per_tesla):
@@ -98,14 +98,14 @@ def published(name, seed):
 
 
 @functools.cache
-def page_of(name, seed):
-    """What is said of good sensors whose driver has such a habit."""
+def report_of(name, seed):
+    """The findings on good sensors whose driver has such a fault."""
     case = case_of(seed)
     return examine(published(name, seed), case.knowledge, case.turned_left)
 
 
 def is_named(name, seed):
-    return any(name in line for line in lines_of(page_of(name, seed)))
+    return any(name in line for line in lines_of(report_of(name, seed)))
 
 
 ALL = [*CASES, *NORMED]
@@ -127,9 +127,9 @@ def test_the_driver_is_named(name):
         ("ICM-20948", "mount_rpy_deg: [180.0, 0.0, 0.0]"),
     ],
 )
-def test_the_sample_for_the_chip_gives_the_mounting_that_doctor_names(name, line):
-    page = page_of(name, 0)
-    assert np.allclose(*(_rotation(text) for text in (page.parameters, line)), atol=1e-9)
+def test_the_parameter_sample_for_the_chip_has_the_mounting_that_doctor_names(name, line):
+    report = report_of(name, 0)
+    assert np.allclose(*(_rotation(text) for text in (report.parameters, line)), atol=1e-9)
     sample = Path(__file__).parents[3] / "config" / "sensors" / "icm20948.yaml"
     assert line.partition(": ")[2].replace(".0", "") in sample.read_text().replace(".0", "")
 
@@ -146,15 +146,15 @@ def test_the_driver_is_named_in_99_of_100(name):
 
 
 @pytest.mark.parametrize(("name", "seed"), [("Xsens", 0), ("Inertial Sense", 0)])
-def test_a_field_in_a_unit_of_its_own_is_told_without_microtesla(name, seed):
-    """Its strength without hard iron tells the unit; nothing is compared with a field in tesla."""
-    page = page_of(name, seed)
-    of_field = [f.evidence + f.remedy for f in page.findings if f.name.startswith("field")]
+def test_a_field_in_an_unknown_unit_is_reported_without_microtesla(name, seed):
+    """The strength without hard iron determines the unit; nothing is compared in tesla."""
+    report = report_of(name, seed)
+    of_field = [f.evidence + f.remedy for f in report.findings if f.name.startswith("field")]
     assert not any("µT" in words for words in of_field)
-    unit = next(f for f in page.findings if f.key == "field_unit")
+    unit = next(f for f in report.findings if f.key == "field_unit")
     assert "without hard iron" in unit.evidence
     assert "gauss" not in unit.remedy
-    wrong = {f.key for f in page.findings if f.is_wrong}
+    wrong = {f.key for f in report.findings if f.is_wrong}
     assert not wrong & {"reference", "motors", "resolution"}
 
 
@@ -178,7 +178,7 @@ def test_no_driver_is_named_where_nothing_is_wrong(seed):
 
 
 @pytest.mark.parametrize("seed", first_of(range(1, 51)))
-def test_a_field_that_points_up_is_told_as_a_simulators(seed):
+def test_a_field_that_points_up_is_named_as_that_of_a_simulator(seed):
     """Gazebo turns the world's north, east and down into the robot's axes as if they were ENU."""
     case = case_of(seed)
     known = case.knowledge.reference

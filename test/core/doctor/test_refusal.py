@@ -1,4 +1,4 @@
-"""A turn whose gyro does not show it, or counts in another unit, is refused in those words."""
+"""A turn with a gyro that does not measure it, or in another unit, is refused with the reason."""
 
 import math
 import sys
@@ -13,7 +13,13 @@ from simulated.travel import travel
 from simulated.turns import measure, smooth_wobble, turn
 
 from magcal_ros.core import Grade, Knowledge, Reason, Refusal, Window, calibrate
-from magcal_ros.core.doctor import alive_finding, blamed_on_sensors, explain, motion, wrong_axes
+from magcal_ros.core.doctor import (
+    alive_finding,
+    compare_axes,
+    motion,
+    refusal_by_sensors,
+    wrong_axes,
+)
 from magcal_ros.core.simulation import Robot
 
 
@@ -44,14 +50,14 @@ def test_a_good_gyro_is_not_refused(window):
          "turn about z as x"),
     ],
 )  # fmt: skip
-def test_a_dead_z_axis_is_named_with_the_way_out(window, axes, words):
+def test_a_dead_z_axis_is_named_with_the_remedy(window, axes, words):
     turned = with_rate(window, *axes)
     found = wrong_axes(turned, Knowledge())
     assert found.reason is Reason.AXES_DISAGREE
     assert words in str(found)
     assert "calibrated without a gyro" in str(found)
     unseen = Refusal(Reason.ARC_TOO_SHORT, "nothing was seen of a turn")
-    assert words in str(blamed_on_sensors(unseen, turned, Knowledge()))
+    assert words in str(refusal_by_sensors(unseen, turned, Knowledge()))
 
 
 def test_a_simulator_without_noise_may_turn_about_one_axis_alone():
@@ -62,7 +68,7 @@ def test_a_simulator_without_noise_may_turn_about_one_axis_alone():
     assert calibrate(level, robot.knowledge()).verdict.accepted
 
 
-def test_a_fit_with_a_dead_z_axis_is_refused_before_the_work(window, monkeypatch):
+def test_a_dead_z_axis_is_refused_before_the_fit(window, monkeypatch):
     # The package's attribute of that name is the function.
     module = sys.modules["magcal_ros.core.calibrate"]
     monkeypatch.setattr(module, "find_method", pytest.fail)
@@ -101,7 +107,7 @@ def test_without_the_gyro_that_has_dead_axes_the_turn_is_calibrated(window):
 
 
 @pytest.mark.parametrize("since", first_of([100, 0]))
-def test_a_gyro_that_is_stuck_is_said(window, since):
+def test_a_stuck_gyro_is_reported(window, since):
     rate = window.angular_rate.copy()
     rate[since:] = [0.1, 0.02, -0.05]
     outcome = calibrate(replace(window, angular_rate=rate), Knowledge())
@@ -109,11 +115,11 @@ def test_a_gyro_that_is_stuck_is_said(window, since):
     assert "the gyro is frozen" in outcome.verdict.summary
     unseen = Refusal(Reason.ARC_TOO_SHORT, "nothing was seen of a turn")
     assert "the gyro is frozen" in str(
-        blamed_on_sensors(unseen, replace(window, angular_rate=rate), Knowledge())
+        refusal_by_sensors(unseen, replace(window, angular_rate=rate), Knowledge())
     )
 
 
-def test_rates_in_another_unit_are_said_as_such(window):
+def test_rates_in_another_unit_are_reported(window):
     outcome = calibrate(replace(window, angular_rate=562.0 * window.angular_rate), Knowledge())
     assert outcome.reason is Reason.AXES_DISAGREE
     assert "the gyro's rates are 562 times too large" in outcome.verdict.summary
@@ -124,9 +130,9 @@ def test_rates_in_another_unit_are_not_explained_as_they_are(window, monkeypatch
 
     def explained(log, *others):
         fastest.append(np.abs(log.rate).max())
-        return explain(log, *others)
+        return compare_axes(log, *others)
 
-    monkeypatch.setattr(motion, "explain", explained)
+    monkeypatch.setattr(motion, "compare_axes", explained)
     outcome = calibrate(replace(window, angular_rate=57.3 * window.angular_rate), Knowledge())
     assert "degrees/s published as rad/s" in outcome.verdict.summary
     # That would take four times as long, and nothing fits.

@@ -1,4 +1,4 @@
-"""Nothing is wrong with the axes of the good recordings, and the bad stamps are named."""
+"""Recordings with good axes have no fault of axes; bad stamps are named."""
 
 import pytest
 from long_form import first_of
@@ -7,7 +7,7 @@ from magcal_ros.core import Knowledge, Mounting
 from magcal_ros.core.doctor import examine, wrong_axes
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import SensorLog
-from magcal_ros.core.session import Gathering, fit_gathered
+from magcal_ros.core.session import SampleCollector, fit_collected
 from magcal_ros.files import open_recording
 
 GOOD = (
@@ -25,7 +25,7 @@ BIASED = "car_neu2024_yash"
 BURSTS = "car_neu2023_aswin_asrec"
 
 
-def page_of(folder):
+def report_of(folder):
     with open_recording(folder) as source:
         return examine(SensorLog.of(r for r in source.readings() if r is not None))
 
@@ -33,67 +33,67 @@ def page_of(folder):
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", first_of([*GOOD, BURSTS]))
 def test_the_axes_of_recordings_are_not_called_wrong(recording, name):
-    gathering = Gathering(Mounting())
+    collector = SampleCollector(Mounting())
     with open_recording(recording(name)) as source:
-        gathering.take(source.readings())
-    assert wrong_axes(gathering.window(), Knowledge()) is None
+        collector.take(source.readings())
+    assert wrong_axes(collector.window(), Knowledge()) is None
 
 
 @pytest.mark.parametrize("name", first_of([name for name in GOOD if name != BIASED]))
-def test_nothing_is_wrong_with_good_sensors(recording, name):
-    assert [f for f in page_of(recording(name)).findings if f.is_wrong] == []
+def test_good_recorded_sensors_have_no_fault(recording, name):
+    assert [f for f in report_of(recording(name)).findings if f.is_wrong] == []
 
 
 @pytest.mark.nightly
 def test_stamps_in_bursts_are_named(recording):
-    wrong = [f for f in page_of(recording(BURSTS)).findings if f.is_wrong]
+    wrong = [f for f in report_of(recording(BURSTS)).findings if f.is_wrong]
     assert [f.name for f in wrong] == ["IMU: stamps", "field: stamps"]
     assert all("bursts" in f.remedy for f in wrong)
 
 
 @pytest.mark.nightly
-def test_a_turn_that_they_spoil_is_refused_for_them(recording):
-    """As a node would hear it, which cannot wait for a recording's end to spread them."""
-    gathering = Gathering(Mounting())
+def test_a_turn_with_bad_stamps_is_refused_for_them(recording):
+    """As in a node, which cannot wait for the end of a recording to spread them."""
+    collector = SampleCollector(Mounting())
     with open_recording(recording(BURSTS), start=30.0, stop=80.0) as source:
-        gathering.take(source.readings())
-    outcome = fit_gathered(gathering, knowledge_of(51.3, inclination_deg=66.3))
+        collector.take(source.readings())
+    outcome = fit_collected(collector, knowledge_of(51.3, inclination_deg=66.3))
     assert not outcome.verdict.accepted
     assert "gyro and field do not match: the stamps come in bursts" in outcome.verdict.summary
 
 
 @pytest.mark.nightly
-def test_the_bias_of_a_gyro_is_read_at_rest(recording):
-    (bias,) = [f for f in page_of(recording(BIASED)).findings if f.is_wrong]
+def test_the_gyro_bias_is_measured_at_rest(recording):
+    (bias,) = [f for f in report_of(recording(BIASED)).findings if f.is_wrong]
     assert bias.key == "gyro_bias"
     assert bias.evidence.startswith("(3.5")
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seconds", first_of([29.0, 28.0, 31.0]))
-def test_a_car_that_leans_shows_no_inclination(recording, seconds):
-    """Its gyro tilts by no more than the bends lean what the accelerometer shows as up."""
-    gathering = Gathering(Mounting())
+def test_a_leaning_car_does_not_determine_the_inclination(recording, seconds):
+    """The gyro shows no more tilt than the bends tilt the accelerometer's up."""
+    collector = SampleCollector(Mounting())
     with open_recording(recording("car_neu2023_ampomah")) as source:
-        gathering.take(source.readings())
-    window = gathering.window()
+        collector.take(source.readings())
+    window = collector.window()
     part = window.take(window.time >= window.time[-1] - seconds)
     assert wrong_axes(part, knowledge_of(51.2, inclination_deg=66.2)) is None
 
 
 @pytest.mark.nightly
-def test_a_street_that_bends_the_field_shows_no_unit_of_the_gyro(recording):
+def test_a_disturbed_street_does_not_determine_the_gyro_unit(recording):
     """The car drives straight on; the field changes by 21 µT from place to place."""
     folder = recording("car_drive_neu2022_rahul")
     with open_recording(folder, start=195.2, stop=215.2) as source:
-        page = examine(SensorLog.of(r for r in source.readings() if r is not None))
-    assert [f for f in page.findings if f.is_wrong] == []
+        report = examine(SensorLog.of(r for r in source.readings() if r is not None))
+    assert [f for f in report.findings if f.is_wrong] == []
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("start", first_of([6.7, 8.0]))
-def test_a_large_bias_that_a_rest_shows_is_all_that_is_wrong(recording, start):
+def test_a_large_bias_at_rest_is_the_only_finding(recording, start):
     """Fits that begin without it end far from the truth, and other axes seem to fit better."""
     with open_recording(recording(BIASED), start=start, stop=start + 60.0) as source:
-        page = examine(SensorLog.of(r for r in source.readings() if r is not None))
-    assert [f.key for f in page.findings if f.is_wrong] == ["gyro_bias"]
+        report = examine(SensorLog.of(r for r in source.readings() if r is not None))
+    assert [f.key for f in report.findings if f.is_wrong] == ["gyro_bias"]

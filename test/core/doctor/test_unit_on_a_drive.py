@@ -1,4 +1,4 @@
-"""The gyro's unit is named in bends of a street, where no explanation fits the field well."""
+"""The gyro's unit is found in bends of a street, although no hypothesis fits the field well."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The compass against course: streets are the witnesses, and nothing else is taken for one."""
+"""The compass compared with course: each street is one independent measurement."""
 
 import math
 
@@ -71,7 +71,7 @@ def honesty(metres, drives, **options):
 
 
 @pytest.mark.parametrize(("metres", "bound"), [(500.0, 2.5), (2000.0, 1.5)])
-def test_it_is_as_right_as_the_streets_allow_and_says_so(metres, bound):
+def test_the_error_is_within_the_sigma_by_the_number_of_streets(metres, bound):
     rms, nees = honesty(metres, 30)
     assert rms < bound
     assert 0.2 < nees < 2.5
@@ -79,14 +79,14 @@ def test_it_is_as_right_as_the_streets_allow_and_says_so(metres, bound):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("metres", "bound"), [(500.0, 2.6), (2000.0, 1.5)])
-def test_over_two_hundred_drives(metres, bound):
+def test_the_sigma_is_correct_over_two_hundred_drives(metres, bound):
     rms, nees = honesty(metres, 200)
     assert rms < bound
     assert 0.5 < nees < 2.0
 
 
 @pytest.mark.nightly
-def test_plain_noise_instead_of_streets_is_not_believed_too_little_either():
+def test_white_noise_gives_no_too_large_sigma():
     _, nees = honesty(1000.0, 200, size=1e-9, iid=math.radians(8.0))
     assert 0.25 < nees < 2.0
 
@@ -107,17 +107,17 @@ def again_and_again(seed, times, back):
 
 
 @pytest.mark.parametrize("back", [False, True])
-def test_one_street_driven_twenty_times_is_one_street(back):
+def test_one_street_driven_twenty_times_counts_once(back):
     ratios = [again_and_again(seed, 20, back) / again_and_again(seed, 1, back) for seed in range(8)]
     assert np.median(ratios) > 0.9
     assert min(ratios) > 0.85
 
 
-def test_a_street_alone_gives_no_offset_that_would_be_applied():
+def test_a_single_street_gives_no_usable_offset():
     assert again_and_again(1, 20, True) > math.radians(3.0)
 
 
-def test_the_grid_stays_small_on_a_long_way():
+def test_the_table_of_cells_is_bounded_on_a_long_drive():
     rng = np.random.default_rng(1)
     cells = CourseCells()
     for east, north in np.cumsum(rng.normal(0.0, 30.0, (6000, 2)), axis=0).tolist():
@@ -128,7 +128,7 @@ def test_the_grid_stays_small_on_a_long_way():
     assert fit_course_offset(cells.table()).offset == pytest.approx(0.1, abs=0.02)
 
 
-def test_hard_iron_swings_once_around_and_accuses_the_calibration():
+def test_hard_iron_gives_a_first_harmonic_attributed_to_the_calibration():
     rng = np.random.default_rng(2)
     street = StreetField(Streets(waves=80), rng)
     chords = [
@@ -144,7 +144,7 @@ def test_hard_iron_swings_once_around_and_accuses_the_calibration():
     assert "made where the field was disturbed" in words
     usual = check_by_course(fitted(walk(rng, 3000.0, street)))
     assert course_fault(usual) == ""
-    # What may be chance is a number, and no finding on the calibration.
+    # A deviation by chance is a number, and no finding on the calibration.
     assert all("within chance" in check.words for check in usual)
     assert not any("disturbed" in check.words or "missing" in check.words for check in usual)
     assert check_by_course(None) == ()
@@ -155,7 +155,7 @@ def gap_deg(found, true):
 
 
 @pytest.mark.parametrize("delay", first_of([0.6, 6.0, 0.0]))
-def test_late_fixes_do_no_harm_on_straight_ways(delay):
+def test_late_fixes_do_no_harm_on_straight_roads(delay):
     legs = city(np.random.default_rng(3), 150.0)
     drive = driven(legs, 3, Vehicle(ROBOT, imu_yaw=0.1), receiver=Receiver(delay=delay))
     found = follow(drive).fit_course()
@@ -165,17 +165,17 @@ def test_late_fixes_do_no_harm_on_straight_ways(delay):
 
 
 @pytest.mark.parametrize("legs", [circles(120.0), standing(120.0)])
-def test_tight_circles_and_standing_tell_nothing(legs):
+def test_tight_circles_and_rests_give_no_offset(legs):
     assert follow(driven(legs, 4)).fit_course() is None
 
 
-def test_walking_pace_by_poor_fixes_is_refused():
+def test_walking_pace_with_poor_fixes_gives_no_offset():
     legs = city(np.random.default_rng(5), 150.0, fastest=1.2)
     assert follow(driven(legs, 5, receiver=Receiver(noise=0.5))).fit_course() is None
 
 
 @pytest.mark.parametrize("seed", first_of([2, 6, 7, 8]))
-def test_a_boat_that_drifts_about_is_refused(seed):
+def test_a_drifting_boat_is_refused(seed):
     """The current takes it along while it looks about: the course is not the heading.
 
     Of all but the sixth the hull turns so slowly that it could pass for a gyro's bias.
@@ -183,21 +183,21 @@ def test_a_boat_that_drifts_about_is_refused(seed):
     rng = np.random.default_rng(seed)
     legs = [Leg(float(rng.uniform(4.0, 8.0)), 0.0, 0.0, rng.normal(0.0, 0.04)) for _ in range(40)]
     drive = driven(legs, seed, current=(2.5, 0.5), wheels=None)
-    travelling = follow(drive)
-    assert travelling.drift.is_drifting
-    assert travelling.fit_course() is None
+    estimator = follow(drive)
+    assert estimator.drift.is_drifting
+    assert estimator.fit_course() is None
 
 
 @pytest.mark.parametrize("noise", first_of([0.6, 0.3]))
 def test_the_noise_of_a_receiver_is_no_drift(noise):
     drive = driven(city(np.random.default_rng(9), 150.0), 9, receiver=Receiver(noise=noise))
-    travelling = follow(drive)
-    assert travelling.drift.judged > 20
-    assert not travelling.drift.is_drifting
+    estimator = follow(drive)
+    assert estimator.drift.judged > 20
+    assert not estimator.drift.is_drifting
 
 
 @pytest.mark.nightly
-def test_backwards_half_of_the_time_turns_the_offset_by_nothing():
+def test_driving_backwards_half_of_the_time_does_not_change_the_offset():
     rng = np.random.default_rng(7)
     legs = joined(city(rng, 120.0), reversing(rng, 8))
     drive = driven(legs, 7, Vehicle(ROBOT, imu_yaw=0.1))
@@ -206,14 +206,14 @@ def test_backwards_half_of_the_time_turns_the_offset_by_nothing():
 
 
 @pytest.mark.nightly
-def test_steel_on_one_side_of_one_way_is_within_what_is_said():
+def test_steel_beside_one_road_is_within_the_sigma():
     fence = Fence((0.0, 6e-6, 0.0), heading=0.3)
     drive = driven(one_street(6, 250.0), 8, fences=(fence,))
     found = follow(drive).fit_course()
     assert abs(gap_deg(found, 0.0)) < 2.5 * math.degrees(found.sigma)
 
 
-def test_an_outage_and_houses_leave_an_honest_offset():
+def test_an_outage_and_houses_leave_a_correct_sigma():
     receiver = Receiver(multipath=0.03, outages=((40.0, 80.0),))
     legs = city(np.random.default_rng(9), 200.0)
     found = follow(driven(legs, 9, receiver=receiver)).fit_course()

@@ -1,4 +1,4 @@
-"""The yaw of the IMU in the vehicle from force and speed, and what must not fool it."""
+"""The yaw of the IMU in the vehicle from force and speed, with wrong speeds as well."""
 
 import math
 
@@ -35,7 +35,7 @@ def error(found, true):
 
 
 @pytest.mark.parametrize("yaw_deg", first_of([-170.0, 90.0, -30.0, 4.0]))
-def test_it_is_found_wherever_the_imu_looks(yaw_deg):
+def test_the_yaw_is_found_for_every_orientation(yaw_deg):
     vehicle = Vehicle(ROBOT, imu_yaw=yaw_deg * DEGREE, imu_roll=0.1, imu_ahead=1.2)
     found = follow(driven(city_legs(2), 2, vehicle)).known_mounting
     assert found is not None
@@ -47,7 +47,7 @@ def test_it_is_found_wherever_the_imu_looks(yaw_deg):
 @pytest.mark.parametrize(
     "receiver", first_of([Receiver(multipath=0.02), Receiver(speed_noise=0.1)])
 )
-def test_a_receiver_is_enough(receiver):
+def test_a_receiver_suffices(receiver):
     vehicle = Vehicle(ROBOT, imu_yaw=0.5)
     drive = driven(city_legs(3), 3, vehicle, wheels=None, receiver=receiver)
     found = follow(drive).known_mounting
@@ -55,7 +55,7 @@ def test_a_receiver_is_enough(receiver):
 
 
 @pytest.mark.nightly
-def test_after_four_minutes_it_is_right_within_a_degree_and_says_so():
+def test_after_four_minutes_the_yaw_is_known_to_a_degree():
     errors, sigmas = [], []
     for seed in range(40):
         yaw = np.random.default_rng(seed).uniform(-math.pi, math.pi)
@@ -67,8 +67,8 @@ def test_after_four_minutes_it_is_right_within_a_degree_and_says_so():
     assert 0.3 < np.mean(np.square(np.divide(errors, sigmas))) < 2.0
 
 
-def test_one_circle_and_standing_are_not_called_known_to_a_degree():
-    """The lever arm turns the pull of an even circle by as much as an askew IMU."""
+def test_one_circle_and_a_rest_do_not_determine_the_yaw_to_a_degree():
+    """The lever arm rotates the acceleration of an even circle as a rotated IMU does."""
     circling = driven(circles(90.0), 4, Vehicle(ROBOT, imu_yaw=0.2, imu_ahead=1.0))
     found = follow(circling).known_mounting
     assert found is None or abs(error(found, 0.2)) < 3.0 * math.degrees(found.sigma)
@@ -76,7 +76,7 @@ def test_one_circle_and_standing_are_not_called_known_to_a_degree():
     assert follow(driven(standing(120.0), 4)).known_mounting is None
 
 
-def test_a_motorway_without_starts_says_little():
+def test_a_motorway_without_starts_gives_a_large_sigma():
     legs = motorway(np.random.default_rng(1), 100.0)
     found = follow(driven(legs, 5, Vehicle(ROBOT, imu_yaw=0.2))).known_mounting
     assert found is None or abs(error(found, 0.2)) < 3.0 * math.degrees(found.sigma)
@@ -92,31 +92,31 @@ def test_a_motorway_without_starts_says_little():
         (Wheels(frozen_from=1.0), SpeedFault.FROZEN, "does not change"),
     ],
 )
-def test_wrong_odometry_is_found_named_and_replaced_by_the_receiver(wheels, fault, words):
+def test_wrong_odometry_is_named_and_replaced_by_the_receiver(wheels, fault, words):
     vehicle = Vehicle(ROBOT, imu_yaw=0.3)
-    travelling = follow(driven(city_legs(6), 6, vehicle, wheels=wheels))
-    watch = travelling.mounting
+    estimator = follow(driven(city_legs(6), 6, vehicle, wheels=wheels))
+    watch = estimator.mounting
     assert watch.faults[ODOMETRY] is fault
-    assert words in fault_words("/odom", fault, watch.seen[ODOMETRY])
-    assert travelling.source is FIXES
-    found = travelling.known_mounting
+    assert words in fault_words("/odom", fault, watch.checked[ODOMETRY])
+    assert estimator.source is FIXES
+    found = estimator.known_mounting
     assert abs(error(found, 0.3)) < 3.0 * math.degrees(found.sigma)
 
 
 @pytest.mark.parametrize("seed", first_of([0, 4]))
-def test_odometry_that_freezes_on_the_way_is_given_up_at_once(seed):
+def test_frozen_odometry_is_replaced_immediately(seed):
     drive = driven(city_legs(seed, 100.0), seed, wheels=Wheels(frozen_from=80.0))
     named = []
 
-    def watch(travelling, stamp):
-        if not named and travelling.mounting.faults.get(ODOMETRY) is SpeedFault.FROZEN:
+    def watch(estimator, stamp):
+        if not named and estimator.mounting.faults.get(ODOMETRY) is SpeedFault.FROZEN:
             named.append(stamp - drive.time[0])
 
     follow(drive, watch=watch)
     assert 80.0 < named[0] < 105.0
 
 
-def test_a_speed_that_rests_on_zero_or_at_a_pace_is_not_called_stuck():
+def test_a_constant_speed_is_not_called_frozen():
     rng = np.random.default_rng(3)
     legs = joined(city(rng, 70.0), standing(20.0), motorway(rng, 60.0))
     wheels = Wheels(noise=0.0, step=0.2)
@@ -126,12 +126,12 @@ def test_a_speed_that_rests_on_zero_or_at_a_pace_is_not_called_stuck():
 @pytest.mark.parametrize("delay", first_of([0.6, 2.0, 0.0]))
 def test_the_latency_of_a_speed_is_measured(delay):
     wheels = Wheels(delay=delay)
-    travelling = follow(driven(city_legs(8), 8, wheels=wheels, receiver=None))
-    assert travelling.speedometer.tracks[ODOMETRY].delay == pytest.approx(delay, abs=0.2)
+    estimator = follow(driven(city_legs(8), 8, wheels=wheels, receiver=None))
+    assert estimator.speedometer.tracks[ODOMETRY].delay == pytest.approx(delay, abs=0.2)
 
 
 def directions(drive, after):
-    """Signs of travel at the ends of trips: what was taken for it, and the truth."""
+    """Signs of travel at the ends of trips: estimated and true."""
     ends = np.flatnonzero(
         (np.abs(drive.truth.speed[:-1]) > 0.8) & (np.abs(drive.truth.speed[1:]) <= 0.8)
     )
@@ -139,19 +139,19 @@ def directions(drive, after):
     true, taken = [], []
     moment = next(moments)
 
-    def watch(travelling, stamp):
+    def watch(estimator, stamp):
         nonlocal moment
         if stamp >= moment:
             true.append(np.sign(np.interp(moment - 0.3, drive.time, drive.truth.speed)))
-            # Slow parking is left open, and counts as forwards meanwhile.
-            taken.append(travelling.own.sign if travelling.own.is_clear else 0.0)
+            # Slow parking stays undecided, and counts as forwards until then.
+            taken.append(estimator.acceleration.sign if estimator.acceleration.is_clear else 0.0)
             moment = next(moments, math.inf)
 
     follow(drive, watch=watch)
     return np.array(true), np.array(taken)
 
 
-def test_backwards_is_known_by_the_force_where_the_speed_has_no_sign():
+def test_an_unsigned_speed_gets_its_sign_from_the_force():
     rng = np.random.default_rng(9)
     legs = joined(city(rng, 100.0), reversing(rng, 12, share=0.5))
     drive = driven(legs, 9, Vehicle(ROBOT, imu_yaw=0.4), wheels=Wheels(is_signed=False))
@@ -169,7 +169,7 @@ UNSIGNED = {
 
 
 @pytest.mark.parametrize("seed", first_of([13, 35]))
-def test_backing_up_right_after_a_way_forwards_is_noticed(seed):
+def test_driving_backwards_right_after_forwards_is_detected(seed):
     """The forces of the way before, of another sign, are no part of what this one tells."""
     rng = np.random.default_rng(seed)
     legs = joined(city(rng, 100.0), reversing(rng, 2, share=0.8))
@@ -182,7 +182,7 @@ def test_backing_up_right_after_a_way_forwards_is_noticed(seed):
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("told", UNSIGNED.values(), ids=UNSIGNED)
-def test_no_direction_of_travel_is_wrong_in_a_thousand_trips(told):
+def test_the_direction_of_travel_is_correct_in_a_thousand_trips(told):
     wrong = undecided = trips = 0
     for seed in range(50):
         rng = np.random.default_rng(seed)
@@ -196,7 +196,7 @@ def test_no_direction_of_travel_is_wrong_in_a_thousand_trips(told):
     assert undecided < 0.01 * trips
 
 
-def test_a_parking_place_turns_nothing_round():
+def test_parking_does_not_reverse_the_direction():
     rng = np.random.default_rng(10)
     legs = joined(city(rng, 120.0), parking(rng), [Leg(5.0)])
     vehicle = Vehicle(ROBOT, imu_yaw=-0.3)

@@ -1,4 +1,4 @@
-"""Which speed is used, and what of it is remembered."""
+"""Choice of the speed source, and the samples that are kept."""
 
 import math
 
@@ -16,14 +16,14 @@ def track_of(rate, seconds=60.0, speed=lambda stamp: 3.0 + math.sin(0.5 * stamp)
 
 
 @pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 200.0])
-def test_a_fast_source_is_thinned_and_tells_the_same_speed(rate):
+def test_a_fast_source_is_thinned_without_changing_the_speed(rate):
     track = track_of(rate)
     assert len(track.record().kept) <= 60.0 / (2.0 * SPEED.shortest) + 1
     for stamp in (40.03, 51.7, 59.71):
         assert track.at(stamp) == pytest.approx(3.0 + math.sin(0.5 * stamp), abs=1e-3)
 
 
-def test_what_is_passed_over_is_known_by_its_stamp():
+def test_skipped_samples_are_known_by_their_stamps():
     track = track_of(10.0)
     newest = track.newest
     assert not track.wants(newest + 0.02)
@@ -34,7 +34,7 @@ def test_what_is_passed_over_is_known_by_its_stamp():
     assert track.wants(math.nan)
 
 
-def test_a_speed_between_samples_too_far_apart_is_not_told():
+def test_there_is_no_speed_between_samples_too_far_apart():
     track = SpeedTrack(SpeedSource.ODOMETRY)
     for stamp in (1.0, 1.1, 3.0):
         track.add(stamp, 2.0)
@@ -44,10 +44,10 @@ def test_a_speed_between_samples_too_far_apart_is_not_told():
 
 
 @pytest.mark.parametrize("rate", [10.0, 50.0])
-def test_jumps_no_vehicle_makes_are_counted(rate):
+def test_impossible_jumps_are_counted(rate):
     jumping = track_of(rate, speed=lambda stamp: 8.0 * (int(stamp * 4.0) % 2))
-    assert jumping.record().wild_share > 0.1
-    assert track_of(rate).record().wild_share == 0.0
+    assert jumping.record().outlier_share > 0.1
+    assert track_of(rate).record().outlier_share == 0.0
 
 
 def test_wheels_come_before_the_receiver_until_they_are_silent_or_distrusted():
@@ -67,7 +67,7 @@ def test_wheels_come_before_the_receiver_until_they_are_silent_or_distrusted():
     assert meter.track.source is SpeedSource.VELOCITY
 
 
-def test_time_that_is_set_back_forgets_what_came_later():
+def test_time_that_is_set_back_discards_later_samples():
     track = track_of(10.0)
     for step in range(200):
         track.add(5.0 + 0.1 * step, 1.0)
@@ -76,7 +76,7 @@ def test_time_that_is_set_back_forgets_what_came_later():
     assert track.at(40.0) is None
 
 
-def test_a_glitch_is_passed_over_and_a_speed_that_stays_is_not():
+def test_a_single_outlier_is_ignored_and_a_lasting_speed_is_not():
     track = track_of(10.0, 10.0, lambda stamp: 3.0)
     track.add(10.0, 45.0)
     track.add(10.1, 3.0)
@@ -85,11 +85,11 @@ def test_a_glitch_is_passed_over_and_a_speed_that_stays_is_not():
     assert track.last == 3.0
     track.add(10.3, 20.0)
     assert track.last == 20.0
-    # Between the two no vehicle can have been.
+    # No vehicle can have driven between the two.
     assert track.at(10.2) is None
 
 
-def test_wheels_that_speak_once_a_second_are_interpolated():
+def test_wheels_at_one_hertz_are_interpolated():
     track = track_of(1.0, 20.0, lambda stamp: 0.5 * stamp)
     assert track.is_slow
     assert track.at(12.3) == pytest.approx(6.15)

@@ -1,4 +1,4 @@
-"""What a receiver says, and what is made of it."""
+"""Fixes of a receiver, and the place that follows from them."""
 
 import math
 
@@ -32,7 +32,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("words", BAD)
-def test_a_bad_fix_is_ignored_and_said(words):
+def test_a_bad_fix_is_ignored_and_reported(words):
     fixes = Fixes()
     assert not fixes.add(BAD[words])
     assert (fixes.place, fixes.stamp) == (None, 0.0)
@@ -51,7 +51,7 @@ def test_the_first_good_fix_ends_the_complaints():
     assert fixes.complaints(None) == []
 
 
-def test_before_any_message_there_is_nothing_to_say():
+def test_before_any_message_there_is_no_complaint():
     assert Fixes().complaints(None) == []
 
 
@@ -59,7 +59,7 @@ def test_an_unknown_altitude_is_no_obstacle():
     assert place_of(fix(altitude=math.nan)) == Place(*HOME, 0.0)
 
 
-def test_the_place_follows_only_when_it_matters_and_is_confirmed():
+def test_the_place_changes_only_by_a_confirmed_relevant_distance():
     fixes = Fixes()
     assert fixes.add(fix())
     assert not any(fixes.add(north(0.9 * TUNING.moved)) for _ in range(20))
@@ -67,7 +67,7 @@ def test_the_place_follows_only_when_it_matters_and_is_confirmed():
     assert fixes.place.distance(Place(*HOME)) == pytest.approx(1.2 * TUNING.moved, rel=1e-3)
 
 
-def test_wild_fixes_move_nothing():
+def test_outliers_do_not_change_the_place():
     fixes = Fixes()
     fixes.add(fix())
     for k in range(50):
@@ -77,7 +77,7 @@ def test_wild_fixes_move_nothing():
     assert fixes.place == Place(*HOME, 520.0)
 
 
-def test_the_newest_good_stamp_tells_the_date():
+def test_the_newest_good_stamp_gives_the_date():
     fixes = Fixes()
     fixes.add(fix(stamp=5.0))
     fixes.add(fix(stamp=6.0))
@@ -85,7 +85,7 @@ def test_the_newest_good_stamp_tells_the_date():
     assert fixes.stamp == 6.0
 
 
-def test_a_fix_far_from_the_given_place_is_said():
+def test_a_fix_far_from_the_given_place_is_reported():
     fixes = Fixes()
     fixes.add(fix())
     assert fixes.complaints(Place(HOME[0] + 0.9 * TUNING.far / DEGREE, HOME[1])) == []
@@ -93,7 +93,7 @@ def test_a_fix_far_from_the_given_place_is_said():
     assert "km from the given place 52.50°N 13.40°E, which is used" in complaint
 
 
-def test_a_place_far_from_the_first_is_said():
+def test_a_place_far_from_the_first_is_reported():
     fixes = Fixes()
     fixes.add(fix())
     for _ in range(3):
@@ -106,7 +106,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
 @given(st.lists(st.builds(Fix, st.booleans(), anything, anything, anything, anything), max_size=20))
-def test_whatever_comes_the_place_stays_on_earth(messages):
+def test_any_input_gives_a_place_on_earth(messages):
     fixes = Fixes()
     for message in messages:
         fixes.add(message)

@@ -1,4 +1,4 @@
-"""What is given by hand, what the model says, and what is doubtful about it."""
+"""The reference field by parameters and model, and its contradictions."""
 
 import dataclasses
 import json
@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from simulated.turns import measure, turn
 
 from magcal_ros.core import Belief, Knowledge, ReferenceField, calibrate
-from magcal_ros.core.earth_field import Local, made_elsewhere, model_field, resolve
+from magcal_ros.core.earth_field import LocalField, made_elsewhere, model_field, resolve
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.simulation import Robot
 
 MUNICH, SYDNEY = Place(48.14, 11.58, 520.0), Place(-33.87, 151.21)
 YEAR = 2026.9
-NOTHING, LOCAL = ReferenceField(), Local()
+NOTHING, LOCAL = ReferenceField(), LocalField()
 MODEL = model_field(MUNICH, YEAR)
 
 
@@ -26,7 +26,7 @@ def by_hand(**numbers):
     return knowledge_of(**numbers).reference
 
 
-def test_with_nothing_known_nothing_is_claimed():
+def test_without_information_the_reference_is_unknown():
     for found in (resolve(NOTHING, LOCAL, None, None), resolve(NOTHING, LOCAL, MUNICH, None)):
         assert (found.field, found.source, found.complaints) == (NOTHING, "unknown", ())
         assert found.words == "unknown"
@@ -46,13 +46,13 @@ def test_a_place_and_a_date_give_everything():
 
 
 def test_the_sigma_is_the_models_and_the_places_own_in_quadrature():
-    local = Local(7e-6, math.radians(5.0), math.radians(4.0))
+    local = LocalField(7e-6, math.radians(5.0), math.radians(4.0))
     field = resolve(NOTHING, local, MUNICH, YEAR).field
     assert field.strength.sigma == pytest.approx(math.hypot(7e-6, 138e-9))
     assert math.degrees(field.inclination.sigma) == pytest.approx(math.hypot(5.0, 0.2))
     expected = math.hypot(MODEL.declination.sigma, math.radians(4.0))
     assert field.declination_sigma == pytest.approx(expected)
-    bare = resolve(NOTHING, Local(0.0, 0.0, 0.0), MUNICH, YEAR).field
+    bare = resolve(NOTHING, LocalField(0.0, 0.0, 0.0), MUNICH, YEAR).field
     assert bare.declination_belief == MODEL.declination
 
 
@@ -60,7 +60,7 @@ HAND = {"strength_ut": 48.5, "inclination_deg": 64.0, "declination_deg": 4.0}
 
 
 @pytest.mark.parametrize("names", [[n] for n in HAND] + [list(HAND)[:2], list(HAND)[1:]])
-def test_what_is_given_by_hand_wins_number_by_number(names):
+def test_given_numbers_have_priority_one_by_one(names):
     mine = by_hand(**{name: HAND[name] for name in names})
     found = resolve(mine, LOCAL, MUNICH, YEAR)
     for name in HAND:
@@ -76,28 +76,28 @@ def test_what_is_given_by_hand_wins_number_by_number(names):
     assert not found.complaints
 
 
-def test_everything_by_hand_needs_no_model():
+def test_a_complete_given_field_needs_no_model():
     mine = by_hand(**HAND)
     for place, year in ((None, None), (MUNICH, YEAR), (MUNICH, 1970.0)):
         found = resolve(mine, LOCAL, place, year)
         assert (found.field, found.source, found.complaints) == (mine, "given", ())
 
 
-def test_a_declination_of_the_wrong_sign_is_said_and_used_all_the_same():
+def test_a_declination_of_the_wrong_sign_is_reported_and_used():
     found = resolve(by_hand(declination_deg=-4.4), LOCAL, MUNICH, YEAR)
     assert math.degrees(found.field.declination) == pytest.approx(-4.4)
     (complaint,) = found.complaints
     assert "is given as -4.4°, but it is 4.4° by the World Magnetic Model 2025" in complaint
 
 
-def test_numbers_of_another_place_are_said():
+def test_numbers_of_another_place_are_reported():
     mine = by_hand(strength_ut=30.0, inclination_deg=-60.0)
     assert len(resolve(mine, LOCAL, MUNICH, YEAR).complaints) == 2
-    wide = Local(20e-6, math.radians(60.0), 1.0)
+    wide = LocalField(20e-6, math.radians(60.0), 1.0)
     assert not resolve(mine, wide, MUNICH, YEAR).complaints
 
 
-def test_declinations_meet_across_the_date_line_of_angles():
+def test_declinations_are_compared_across_180_degrees():
     place = next(
         Place(lat, lon)
         for lat in (-66.0, -68.0, -70.0, 84.0)
@@ -117,7 +117,7 @@ def test_near_a_pole_there_is_no_true_north_unless_it_is_given():
     assert found.field.declination is None
     assert "a compass is of no use here, and no true north" in found.complaints[0]
     mine = by_hand(declination_deg=-99.0)
-    found = resolve(mine, Local(1.0, 1.0, 2.0), Place(88.9, -121.0), 2025.0)
+    found = resolve(mine, LocalField(1.0, 1.0, 2.0), Place(88.9, -121.0), 2025.0)
     assert found.field.declination == mine.declination
     assert found.complaints[0].endswith("a compass is of no use here")
 
@@ -129,20 +129,20 @@ def test_farther_from_the_pole_the_declination_is_doubtful():
 
 
 @pytest.mark.parametrize("year", [1970.0, 2012.0, 2036.0])
-def test_a_date_outside_every_model_is_said_and_the_rest_goes_on(year):
+def test_a_date_outside_every_model_is_reported(year):
     found = resolve(by_hand(strength_ut=48.0), LOCAL, MUNICH, year)
     assert (found.field, found.source) == (by_hand(strength_ut=48.0), "given")
     assert f"for the year {year:.1f}" in found.complaints[0]
 
 
-def test_a_date_after_the_models_life_is_said_and_used():
+def test_a_date_after_the_life_of_the_model_is_reported_and_used():
     found = resolve(NOTHING, LOCAL, MUNICH, 2032.0)
     assert found.field.is_known
     assert "2.0 years after the life of the World Magnetic Model 2025" in found.complaints[0]
 
 
 @given(st.floats(-90, 90), st.floats(-180, 180), st.floats(1900, 2200), st.floats(-1e3, 8.5e5))
-def test_nothing_raises_and_every_number_is_usable(lat, lon, year, altitude):
+def test_any_parameters_give_usable_numbers_without_an_error(lat, lon, year, altitude):
     found = resolve(NOTHING, LOCAL, Place(lat, lon, altitude), year)
     for belief in (found.field.strength, found.field.inclination):
         assert math.isfinite(belief.value)
@@ -161,19 +161,19 @@ def window_and_robot():
 
 @pytest.fixture(scope="module")
 def known(window_and_robot):
-    """What the turn gives where the model tells the field."""
+    """The result of the turn with the field by the model."""
     window, _ = window_and_robot
     return calibrate(window, Knowledge(resolve(NOTHING, LOCAL, MUNICH, YEAR).field))
 
 
 @pytest.fixture(scope="module")
 def unknown(window_and_robot):
-    """What the same turn gives where nothing is known of the field."""
+    """The result of the same turn without a reference field."""
     window, _ = window_and_robot
     return calibrate(window, Knowledge())
 
 
-def test_the_model_makes_tilted_headings_certain_and_the_verdict_says_what_its_absence_costs(
+def test_the_model_makes_tilted_headings_certain_and_the_verdict_names_its_absence(
     window_and_robot, known, unknown
 ):
     _, robot = window_and_robot
@@ -188,7 +188,7 @@ def test_the_model_makes_tilted_headings_certain_and_the_verdict_says_what_its_a
     assert [words for words in unknown.verdict.not_shown if "reference field is not known" in words]
 
 
-def test_a_calibration_from_another_field_is_told(known):
+def test_a_calibration_made_in_another_field_is_reported(known):
     here = resolve(NOTHING, LOCAL, MUNICH, YEAR).field
     there = resolve(NOTHING, LOCAL, SYDNEY, YEAR).field
     calibration = known.calibration
@@ -202,7 +202,7 @@ def test_a_calibration_from_another_field_is_told(known):
     assert made_elsewhere(calibration, dataclasses.replace(there, strength=Belief(5e-5))) == ""
 
 
-def test_a_field_that_steel_bends_is_no_other_place(known):
+def test_a_field_distorted_by_steel_is_no_other_place(known):
     """The one that is found may be far from the reference, here as well as at any other time."""
     here = resolve(NOTHING, LOCAL, MUNICH, YEAR).field
     weak = dataclasses.replace(known.calibration, strength=44e-6)
@@ -211,7 +211,7 @@ def test_a_field_that_steel_bends_is_no_other_place(known):
     assert "inclination 64" in made_elsewhere(weak, there)
 
 
-def test_of_a_file_from_before_the_field_that_was_found_counts(known):
+def test_without_a_stored_reference_the_estimated_field_is_used(known):
     here = resolve(NOTHING, LOCAL, MUNICH, YEAR).field
     evidence = dataclasses.replace(known.calibration.evidence, figures={})
     old = dataclasses.replace(known.calibration, evidence=evidence)
@@ -219,7 +219,7 @@ def test_of_a_file_from_before_the_field_that_was_found_counts(known):
     assert "44.0 µT" in made_elsewhere(dataclasses.replace(old, strength=44e-6), here)
 
 
-def test_a_calibration_without_a_reference_says_nothing_about_its_place(unknown):
+def test_a_calibration_without_a_reference_shows_no_place(unknown):
     calibration = unknown.calibration
     there = resolve(NOTHING, LOCAL, SYDNEY, YEAR).field
     assert calibration is None or made_elsewhere(calibration, there) == ""

@@ -73,7 +73,7 @@ def test_after_its_life_the_model_grows_uncertain_year_by_year():
         assert sigmas[4] > 1.1 * sigmas[1]
 
 
-def test_the_grown_sigma_covers_what_older_models_missed_of_the_next_one(monkeypatch):
+def test_the_grown_sigma_covers_the_errors_of_older_models(monkeypatch):
     """The model of 2020, carried on to 2029, against the one of 2025 at a hundred places."""
     places = [Place(lat, lon) for lat in range(-75, 76, 15) for lon in range(-180, 180, 40)]
     truth = [model_field(place, 2029.9) for place in places]
@@ -88,7 +88,7 @@ def test_the_grown_sigma_covers_what_older_models_missed_of_the_next_one(monkeyp
 
 
 @pytest.mark.parametrize("year", [1970.0, 2014.99, 2035.2, 2106.0, math.nan, math.inf, -math.inf])
-def test_a_date_without_a_model_is_said_with_what_to_do(year):
+def test_a_date_without_a_model_is_reported_with_the_remedy(year):
     with pytest.raises(NoModel, match="set the clock, or bring magcal_ros up to date"):
         model_field(MUNICH, year)
 
@@ -180,15 +180,15 @@ def test_seconds_become_decimal_years(stamp, year):
     assert decimal_year(stamp) == pytest.approx(year, abs=1e-6)
 
 
-def test_the_date_is_the_earliest_that_can_be_one():
-    now, replayed, simulated, wrong = 1.795e9, 1.6e9, 12.5, 2.1e9
-    assert year_of([replayed, now], now) == decimal_year(replayed)
+def test_the_date_is_the_earliest_possible_one():
+    now, replay_drive, simulated, wrong = 1.795e9, 1.6e9, 12.5, 2.1e9
+    assert year_of([replay_drive, now], now) == decimal_year(replay_drive)
     assert year_of([wrong, now], now) == decimal_year(now)
     assert year_of([simulated, simulated], now) == decimal_year(now)
     assert year_of([0.0, -math.inf], 0.0) == 1970.0
 
 
-def test_ten_kilometres_change_little_at_most_places():
+def test_ten_kilometres_change_the_field_little_at_most_places():
     # Even steps of the sine are even in area; this is all but the polar caps beyond 67°.
     latitudes_even = np.degrees(np.arcsin(np.linspace(-0.92, 0.92, 15))).tolist()
     places = [(lat, lon) for lat in latitudes_even for lon in range(-180, 180, 20)]

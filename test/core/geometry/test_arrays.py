@@ -6,7 +6,7 @@ import pytest
 from magcal_ros.core.geometry import frozen_array, running_mean
 
 
-def test_it_copies_and_locks():
+def test_a_frozen_array_is_a_copy_and_immutable():
     source = np.zeros((2, 3))
     frozen = frozen_array(source, (-1, 3), "field")
     source[:] = 1.0
@@ -16,13 +16,13 @@ def test_it_copies_and_locks():
 
 
 @pytest.mark.parametrize("values", [np.zeros(3), np.zeros((2, 2)), [[0.0, np.nan, 0.0]]])
-def test_it_names_what_is_wrong(values):
+def test_an_invalid_array_is_named(values):
     with pytest.raises(ValueError, match="field"):
         frozen_array(values, (-1, 3), "field")
 
 
 @pytest.mark.parametrize("width", [1, 3, 5, 50])
-def test_a_running_mean_has_as_many_values_however_few_there_are(width):
+def test_a_running_mean_has_as_many_values_as_its_input(width):
     values = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     mean = running_mean(values, width)
     assert mean.shape == values.shape

@@ -28,7 +28,7 @@ dips = st.floats(-1.4, 1.4)
     ("north_in_body", "yaw"),
     [([1, 0, 0], 90.0), ([0, 1, 0], 0.0), ([-1, 0, 0], -90.0), ([0, -1, 0], 180.0)],
 )
-def test_the_four_winds(north_in_body, yaw):
+def test_yaw_is_correct_for_the_four_cardinal_directions(north_in_body, yaw):
     found = yaw_from_up_and_field(np.array([0, 0, 9.81]), np.array(north_in_body, dtype=float))
     assert math.degrees(found) == pytest.approx(yaw)
 
@@ -42,7 +42,7 @@ def test_yaw_is_the_poses_yaw_whatever_the_tilt_and_dip(roll, pitch, yaw, dip):
 
 
 @given(angles, dips, st.floats(-1.0, 1.0))
-def test_true_yaw_takes_the_declination_off(yaw, dip, declination):
+def test_true_yaw_is_magnetic_yaw_minus_declination(yaw, dip, declination):
     to_body = rotation_from_rpy(0.1, -0.2, yaw).T
     field = to_body @ field_in_enu(50e-6, dip, declination)
     magnetic = float(yaw_from_up_and_field(to_body @ [0.0, 0.0, 1.0], field))
@@ -69,13 +69,13 @@ def test_wrapping_keeps_the_direction(angle):
     assert math.remainder(wrapped - angle, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_wrapping_at_the_seam():
+def test_angles_wrap_at_180_degrees():
     np.testing.assert_allclose(
         wrap_angle(np.array([math.pi, -math.pi, 0.0])), [math.pi, math.pi, 0]
     )
 
 
-def test_unit_leaves_zero_alone():
+def test_the_unit_vector_of_zero_is_zero():
     np.testing.assert_allclose(
         unit(np.array([[0, 0, 0], [3.0, 0, 4.0]])), [[0, 0, 0], [0.6, 0, 0.8]]
     )

@@ -1,4 +1,4 @@
-"""A circle in space is found wherever it lies, with the normal to the side that was asked for."""
+"""A circle in space is found anywhere, with its normal to the requested side."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ vectors = st.tuples(numbers, numbers, numbers).map(np.array)
 
 
 @given(vectors, vectors, st.floats(0.5, 5.0), st.floats(1.5, 6.0))
-def test_a_circle_is_recovered_and_its_phases_walk_around_it(turn, centre, radius, arc):
+def test_a_circle_and_its_phases_are_recovered(turn, centre, radius, arc):
     pose = exp_rotation(turn)
     angles = np.linspace(0.0, arc, 60)
     flat = radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(60)], axis=-1)
@@ -26,7 +26,7 @@ def test_a_circle_is_recovered_and_its_phases_walk_around_it(turn, centre, radiu
     assert np.allclose(circle.at(circle.phase(points)), points, atol=1e-6)
 
 
-def test_the_normal_follows_the_side_that_was_asked_for():
+def test_the_normal_points_to_the_requested_side():
     angles = np.linspace(0.0, 6.0, 40)
     points = np.stack([np.cos(angles), np.sin(angles), np.ones(40)], axis=-1)
     down = fit_circle_in_space(points, np.array([0.0, 0.0, -1.0]))

@@ -30,7 +30,7 @@ def curve(centre=(0.0, 0.0), radii=(1.0, 1.0), angle=0.0, arc=315.0, noise=0.0, 
     size=st.floats(-6.0, 3.0),
     arc=st.floats(120.0, 360.0),
 )
-def test_circles_are_exact_wherever_they_lie(x, y, size, arc):
+def test_circles_are_exact_at_any_position(x, y, size, arc):
     scale = 10.0**size
     points = curve((x, y), arc=arc) * scale
     centre, radius = fit_circle(points)
@@ -67,7 +67,7 @@ def test_degenerate_points_are_refused(fit, points, reason):
     assert caught.value.reason is reason
 
 
-def test_four_points_hold_no_free_ellipse():
+def test_four_points_determine_no_ellipse():
     with pytest.raises(Refusal) as caught:
         ellipse_ratio(curve(samples=4))
     assert caught.value.reason is Reason.TOO_FEW_SAMPLES

@@ -62,7 +62,7 @@ def test_the_normals_sigma_is_the_scatter_of_many_fits():
     assert predicted == pytest.approx(worst, rel=0.15)
 
 
-def test_a_round_cloud_says_nothing_of_its_normal():
+def test_an_isotropic_cloud_has_an_infinite_sigma_of_its_normal():
     plane = fit_plane(np.random.default_rng(0).standard_normal((500, 3)))
     assert plane.normal_sigma(1e-9) > np.radians(20.0)
 

@@ -22,7 +22,7 @@ def on_sphere(rng, count=60):
 
 @examples(50)
 @given(seeds)
-def test_every_ellipsoid_is_found_from_clean_points(seed):
+def test_every_ellipsoid_is_found_from_exact_points(seed):
     rng = np.random.default_rng(seed)
     radii, centre = rng.uniform(0.5, 1.5, 3), rng.uniform(-5.0, 5.0, 3)
     axes = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
@@ -47,7 +47,7 @@ def test_the_restricted_shapes_are_found(seed):
     np.testing.assert_allclose(sphere.centre, centre, atol=1e-9)
 
 
-def test_a_surface_through_the_origin_is_no_special_case():
+def test_a_surface_through_the_origin_is_found():
     points = on_sphere(np.random.default_rng(1)) + np.array([1.0, 0.0, 0.0])
     np.testing.assert_allclose(fit_quadric(points).centre, [1.0, 0.0, 0.0], atol=1e-9)
 
@@ -85,7 +85,7 @@ def test_too_few_points_are_refused(shape, least):
     assert caught.value.reason is Reason.TOO_FEW_SAMPLES
 
 
-def test_numbers_that_are_none_are_refused():
+def test_points_that_are_not_finite_are_refused():
     points = on_sphere(np.random.default_rng(1))
     points[3, 1] = np.nan
     with pytest.raises(Refusal) as caught:

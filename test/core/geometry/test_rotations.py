@@ -66,7 +66,7 @@ def test_rpy_turns_about_fixed_axes_in_urdf_order():
 
 
 @given(angles, st.floats(-1.5, 1.5), angles)
-def test_rpy_comes_back(roll, pitch, yaw):
+def test_rpy_angles_are_recovered(roll, pitch, yaw):
     found = rpy_from_rotation(rotation_from_rpy(roll, pitch, yaw))
     np.testing.assert_allclose(found, (roll, pitch, yaw), atol=1e-9)
 
@@ -105,7 +105,7 @@ def test_a_quaternion_of_any_length_turns_as_its_vector_does(v, length):
     np.testing.assert_allclose(turn, exp_rotation(v), atol=1e-9)
 
 
-def test_a_quaternion_of_nothing_is_no_rotation():
+def test_a_zero_quaternion_is_no_rotation():
     assert rotation_from_quaternion(0.0, 0.0, 0.0, 0.0) is None
     assert rotation_from_quaternion(math.nan, 0.0, 0.0, 1.0) is None
 

@@ -24,7 +24,7 @@ TREE = FrameTree(
 )
 
 
-def test_a_description_tells_both_poses():
+def test_a_description_gives_both_poses():
     poses = sensor_poses(FRAMES, TREE, None)
     assert poses.is_described
     assert poses.magnetometer == pytest.approx(NED)
@@ -32,7 +32,7 @@ def test_a_description_tells_both_poses():
     assert poses.complaints == ()
 
 
-def test_what_is_given_by_hand_wins():
+def test_a_given_pose_has_priority():
     by_hand = rotation_from_rpy(0.1, 0.2, 0.3)
     poses = sensor_poses(FRAMES, TREE, by_hand)
     assert not poses.is_described
@@ -47,7 +47,7 @@ def test_without_a_base_nothing_is_asked_of_the_description():
     assert poses.complaints == ()
 
 
-def test_a_base_that_is_not_described_has_no_pose_and_that_is_said():
+def test_a_base_missing_in_the_description_is_reported():
     poses = sensor_poses(FRAMES, FrameTree(), None)
     assert poses.imu is None
     assert "pose of 'imu_link' in 'base_link' is unknown" in poses.complaints[0]
@@ -60,7 +60,7 @@ def test_a_base_that_is_the_imu_needs_no_description():
     assert poses.complaints == ()
 
 
-def test_a_sensor_that_was_not_heard_yet_is_no_trouble():
+def test_a_sensor_without_messages_is_no_error():
     assert sensor_poses(Frames("base_link", "", ""), TREE, None).complaints == ()
 
 
@@ -73,7 +73,7 @@ def test_gravity_contradicts_a_base_that_lies_on_its_side_and_not_one_on_a_ramp(
     assert "imu_link" in words
 
 
-def test_a_pose_reads_as_an_origin_does():
+def test_a_pose_is_written_like_a_urdf_origin():
     assert pose_in_words(rotation_from_rpy(0.0, math.radians(-10.0), math.pi / 2)) == (
         "roll 0°, pitch -10°, yaw 90°"
     )

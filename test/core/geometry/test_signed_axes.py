@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry import is_mirrored, likely_slip, signed_permutations, spoken
+from magcal_ros.core.geometry import axes_in_words, is_mirrored, likely_slip, signed_permutations
 
 EVERY = signed_permutations()
 
@@ -12,14 +12,14 @@ def test_there_are_48_and_half_of_them_are_rotations():
     assert all(np.array_equal(axes @ axes.T, np.eye(3)) for axes in EVERY)
 
 
-def test_what_changes_least_comes_first():
+def test_the_smallest_change_comes_first():
     assert np.array_equal(EVERY[0], np.eye(3))
     assert sorted(int(np.trace(axes)) for axes in EVERY[24:28]) == [1, 1, 1, 1]
 
 
-def test_upside_down_about_x_is_the_usual_way_to_be_upside_down():
+def test_upside_down_is_first_explained_by_a_rotation_about_x():
     half_turns = [axes for axes in EVERY[:24] if np.array_equal(np.abs(axes), np.eye(3))][1:]
-    assert spoken(half_turns[0]) == "x forward, y right, z down"
+    assert axes_in_words(half_turns[0]) == "x forward, y right, z down"
 
 
 @pytest.mark.parametrize(
@@ -30,5 +30,5 @@ def test_upside_down_about_x_is_the_usual_way_to_be_upside_down():
         (np.eye(3)[[1, 0, 2]], "x and y are swapped in the driver"),
     ],
 )
-def test_what_the_driver_did(axes, words):
+def test_the_mistake_of_the_driver_is_named(axes, words):
     assert likely_slip(axes) == words

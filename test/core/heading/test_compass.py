@@ -9,7 +9,7 @@ from sample_results import SKEWED, calibration, small_covariance
 from scipy.spatial.transform import Rotation
 
 from magcal_ros.core import Compass, Correction, Figure
-from magcal_ros.core.calibration import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.calibration import AT_REST, MotorField, MotorInput, MotorState
 from magcal_ros.core.geometry import (
     body_from_enu,
     field_in_enu,
@@ -49,12 +49,12 @@ def heading_at(compass, up, field):
 
 class TestAgainstTheArrayFormulas:
     @given(st.tuples(*[st.floats(-1e-4, 1e-4)] * 3))
-    def test_correct_is_the_correction(self, raw):
+    def test_the_compass_applies_the_correction(self, raw):
         found = Compass(calibration()).correct(raw)
         assert found == pytest.approx(SKEWED.apply(np.array(raw)), abs=1e-18)
 
     @given(tilt, tilt, angle, dip)
-    def test_roll_pitch_yaw_of_a_pose_come_back(self, roll, pitch, yaw, inclination):
+    def test_roll_pitch_and_yaw_of_a_pose_are_recovered(self, roll, pitch, yaw, inclination):
         up, field = seen(roll, pitch, yaw, inclination)
         found = heading_at(Compass(calibration()), up, field)
         assert found.roll == pytest.approx(roll, abs=1e-9)
@@ -87,7 +87,7 @@ class TestAgainstTheArrayFormulas:
     def test_the_quaternion_has_length_one(self):
         assert np.linalg.norm(quaternion_from_rpy(0.3, -0.4, 2.0)) == pytest.approx(1.0)
 
-    def test_true_yaw_is_less_where_magnetic_north_lies_east(self):
+    def test_true_yaw_is_less_if_magnetic_north_is_east(self):
         """Facing magnetic north, 10° east of true north, is facing 10° clockwise of it."""
         up, field = seen(0.0, 0.0, math.pi / 2, 1.0)
         heading = heading_at(Compass(calibration()), up, field)
@@ -107,19 +107,19 @@ class TestNoDirection:
             ((0.0, 0.0, 5e-5), (0.0, 0.0, -G)),
         ],
     )
-    def test_there_is_none_without_gravity_or_level_field(self, field, force):
+    def test_there_is_no_heading_without_gravity_or_level_field(self, field, force):
         assert Compass(calibration()).heading(field, force) is None
 
-    def test_there_is_one_as_soon_as_a_level_field_is_seen(self):
+    def test_there_is_a_heading_with_any_level_field(self):
         assert Compass(calibration()).heading((1.1e-6, 0.0, -5e-5), (0.0, 0.0, G)) is not None
 
-    def test_nose_up_every_number_stays_finite(self):
+    def test_every_number_is_finite_with_the_nose_up(self):
         heading = Compass(calibration()).heading((-4e-5, 0.0, 2e-5), (G, 0.0, 0.0))
         assert np.isfinite(heading.covariance()).all()
 
 
 def attitudes_seen(up, field):
-    """Roll, pitch and yaw of many ups and fields, by the plain formulas."""
+    """Roll, pitch and yaw of many ups and fields, by the direct formulas."""
     roll = np.arctan2(up[:, 1], up[:, 2])
     pitch = np.arctan2(-up[:, 0], np.hypot(up[:, 1], up[:, 2]))
     return np.stack([roll, pitch, yaw_from_up_and_field(up, field)], axis=-1)
@@ -164,7 +164,7 @@ class TestCovarianceAgainstMonteCarlo:
         assert claimed == pytest.approx(drawn, abs=0.035 * scale.max(), rel=0.035)
         assert claimed[2, 2] == pytest.approx(drawn[2, 2], rel=0.035)
 
-    def test_local_disturbances_of_a_drive_scatter_the_yaw_and_are_no_noise_of_a_sample(self):
+    def test_local_disturbances_are_in_the_variance_but_not_in_the_noise(self):
         """A field that deviates by 2 µT per axis from place to place, after a drive showed it."""
         plain = calibration(**CAUSES["field noise"], noise_field=0.0)
         shown = replace(plain.evidence, figures={Figure.LOCAL_FIELD.value: 2e-6})
@@ -176,7 +176,7 @@ class TestCovarianceAgainstMonteCarlo:
         assert claimed.noise_variance == claimed.lasting_variance == 0.0
 
     @pytest.mark.parametrize("pose", POSES)
-    def test_roll_and_pitch_go_with_yaw_in_the_right_sense(self, pose):
+    def test_roll_and_pitch_correlate_with_yaw_in_the_right_sense(self, pose):
         """Each correlation by itself: a wrong sign is far outside."""
         one = calibration(**CAUSES["up noise"])
         up, field = seen(*pose)
@@ -227,11 +227,11 @@ UNSEEN_SIGMA = math.sqrt(float(ODDS @ UNSEEN**2))
 
 
 class TestMotors:
-    RUNNING = Running(1.0, 0.4, 0.7, 3.0)
+    MOTION = MotorState(1.0, 0.4, 0.7, 3.0)
 
     @staticmethod
     def numbers(seed):
-        """A calibration with motors, and its joint covariance: what is known of both is apart."""
+        """A calibration with motors, and its joint covariance."""
         rng = np.random.default_rng(seed)
         mix = rng.standard_normal((18, 18)) * np.repeat([0.003, 0.3e-6, 0.3e-6], [9, 3, 6])[:, None]
         joint = mix @ mix.T / 18.0
@@ -241,11 +241,11 @@ class TestMotors:
         motors = MotorField(inputs, gain, joint[12:, 12:], joint[:12, 12:], 0.0, (1.0, 0.7))
         return replace(calibration(), covariance=joint[:12, :12], motors=motors), joint
 
-    def test_what_they_add_is_taken_off(self):
+    def test_the_field_of_motors_is_subtracted(self):
         found, _ = self.numbers(0)
         field = np.array([1e-5, 2e-5, -4e-5])
         added = found.motors.gain[0] + 0.7 * found.motors.gain[1]
-        back = Compass(found).without_motors(tuple(field + added), self.RUNNING)
+        back = Compass(found).without_motors(tuple(field + added), self.MOTION)
         assert back == pytest.approx(field, abs=1e-15)
         assert Compass(found).without_motors(tuple(field), AT_REST) == tuple(field)
 
@@ -263,20 +263,20 @@ class TestMotors:
         yaws = yaw_from_up_and_field(up, fields)
         args = tuple(field.tolist()), tuple(up.tolist())
         added = raw + u @ found.motors.gain
-        heading = self.heading(found, added, up, self.RUNNING)
+        heading = self.heading(found, added, up, self.MOTION)
         assert heading.yaw_variance - heading.noise_variance == pytest.approx(np.var(yaws), rel=0.1)
         without = Compass(replace(found, motors=None)).heading(*args, 0.0)
         assert self.heading(found, raw, up, AT_REST)[:9] == pytest.approx(without[:9])
 
     @staticmethod
-    def heading(known, raw, up, running):
+    def heading(known, raw, up, motor_state):
         """The heading of a robot without a gyro."""
         compass = Compass(known)
-        field, motors = compass.at_rest(0.0, tuple(raw.tolist()), None, running)
+        field, motors = compass.at_rest(0.0, tuple(raw.tolist()), None, motor_state)
         return compass.heading(field, tuple(up.tolist()), 0.0, motors)
 
-    @pytest.mark.parametrize("doubt", [Running(0.5, 0.0, 0.7), Running(1.0, 0.0, math.nan)])
-    def test_what_nobody_tells_is_in_the_variance(self, doubt):
+    @pytest.mark.parametrize("doubt", [MotorState(0.5, 0.0, 0.7), MotorState(1.0, 0.0, math.nan)])
+    def test_unknown_inputs_are_in_the_variance(self, doubt):
         found, _ = self.numbers(3)
         up, field = seen(0.0, 0.0, 0.9, 1.0)
         raw = found.correction.undo(field)

@@ -32,7 +32,7 @@ def test_the_calibrated_field_is_good():
     found = watch()
     assert not look(found, 5.0)
     assert found.trust is Trust.GOOD
-    assert found.departure == pytest.approx(0.0, abs=1e-6)
+    assert found.deviation == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -44,13 +44,13 @@ def test_the_calibrated_field_is_good():
         ({"dip": DIP + math.radians(10.0)}, Trust.IGNORED),
     ],
 )
-def test_a_departed_field_is_weighed_down_then_ignored(changes, trust):
+def test_a_deviating_field_gets_less_weight_and_is_then_ignored(changes, trust):
     found = watch()
     look(found, 5.0, **changes)
     assert found.trust is trust
 
 
-def test_a_disturbance_is_noted_with_when_where_and_how_much():
+def test_a_disturbance_is_recorded_with_time_heading_and_size():
     found = watch()
     look(found, 2.0)
     look(found, 5.0, start=3.0, strength=48e-6 * 1.3)
@@ -62,7 +62,7 @@ def test_a_disturbance_is_noted_with_when_where_and_how_much():
     assert "29°" in last.in_words
 
 
-def test_a_field_that_returns_is_taken_back():
+def test_a_field_that_returns_is_used_again():
     found = watch()
     look(found, 5.0, strength=48e-6 * 1.3)
     look(found, 3.0, start=6.0)
@@ -80,14 +80,14 @@ def test_a_field_that_stays_is_accepted_and_the_calibrated_one_still_is():
     assert found.trust is Trust.GOOD
 
 
-def test_places_that_differ_widen_what_is_called_good():
+def test_differing_places_widen_the_limits_of_a_good_field():
     found = watch()
     for k in range(6000):
         wave = 0.08 * math.sin(0.02 * k)
         found.add(1.0 + 0.02 * k, field(strength=48e-6 * (1.0 + wave)), UP, 1e-5, 0.5)
         found.learn(0.02, 1e-5, wave**2)
     assert 0.03 < math.sqrt(found.amplitude_variance) < 0.08
-    assert found.departure < 2.0
+    assert found.deviation < 2.0
 
 
 def test_a_poor_calibration_is_no_disturbance():

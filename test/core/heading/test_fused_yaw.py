@@ -1,4 +1,4 @@
-"""The fused yaw against the truth: smoother than raw, deaf to passing iron, never trapped."""
+"""The fused yaw and the truth: smoother than raw, hardly disturbed by iron, and it recovers."""
 
 import dataclasses
 import math
@@ -14,7 +14,7 @@ from sample_results import EVIDENCE
 from simulated import Vehicle, city, simulated_drive, travel
 
 from magcal_ros.core import Calibration, Compass, Correction
-from magcal_ros.core.driving import Travelling
+from magcal_ros.core.driving import TravelEstimator
 from magcal_ros.core.geometry import wrap_angle
 from magcal_ros.core.heading import FUSION, PATIENCE, FusedYaw, Trust
 from magcal_ros.core.samples import ImuSample, SpeedSample, Streams
@@ -35,7 +35,7 @@ IRON = np.array([0.3 * ROBOT.strength, 0.0, 0.0])
 
 
 class Fusing:
-    """A listener that runs messages through the same walk as the node."""
+    """A listener that processes messages as the node does."""
 
     def __init__(self, calibration=CALIBRATED, patience=PATIENCE):
         self.compass = Compass(calibration)
@@ -43,7 +43,7 @@ class Fusing:
         self.follower = UpFollower()
         self.fused = FusedYaw(calibration, patience)
         self.raw, self.found, self.truth = [], [], []
-        self.travelling = Travelling()
+        self.estimator = TravelEstimator()
 
     def __call__(self, sample, ride=None):
         if isinstance(sample, ImuSample):
@@ -60,7 +60,7 @@ class Fusing:
     def on_imu(self, sample, ride):
         if not self.streams.add_imu(sample):
             return
-        own = self.travelling.add_imu(sample, self.follower.gyro_bias.rate)
+        own = self.estimator.add_imu(sample, self.follower.gyro_bias.rate)
         self.follower.add(sample, own)
         up = self.follower.at(sample.stamp, 0.0)
         if up is None or not self.follower.is_propagated:
@@ -90,7 +90,7 @@ def driven(fusing, seed=1):
     return course
 
 
-def test_nothing_before_a_field_and_then_the_compass():
+def test_there_is_no_yaw_before_a_field_sample_and_then_that_of_the_compass():
     fusing = Fusing()
     course = Course(lambda s, r: fusing(s, r) if isinstance(s, ImuSample) else None)
     course.go(1.0)
@@ -100,7 +100,7 @@ def test_nothing_before_a_field_and_then_the_compass():
     assert abs(fusing.errors_deg()[-1]) < 3.0
 
 
-def test_it_is_smooth_and_right_while_driving():
+def test_the_yaw_is_smooth_and_correct_while_driving():
     fusing = Fusing()
     course = driven(fusing)
     for side in (1.0, -1.0):
@@ -112,7 +112,7 @@ def test_it_is_smooth_and_right_while_driving():
     assert np.mean((errors / sigmas) ** 2) < 1.5
 
 
-def test_a_start_with_an_uncertain_up_is_given_up_once_the_compass_knows_better():
+def test_a_start_with_an_uncertain_up_is_corrected_by_a_better_compass():
     up, north = (0.0, 0.0, 1.0), CALIBRATED.strength * math.cos(CALIBRATED.inclination)
     down = -CALIBRATED.strength * math.sin(CALIBRATED.inclination)
     fused, compass = FusedYaw(CALIBRATED, PATIENCE), Compass(CALIBRATED)
@@ -125,7 +125,7 @@ def test_a_start_with_an_uncertain_up_is_given_up_once_the_compass_knows_better(
     assert abs(math.degrees(fused.heading().yaw)) < 4.0
 
 
-def test_passing_iron_hardly_moves_it_and_is_noted():
+def test_passing_iron_hardly_changes_the_yaw_and_is_recorded():
     fusing = Fusing()
     course = driven(fusing)
     course.go(20.0, disturbance=IRON, yaw_rate=0.1)
@@ -169,7 +169,7 @@ def test_a_start_beside_iron_recovers_once_the_field_is_good():
     assert abs(fusing.errors_deg()[-1]) < 3.0
 
 
-def test_a_yaw_that_went_wrong_unseen_is_overruled_by_a_good_field():
+def test_a_wrong_yaw_is_corrected_by_a_good_field():
     fusing = Fusing()
     course = driven(fusing)
     course.ride.stand(0.0, 0.0, 2.0)
@@ -177,7 +177,7 @@ def test_a_yaw_that_went_wrong_unseen_is_overruled_by_a_good_field():
     assert abs(fusing.errors_deg()[-1]) < 3.0
 
 
-def test_a_gap_forgets_north_and_the_compass_tells_it_anew():
+def test_after_a_gap_the_compass_gives_a_new_north():
     fusing = Fusing()
     course = driven(fusing)
     course.ride.stamp += 2.0
@@ -187,8 +187,8 @@ def test_a_gap_forgets_north_and_the_compass_tells_it_anew():
 
 
 @pytest.mark.nightly
-def test_in_streets_it_is_better_than_the_compass_and_says_how_good():
-    """Streets bend the field by 3 µT an axis over 30 m: the compass is wrong by 9 degrees."""
+def test_in_streets_the_yaw_is_better_than_the_compass_with_a_correct_sigma():
+    """Streets disturb the field by 3 µT per axis over 30 m: the compass errs by 9 degrees."""
     squares, raws, nees = [], [], []
     for seed in range(1, 7):
         rng = np.random.default_rng(seed)
@@ -197,7 +197,7 @@ def test_in_streets_it_is_better_than_the_compass_and_says_how_good():
         fusing = Fusing()
         for sample in drive.samples():
             if isinstance(sample, SpeedSample):
-                fusing.travelling.add_travel(sample)
+                fusing.estimator.add_travel(sample)
             else:
                 fusing(sample)
         stamps, yaws, _ = np.array(fusing.found).T
@@ -214,7 +214,7 @@ def test_in_streets_it_is_better_than_the_compass_and_says_how_good():
 
 
 @pytest.mark.nightly
-def test_on_a_city_drive_it_says_how_wrong_it_is(recording):
+def test_on_a_city_drive_the_sigma_is_correct(recording):
     """Truth is the course of a GPS: one offset is removed, and it is late by 0.6 s."""
     folder = recording("car_drive_neu2022_rahul")
     calibration = Calibration(
@@ -241,7 +241,7 @@ def test_on_a_city_drive_it_says_how_wrong_it_is(recording):
     assert 0.3 < nees < 2.5
 
 
-def test_standing_in_a_clean_field_it_says_a_small_figure():
+def test_at_rest_in_a_clean_field_the_sigma_is_small():
     fusing = Fusing()
     driven(fusing).go(30.0)
     assert fusing.sigmas_deg()[-1] < 1.5
@@ -292,7 +292,7 @@ def test_missing_late_repeated_and_reordered_messages(seed):
 
 
 @pytest.mark.nightly
-def test_it_gains_on_a_hand_held_drive_with_truth(recording):
+def test_the_fused_yaw_is_better_on_a_hand_held_recording(recording):
     folder = recording("broad05")
     bias = np.array([-0.14e-6, 0.20e-6, 0.39e-6])
     calibration = Calibration(
@@ -333,14 +333,14 @@ def test_slow_and_fast_imus(rate):
     assert abs(fusing.errors_deg()[-1]) < 3.0
 
 
-def test_a_told_heading_corrects_the_yaw_and_leaves_its_bias_behind():
+def test_an_external_heading_corrects_the_yaw_and_determines_the_bias():
     fused = FusedYaw(CALIBRATED, PATIENCE)
     up, field = Up((0.0, 0.0, 1.0), 1e-4), CALIBRATED.strength * np.array([0.0, 0.4, -0.9])
     heading = Compass(CALIBRATED).heading(tuple(field), (0.0, 0.0, 1.0), 1e-4)
     told, unknown = [0.0, 0.0], GyroBias((0.0, 0.0, 0.0), math.radians(0.5) ** 2)
     for k in range(3000):
         stamp = 100.0 + 0.02 * k
-        # A gyro that turns by 0.3 °/s, of which nobody knows, while the robot stands.
+        # An unknown gyro bias of 0.3 °/s, while the robot stands.
         fused.propagate(stamp, up, (0.0, 0.0, math.radians(0.3)), unknown)
         if k == 0:
             fused.correct(stamp, tuple(field), up, heading)
@@ -376,7 +376,7 @@ def test_a_rest_shows_the_gyro_bias():
 
 
 @pytest.mark.parametrize("walk", first_of([3e-4, 0.0]))
-def test_told_headings_show_whether_gyro_or_compass_is_better_without_them(walk):
+def test_external_headings_show_whether_gyro_or_compass_is_better(walk):
     rng = np.random.default_rng(3)
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = (1e-6) ** 2 * np.eye(3)
@@ -400,8 +400,8 @@ def test_told_headings_show_whether_gyro_or_compass_is_better_without_them(walk)
     assert sigma < math.sqrt(heading.yaw_variance)
 
 
-def test_headings_that_drift_before_they_fall_silent_are_doubted():
-    """A gyro whose bias walks looks the same: they left the yaw 8.6° wrong at ±2.9°."""
+def test_headings_that_drift_before_they_stop_enlarge_the_variance():
+    """A random walk of the gyro bias looks the same: the yaw erred by 8.6° at ±2.9°."""
     rng = np.random.default_rng(11)
     fused, up = FusedYaw(CALIBRATED, PATIENCE), Up((0.0, 0.0, 1.0), 1e-6)
     field = tuple(CALIBRATED.strength * np.array([0.4, 0.0, -0.9]))
@@ -424,8 +424,8 @@ def test_headings_that_drift_before_they_fall_silent_are_doubted():
     assert (np.abs(off) < 3.0 * np.array(sigma)).all()
 
 
-def test_headings_of_a_device_that_integrates_a_gyro_are_doubted_where_rests_contradict_them():
-    """They drift evenly, as by a constant bias of this gyro: it promised 1° and was 24° off."""
+def test_headings_by_an_integrated_gyro_that_rests_contradict_enlarge_the_variance():
+    """They drift evenly, like a constant gyro bias: the error was 24° at a sigma of 1°."""
     rng = np.random.default_rng(92_000)
     fused, up = FusedYaw(CALIBRATED, PATIENCE), Up((0.0, 0.0, 1.0), 1e-6)
     field = tuple(CALIBRATED.strength * np.array([0.4, 0.0, -0.9]))
@@ -472,7 +472,7 @@ class Magnetised(Fusing):
 
 
 @pytest.mark.parametrize("angle", first_of([1.2, -0.8]))
-def test_a_magnet_that_turns_the_field_is_in_sigma_until_the_robot_turns(angle):
+def test_an_added_magnet_is_in_the_sigma_until_the_robot_turns(angle):
     fusing = Magnetised()
     course = driven(fusing)
     fusing.magnet = magnet_that_turns_the_field(course.ride.magnetic_yaw, angle)
@@ -480,15 +480,15 @@ def test_a_magnet_that_turns_the_field_is_in_sigma_until_the_robot_turns(angle):
     error, sigma = abs(fusing.errors_deg()[-1]), fusing.sigmas_deg()[-1]
     assert error > 0.8 * abs(math.degrees(angle))
     assert sigma > 0.6 * error
-    assert fusing.fused.is_disputed
-    assert "the next turn of the robot shows which" in fusing.fused.dispute.in_words
+    assert fusing.fused.is_ambiguous
+    assert "the next turn of the robot shows which" in fusing.fused.field_jump.in_words
     fusing.magnet = np.zeros(3)
     course.go(15.0)
     assert abs(fusing.errors_deg()[-1]) < 3.0
     assert fusing.sigmas_deg()[-1] < 0.5 * sigma
 
 
-def test_a_yaw_that_was_wrong_is_known_again_once_the_robot_has_turned():
+def test_a_wrong_yaw_is_certain_again_after_a_turn():
     fusing = Fusing()
     course = driven(fusing)
     course.ride.stand(0.0, 0.0, 2.0)

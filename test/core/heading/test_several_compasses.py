@@ -1,4 +1,4 @@
-"""One heading from several magnetometers, while one of them dies, freezes or is bent."""
+"""One heading from several magnetometers, while one is silent, frozen or disturbed."""
 
 import dataclasses
 import math
@@ -10,7 +10,7 @@ from sample_results import EVIDENCE
 
 from magcal_ros.core import Calibration, Compass, Correction
 from magcal_ros.core.geometry import wrapped
-from magcal_ros.core.heading import PATIENCE, FusedYaw, Moment, SeveralCompasses
+from magcal_ros.core.heading import PATIENCE, CompassReading, FusedYaw, SeveralCompasses
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.core.up import UpFollower
@@ -34,7 +34,7 @@ def calibration(robot, sigma=0.3e-6, off=(0.0, 0.0, 0.0), yaw=0.0):
 
 
 class Scene:
-    """A robot with magnetometers that go the way of a message through the node."""
+    """A robot with magnetometers whose messages are processed as in the node."""
 
     def __init__(self, calibrations, gyro=True):
         self.ride = Ride(ROBOT, np.random.default_rng(1), start=100.0, gyro=gyro)
@@ -83,7 +83,7 @@ class Scene:
 
     def take(self, number, sample):
         up = self.up.at(sample.stamp, 0.2)
-        moment = Moment.of(self.compasses[number], sample, up, self.imu.rate)
+        moment = CompassReading.of(self.compasses[number], sample, up, self.imu.rate)
         joined = self.several.add(number, moment, self.imu.stamp, self.fused)
         if joined is not None and joined.heading is not None:
             if self.fused is not None:
@@ -94,10 +94,10 @@ class Scene:
 
     @property
     def weights(self):
-        return {number: share.weight for number, share in self.several.shares.items()}
+        return {number: share.weight for number, share in self.several.weights.items()}
 
     def why(self, number):
-        return self.several.shares[number].why
+        return self.several.weights[number].why
 
 
 def freeze(scene, number):
@@ -109,7 +109,7 @@ def two(**second):
     return Scene({1: calibration(ROBOTS[1]), 2: calibration(ROBOTS[2], **second)})
 
 
-def test_the_more_certain_weighs_more_and_both_know_more_than_one():
+def test_the_better_one_has_more_weight_and_both_are_better_than_one():
     scene = two(sigma=0.6e-6)
     rows = scene.run(5.0, 0.3)
     assert scene.weights[1] == pytest.approx(0.75, abs=0.05)
@@ -119,7 +119,7 @@ def test_the_more_certain_weighs_more_and_both_know_more_than_one():
     assert np.mean((rows[50:, 1] / rows[50:, 2]) ** 2) < 1.5
 
 
-def test_a_frozen_one_gives_no_heading_while_the_other_is_silent():
+def test_a_frozen_magnetometer_gives_no_heading_while_the_other_is_silent():
     scene = two()
     freeze(scene, 1)
     scene.run(2.0, 0.5)
@@ -135,11 +135,11 @@ def test_a_frozen_one_gives_no_heading_while_the_other_is_silent():
     assert np.abs(rows[:, 1] / rows[:, 2]).max() < 3.5
 
 
-def test_one_alone_is_what_it_was_before():
+def test_a_single_magnetometer_gives_its_own_heading():
     scene = Scene({1: calibration(ROBOTS[1])})
     compass = Compass(calibration(ROBOTS[1]))
     scene.run(1.0)
-    moment = Moment.of(
+    moment = CompassReading.of(
         compass,
         FieldSample(scene.imu.stamp, (2e-5, 1e-5, 3e-5)),
         scene.up.at(scene.imu.stamp, 0.2),
@@ -152,7 +152,7 @@ def test_one_alone_is_what_it_was_before():
 
 @pytest.mark.parametrize("number", first_of([1, 2]))
 @pytest.mark.parametrize("way", ["dead", "frozen"])
-def test_when_one_fails_the_other_goes_on_without_a_step(number, way):
+def test_the_heading_has_no_step_when_one_fails(number, way):
     scene = two()
     before = scene.run(10.0, 0.4)
     if way == "dead":
@@ -170,7 +170,7 @@ def test_when_one_fails_the_other_goes_on_without_a_step(number, way):
 
 
 @pytest.mark.parametrize("iron", first_of([(0.0, 12e-6, 0.0), (0.0, 0.0, 20e-6)]))
-def test_what_disturbs_one_alone_is_left_out_within_a_second_and_said(iron):
+def test_a_disturbed_magnetometer_is_left_out_within_a_second_and_reported(iron):
     scene = two()
     scene.run(10.0, 0.3)
     scene.iron[1] = np.array(iron)
@@ -185,7 +185,7 @@ def test_what_disturbs_one_alone_is_left_out_within_a_second_and_said(iron):
 
 
 @pytest.mark.nightly
-def test_who_is_left_goes_on_where_all_of_them_were():
+def test_the_remaining_one_continues_at_the_common_heading():
     scene = two(sigma=1.0e-6, off=(1.0e-6, 1.0e-6, 0.0))
     rows = scene.run(20.0, 0.3)
     scene.iron[1] = np.array([0.0, 15e-6, 0.0])
@@ -195,7 +195,7 @@ def test_who_is_left_goes_on_where_all_of_them_were():
 
 
 @pytest.mark.nightly
-def test_iron_that_passes_one_makes_the_other_no_less_certain():
+def test_iron_near_one_does_not_enlarge_the_variance_of_the_other():
     scene = two(sigma=0.6e-6)
     scene.run(10.0, 0.3)
     scene.iron[1] = np.array([0.0, 15e-6, 0.0])
@@ -208,8 +208,8 @@ def test_iron_that_passes_one_makes_the_other_no_less_certain():
     assert not scene.several.disagreement
 
 
-def test_two_that_turn_alike_against_the_gyro_are_not_doubted():
-    """It may as well be the carried yaw that is wrong."""
+def test_two_that_agree_against_the_gyro_are_trusted():
+    """The propagated yaw may be the wrong one."""
     scene = two()
     before = scene.run(10.0, 0.3)
     for number in (1, 2):
@@ -219,7 +219,7 @@ def test_two_that_turn_alike_against_the_gyro_are_not_doubted():
     assert rows[-1, 2] < 1.2 * before[-1, 2]
 
 
-def test_two_that_always_disagreed_are_said_and_sigma_holds_it():
+def test_a_constant_disagreement_is_reported_and_in_the_sigma():
     scene = two(yaw=math.radians(20.0))
     rows = scene.run(10.0, 0.3)
     assert math.degrees(scene.several.disagreement) == pytest.approx(20.0, abs=3.0)
@@ -230,10 +230,10 @@ def test_two_that_always_disagreed_are_said_and_sigma_holds_it():
 
 
 @pytest.mark.nightly
-def test_those_that_always_disagreed_still_do_where_the_field_is_bent():
+def test_a_constant_disagreement_stays_in_a_disturbed_field():
     scene = two(yaw=math.radians(20.0))
     scene.run(5.0, 0.3)
-    # So far, and for so long, that the doubt in both explains their difference.
+    # So far, and for so long, that the variances of both explain their difference.
     scene.iron = dict.fromkeys((1, 2), np.array([0.0, 0.0, 12e-6]))
     bent = scene.run(10.0, 0.3)
     scene.iron.clear()
@@ -245,7 +245,7 @@ def test_those_that_always_disagreed_still_do_where_the_field_is_bent():
 
 
 @pytest.mark.nightly
-def test_one_that_was_turned_while_it_was_silent_takes_no_part_when_it_returns():
+def test_one_that_was_turned_while_silent_gets_no_weight():
     scene = two()
     scene.run(5.0, 0.3)
     scene.silent.add(2)
@@ -267,7 +267,7 @@ def test_of_three_without_a_gyro_two_outvote_one():
     assert scene.weights[1] + scene.weights[2] > 0.9
 
 
-def test_a_clock_of_its_own_neither_joins_nor_stops_the_heading():
+def test_a_magnetometer_with_another_clock_is_left_out():
     scene = two()
     scene.late[2] = -0.8
     rows = scene.run(3.0, 0.3)
@@ -276,7 +276,7 @@ def test_a_clock_of_its_own_neither_joins_nor_stops_the_heading():
     assert "stamps" in scene.why(2)
 
 
-def test_at_rest_with_coarse_sensors_both_count():
+def test_at_rest_coarse_sensors_both_count():
     scene = two()
     scene.run(1.0)
     for number in (1, 2):
@@ -285,7 +285,7 @@ def test_at_rest_with_coarse_sensors_both_count():
     assert min(scene.weights.values()) > 0.3
 
 
-def test_time_that_is_set_back_begins_anew():
+def test_time_that_is_set_back_restarts_the_joining():
     scene = two()
     scene.run(3.0)
     scene.ride.stamp -= 50.0

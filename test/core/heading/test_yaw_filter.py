@@ -1,19 +1,19 @@
-"""What the filter of the fused yaw learns beside the yaw."""
+"""What the filter of the fused yaw estimates in addition to the yaw."""
 
 import math
 
 import numpy as np
 import pytest
 
-from magcal_ros.core.heading import PERFECT, GyroLoss, YawFilter
+from magcal_ros.core.heading import PERFECT, GyroDrift, YawFilter
 
 
 @pytest.mark.parametrize(
     ("walk", "turn"),
     [(1e-4, 0.0), (1e-5, 1e-3), pytest.param(1e-5, 0.0, marks=pytest.mark.nightly)],
 )
-def test_rests_show_how_a_bias_walks_and_whether_the_robot_stands(walk, turn):
-    rng, loss, bias, noise = np.random.default_rng(2), GyroLoss(), 0.003, 1.5e-4
+def test_rests_show_the_random_walk_of_the_bias_and_whether_the_robot_stands(walk, turn):
+    rng, loss, bias, noise = np.random.default_rng(2), GyroDrift(), 0.003, 1.5e-4
     loss.begin(bias, 1e-6)
     for k in range(100):
         bias += walk * math.sqrt(30.0) * rng.standard_normal()
@@ -25,8 +25,8 @@ def test_rests_show_how_a_bias_walks_and_whether_the_robot_stands(walk, turn):
 
 
 @pytest.mark.parametrize("lasts", [0.0, 20.0])
-def test_headings_show_for_how_long_they_are_wrong_by_the_same(lasts):
-    rng, loss, sigma, wrong = np.random.default_rng(4), GyroLoss(), math.radians(1.0), 0.0
+def test_headings_show_the_correlation_time_of_their_errors(lasts):
+    rng, loss, sigma, wrong = np.random.default_rng(4), GyroDrift(), math.radians(1.0), 0.0
     loss.begin(0.0, 1e-6)
     kept = math.exp(-2.0 / lasts) if lasts else 0.0
     # Of ten headings with errors of their own the mean is taken.
@@ -35,12 +35,12 @@ def test_headings_show_for_how_long_they_are_wrong_by_the_same(lasts):
         wrong = kept * wrong + new * rng.standard_normal()
         loss.add_heading(2.0 * k, wrong, sigma**2, 10, 2e-6)
     if lasts:
-        assert 8.0 < loss.heading_lasts < 50.0
+        assert 8.0 < loss.heading_error_time < 50.0
     else:
-        assert loss.heading_lasts < 0.3
+        assert loss.heading_error_time < 0.3
 
 
-def test_hard_iron_that_is_left_is_averaged_over_the_headings():
+def test_remaining_hard_iron_is_averaged_over_the_headings():
     sigma, iron, following = math.radians(3.0), np.array([1.2, -0.8]), YawFilter()
 
     def compass(heading):
@@ -52,7 +52,7 @@ def test_hard_iron_that_is_left_is_averaged_over_the_headings():
     following.begin(1e-6, 1e-10, 1e-6, compass(0.0))
     for k in range(720):
         following.propagate(0.5, 1e-8, 1e-14)
-        following.move_on(0.9, 1e-6)
+        following.change_disturbance(0.9, 1e-6)
         seen = compass(k * math.tau / 72.0)
         innovation = float(seen[:2] @ iron - seen @ following.errors) - off
         off += following.observe(innovation, 1e-5, seen)
@@ -61,7 +61,7 @@ def test_hard_iron_that_is_left_is_averaged_over_the_headings():
     assert abs(off) < 3.0 * math.sqrt(following.yaw_variance + following.own_error_variance)
 
 
-def test_a_robot_at_rest_shows_the_bias_and_corrects_the_yaw_that_it_has_turned():
+def test_a_rest_shows_the_bias_and_corrects_the_yaw():
     following = YawFilter()
     following.begin(1e-8, 1e-6, 0.0)
     for _ in range(600):
@@ -73,13 +73,13 @@ def test_a_robot_at_rest_shows_the_bias_and_corrects_the_yaw_that_it_has_turned(
     assert math.sqrt(following.yaw_variance) < 1e-3
 
 
-def test_how_far_compasses_disagree_stays_in_the_yaw_that_comes_from_them():
+def test_the_disagreement_of_compasses_stays_in_the_yaw_variance():
     sigma, following, compass = math.radians(10.0), YawFilter(), PERFECT.copy()
     following.begin(1e-6, 1e-10, 1e-6)
     compass[-2] = sigma
     for _ in range(200):
         following.propagate(0.5, 1e-6, 1e-14)
-        following.move_on(0.9, 1e-6)
+        following.change_disturbance(0.9, 1e-6)
         following.observe(math.radians(5.0), 1e-6, compass)
     assert following.errors[-2] == 0.0
     assert math.sqrt(following.own_error_variance) == pytest.approx(sigma, rel=0.05)

@@ -170,7 +170,7 @@ def newton(field_rotation, axis_rotation):
 
 
 def run(turn, normal=normal_least_squares, centre=centre_rotated, noise=0.0):
-    """Take the main script's steps; `noise` is the RMS that its cluster test is given."""
+    """Follow the main script; `noise` is the RMS for its cluster test."""
     mean = turn.gravity.mean(axis=0)
     spread = np.linalg.norm(turn.gravity - mean, axis=1).mean()
     axis = _upwards_in_ned(normal(turn.gravity))

@@ -25,7 +25,7 @@ NORTH = math.pi / 2.0
 
 
 class TestItsOwnExample:
-    def test_recovers_every_parameter(self):
+    def test_the_example_gives_every_parameter(self):
         example = printed_tip.simulate()
         assert worst_difference(example, ours(example)) < 1e-10
 
@@ -39,7 +39,7 @@ class TestItsOwnExample:
         np.testing.assert_allclose(answer.hard_iron, printed.hard_iron, atol=1e-10)
         np.testing.assert_allclose(answer.axis, printed.axis, atol=1e-10)
 
-    def test_is_the_simulators_turn_as_well(self):
+    def test_the_example_agrees_with_the_simulator(self):
         example = window_of(printed_tip.simulate())
         robot = replace(
             QUIET,
@@ -77,7 +77,7 @@ class TestConventions:
         np.testing.assert_allclose(estimate.axis, [0.0, 0.0, 1.0], atol=1e-9)
 
     @pytest.mark.parametrize("seed", range(10))
-    def test_closed_form_finds_what_made_the_normal(self, seed):
+    def test_the_closed_form_inverts_the_normal(self, seed):
         rng = np.random.default_rng(seed)
         axis = rng.standard_normal(3)
         axis /= np.linalg.norm(axis)
@@ -85,7 +85,7 @@ class TestConventions:
         found = roll_pitch_between(axis, rotation_from_rpy(roll, pitch).T @ axis)
         assert min(math.hypot(r - roll, p - pitch) for r, p in found) < 1e-7
 
-    def test_closed_form_admits_that_there_is_none(self):
+    def test_the_closed_form_reports_that_there_is_no_solution(self):
         assert roll_pitch_between(np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])) == []
 
 
@@ -125,7 +125,7 @@ class TestReference:
         estimate = fit(ramp_turn(robot), robot.knowledge(math.inf, 0.0))
         assert distance(estimate, robot) < 1e-9
 
-    def test_without_any_the_axial_hard_iron_is_zero_and_said_so(self):
+    def test_without_a_reference_the_axial_hard_iron_is_zero_and_reported(self):
         estimate = fit(level_turn(), Knowledge())
         assert estimate.figures["axial_hard_iron"] == pytest.approx(0.0, abs=1e-12)
         assert "no hard iron along the axis is assumed" in estimate.message
@@ -147,7 +147,7 @@ class TestReference:
 
 
 class TestMounting:
-    def test_gains_and_nominal_pose_are_taken_off(self):
+    def test_gains_and_nominal_pose_are_removed(self):
         mounting = Mounting(gains=[0.8, 1.2, 0.9], pose=rotation_from_rpy(0.4, -0.5, 2.0))
         robot = replace(QUIET, mounting=mounting)
         assert distance(fit(ramp_turn(robot), robot.knowledge()), robot) < 1e-10
@@ -216,7 +216,7 @@ def test_figures_of_a_clean_level_turn():
     samples=st.integers(20, 80),
     kinds=st.tuples(*[st.sampled_from(["noise", "turn", "line", "constant", "huge"])] * 2),
 )
-def test_whatever_comes_in_an_estimate_is_finite_or_refused(seed, samples, kinds):
+def test_any_input_gives_a_finite_estimate_or_a_refusal(seed, samples, kinds):
     rng = np.random.default_rng(seed)
     robot = Robot()
     turned = level_turn(robot, seed, samples=samples, arc=rng.uniform(0.0, 7.0))

@@ -1,4 +1,4 @@
-"""The printed tip's traps, by number: it falls into each, ours does not."""
+"""The errors of the printed tip, by number: it makes each of them, this package none."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class TestD3NormalsKeepTheirSense:
         example = printed_tip.simulate(installation_deg=self.INSTALLATION)
         assert printed_tip.heading_error_deg(example, printed_tip.run(example)) > 45.0
 
-    def test_ours_does_not(self):
+    def test_this_package_does_not(self):
         example = printed_tip.simulate(installation_deg=self.INSTALLATION)
         assert worst_difference(example, ours(example)) < 1e-10
 
@@ -69,7 +69,7 @@ class TestD4ClosedFormForNewton:
         with pytest.raises(printed_tip.EndlessLoop):
             printed_tip.run(example)
 
-    def test_ours_says_why(self):
+    def test_this_package_gives_the_reason(self):
         example = printed_tip.simulate(axis=(1, 0, 0), installation_deg=(0, 0))
         with pytest.raises(Refusal, match="horizontal") as caught:
             ours(example)

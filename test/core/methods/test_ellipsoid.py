@@ -1,4 +1,4 @@
-"""The ellipsoid method against sensors whose truth is known."""
+"""The ellipsoid method with sensors of known truth."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_without_the_strength_the_geometric_mean_radius_is_kept():
     assert "radius_ratio" not in estimate.figures
 
 
-def test_the_figures_tell_centre_radii_and_axes():
+def test_the_figures_give_centre_radii_and_axes():
     robot = replace(QUIET, soft_iron=np.diag([0.1, -0.1, 0.02]), hard_iron=[1e-6, 2e-6, 3e-6])
     figures = fit(tumble(robot), robot.knowledge()).figures
     assert [figures[f"centre_{name}"] for name in "xyz"] == pytest.approx([1e-6, 2e-6, 3e-6])
@@ -98,7 +98,7 @@ def test_the_predicted_errors_are_the_true_ones(motion):
 
 
 @pytest.mark.parametrize("motion", [tumbling, hand_tumbling])
-def test_a_turned_mounting_is_not_corrected_but_told(motion):
+def test_a_rotated_mounting_is_reported_and_not_corrected(motion):
     robot = Robot(roll=3.0 * DEGREE, pitch=-4.0 * DEGREE, yaw=2.0 * DEGREE)
     window = tumble(robot, motion=motion)
     estimate = fit(window, robot.knowledge())
@@ -111,7 +111,7 @@ def test_a_turned_mounting_is_not_corrected_but_told(motion):
     assert "rotated against the IMU" in verdict.summary
 
 
-def test_the_verdict_says_what_was_not_looked_at():
+def test_the_verdict_names_what_was_not_checked():
     outcome = calibrate(tumble(), SQUARE.knowledge(), "ellipsoid")
     assert outcome.verdict.accepted
     assert any("mounting of the magnetometer" in item for item in outcome.verdict.not_shown)
@@ -139,7 +139,7 @@ def test_outliers_are_found_and_left_out():
     np.testing.assert_allclose(estimate.correction.hard_iron, SQUARE.hard_iron, atol=0.15e-6)
 
 
-def test_a_sphere_ignores_soft_iron_and_an_aligned_ellipsoid_its_lean():
+def test_a_sphere_ignores_soft_iron_and_an_aligned_ellipsoid_its_rotation():
     lean = np.array([[0.0, 0.1, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
     robot = replace(QUIET, soft_iron=np.diag([0.1, -0.1, 0.0]) + lean)
     window = tumble(robot)
@@ -163,7 +163,7 @@ def test_a_turn_about_one_axis_is_refused(inclination, shape):
         assert "Tumble" in str(refused)
 
 
-def test_a_turn_that_wobbles_is_refused_or_knows_that_it_is_bad():
+def test_a_wobbling_turn_is_refused_or_has_a_large_sigma():
     for seed in range(5):
         rng = np.random.default_rng(seed)
         wobble = smooth_wobble(rng, 500, 15.0, 10.0 * DEGREE)
@@ -178,7 +178,7 @@ def test_a_sensor_at_rest_is_refused():
     assert refusal(with_fields(window, still + noise)).reason is Reason.NO_MOTION
 
 
-def test_a_part_of_the_sphere_is_refused_by_what_is_missing():
+def test_a_part_of_the_sphere_is_refused_with_the_missing_part():
     window = tumble(samples=4000)
     cap = window.take(window.field[:, 2] - SQUARE.hard_iron[2] > 0.2 * SQUARE.strength)
     refused = refusal(cap, SQUARE.knowledge())
@@ -186,13 +186,13 @@ def test_a_part_of_the_sphere_is_refused_by_what_is_missing():
     assert "upside down" in str(refused)
 
 
-def test_a_cloud_that_is_no_sphere_is_refused():
+def test_samples_that_form_no_sphere_are_refused():
     window = tumble()
     noise = np.random.default_rng(0).standard_normal((len(window), 3))
     assert refusal(with_fields(window, 30e-6 * noise)).reason is Reason.NO_SOLUTION
 
 
-def test_an_ellipsoid_that_no_soft_iron_makes_is_refused():
+def test_an_implausible_ellipsoid_is_refused():
     flat = replace(QUIET, mounting=Mounting([1.0, 1.0, 0.25]))
     refused = refusal(tumble(flat))
     assert refused.reason is Reason.NO_SOLUTION
@@ -205,7 +205,7 @@ def test_too_few_samples_are_refused():
     fit(tumble(samples=40))
 
 
-def test_outliers_that_a_simulator_draws_do_not_break_the_fit():
+def test_simulated_outliers_do_not_break_the_fit():
     rng = np.random.default_rng(5)
     window = measure(SQUARE, tumbling(rng), rng, trouble=Trouble(outliers=0.05))
     estimate = fit(window, SQUARE.knowledge())
@@ -220,7 +220,7 @@ def tumbled_recording(folder):
 
 
 @pytest.mark.parametrize("shape", first_of(["rotated", "aligned", "sphere"]))
-def test_a_real_tumbling_gives_the_bias_that_motion_capture_gives(recording, shape):
+def test_a_recorded_tumble_gives_the_bias_of_motion_capture(recording, shape):
     window = tumbled_recording(recording("broad05"))
     estimate = fit(window, options=Options(shape))
     off = estimate.correction.hard_iron - np.array([-0.14, 0.20, 0.39]) * 1e-6

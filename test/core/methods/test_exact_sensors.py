@@ -1,4 +1,4 @@
-"""Sensors that are exact but for noise: what the smoother finds of one turn, near the limit."""
+"""Sensors without errors but noise: the smoother's result of one turn is near the limit."""
 
 import dataclasses
 import functools
@@ -46,7 +46,7 @@ def test_without_noise_the_truth_is_found(axis, arc, gyro):
     assert estimate.arc == pytest.approx(arc * DEGREE, abs=2.5 * DEGREE)
 
 
-def test_known_gains_and_pose_are_taken_off_first():
+def test_known_gains_and_pose_are_removed_first():
     mounting = Mounting(np.array([0.5, 1.2, 0.9]), rotation_from_rpy(math.pi, 0.1, 1.0))
     robot = Robot(mounting=mounting, **STILL)
     window = measure(robot, turn(start_rpy=(0.1, 0.0, 2.0)), np.random.default_rng(1), gyro=True)
@@ -87,7 +87,7 @@ def test_the_error_is_near_the_limit_and_predicted(arc, wobble, limit, seeds):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("wobble", "worst"), [(0.75, 0.1), (2.0, 0.03)])
-def test_a_wobble_shows_the_hard_iron_along_the_axis_as_well_as_it_says(wobble, worst):
+def test_a_wobble_determines_the_axial_hard_iron_within_its_sigma(wobble, worst):
     robot, errors, ratios = Robot(), [], []
     for seed in range(10):
         rng = np.random.default_rng([21, seed])
@@ -112,7 +112,7 @@ def heading_ratio(estimate, robot):
     return float(np.mean(heading_errors(estimate.correction, robot, poses) ** 2 / variance))
 
 
-def test_what_the_turn_cannot_show_has_a_large_variance():
+def test_unobservable_numbers_have_a_large_variance():
     robot = Robot()
     window = measure(robot, turn(start_rpy=(0.0, 0.0, 1.0)), np.random.default_rng(3), gyro=True)
     known = fit(window, robot.knowledge())
@@ -152,7 +152,7 @@ def of_distorted(iron):
 
 
 @pytest.mark.parametrize("iron", first_of([(0.05, -0.03, 0.0), (0.0, 0.0, 0.0)]))
-def test_soft_iron_is_found_where_it_is_and_only_there(iron):
+def test_soft_iron_is_found_only_if_present(iron):
     robot, estimate = distorted(iron)[0], of_distorted(iron)
     assert rms_deg(estimate, robot) < 0.3
     gains = np.linalg.svd(estimate.correction.matrix)[1]
@@ -166,7 +166,7 @@ def test_soft_iron_can_be_ruled_out():
     assert fit(window, ruled_out).figures["soft_iron"] == 0.0
 
 
-def test_a_gyro_steadies_a_short_arc():
+def test_a_gyro_improves_a_short_arc():
     robot = Robot()
     knowledge = robot.knowledge(0.03 * robot.strength, 2.0 * DEGREE)
     sigmas = {}
@@ -177,7 +177,7 @@ def test_a_gyro_steadies_a_short_arc():
 
 
 @pytest.mark.nightly
-def test_many_samples_are_averaged_without_losing_them():
+def test_many_samples_are_averaged_without_loss():
     robot = Robot()
     window = measure(robot, turn(samples=8_000), np.random.default_rng(9))
     estimate = fit(window, robot.knowledge())
@@ -190,7 +190,7 @@ def test_many_samples_are_averaged_without_losing_them():
 @pytest.mark.nightly
 @examples(4)
 @given(st.floats(-math.pi, math.pi))
-def test_where_north_is_does_not_matter(heading):
+def test_the_direction_of_north_does_not_matter(heading):
     robot = Robot(**STILL)
     window = measure(
         robot, turn(samples=60, start_rpy=(0.2, 0.1, heading)), np.random.default_rng(1)
@@ -201,7 +201,7 @@ def test_where_north_is_does_not_matter(heading):
 @pytest.mark.nightly
 @examples(4)
 @given(st.floats(-math.pi, math.pi))
-def test_turning_both_sensors_about_the_upright_turns_the_answer(angle):
+def test_rotating_both_sensors_about_up_rotates_the_result(angle):
     robot = Robot(**STILL)
     window = measure(robot, turn(samples=60, start_rpy=(0.0, 0.0, 0.4)), np.random.default_rng(1))
     about = rotation_from_rpy(0.0, 0.0, angle)

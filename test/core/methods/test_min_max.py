@@ -1,4 +1,4 @@
-"""The min/max method against sensors whose truth is known."""
+"""The min/max method with sensors of known truth."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def refusal(window, knowledge=Knowledge(), **options):
 
 @examples(20)
 @given(seeds, st.booleans())
-def test_offset_and_scale_are_exact_where_every_axis_met_the_field(seed, robust):
+def test_offset_and_scale_are_exact_if_every_axis_was_along_the_field(seed, robust):
     rng = np.random.default_rng(seed)
     robot = replace(
         QUIET,
@@ -59,7 +59,7 @@ def test_without_the_strength_the_mean_of_the_half_ranges_is_kept():
     assert estimate.figures["offset_z"] == pytest.approx(robot.hard_iron[2])
 
 
-def test_time_does_not_matter_and_crowding_does_not_either():
+def test_order_and_density_of_samples_do_not_matter():
     window = pole_window()
     plain = fit(window, QUIET.knowledge(), options=ROBUST).correction.parameters
     order = np.random.default_rng(1).permutation(len(window))
@@ -83,7 +83,7 @@ def test_the_predicted_errors_are_not_too_small(motion):
     assert 0.9 < rms_deg(sigma) / rms_deg(heading) < 3.0
 
 
-def test_outliers_ruin_the_plain_extremes_and_not_the_robust_ones():
+def test_outliers_change_the_simple_extremes_but_not_the_robust_ones():
     window = tumble(seed=3)
     field = window.field.copy()
     field[::50] = SQUARE.hard_iron + 2.0 * (field[::50] - SQUARE.hard_iron)
@@ -100,7 +100,7 @@ def test_outliers_ruin_the_plain_extremes_and_not_the_robust_ones():
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.85])
-def test_a_concentrated_package_off_the_sphere_is_erased(share):
+def test_a_cluster_off_the_sphere_is_left_out(share):
     rng = np.random.default_rng(4)
     window = tumble(seed=4, samples=1200)
     count = int(share / (1.0 - share) * len(window))
@@ -118,7 +118,7 @@ def test_a_concentrated_package_off_the_sphere_is_erased(share):
     assert not kept[len(window) :].any()
 
 
-def test_gravity_tells_a_turned_mounting_and_the_verdict_what_was_not_looked_at():
+def test_gravity_shows_a_rotated_mounting_and_the_verdict_what_was_not_checked():
     turned = replace(SQUARE, roll=6.0 * DEGREE)
     estimate = fit(tumble(turned), turned.knowledge())
     assert math.degrees(estimate.figures["misalignment"]) == pytest.approx(6.0, abs=0.7)
@@ -146,7 +146,7 @@ def test_a_turn_that_wobbles_is_refused():
         refusal(measure(SQUARE, turn(wobble=wobble), rng), SQUARE.knowledge())
 
 
-def test_an_axis_that_never_met_the_field_is_named():
+def test_an_axis_that_was_never_along_the_field_is_named():
     window = tumble(samples=4000)
     flat = window.take(np.abs(window.field[:, 1] - SQUARE.hard_iron[1]) < 0.4 * SQUARE.strength)
     refused = refusal(flat, SQUARE.knowledge())

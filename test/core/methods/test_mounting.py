@@ -1,4 +1,4 @@
-"""What gravity says about a turned magnetometer, against rotations that are known."""
+"""The mounting by gravity, compared with known rotations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def seen(motion, rng, noise=0.01, rotation=TURNED):
     return unit(field), unit(motion.attitude @ UP_ENU + noise * rng.standard_normal((n, 3)))
 
 
-def test_a_rotation_is_seen_by_tumbling_with_an_honest_covariance():
+def test_tumbling_determines_a_rotation_with_a_correct_covariance():
     scores = []
     for seed in range(30):
         rng = np.random.default_rng(seed)
@@ -33,7 +33,7 @@ def test_a_rotation_is_seen_by_tumbling_with_an_honest_covariance():
     assert 0.4 < np.mean(scores) < 1.6
 
 
-def test_noise_that_lasts_counts_once():
+def test_correlated_noise_counts_once():
     rng = np.random.default_rng(0)
     motion = hand_tumbling(rng)
     direction, up = seen(motion, rng)
@@ -43,7 +43,7 @@ def test_noise_that_lasts_counts_once():
     assert 0.5 < ratio < 2.0
 
 
-def test_a_level_turn_says_nothing_about_the_yaw():
+def test_a_level_turn_does_not_determine_the_yaw():
     rng = np.random.default_rng(0)
     found = estimate_mounting(*seen(turn(), rng))
     assert np.sqrt(found.covariance[2, 2]) > 0.7 * SIGMA

@@ -1,4 +1,4 @@
-"""The jackknife against the truth that many turns show."""
+"""The jackknife compared with the scatter of many turns."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_mean_has_the_variance_of_a_mean():
     assert np.mean(traces) == pytest.approx(3.0 / 320.0, rel=0.1)
 
 
-def test_neighbours_with_common_errors_count_once():
+def test_neighbours_with_correlated_errors_count_once():
     rng = np.random.default_rng(0)
     traces = [
         np.trace(
@@ -73,14 +73,14 @@ def test_the_reference_moves_by_its_sigma():
     assert not jackknife_covariance(from_reference, window, silent).any()
 
 
-def test_what_the_caller_cannot_see_is_added():
+def test_the_unobservable_part_is_added():
     unseen = np.arange(12.0)
     window = window_of(np.ones((20, 3)))
     found = jackknife_covariance(mean_field, window, Knowledge(), unknown=unseen)
     np.testing.assert_allclose(found, np.outer(unseen, unseen), atol=1e-12)
 
 
-def test_an_answer_that_hangs_on_single_pieces_is_refused():
+def test_a_result_that_depends_on_single_blocks_is_refused():
     def fragile(window, knowledge):
         if len(window) < 20:
             raise Refusal(Reason.NO_SOLUTION, "too short")
@@ -92,7 +92,7 @@ def test_an_answer_that_hangs_on_single_pieces_is_refused():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("arc", [360.0, 180.0])
-def test_predicted_heading_sigma_is_the_true_one(arc):
+def test_the_predicted_heading_sigma_is_correct(arc):
     robot = Robot()
     poses = trial_attitudes()[:, LEVEL_TILT]
     up, field = poses @ UP_ENU, poses @ robot.field_enu
@@ -108,7 +108,7 @@ def test_predicted_heading_sigma_is_the_true_one(arc):
     assert 1.0 / 1.5 < ratio < 1.5
 
 
-def test_a_wrong_inclination_is_within_the_sigma_it_was_given_with():
+def test_a_wrong_inclination_is_within_its_given_sigma():
     robot = replace(Robot(), noise_field=1e-9, noise_force=1e-6)
     sigma = 2.0 * DEGREE
     window = measure(robot, turn(), np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""Soft iron far beyond the belief: a body that weakens the field, and long windows."""
+"""Soft iron far beyond the prior: a body that weakens the field, and long windows."""
 
 import math
 from dataclasses import replace
@@ -26,7 +26,7 @@ def level_error(estimate, robot):
 
 @pytest.mark.parametrize("share", first_of([0.3, 0.5, 0.65]))
 @pytest.mark.parametrize("gyro", first_of([True, False]))
-def test_a_body_that_weakens_the_level_field_is_fitted_and_said(share, gyro):
+def test_a_body_that_weakens_the_level_field_is_fitted_and_reported(share, gyro):
     iron = np.diag([share - 1.05, share - 0.95, -0.2])
     robot = Robot(soft_iron=iron, noise_field=0.2e-6)
     window = measure(robot, turn(arc=7.0), np.random.default_rng(2), gyro=gyro)
@@ -39,7 +39,7 @@ def test_a_body_that_weakens_the_level_field_is_fitted_and_said(share, gyro):
 
 
 @pytest.mark.nightly
-def test_a_weak_field_hides_no_mirrored_gyro():
+def test_a_mirrored_gyro_is_found_in_a_weak_field():
     robot = Robot(soft_iron=np.diag([-0.7, -0.7, 0.0]), noise_field=0.2e-6)
     window = measure(robot, turn(arc=7.0), np.random.default_rng(2), gyro=True)
     mirrored = Window(window.time, window.field, window.specific_force, -window.angular_rate)
@@ -50,7 +50,7 @@ def test_a_weak_field_hides_no_mirrored_gyro():
 
 @pytest.mark.parametrize("seed", first_of(range(2)))
 @pytest.mark.parametrize("wiring", first_of(["ned", "sign", "swap"]))
-def test_wrong_axes_are_a_verdict_whatever_the_fit_makes_of_them(seed, wiring):
+def test_wrong_axes_are_reported_whatever_the_fit(seed, wiring):
     rng = np.random.default_rng(seed)
     robot = Robot(roll=rng.uniform(-0.3, 0.3), pitch=rng.uniform(-0.3, 0.3))
     window = measure(robot, turn(arc=rng.uniform(1.0, 6.0), samples=200), rng, gyro=True)
@@ -93,7 +93,7 @@ def test_a_long_window_with_strong_iron_is_better_than_a_short_one(seconds, weak
 
 
 @pytest.mark.nightly
-def test_there_and_back_is_not_taken_for_a_pull():
+def test_a_turn_there_and_back_is_not_taken_for_an_acceleration():
     """Its mean rate is zero, and an axis it has all the same."""
     angle = np.concatenate([np.linspace(0.0, 6.5, 300), np.linspace(6.5, 0.0, 300)[1:]])
     time = np.linspace(0.0, 40.0, len(angle))

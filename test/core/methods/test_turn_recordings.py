@@ -1,4 +1,4 @@
-"""Real turns with an independent truth; skipped where the recordings are not at hand."""
+"""Recorded turns with an independent truth; skipped without the recordings."""
 
 import functools
 import math
@@ -80,7 +80,7 @@ def correction():
 
 
 @pytest.mark.nightly
-def test_a_car_in_circles_against_its_gps_course():
+def test_a_car_in_circles_agrees_with_its_gps_course():
     imu, mag, truth = recording("car_circles_neu2025_kiran")
     whole = window(imu, mag)
     reference = ReferenceField(

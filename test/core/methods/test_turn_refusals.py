@@ -71,14 +71,14 @@ def test_an_axis_along_the_field():
     assert refusal(window) is Reason.AXIS_ALONG_FIELD
 
 
-def test_sensors_that_are_silent():
+def test_sensors_without_values():
     plain = window_of()
     nothing = np.zeros((500, 3))
     assert refusal(Window(plain.time, nothing, plain.specific_force)) is Reason.FIELD_ABSENT
     assert refusal(Window(plain.time, plain.field, nothing)) is Reason.GRAVITY_ABSENT
 
 
-def test_a_gyro_that_belongs_to_another_robot():
+def test_a_gyro_of_another_robot():
     plain = window_of()
     rate = np.zeros((500, 3))
     rate[:, 2] = 3.0 * np.sin(3.0 * plain.time)
@@ -100,7 +100,7 @@ def words_of(window, knowledge=None):
     return str(caught.value)
 
 
-def test_a_field_that_follows_no_turn_is_told_by_how_much_it_strays():
+def test_a_field_that_does_not_follow_the_turn_is_reported_with_its_residual():
     clean = window_of()
     phase = np.linspace(0.0, 2.0 * np.pi, len(clean))[:, None] * [7.0, 9.0, 11.0]
     words = words_of(Window(clean.time, clean.field + 25e-6 * np.sin(phase), clean.specific_force))
@@ -108,7 +108,7 @@ def test_a_field_that_follows_no_turn_is_told_by_how_much_it_strays():
     assert "100% of the samples fit" not in words
 
 
-def test_a_turn_that_only_the_gyro_saw_is_none_the_robot_did_not_make():
+def test_a_turn_of_the_gyro_alone_is_not_reported_as_no_motion():
     robot = Robot(inclination=90.0 * DEGREE)
     window = measure(robot, turn(), np.random.default_rng(1), gyro=True)
     field = np.broadcast_to(window.field.mean(axis=0), window.field.shape)
@@ -124,7 +124,7 @@ def samples_of(window):
 
 
 @pytest.mark.parametrize("seeds", first_of([1, 4]))
-def test_noise_at_rest_makes_an_arc_no_longer(seeds):
+def test_noise_at_rest_does_not_lengthen_the_arc(seeds):
     robot = Robot(noise_field=0.5e-6, noise_force=0.05)
     yaw = np.clip(np.linspace(-20.0, 100.0, 600), 0.0, 80.0) * DEGREE
     motion = Motion(np.linspace(0.0, 20.0, 600), rotation_about(UP_ENU, -yaw))

@@ -43,7 +43,7 @@ def test_a_good_one_holds_on_a_fresh_turn(calibration, gyro, arc):
 
 @pytest.mark.parametrize("said", [(), (LEVEL_ONLY,)])
 def test_one_made_without_a_position_holds_on_level_ground(said):
-    """A turn says so by its sigma on slopes, a drive by what it does not show."""
+    """A turn shows it by its sigma on slopes, a drive by what it does not determine."""
     made = calibrate(window(), Knowledge()).calibration
     if said:
         unseen = (*made.evidence.not_shown, *said)
@@ -61,7 +61,7 @@ def test_one_made_without_a_position_holds_on_level_ground(said):
 
 @pytest.mark.parametrize("gyro", [True, False])
 @pytest.mark.parametrize("shift", [(5, 0), (0, -5), (-3.5, 3.5)])
-def test_hard_iron_that_moved_by_5_ut_makes_it_stale(calibration, gyro, shift):
+def test_a_hard_iron_change_of_5_ut_makes_it_stale(calibration, gyro, shift):
     result = check(window(moved(*shift), seed=3, gyro=gyro), calibration)
     assert result.state == "stale"
     found = figures(result)
@@ -73,7 +73,7 @@ def test_hard_iron_that_moved_by_5_ut_makes_it_stale(calibration, gyro, shift):
 
 
 @pytest.mark.parametrize("gyro", [True, False])
-def test_it_swings_less_after_than_before(calibration, gyro):
+def test_a_new_calibration_reduces_the_swing(calibration, gyro):
     for finding in check(window(seed=4, gyro=gyro), calibration).findings:
         assert finding.value < 0.5 * finding.before, finding
 
@@ -87,7 +87,7 @@ def test_hard_iron_along_the_axis_is_doubtful_and_no_heading_error(calibration):
 
 
 def test_a_distorted_room_is_found_by_the_gyro_alone(calibration):
-    """The robot sees a clean circle: the field's direction depends on where it looks."""
+    """The field still forms a circle, but its direction depends on the heading."""
     clean = window(seed=6)
     bent = clean.time * 0.0 + np.radians(15.0) * np.sin(np.linspace(0, math.tau, len(clean)))
     cosine, sine = np.cos(bent), np.sin(bent)
@@ -107,7 +107,7 @@ def test_a_steady_gyro_bias_is_no_fault(calibration):
     assert result.state == "holds", result.verdict.summary
 
 
-def test_a_compass_that_spins_once_beside_iron_is_no_fault(calibration):
+def test_an_extra_turn_of_the_compass_near_iron_is_no_fault(calibration):
     """Iron takes the level field away for a moment: the compass goes once round by itself."""
     clean = window(seed=7, samples=6000, duration=120.0, arc=4 * math.tau)
     body = calibration.correction.apply(clean.field)
@@ -127,7 +127,7 @@ def test_wobble_and_vibration_are_no_fault(calibration):
 
 
 @pytest.mark.nightly
-def test_gaps_and_several_turns_do_not_upset_the_gyro(calibration):
+def test_gaps_and_several_turns_do_not_disturb_the_gyro_comparison(calibration):
     long = window(seed=9, samples=6000, duration=120.0, arc=9 * math.tau)
     keep = np.ones(len(long), dtype=bool)
     for first in (500, 1800, 3500):
@@ -136,7 +136,7 @@ def test_gaps_and_several_turns_do_not_upset_the_gyro(calibration):
     assert result.state == "holds", result.verdict.summary
 
 
-def test_a_turn_on_a_slope_is_looked_at_in_the_level_plane():
+def test_a_turn_on_a_slope_is_judged_in_the_level_plane():
     """Installation known, so the slope itself is no fault."""
     robot = Robot(roll=0.0, pitch=0.0)
     level = calibrate(window(robot), robot.knowledge()).calibration
@@ -159,7 +159,7 @@ def test_every_bound_grades_from_holds_to_stale(bound):
     assert bound.remedy in found[1].words
 
 
-def test_the_names_that_readers_know_are_told(calibration):
+def test_the_keys_of_figures_are_unchanged(calibration):
     told = {finding.key for finding in check(window(seed=2), calibration).findings}
     assert told == {
         "heading_swing",
@@ -171,26 +171,26 @@ def test_the_names_that_readers_know_are_told(calibration):
     }
 
 
-def test_part_of_a_turn_costs_confidence_and_not_quality(calibration):
+def test_a_part_of_a_turn_reduces_confidence_and_not_quality(calibration):
     verdict = check(window(seed=2, arc=3.0), calibration).verdict
     assert (verdict.quality, verdict.confidence) == (Grade.GOOD, Grade.WARN)
     assert verdict.accepted
 
 
-def test_the_residual_is_the_sensors_noise_while_the_calibration_holds(calibration):
+def test_the_residual_is_the_noise_while_the_calibration_holds(calibration):
     result = check(window(seed=2), calibration)
     rms = float(np.sqrt(np.mean(result.estimate.residual**2)))
     assert rms == pytest.approx(ROBOT.noise_field, rel=0.35)
 
 
-def test_a_hard_iron_that_moved_is_in_the_residual_and_refused(calibration):
+def test_a_changed_hard_iron_is_in_the_residual_and_refused(calibration):
     result = check(window(moved(6.0), seed=2), calibration)
     assert float(np.sqrt(np.mean(result.estimate.residual**2))) > 1.2e-6
     assert result.verdict.quality is Grade.REFUSED
     assert result.verdict.confidence is Grade.GOOD
 
 
-def test_the_gyros_swing_that_is_drawn_is_the_one_that_is_judged(calibration):
+def test_the_drawn_gyro_deviation_is_the_judged_one(calibration):
     result = check(window(moved(5.0), seed=3), calibration)
     drawn = result.estimate.swing
     assert len(drawn.heading) == len(drawn.deviation)

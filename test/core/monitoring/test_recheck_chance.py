@@ -10,8 +10,8 @@ from magcal_ros.core.monitoring import (
     RECHECK_BOUNDS,
     Record,
     check_beside_chance,
-    compass_less_gyro,
-    fit_waves,
+    compass_minus_gyro,
+    fit_harmonics,
     harmonics,
 )
 from magcal_ros.core.monitoring.recheck import _figures
@@ -25,7 +25,7 @@ def degrees(value):
     return value / BOUND.scale
 
 
-def test_what_chance_explains_is_not_stale():
+def test_a_deviation_by_chance_is_not_stale():
     assert check_beside_chance(BOUND, degrees(8.0), 0.0, None).grade is Grade.REFUSED
     found = check_beside_chance(BOUND, degrees(8.0), degrees(6.9), None)
     assert found.grade is Grade.WARN
@@ -35,7 +35,7 @@ def test_what_chance_explains_is_not_stale():
     ) in found.words
 
 
-def test_where_chance_reaches_the_bound_nothing_is_shown():
+def test_if_chance_reaches_the_bound_the_check_is_uncertain():
     found = check_beside_chance(BOUND, degrees(5.0), degrees(9.0), None)
     assert found.grade is Grade.WARN
     assert "too uncertain to judge" in found.words
@@ -44,7 +44,7 @@ def test_where_chance_reaches_the_bound_nothing_is_shown():
 
 
 @pytest.mark.parametrize("turns", [4, 40])
-def test_chance_is_as_large_as_few_stretches_may_make_it(turns):
+def test_the_allowance_for_chance_covers_few_independent_parts(turns):
     """One bend of the field a turn of 30 s, and no swing: chance explains it 19 times of 20."""
     rng = np.random.default_rng(2)
     heading = np.tile(np.arange(36) * (math.tau / 36), turns)
@@ -53,20 +53,20 @@ def test_chance_is_as_large_as_few_stretches_may_make_it(turns):
     misses = 0
     for _ in range(200):
         values = 0.05 * (rng.normal(0.0, 1.0, (turns, 4)) @ waves).ravel()
-        size, chance = fit_waves(harmonics(heading), values, stamp, 2.0).spread
+        size, chance = fit_harmonics(harmonics(heading), values, stamp, 2.0).spread
         misses += bool(size > chance)
     assert misses <= 0.12 * 200
 
 
-def test_a_turn_in_one_place_is_uncertain_by_its_noise_alone():
+def test_a_turn_in_one_place_has_the_uncertainty_of_its_noise():
     heading, rng = np.linspace(0.0, math.tau, 36), np.random.default_rng(3)
     values = 0.1 * np.cos(heading) + 0.002 * rng.standard_normal(36)
-    size, chance = fit_waves(harmonics(heading), values, np.linspace(0.0, 14.0, 36), 2.0).spread
+    size, chance = fit_harmonics(harmonics(heading), values, np.linspace(0.0, 14.0, 36), 2.0).spread
     assert size == pytest.approx(0.1 / math.sqrt(2.0), rel=0.05)
     assert chance < 0.003
 
 
-def test_what_a_drive_shows_of_iron_replaces_what_its_streets_hide():
+def test_the_hard_iron_by_a_drive_replaces_the_uncertain_check():
     hidden = check_beside_chance(BOUND, degrees(8.0), degrees(9.0), None, decided=True)
     assert hidden.grade is Grade.GOOD
     clear = check_beside_chance(BOUND, degrees(12.0), degrees(1.0), None, decided=True)
@@ -83,7 +83,7 @@ def through_streets(seed, added):
 
 
 @pytest.mark.parametrize("seed", first_of(range(2)))
-def test_a_good_calibration_is_not_stale_in_streets_and_a_changed_one_is_noticed(seed):
+def test_in_streets_a_good_calibration_holds_and_a_changed_one_is_detected(seed):
     made = calibrate(measure(ROBOT, turn(), np.random.default_rng(seed)), ROBOT.knowledge())
     assert check(through_streets(seed, np.zeros(3)), made.calibration).state != "stale"
     changed = check(through_streets(seed, np.array([10e-6, 0.0, 0.0])), made.calibration)
@@ -91,21 +91,21 @@ def test_a_good_calibration_is_not_stale_in_streets_and_a_changed_one_is_noticed
 
 
 @pytest.mark.parametrize(("places", "explained"), [(1, True), (12, False)])
-def test_what_one_place_alone_adds_is_not_the_calibrations(places, explained):
-    """A compass that is drawn aside beside iron is right again elsewhere; a changed one is not."""
+def test_a_disturbance_at_one_place_is_not_attributed_to_the_calibration(places, explained):
+    """A compass disturbed near iron is correct elsewhere; a changed one is not."""
     heading = np.tile(np.arange(0.0, math.tau, math.tau / 12.0), 20)
     is_aside = np.arange(240) // 20 < places
     yaw = heading + 0.3 * np.where(is_aside, np.cos(heading), 0.0)
     turned = np.unwrap(heading)
     rows = [Record(3.0 * k, yaw[k], 1.0, 0.0, turned[k], 0, 0.0) for k in range(240)]
-    gyro = compass_less_gyro(np.array(rows), heading, 2.0)
+    gyro = compass_minus_gyro(np.array(rows), heading, 2.0)
     swing, chance = gyro.waves.spread
     assert gyro.rms > 0.05
     assert (math.sqrt(max(swing**2 - chance**2, 0.0)) < 0.03) is explained
 
 
 @pytest.mark.parametrize(("lean", "is_explained"), [(0.0, False), (1.0, True)])
-def test_in_a_part_of_a_turn_an_up_that_sways_explains_a_compass_that_does(lean, is_explained):
+def test_in_a_part_of_a_turn_sway_of_up_explains_that_of_the_compass(lean, is_explained):
     """Up that is off along the field shows in the dip, and is off as much across it."""
     calibration = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
     calibration = calibration.calibration

@@ -1,4 +1,4 @@
-"""A drive tells iron that was added from the bends of its streets."""
+"""A drive distinguishes added iron from disturbances of its streets."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def driven():
 
 
 def iron_added(drive, calibration):
-    """What a check finds of it; None where a drive does not show it."""
+    """The result of a check; None if a drive does not determine it."""
     checks = check(drive, calibration, drive=drive).verdict.checks
     return next((each for each in checks if each.figure is Figure.HARD_IRON_CHANGE), None)
 
@@ -33,20 +33,20 @@ def with_iron(window, *microtesla):
 
 
 @pytest.mark.nightly
-def test_streets_are_no_iron(driven):
+def test_disturbances_of_streets_are_not_taken_for_iron(driven):
     window, calibration = driven
     assert iron_added(log_of(window), calibration).grade is Grade.GOOD
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("added", [(0.0, -6.0, 0.0), (6.0, 0.0, 0.0)])
-def test_iron_is_no_street(driven, added):
+def test_iron_is_not_taken_for_a_street(driven, added):
     window, calibration = driven
     found = iron_added(log_of(with_iron(window, *added)), calibration)
     assert found.grade is Grade.REFUSED
 
 
-def test_a_check_counts_what_the_drive_shows(driven):
+def test_a_check_uses_the_hard_iron_by_the_drive(driven):
     window, calibration = driven
     changed = with_iron(window, 6.0, 0.0, 0.0)
     seldom = changed.take(np.arange(0, len(changed), 20))
@@ -63,7 +63,7 @@ def test_a_short_drive_shows_nothing(driven):
 
 
 @pytest.mark.nightly
-def test_an_offset_of_the_accelerometer_is_no_iron():
+def test_an_accelerometer_bias_is_not_taken_for_iron():
     """A car that circles and never rests: gravity that seems too weak leans up in its bends."""
     rng = np.random.default_rng(3)
     vehicle = random_vehicle(rng)

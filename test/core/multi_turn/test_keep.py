@@ -6,8 +6,15 @@ from long_form import first_of
 from slope_turns import EAST, KNOWN, LEVEL, ROBOT, window_on
 
 from magcal_ros.core import Reason
-from magcal_ros.core.calibrate import take_turn
-from magcal_ros.core.multi_turn import Kept, Several, Shown, TurnFate, joined, names_of
+from magcal_ros.core.calibrate import add_turn
+from magcal_ros.core.multi_turn import (
+    KeptTurns,
+    MultiTurnReport,
+    TurnAccuracy,
+    TurnResult,
+    joined,
+    names_of,
+)
 from magcal_ros.core.multi_turn.result import TUNING
 
 METHOD = "maximum_likelihood"
@@ -15,7 +22,7 @@ METHOD = "maximum_likelihood"
 
 @pytest.fixture(autouse=True, scope="module")
 def no_look():
-    """The axes are right here; to look at them takes five times as long as the fit of a turn."""
+    """The axes are correct here; checking them takes five times as long as the fit."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(joined, "wrong_axes", lambda *_: None)
         yield
@@ -35,7 +42,7 @@ def windows():
 
 @pytest.fixture(scope="module")
 def first(windows):
-    return take_turn(Kept(), windows["level"], KNOWN, METHOD, accumulate=True)
+    return add_turn(KeptTurns(), windows["level"], KNOWN, METHOD, accumulate=True)
 
 
 @pytest.mark.nightly
@@ -43,14 +50,14 @@ def test_turns_join_one_after_another(windows, first):
     outcome, kept = first
     assert outcome.verdict.accepted
     assert kept.names == ("turn 1",)
-    outcome, kept = take_turn(kept, windows["east"], KNOWN, METHOD, accumulate=True)
+    outcome, kept = add_turn(kept, windows["east"], KNOWN, METHOD, accumulate=True)
     assert kept.names == ("turn 1", "turn 2")
     assert outcome.estimate.figures["turns"] == 2.0
 
 
 @pytest.mark.parametrize("kind", first_of(["still", "foreign"]))
 def test_a_refused_turn_does_not_join_and_the_others_stay(windows, first, kind):
-    outcome, kept = take_turn(first[1], windows[kind], KNOWN, METHOD, accumulate=True)
+    outcome, kept = add_turn(first[1], windows[kind], KNOWN, METHOD, accumulate=True)
     assert kept is first[1]
     assert not outcome.verdict.accepted
     assert outcome.calibration is None
@@ -61,28 +68,28 @@ def test_a_refused_turn_does_not_join_and_the_others_stay(windows, first, kind):
 
 
 def test_a_first_turn_that_is_refused_is_not_kept(windows):
-    outcome, kept = take_turn(Kept(), windows["still"], KNOWN, METHOD, accumulate=True)
+    outcome, kept = add_turn(KeptTurns(), windows["still"], KNOWN, METHOD, accumulate=True)
     assert not outcome.verdict.accepted
     assert kept.windows == ()
 
 
-def test_without_accumulation_a_turn_stands_alone_and_nothing_is_kept(windows, first):
-    outcome, kept = take_turn(first[1], windows["east"], KNOWN, METHOD, accumulate=False)
-    assert outcome.several is None
+def test_without_accumulation_no_turns_are_kept(windows, first):
+    outcome, kept = add_turn(first[1], windows["east"], KNOWN, METHOD, accumulate=False)
+    assert outcome.multi_turn is None
     assert kept.windows == ()
 
 
-def test_what_is_kept_is_bounded(windows):
+def test_the_kept_turns_are_bounded(windows):
     window = window_on(LEVEL, np.random.default_rng(2), samples=TUNING.most_samples + 1)
-    shown = Shown(0.1, (0.0,) * 6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    kept = Kept()
+    shown = TurnAccuracy(0.1, (0.0,) * 6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    kept = KeptTurns()
     for _ in range(TUNING.most_turns + 2):
-        fates = tuple(TurnFate(f"{k}", True, "") for k in range(len(kept.windows) + 1))
-        kept = kept.joined(window, Several(fates, shown, ()))
+        turns = tuple(TurnResult(f"{k}", True, "") for k in range(len(kept.windows) + 1))
+        kept = kept.joined(window, MultiTurnReport(turns, shown, ()))
     assert len(kept.windows) == TUNING.most_turns
     assert max(len(each) for each in kept.windows) <= TUNING.most_samples
     assert kept.names[-1] == f"turn {TUNING.most_turns + 2}"
 
 
-def test_recordings_that_come_twice_are_told_apart():
+def test_recordings_with_equal_names_get_different_names():
     assert names_of(["a", "b", "a"]) == ["a (1)", "b", "a (2)"]

@@ -31,7 +31,7 @@ class TestCoverage:
             assert coverage.hole_in_words == "the robot has not turned yet"
 
     @given(st.floats(6.0, 350.0), st.sampled_from([-1.0, 1.0]), st.floats(-720.0, 720.0))
-    def test_arc_and_gap_of_a_sweep_that_starts_anywhere(self, arc, sense, start):
+    def test_arc_and_gap_do_not_depend_on_the_start(self, arc, sense, start):
         progress = np.radians(start + sense * np.linspace(0.0, arc, 400))
         coverage = Coverage.of(progress)
         assert math.degrees(coverage.arc) == pytest.approx(arc, abs=1e-6)
@@ -39,18 +39,18 @@ class TestCoverage:
         assert math.degrees(coverage.turned) == pytest.approx(sense * arc, abs=1e-6)
 
     @pytest.mark.parametrize(("last", "arc"), [(358.0, 360.0), (350.0, 350.0)])
-    def test_the_distance_between_two_samples_is_no_gap(self, last, arc):
+    def test_the_spacing_of_samples_is_no_gap(self, last, arc):
         assert math.degrees(Coverage.of(sweep(0.0, last)).arc) == pytest.approx(arc)
 
     @given(st.lists(st.floats(-50.0, 50.0), min_size=2, max_size=60))
-    def test_going_over_it_again_or_in_another_order_changes_no_arc(self, headings):
+    def test_repetition_and_order_do_not_change_the_arc(self, headings):
         once = Coverage.of(np.array(headings))
         again = Coverage.of(np.array(headings[::-1] + headings))
         assert again.arc == pytest.approx(once.arc)
         assert (again.filled == once.filled).all()
 
     @given(st.lists(st.floats(-50.0, 50.0), min_size=2, max_size=60))
-    def test_the_gap_holds_no_heading(self, headings):
+    def test_the_gap_contains_no_heading(self, headings):
         coverage = Coverage.of(np.array(headings))
         away = np.remainder(np.array(headings) - coverage.gap_centre + math.pi, math.tau) - math.pi
         assert np.abs(away).min() >= 0.5 * coverage.gap - 1e-9
@@ -73,7 +73,7 @@ class TestCoverage:
     def test_complete_means_no_gap_over_20_degrees(self, last, step, complete):
         assert Coverage.of(sweep(0.0, last, step)).is_complete == complete
 
-    def test_a_hole_in_the_middle_of_a_turn_keeps_it_incomplete(self):
+    def test_a_gap_in_the_middle_makes_a_turn_incomplete(self):
         progress = np.concatenate([sweep(0.0, 100.0), sweep(125.0, 380.0)])
         assert not Coverage.of(progress).is_complete
         assert Coverage.of(np.append(progress, np.radians(113.0))).is_complete
@@ -90,11 +90,11 @@ class TestCoverage:
             (0.0, 4.0, "the robot has not turned yet"),
         ],
     )
-    def test_words_point_at_the_hole(self, first, last, words):
+    def test_the_words_name_the_gap(self, first, last, words):
         assert Coverage.of(sweep(first, last)).hole_in_words == words
 
     @pytest.mark.parametrize("hole", [90.0, -90.0])
-    def test_filling_the_hole_where_the_words_point_completes_the_turn(self, hole):
+    def test_filling_the_named_gap_completes_the_turn(self, hole):
         """Left of the start is counter-clockwise."""
         seen = sweep(hole + 40.0, hole + 320.0)
         side = "left" if hole > 0.0 else "right"
@@ -115,7 +115,7 @@ class TestYawProgressOfATurn:
     @pytest.mark.parametrize("gyro", [False, True])
     @pytest.mark.parametrize("sense", [-1.0, 1.0])
     @pytest.mark.parametrize("arc", [120.0, 200.0, 360.0, 700.0])
-    def test_it_follows_the_turn(self, robot, gyro, sense, arc):
+    def test_the_progress_follows_the_turn(self, robot, gyro, sense, arc):
         motion = turn(arc=sense * arc * DEGREE, samples=600, duration=20.0)
         progress = progress_of(robot, motion, gyro)
         truth = sense * arc * DEGREE * motion.time / 20.0
@@ -126,7 +126,7 @@ class TestYawProgressOfATurn:
     @pytest.mark.parametrize("angle", [15.0, 30.0, 45.0])
     @pytest.mark.parametrize("side", range(8))
     @pytest.mark.parametrize("sense", [-1.0, 1.0])
-    def test_the_sense_of_turn_stands_any_installation_up_to_45_degrees(self, angle, side, sense):
+    def test_the_sense_is_correct_for_installations_up_to_45_degrees(self, angle, side, sense):
         lean = angle * DEGREE * np.exp(1j * side * math.pi / 4)
         robot = Robot(roll=lean.real, pitch=lean.imag)
         progress = progress_of(robot, turn(arc=sense * 300 * DEGREE), gyro=False)
@@ -138,13 +138,13 @@ class TestYawProgressOfATurn:
         progress = progress_of(robot, turn(arc=4.0), gyro=False)
         assert progress[-1] == pytest.approx(4.0, abs=0.15)
 
-    def test_on_a_slope_and_with_a_wobble(self):
+    def test_the_progress_is_correct_on_a_slope_and_with_wobble(self):
         rng = np.random.default_rng(4)
         wobble = smooth_wobble(rng, 500, 15.0, 4 * DEGREE)
         motion = turn(start_rpy=(0.2, -0.1, 2.0), wobble=wobble, arc=5.0)
         assert progress_of(ROBOT, motion, gyro=False)[-1] == pytest.approx(5.0, abs=0.25)
 
-    def test_a_turn_forth_and_back_ends_where_it_began(self):
+    def test_a_turn_there_and_back_ends_at_zero(self):
         there = np.linspace(0.0, 4.0, 300)
         angle = np.concatenate([there, there[::-1]])
         motion = turn(arc=1.0, samples=600, duration=20.0)
@@ -161,7 +161,7 @@ class TestYawProgressOfAShortTurn:
         progress = progress_of(ROBOT, motion, gyro=True)
         assert math.degrees(progress[-1]) == pytest.approx(arc, abs=2.0)
 
-    def test_the_gyro_is_read_about_up_not_about_its_own_z(self):
+    def test_the_turn_is_about_up_and_not_about_z_of_the_gyro(self):
         leaning = np.array([math.sin(0.5), 0.0, math.cos(0.5)])
         motion = turn(
             arc=40 * DEGREE, samples=200, duration=4.0, axis=leaning, start_rpy=(0.0, -0.5, 0.0)
@@ -212,7 +212,7 @@ class TestYawProgressOfARobotThatStands:
 
 class TestThinToEqualAngles:
     @given(st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=300))
-    def test_rows_increase_and_every_heading_that_was_seen_stays(self, headings):
+    def test_rows_increase_and_every_measured_heading_is_kept(self, headings):
         progress = np.array(headings)
         kept = thin_to_equal_angles(progress)
         assert (np.diff(kept) > 0).all()
@@ -223,7 +223,7 @@ class TestThinToEqualAngles:
         assert bins(progress[kept]) == bins(progress)
 
     @given(st.lists(st.floats(-20.0, 20.0), min_size=36, max_size=300), st.integers(180, 300))
-    def test_a_bound_is_kept_and_costs_no_heading(self, headings, most):
+    def test_the_limit_is_kept_without_losing_a_heading(self, headings, most):
         progress = np.array(headings)
         kept = thin_to_equal_angles(progress, most)
         assert len(kept) <= most
@@ -233,11 +233,11 @@ class TestThinToEqualAngles:
 
         assert bins(progress[kept]) == bins(progress)
 
-    def test_an_even_turn_is_left_alone(self):
+    def test_an_even_turn_is_not_thinned(self):
         progress = np.linspace(0.0, math.tau, 720, endpoint=False)
         assert len(thin_to_equal_angles(progress)) == 720
 
-    def test_a_pause_does_not_weigh(self):
+    def test_a_pause_has_no_weight(self):
         even = np.linspace(0.0, math.tau, 720, endpoint=False)
         progress = np.concatenate([even[:200], np.full(5000, even[200]), even[200:]])
         kept = thin_to_equal_angles(progress)
@@ -246,7 +246,7 @@ class TestThinToEqualAngles:
         assert paused.sum() <= 12
         assert set(even.tolist()) - set(progress[kept].tolist()) <= set(even[198:206].tolist())
 
-    def test_what_is_kept_of_a_pause_is_spread_over_its_time(self):
+    def test_the_rows_kept_of_a_pause_are_spread_evenly(self):
         even = np.linspace(0.0, math.tau, 720, endpoint=False)
         progress = np.concatenate([np.full(1000, 0.01), even])
         kept = thin_to_equal_angles(progress)
@@ -272,7 +272,7 @@ def test_a_complete_turn_needs_no_advice():
 
 
 @pytest.mark.parametrize("dip", [87.0, 88.0, 89.0, 90.0, -89.0])
-def test_where_the_field_is_too_steep_to_draw_a_circle_the_gyro_tells_the_turn(dip):
+def test_in_a_steep_field_the_gyro_measures_the_turn(dip):
     robot = Robot(strength=58e-6, inclination=dip * DEGREE)
     window = measure(robot, turn(), np.random.default_rng(1), gyro=True)
     samples = window.time, window.field, window.specific_force
@@ -281,7 +281,7 @@ def test_where_the_field_is_too_steep_to_draw_a_circle_the_gyro_tells_the_turn(d
     assert Coverage.of(seen).is_complete
 
 
-def test_a_gyro_at_rest_turns_nothing_however_long_it_drifts():
+def test_a_drifting_gyro_at_rest_shows_no_turn():
     robot = Robot(gyro_bias=np.array([0.0, 0.0, 0.015]))
     window = measure(robot, turn(arc=0.0, duration=90.0), np.random.default_rng(1), gyro=True)
     samples = window.time, window.field, window.specific_force

@@ -2,7 +2,14 @@ from collections import Counter
 
 import pytest
 
-from magcal_ros.core.samples import Drop, FieldSample, Heard, ImuSample, Streams, complaints
+from magcal_ros.core.samples import (
+    DropReason,
+    FieldSample,
+    ImuSample,
+    InputCounts,
+    Streams,
+    complaints,
+)
 
 
 def streams(field_ahead=0.0, max_gap=0.2):
@@ -15,33 +22,35 @@ def streams(field_ahead=0.0, max_gap=0.2):
 
 
 def said(both=None, imu=None, mag=None):
-    imu, mag = imu or Heard("/imu", 100), mag or Heard("/mag", 100)
+    imu, mag = imu or InputCounts("/imu", 100), mag or InputCounts("/mag", 100)
     return complaints(both or streams(), imu, mag)
 
 
-def test_there_is_none_where_nothing_is_wrong():
+def test_correct_streams_cause_no_complaint():
     assert said() == []
 
 
-@pytest.mark.parametrize("drop", [Drop.NOT_FINITE, Drop.ZERO, Drop.BACKWARD_STAMP])
-def test_a_share_of_dropped_samples_is_said_with_topic_and_count(drop):
-    (words,) = said(imu=Heard("/imu", 100, Counter({drop: 7})))
+@pytest.mark.parametrize(
+    "drop", [DropReason.NOT_FINITE, DropReason.ZERO, DropReason.BACKWARD_STAMP]
+)
+def test_dropped_samples_are_reported_with_topic_and_count(drop):
+    (words,) = said(imu=InputCounts("/imu", 100, Counter({drop: 7})))
     assert words.startswith("/imu: 7 of 100 ")
-    assert said(mag=Heard("/mag", 1000, Counter({drop: 7}))) == []
+    assert said(mag=InputCounts("/mag", 1000, Counter({drop: 7}))) == []
 
 
-def test_an_imu_beyond_every_unit_is_said():
-    (words,) = said(imu=Heard("/imu", 100, Counter({Drop.TOO_LARGE: 50})))
+def test_an_imu_beyond_every_unit_is_reported():
+    (words,) = said(imu=InputCounts("/imu", 100, Counter({DropReason.TOO_LARGE: 50})))
     assert "too large for an acceleration in m/s² or a rate in rad/s" in words
 
 
 @pytest.mark.parametrize("ahead", [-9.0, -1.5, 0.4, 0.6, 3.0, 86_400.0])
-def test_stamps_apart_are_said_with_the_offset_found(ahead):
+def test_an_offset_between_stamps_is_reported(ahead):
     (words,) = said(streams(ahead))
     assert f"{ahead:+.1f} s apart" in words
 
 
-def test_stamps_in_bursts_are_said_of_the_topic_whose_they_are():
+def test_bursts_are_reported_with_their_topic():
     both = Streams(0.2)
     for k in range(500):
         read = 1e5 + k // 40 + 0.0025 * (k % 40)
@@ -52,16 +61,16 @@ def test_stamps_in_bursts_are_said_of_the_topic_whose_they_are():
 
 
 @pytest.mark.parametrize("ahead", [-0.6, -0.05, 0.0, 0.05, 0.2])
-def test_a_field_that_is_late_or_a_little_early_is_none(ahead):
+def test_a_late_or_slightly_early_field_causes_no_complaint(ahead):
     assert said(streams(ahead)) == []
 
 
-def test_a_slow_imu_whose_gap_is_allowed_is_none():
+def test_a_slow_imu_within_the_allowed_gap_causes_no_complaint():
     assert said(streams(0.5, max_gap=0.5)) == []
 
 
 @pytest.mark.parametrize("dies", [ImuSample, FieldSample])
-def test_the_last_stamp_of_a_sensor_that_died_says_nothing_of_its_clock(dies):
+def test_the_last_stamp_of_a_silent_sensor_shows_no_clock_offset(dies):
     both = streams()
     for k in range(500):
         if dies is FieldSample:
@@ -71,15 +80,15 @@ def test_the_last_stamp_of_a_sensor_that_died_says_nothing_of_its_clock(dies):
     assert said(both) == []
 
 
-def test_what_was_wrong_before_is_no_complaint_any_more():
-    then = Heard("/imu", 1000, Counter({Drop.NOT_FINITE: 900}))
-    now = Heard("/imu", 2000, Counter({Drop.NOT_FINITE: 905}))
+def test_an_earlier_fault_causes_no_complaint_later():
+    then = InputCounts("/imu", 1000, Counter({DropReason.NOT_FINITE: 900}))
+    now = InputCounts("/imu", 2000, Counter({DropReason.NOT_FINITE: 905}))
     assert said(imu=now)
     assert said(imu=now.since(then)) == []
 
 
-def test_what_goes_wrong_after_a_good_month_is_one():
-    then = Heard("/mag", 10**8, Counter({Drop.ZERO: 3}))
-    now = Heard("/mag", 10**8 + 3000, Counter({Drop.ZERO: 3003}))
+def test_a_fault_after_a_long_correct_time_is_reported():
+    then = InputCounts("/mag", 10**8, Counter({DropReason.ZERO: 3}))
+    now = InputCounts("/mag", 10**8 + 3000, Counter({DropReason.ZERO: 3003}))
     assert said(mag=now) == []
     assert said(mag=now.since(then)) == ["/mag: 3000 of 3000 samples are all zero"]

@@ -1,4 +1,4 @@
-"""What a recorder keeps of a drive, and what its pauses show of the gyro."""
+"""The samples that a recorder keeps of a drive, and the gyro's bias at its rests."""
 
 import math
 
@@ -21,7 +21,7 @@ STEP = 0.02
 
 
 class Ride:
-    """Stands and turns, and tells a recorder."""
+    """Stands and turns, and passes the samples to a recorder."""
 
     def __init__(self, recorder, noise=0.002, seed=1):
         self.recorder, self.noise = recorder, noise
@@ -57,18 +57,18 @@ def left_over(log, rate):
     return log.angular_rate.mean(axis=0) - [0.0, 0.0, rate]
 
 
-def test_a_pause_shows_the_bias_and_it_is_taken_off(ride):
+def test_a_rest_shows_the_bias_which_is_subtracted(ride):
     ride.go(8.0)
     ride.go(20.0, rate=0.4)
     log = ride.recorder.log()
-    # The stand is told from the drive only after some seconds.
+    # A rest is recognised only after some seconds.
     turning = span_of(log, log.time[-1] - 15.0, log.time[-1])
     assert np.abs(left_over(turning, 0.4)).max() < 5e-4
     assert log.bias_sigma < 0.035 * np.linalg.norm(BIAS)
     assert turning.bias_sigma == log.bias_sigma
 
 
-def test_it_is_taken_off_what_was_driven_before_too(ride):
+def test_the_bias_is_also_subtracted_before_the_rest(ride):
     ride.go(20.0, rate=0.4)
     before = ride.recorder.log()
     assert math.isinf(before.bias_sigma)
@@ -78,7 +78,7 @@ def test_it_is_taken_off_what_was_driven_before_too(ride):
     assert np.abs(left_over(after, 0.4)).max() < 1e-3
 
 
-def test_a_bias_that_changes_is_followed_by_the_newest_rests(ride):
+def test_a_changing_bias_follows_the_newest_rests(ride):
     ride.go(60.0)
     ride.go(10.0, rate=0.4)
     ride.go(20.0, rate=0.4, bias=1.1 * BIAS)
@@ -89,7 +89,7 @@ def test_a_bias_that_changes_is_followed_by_the_newest_rests(ride):
     assert np.abs(left_over(middle, 0.4)).max() < 1e-3
 
 
-def test_a_long_rest_is_told_by_its_end(ride):
+def test_a_long_rest_gives_the_bias_of_its_end(ride):
     ride.go(60.0)
     ride.go(90.0, bias=1.2 * BIAS)
     ride.go(20.0, rate=0.4, bias=1.2 * BIAS)
@@ -104,21 +104,21 @@ def test_an_even_turn_is_no_rest(ride, rate):
     assert math.isinf(ride.recorder.log().bias_sigma)
 
 
-def test_other_sensors_have_another_bias(ride):
+def test_another_sensor_restarts_the_bias(ride):
     ride.go(10.0)
     assert math.isfinite(ride.recorder.log().bias_sigma)
     ride.recorder.begin_anew()
     assert math.isinf(ride.recorder.log().bias_sigma)
 
 
-def test_who_knows_nothing_takes_nothing_off():
+def test_without_a_rest_nothing_is_subtracted():
     log = DriveRecorder(600.0).log()
     assert not len(log)
     assert math.isinf(log.bias_sigma)
 
 
 @pytest.mark.parametrize("jump", [18000.0, 10.0, -18000.0, 2e9])
-def test_a_jump_of_time_ends_a_piece_and_the_next_follows_it(ride, jump):
+def test_a_jump_of_time_starts_a_new_piece(ride, jump):
     ride.go(20.0, rate=0.4)
     ride.stamp += jump
     ride.go(20.0, rate=0.4)
@@ -131,7 +131,7 @@ def test_a_jump_of_time_ends_a_piece_and_the_next_follows_it(ride, jump):
 
 @pytest.mark.parametrize("seconds", [0.1, 1.0, 4.0])
 @pytest.mark.parametrize("jump", [18000.0, -18000.0])
-def test_a_blip_of_time_is_dropped(ride, jump, seconds):
+def test_a_single_wrong_stamp_is_dropped(ride, jump, seconds):
     ride.go(20.0, rate=0.4)
     ride.stamp += jump
     ride.go(seconds, rate=-0.4)
@@ -141,14 +141,14 @@ def test_a_blip_of_time_is_dropped(ride, jump, seconds):
     assert (ride.recorder.log().angular_rate[:, 2] > 0.0).all()
 
 
-def test_where_time_jumps_all_the_while_nothing_is_remembered(ride):
+def test_constant_jumps_of_time_leave_no_log(ride):
     for _ in range(20):
         ride.go(2.0, rate=0.4)
         ride.stamp += 100.0
     assert ride.recorder.seconds < 4.0
 
 
-def test_of_a_rest_the_beginning_and_the_end_are_kept(ride):
+def test_beginning_and_end_of_a_rest_are_kept(ride):
     ride.go(20.0, rate=0.4)
     ride.go(60.0)
     ride.go(20.0, rate=0.4)
@@ -159,7 +159,7 @@ def test_of_a_rest_the_beginning_and_the_end_are_kept(ride):
     assert np.diff(log.time) == pytest.approx(np.full(len(log) - 1, 0.1), abs=0.03)
 
 
-def test_iron_that_comes_to_a_robot_at_rest_ends_no_rest(ride):
+def test_added_iron_does_not_end_a_rest(ride):
     ride.go(20.0, rate=0.4)
     ride.go(30.0)
     ride.iron = np.array([10e-6, 0.0, 0.0])
@@ -172,7 +172,7 @@ def test_iron_that_comes_to_a_robot_at_rest_ends_no_rest(ride):
     assert np.linalg.norm(field[-1] - field[0]) == pytest.approx(10e-6, abs=1e-6)
 
 
-def test_where_something_switches_the_robot_may_do_more_than_rest(ride):
+def test_a_switching_field_makes_a_rest_uncertain(ride):
     ride.go(20.0, rate=0.4)
     ride.go(12.0)
     ride.switching = 4e-6
@@ -185,7 +185,7 @@ def test_where_something_switches_the_robot_may_do_more_than_rest(ride):
     assert log.rested.sum() < 60
 
 
-def test_silence_at_a_rest_adds_nothing_to_the_clock(ride):
+def test_a_gap_at_rest_does_not_advance_the_clock(ride):
     ride.go(20.0, rate=0.4)
     ride.go(20.0)
     before = ride.recorder.clock
@@ -194,7 +194,7 @@ def test_silence_at_a_rest_adds_nothing_to_the_clock(ride):
     assert ride.recorder.clock - before < 22.0
 
 
-def test_movement_counts_when_it_is_no_longer_kept():
+def test_discarded_movement_still_counts():
     long, short = Ride(DriveRecorder(600.0)), Ride(DriveRecorder(20.0))
     for ride in (long, short):
         ride.go(8.0)
@@ -212,7 +212,7 @@ def turned_by(log):
     return np.unwrap(np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0]))
 
 
-def test_the_path_holds_every_sample_of_the_imu():
+def test_the_path_contains_every_imu_sample():
     """Once a field sample comes, the gyro has turned by more than its last rate shows."""
     recorder, streams = DriveRecorder(600.0), Streams(STREAMS.max_gap)
     pairer, stamps = Pairer(streams), 1.0 + 0.01 * np.arange(6000)
@@ -236,7 +236,7 @@ def test_the_path_holds_every_sample_of_the_imu():
     np.testing.assert_allclose(half.steps.velocity[:, 2], 1.0791, atol=1e-9)
 
 
-def test_across_a_pause_that_is_cut_out_the_path_is_a_straight_line(ride):
+def test_the_path_is_straight_across_an_omitted_rest(ride):
     ride.go(20.0, rate=0.4)
     ride.go(120.0)
     ride.go(20.0, rate=0.4)

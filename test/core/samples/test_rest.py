@@ -13,7 +13,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def turned(yaw, seconds, bias, seed=1):
-    """What sensors say of a yaw over time."""
+    """The measurements for a yaw over time."""
     time = np.linspace(0.0, seconds, len(yaw))
     robot = Robot(gyro_bias=np.array(bias) * DEGREE, noise_rate=0.003)
     return measure(
@@ -46,18 +46,18 @@ def test_an_even_turn_is_no_rest():
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("rate", [0.02, 0.05, 0.1, 0.3])
-def test_a_slow_turn_is_never_taken_off(rate, seed):
+def test_a_slow_turn_is_never_taken_for_a_bias(rate, seed):
     yaw = np.arange(0.0, math.tau, rate / 10.0)
     window = turned(yaw, len(yaw) / 10.0, (0.0, 0.0, 0.0), seed)
     assert bias_at_rest(window) is None
 
 
-def test_a_bias_too_small_for_the_field_to_prove_is_what_the_rest_reads():
+def test_a_small_bias_is_the_mean_rate_of_the_rest():
     yaw, hz = rest_and_turn()
     found = bias_at_rest(turned(yaw, len(yaw) / hz, (0.0, 0.0, 0.05)))
     np.testing.assert_allclose(found / DEGREE, (0.0, 0.0, 0.05), atol=0.05)
 
 
-def test_too_few_samples_hold_no_rest():
+def test_too_few_samples_show_no_rest():
     window = turned(np.zeros(4), 0.1, (5.0, 0.0, 0.0))
     assert bias_at_rest(window) is None

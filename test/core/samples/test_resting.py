@@ -1,4 +1,4 @@
-"""What is seen at rest is kept apart from the turn, and says the gyro's bias."""
+"""Rests are separated from the turn and give the gyro's bias."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ BIAS = np.array([0.3, -0.2, 0.1]) * DEGREE
 
 
 @pytest.mark.parametrize("course", [evenly, stop_and_go])
-def test_rests_before_and_after_are_no_part_of_the_turn(course):
+def test_rests_before_and_after_are_separated_from_the_turn(course):
     window = collected(driven(course, replace(ROBOT, gyro_bias=BIAS))[1])
     before, after = window.rests
     assert -0.6 < window.time[0] <= 0.0
@@ -26,26 +26,26 @@ def test_rests_before_and_after_are_no_part_of_the_turn(course):
         np.testing.assert_allclose(beside.turned, np.eye(3), atol=1e-3)
 
 
-def test_a_rest_that_ended_long_before_the_turn_is_no_rest_beside_it(monkeypatch):
+def test_a_rest_long_before_the_turn_is_not_attached(monkeypatch):
     """A long recording is thinned, which may leave a minute between the two."""
     _, window = driven(evenly)
     time = np.where(np.arange(len(window)) < 30, window.time - 60.0, window.time)
     sensors = window.field, window.specific_force, window.angular_rate
     rows = np.column_stack([time, *sensors, np.full((len(time), COLUMNS - 10), np.nan)])
     monkeypatch.setattr(rest, "rests_around", lambda *_: (30, len(rows) - 30, None))
-    turn, rests, _ = rest.apart_from_rests(rows)
+    turn, rests, _ = rest.without_rests(rows)
     assert len(turn) == len(rows) - 60
     assert [each.beside for each in rests] == [rows[-31, 0]]
 
 
-def test_even_a_small_bias_is_taken_off():
+def test_a_small_bias_is_subtracted():
     motion, window = driven(evenly, replace(ROBOT, gyro_bias=BIAS))
     turned = collected(window)
     left = turned.angular_rate - motion.angular_rate[np.isin(motion.time, turned.time)]
     np.testing.assert_allclose(left.mean(axis=0), 0.0, atol=5e-4)
 
 
-def test_stops_on_the_way_do_not_spoil_the_gyros_path():
+def test_stops_within_the_turn_keep_the_gyro_angle():
     motion, window = driven(stop_and_go)
     turned = collected(window)
     rows = np.isin(motion.time, turned.time)
@@ -55,19 +55,19 @@ def test_stops_on_the_way_do_not_spoil_the_gyros_path():
     assert np.abs(away - np.eye(3)).max() < 0.3 * DEGREE
 
 
-def test_a_turn_that_never_rests_has_none():
+def test_a_turn_without_a_rest_has_no_attached_rests():
     assert collected(driven(lambda time: 1.0 + 0.0 * time)[1]).rests == ()
 
 
 @pytest.mark.parametrize("gyro", [True, False])
-def test_a_robot_that_only_stands_is_left_as_it_is(gyro):
+def test_a_window_at_rest_is_unchanged(gyro):
     standing = driven(evenly)[1].take(np.arange(80))
     window = collected(standing if gyro else replace(standing, angular_rate=None))
     assert window.rests == ()
     assert len(window) > 70
 
 
-def test_without_a_gyro_the_field_tells_a_rest():
+def test_without_a_gyro_the_field_shows_a_rest():
     window = collected(replace(driven(evenly)[1], angular_rate=None))
     before, after = window.rests
     assert -0.6 < window.time[0] <= 0.0
@@ -77,7 +77,7 @@ def test_without_a_gyro_the_field_tells_a_rest():
     assert collected(replace(driven(lambda t: 1.0 + 0.0 * t)[1], angular_rate=None)).rests == ()
 
 
-def test_a_bias_that_was_known_before_is_taken_off_where_no_rest_tells_more():
+def test_a_known_bias_is_subtracted_without_a_rest():
     known = GyroAtRest(tuple(BIAS), 2e-4)
     moving = driven(lambda time: 1.0 + 0.0 * time, replace(ROBOT, gyro_bias=BIAS))
     for (motion, window), sigma in ((moving, known.later_sigma), (driven(evenly), None)):
@@ -89,7 +89,7 @@ def test_a_bias_that_was_known_before_is_taken_off_where_no_rest_tells_more():
         assert math.isinf(found.sigma_before) == (sigma is None)
 
 
-def test_without_a_rest_nothing_is_known_of_the_gyro():
+def test_without_a_rest_the_bias_is_unknown():
     window = collected(driven(lambda time: 1.0 + 0.0 * time)[1])
     assert math.isinf(window.bias_sigma)
     assert math.isinf(window.take(np.arange(100)).bias_sigma)

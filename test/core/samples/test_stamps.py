@@ -7,9 +7,9 @@ from magcal_ros.core import Reason, Refusal, Window
 from magcal_ros.core.samples import (
     BurstWatch,
     bursts_in_words,
-    explained,
     spread_bursts,
     spread_each,
+    with_explanation,
 )
 
 
@@ -24,13 +24,13 @@ def window(time):
 
 
 @pytest.mark.parametrize("period", [0.5, 1.0])
-def test_a_turn_that_is_stamped_when_a_buffer_is_read_says_so(period):
+def test_stamps_of_buffer_reads_are_reported(period):
     words = bursts_in_words(bursts(period))
     assert "bursts" in words
     assert f"{period - 19 * 0.0025:.2f} s" in words
 
 
-def test_pauses_that_were_thinned_out_are_no_bursts():
+def test_thinned_pauses_are_no_bursts():
     rng = np.random.default_rng(1)
     steps = np.where(rng.random(2000) < 0.1, rng.exponential(1.0, 2000) + 0.06, 0.01)
     time = np.cumsum(steps)
@@ -38,16 +38,16 @@ def test_pauses_that_were_thinned_out_are_no_bursts():
 
 
 @pytest.mark.parametrize("time", [np.zeros(0), np.arange(3.0), np.arange(500) * 0.02])
-def test_even_stamps_and_few_are_no_bursts(time):
+def test_even_or_few_stamps_are_no_bursts(time):
     assert bursts_in_words(time) == ""
 
 
-def test_a_refusal_that_bursts_can_be_the_cause_of_names_them():
+def test_a_refusal_that_bursts_may_cause_names_them():
     refusal = Refusal(Reason.AXES_DISAGREE, "gyro and compass differ by 28 degrees")
-    assert "bursts" in str(explained(refusal, window(bursts())))
-    assert str(explained(refusal, window(np.arange(800) * 0.025))) == str(refusal)
+    assert "bursts" in str(with_explanation(refusal, window(bursts())))
+    assert str(with_explanation(refusal, window(np.arange(800) * 0.025))) == str(refusal)
     other = Refusal(Reason.TOO_FEW_SAMPLES, "no samples")
-    assert str(explained(other, window(bursts()))) == str(other)
+    assert str(with_explanation(other, window(bursts()))) == str(other)
 
 
 class TestMended:
@@ -59,7 +59,7 @@ class TestMended:
         apart=st.floats(0.0, 0.1),
         phase=st.floats(0.0, 1.0),
     )
-    def test_an_even_rate_is_found_whatever_the_buffer(self, rate, period, apart, phase):
+    def test_the_even_rate_is_found_for_any_buffer(self, rate, period, apart, phase):
         each = rate * period
         measured = 1.7e9 + np.arange(int(40 * each)) / rate
         read = 1.7e9 + (np.floor((measured - 1.7e9) / period + phase) + 1 - phase) * period
@@ -70,7 +70,7 @@ class TestMended:
         elif each > 10.0:
             assert np.abs(even - measured).max() < 0.15 * period + 3.0 / rate
 
-    def test_the_newest_of_a_buffer_is_just_older_than_its_stamp(self):
+    def test_the_newest_sample_of_a_buffer_is_slightly_older_than_its_stamp(self):
         time = bursts(within=40)
         late = time - spread_bursts(time)
         assert late.min() == pytest.approx(0.0, abs=1e-6)
@@ -88,10 +88,10 @@ class TestMended:
         ],
         ids=["none", "even", "twice", "samples missing", "set back", "a pause"],
     )
-    def test_what_a_line_does_not_explain_stays(self, time):
+    def test_stamps_off_the_line_are_unchanged(self, time):
         assert spread_bursts(time) is None
 
-    def test_bursts_between_which_some_are_missing_are_spread_one_by_one(self):
+    def test_bursts_with_missing_ones_are_spread_individually(self):
         nth = np.arange(800)
         measured, read = 0.025 * (nth + 1), nth // 40 + 1.0 + 1e-6 * (nth % 40 - 39)
         kept = np.isin(nth // 40, [3, 4, 5, 11, 16], invert=True)
@@ -111,7 +111,7 @@ class TestBurstWatch:
 
     @pytest.mark.parametrize("period", [0.2, 0.9])
     @pytest.mark.parametrize("within", [5, 40, 150])
-    def test_bursts_are_said_with_how_far_they_are_apart(self, period, within):
+    def test_bursts_are_reported_with_their_interval(self, period, within):
         time = (np.arange(12)[:, None] * period + np.arange(within) * 0.0003).ravel()
         assert f"bursts, {period - (within - 1) * 0.0003:.2f} s apart" in self.words(time)
 
@@ -119,18 +119,18 @@ class TestBurstWatch:
         assert "bursts" in self.words(bursts()[19:])
 
     @given(st.lists(st.floats(0.5, 1.5), min_size=50, max_size=300))
-    def test_jitter_is_none(self, gaps):
+    def test_jitter_is_no_burst(self, gaps):
         assert self.words(np.cumsum(np.array(gaps) * 0.2)) == ""
 
-    def test_a_serial_port_that_hands_on_sixteen_milliseconds_does_no_harm(self):
+    def test_a_serial_port_with_sixteen_milliseconds_is_harmless(self):
         assert self.words(bursts(period=0.016, within=6, count=500)) == ""
 
-    def test_a_few_pauses_are_none(self):
+    def test_a_few_pauses_are_no_bursts(self):
         steps = np.full(3000, 0.01)
         steps[::250] = 5.0
         assert self.words(np.cumsum(steps)[:2000]) == ""
 
-    def test_a_driver_that_was_mended_is_forgiven(self):
+    def test_a_corrected_driver_ends_the_complaint(self):
         time = bursts()
         assert "bursts" in self.words(time)
         assert self.words(time, np.arange(3000) * 0.01) == ""

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from magcal_ros.core.geometry import exp_rotation, exp_rotations
 from magcal_ros.core.samples import (
     STREAMS,
-    Drop,
+    DropReason,
     FieldSample,
     ImuSample,
     Pairer,
@@ -75,45 +75,45 @@ def by_stamp(imus, fields):
 
 
 class TestStampGuard:
-    def test_lets_increasing_stamps_pass(self):
+    def test_increasing_stamps_are_accepted(self):
         guard = StampGuard()
         assert [guard.check(stamp) for stamp in (0.1, 0.2, 5.0)] == [None, None, None]
         assert guard.newest == 5.0
 
     @pytest.mark.parametrize("stamp", [0.0, -1.0, math.nan, math.inf, -math.inf])
-    def test_refuses_a_stamp_that_is_no_time(self, stamp):
+    def test_a_stamp_that_is_not_finite_is_refused(self, stamp):
         guard = StampGuard()
-        assert guard.check(stamp) is Drop.ZERO_STAMP
+        assert guard.check(stamp) is DropReason.ZERO_STAMP
         assert guard.check(1e-3) is None
 
-    def test_refuses_a_stamp_before_the_newest(self):
+    def test_a_stamp_before_the_newest_is_refused(self):
         guard = StampGuard()
         guard.check(2.0)
-        assert guard.check(1.0) is Drop.BACKWARD_STAMP
+        assert guard.check(1.0) is DropReason.BACKWARD_STAMP
         assert guard.newest == 2.0
 
-    def test_a_stamp_that_stands_still_never_passes(self):
+    def test_a_repeated_stamp_is_never_accepted(self):
         guard = StampGuard()
         guard.check(2.0)
         frozen = [guard.check(2.0) for _ in range(5 * STREAMS.restart_after)]
-        assert set(frozen) == {Drop.REPEATED}
+        assert set(frozen) == {DropReason.REPEATED}
 
-    def test_follows_time_that_was_set_back_for_good(self):
+    def test_time_that_stays_set_back_is_followed(self):
         guard = StampGuard()
         guard.check(100.0)
         answers = [guard.check(1.0 + 0.01 * k) for k in range(STREAMS.restart_after + 5)]
-        assert answers[:9] == [Drop.BACKWARD_STAMP] * (STREAMS.restart_after - 1)
+        assert answers[:9] == [DropReason.BACKWARD_STAMP] * (STREAMS.restart_after - 1)
         assert answers[9:] == [None] * 6
 
-    def test_now_and_then_an_old_stamp_never_sets_time_back(self):
+    def test_single_old_stamps_do_not_set_time_back(self):
         guard = StampGuard()
         for k in range(100):
             assert guard.check(10.0 + k) is None
-            assert guard.check(9.5 + k) is Drop.BACKWARD_STAMP
+            assert guard.check(9.5 + k) is DropReason.BACKWARD_STAMP
         assert guard.newest == 109.0
 
     @given(st.lists(st.floats(0.001, 1e4), min_size=1, max_size=60))
-    def test_what_passes_increases_except_where_time_was_set_back(self, stamps):
+    def test_accepted_stamps_increase_unless_time_was_set_back(self, stamps):
         guard, newest, refused = StampGuard(), -math.inf, 0
         for stamp in stamps:
             passed = guard.check(stamp) is None
@@ -127,17 +127,17 @@ class TestImuDrops:
     @pytest.mark.parametrize(
         ("sample", "reason"),
         [
-            (imu(1.0, (math.nan, 0.0, 9.8)), Drop.NOT_FINITE),
-            (imu(1.0, (0.0, math.inf, 9.8)), Drop.NOT_FINITE),
-            (imu(1.0, (0.0, 1e200, 9.8)), Drop.NOT_FINITE),
-            (imu(1.0, (0.0, 0.0, 0.0)), Drop.ZERO),
-            (imu(1.0, (0.0, 5e-324, 1e-160)), Drop.ZERO),
-            (imu(1.0, (0.0, 1e6, 9.8)), Drop.TOO_LARGE),
-            (imu(1.0, (0.0, 0.0, 9.8), (1e200, 0.0, 0.0)), Drop.TOO_LARGE),
-            (imu(1.0, (0.0, 0.0, 9.8), (0.0, -math.inf, 0.0)), Drop.TOO_LARGE),
-            (imu(0.0), Drop.ZERO_STAMP),
-            (imu(0.5), Drop.BACKWARD_STAMP),
-            (imu(0.6), Drop.REPEATED),
+            (imu(1.0, (math.nan, 0.0, 9.8)), DropReason.NOT_FINITE),
+            (imu(1.0, (0.0, math.inf, 9.8)), DropReason.NOT_FINITE),
+            (imu(1.0, (0.0, 1e200, 9.8)), DropReason.NOT_FINITE),
+            (imu(1.0, (0.0, 0.0, 0.0)), DropReason.ZERO),
+            (imu(1.0, (0.0, 5e-324, 1e-160)), DropReason.ZERO),
+            (imu(1.0, (0.0, 1e6, 9.8)), DropReason.TOO_LARGE),
+            (imu(1.0, (0.0, 0.0, 9.8), (1e200, 0.0, 0.0)), DropReason.TOO_LARGE),
+            (imu(1.0, (0.0, 0.0, 9.8), (0.0, -math.inf, 0.0)), DropReason.TOO_LARGE),
+            (imu(0.0), DropReason.ZERO_STAMP),
+            (imu(0.5), DropReason.BACKWARD_STAMP),
+            (imu(0.6), DropReason.REPEATED),
         ],
     )
     def test_an_unusable_sample_is_counted_by_its_reason_and_not_used(self, sample, reason):
@@ -152,7 +152,7 @@ class TestImuDrops:
         assert streams.add_imu(imu(1.0, rate=(math.nan,) * 3))
         assert not streams.imu_drops
 
-    def test_a_gyro_that_is_empty_now_and_then_is_not_absent(self):
+    def test_a_gyro_that_is_sometimes_missing_is_not_absent(self):
         """A third of the rates are not numbers: the path is integrated over the others."""
         empty = np.random.default_rng(1).random(500) < 0.3
         walk, whole = Walk(), Walk()
@@ -165,14 +165,14 @@ class TestImuDrops:
             walk.feed_all(by_stamp(spoiled, fields)),
             whole.feed_all(by_stamp(imus, fields)),
         )
-        assert walk.streams.imu_drops == {Drop.NOT_FINITE: empty[1:].sum()}
+        assert walk.streams.imu_drops == {DropReason.NOT_FINITE: empty[1:].sum()}
         assert all(pair.span is not None for pair in pairs[1:])
         path, true = (
             np.sum([pair.span.velocity for pair in each[1:]], 0) for each in (pairs, best)
         )
         assert path == pytest.approx(true, rel=1e-3)
 
-    def test_a_gyro_that_falls_silent_leaves_the_accelerometer_in_use(self):
+    def test_the_accelerometer_is_used_when_the_gyro_stops(self):
         streams = Streams(MAX_GAP)
         lost = STREAMS.longest_gyro_step
         assert streams.add_imu(imu(1.0))
@@ -184,14 +184,14 @@ class TestFieldDrops:
     @pytest.mark.parametrize(
         ("sample", "reason"),
         [
-            (mag(1.0, (math.nan, 0.0, 1e-6)), Drop.NOT_FINITE),
-            (mag(1.0, (math.inf, 0.0, 1e-6)), Drop.NOT_FINITE),
-            (mag(1.0, (0.0, 0.0, 0.0)), Drop.ZERO),
-            (mag(1.0, (0.0, 5e-324, 1e-160)), Drop.ZERO),
-            (mag(1.0, (0.0, 0.0, 1.001 * STREAMS.largest_field)), Drop.TOO_LARGE),
-            (mag(0.0), Drop.ZERO_STAMP),
-            (mag(0.5), Drop.BACKWARD_STAMP),
-            (mag(0.6), Drop.REPEATED),
+            (mag(1.0, (math.nan, 0.0, 1e-6)), DropReason.NOT_FINITE),
+            (mag(1.0, (math.inf, 0.0, 1e-6)), DropReason.NOT_FINITE),
+            (mag(1.0, (0.0, 0.0, 0.0)), DropReason.ZERO),
+            (mag(1.0, (0.0, 5e-324, 1e-160)), DropReason.ZERO),
+            (mag(1.0, (0.0, 0.0, 1.001 * STREAMS.largest_field)), DropReason.TOO_LARGE),
+            (mag(0.0), DropReason.ZERO_STAMP),
+            (mag(0.5), DropReason.BACKWARD_STAMP),
+            (mag(0.6), DropReason.REPEATED),
         ],
     )
     def test_an_unusable_sample_is_counted_by_its_reason(self, sample, reason):
@@ -203,7 +203,7 @@ class TestFieldDrops:
     def test_a_field_up_to_the_limit_is_used(self):
         assert Streams(MAX_GAP).add_field(mag(1.0, (0.0, 0.0, 0.999 * STREAMS.largest_field)))
 
-    def test_the_size_of_a_field_too_large_is_remembered(self):
+    def test_the_size_of_a_too_large_field_is_stored(self):
         streams = Streams(MAX_GAP)
         streams.add_field(mag(1.0, (30.0, 0.0, 40.0)))
         assert streams.largest_field == pytest.approx(50.0)
@@ -219,7 +219,7 @@ class TestFieldDrops:
         assert not streams.is_repeated
         assert streams.add_field(mag(1.1))
         assert streams.is_repeated
-        assert streams.field_drops == {Drop.REPEATED: 1}
+        assert streams.field_drops == {DropReason.REPEATED: 1}
         assert streams.add_field(mag(1.2, (21e-6, 5e-6, -40e-6)))
         assert not streams.is_repeated
 
@@ -229,7 +229,7 @@ class TestInterpolation:
         st.lists(st.floats(0.005, 0.19), min_size=1, max_size=20),
         st.floats(0.0, 1.0),
     )
-    def test_a_straight_line_is_met_anywhere(self, steps, share):
+    def test_interpolation_reproduces_a_straight_line(self, steps, share):
         streams, stamp = Streams(MAX_GAP), 1.0
         streams.add_imu(line(stamp))
         for step in steps:
@@ -241,7 +241,7 @@ class TestInterpolation:
         assert found.force == pytest.approx(truth.force, abs=1e-12)
         assert found.rate == pytest.approx(truth.rate, abs=1e-12)
 
-    def test_there_is_none_outside_the_samples(self):
+    def test_there_is_no_value_outside_the_samples(self):
         streams = Streams(MAX_GAP)
         assert streams.imu_at(1.0) is None
         streams.add_imu(line(1.0))
@@ -249,7 +249,7 @@ class TestInterpolation:
         assert streams.imu_at(0.999) is None
         assert streams.imu_at(1.101) is None
 
-    def test_there_is_none_across_a_gap_but_at_its_edges(self):
+    def test_across_a_gap_only_its_edges_have_values(self):
         streams = Streams(MAX_GAP)
         streams.add_imu(line(1.0))
         streams.add_imu(line(1.0 + 1.01 * MAX_GAP))
@@ -273,7 +273,7 @@ class TestInterpolation:
         assert streams.imu_at(1.0) is None
         assert streams.imu_at(1.0015) is not None
 
-    def test_after_time_was_set_back_nothing_of_the_old_run_is_met(self):
+    def test_after_time_was_set_back_old_samples_are_not_used(self):
         streams = Streams(MAX_GAP)
         for k in range(200):
             streams.add_imu(imu(1.0 + 0.01 * k, force=(9.81, 0.0, 0.0)))
@@ -284,7 +284,7 @@ class TestInterpolation:
 
 
 class TestPairs:
-    def test_a_field_waits_for_the_imu_after_it(self):
+    def test_a_field_sample_waits_for_the_next_imu_sample(self):
         walk = Walk()
         walk.feed_all([line(1.0), numbered(1.005)])
         assert not walk.pairs
@@ -312,21 +312,21 @@ class TestPairs:
         assert [pair.field for pair in expected] == enclosed
 
     @pytest.mark.parametrize("late", ["imu", "field"])
-    def test_one_sensor_may_come_seconds_after_the_other(self, late):
+    def test_one_sensor_may_arrive_seconds_after_the_other(self, late):
         imus, fields = drive(1.0, 8.0)
         expected = Walk().feed_all(by_stamp(imus, fields))
         first, second = (fields, imus) if late == "imu" else (imus, fields)
         assert Walk().feed_all([*first, *second]) == expected
         assert len(expected) == len(fields)
 
-    def test_pairs_carry_the_imu_of_their_own_moment(self):
+    def test_pairs_have_the_imu_sample_at_their_stamp(self):
         for pair in Walk().feed_all(by_stamp(*drive(1.0, 3.0, 37.0, 61.0))):
             truth = line(pair.field.stamp)
             assert pair.imu.force == pytest.approx(truth.force)
             assert pair.imu.rate == pytest.approx(truth.rate)
 
     @pytest.mark.parametrize("imu_rate", [97.0, 11.0])
-    def test_pairs_carry_the_integrals_since_the_one_before(self, imu_rate):
+    def test_pairs_have_the_integrals_since_the_previous_pair(self, imu_rate):
         pairs = Walk().feed_all(by_stamp(*drive(1.0, 3.0, imu_rate, 23.0)))
         assert pairs[0].span is None
         for before, pair in itertools.pairwise(pairs):
@@ -337,7 +337,7 @@ class TestPairs:
             assert pair.span.angle == pytest.approx(np.multiply(middle.rate, end - start), abs=1e-4)
             assert pair.span.intervals >= 1
 
-    def test_coning_turns_the_body_on_the_whole(self):
+    def test_coning_causes_a_net_rotation(self):
         """Tilts a quarter of a period apart add up to a turn about the third axis."""
         walk, tilt, way = Walk(), 0.05, math.tau * 4.0
         for row in range(1001):
@@ -352,7 +352,7 @@ class TestPairs:
         half_solid_angle = 0.5 * tilt**2 * way
         assert turned[0, 1] == pytest.approx(half_solid_angle, rel=0.02)
 
-    def test_there_are_none_over_a_gap_or_without_a_gyro(self):
+    def test_there_are_no_integrals_over_a_gap_or_without_a_gyro(self):
         imus, fields = drive(1.0, 3.0)
         holed = [sample for sample in imus if not 1.8 < sample.stamp < 2.3]
         pairs = Walk().feed_all(by_stamp(holed, fields))
@@ -364,7 +364,7 @@ class TestPairs:
         blind = [sample._replace(rate=(math.nan,) * 3) for sample in imus]
         assert all(pair.span is None for pair in Walk().feed_all(by_stamp(blind, fields)))
 
-    def test_a_span_may_turn_by_more_than_half_a_round_while_the_body_sways(self):
+    def test_a_span_of_more_than_half_a_turn_is_integrated_while_the_body_sways(self):
         """A field of 1 Hz, or one that is silent for a second while its robot turns."""
         step, body = 0.01, np.eye(3)
         stamps = 1.0 + step * np.arange(301)
@@ -387,26 +387,26 @@ class TestPairs:
         walk = Walk()
         walk.feed_all(by_stamp(holed, fields))
         lost = [sample for sample in fields if 1.8 < sample.stamp < 2.3]
-        assert walk.streams.field_drops[Drop.UNPAIRED] == len(lost) > 20
+        assert walk.streams.field_drops[DropReason.UNPAIRED] == len(lost) > 20
         assert len(walk.pairs) == len(fields) - len(lost)
 
-    def test_what_waits_too_long_for_an_imu_is_let_go_and_counted(self):
+    def test_a_field_sample_without_an_imu_sample_is_dropped_and_counted(self):
         walk = Walk()
         walk.feed_all(drive(1.0, 100.0)[1])
-        assert walk.streams.field_drops[Drop.UNPAIRED] == 5000 - STREAMS.remembered
+        assert walk.streams.field_drops[DropReason.UNPAIRED] == 5000 - STREAMS.remembered
 
-    def test_repeated_field_samples_make_no_second_pair(self):
+    def test_a_repeated_field_sample_gives_no_second_pair(self):
         imus, fields = drive(1.0, 2.0)
         doubled = [copy for f in fields for copy in (f, FieldSample(f.stamp + 1e-3, f.field))]
         walk = Walk()
         walk.feed_all(by_stamp(imus, doubled))
         assert [pair.field for pair in walk.pairs] == fields[: len(walk.pairs)]
         assert len(walk.pairs) >= len(fields) - 1
-        assert walk.streams.field_drops[Drop.REPEATED] == len(fields)
+        assert walk.streams.field_drops[DropReason.REPEATED] == len(fields)
 
     @pytest.mark.parametrize("tail", ["imu", "field"])
-    def test_a_bag_that_starts_anew_is_paired_again_after_a_few_samples(self, tail):
-        """Whichever sensor had the last word before the loop."""
+    def test_a_restarted_bag_is_paired_again_after_a_few_samples(self, tail):
+        """Whichever sensor was the last before the loop."""
         imus, fields = drive(50.0, 2.0)
         first = by_stamp(imus, fields)
         first = first[:-5] if tail == "imu" else [*first, numbered(52.5)]
@@ -423,7 +423,7 @@ class TestPairs:
             assert pair.imu.force == pytest.approx(line(pair.field.stamp).force)
 
     @pytest.mark.parametrize("which", ["imu", "field"])
-    def test_one_stray_stamp_from_the_far_future_costs_only_a_few_samples(self, which):
+    def test_a_single_stamp_in_the_far_future_costs_only_a_few_samples(self, which):
         imus, fields = drive(1.0, 4.0)
         stray = line(1e9) if which == "imu" else mag(1e9, (1e-6, 2e-6, 3e-6))
         stream = by_stamp(imus, fields)

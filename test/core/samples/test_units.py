@@ -23,7 +23,7 @@ def test_the_earths_field_published_in_another_unit_is_recognised(tesla, name, p
 
 @pytest.mark.parametrize("tesla", EARTH)
 @pytest.mark.parametrize(("name", "per_tesla", "factor"), UNITS)
-def test_the_factor_named_brings_the_field_back_to_tesla(tesla, name, per_tesla, factor):
+def test_the_named_factor_converts_the_field_to_tesla(tesla, name, per_tesla, factor):
     assert tesla * per_tesla * float(factor) == pytest.approx(tesla)
 
 
@@ -37,14 +37,14 @@ def test_the_factor_named_brings_the_field_back_to_tesla(tesla, name, per_tesla,
         (0.1, 0.005, ["imu_3dm_gx4"]),
     ],
 )
-def test_a_strength_without_hard_iron_tells_units_apart(strength, sigma, drivers):
+def test_a_strength_without_hard_iron_distinguishes_units(strength, sigma, drivers):
     words = unit_by_strength(strength, sigma)
     all_drivers = ["imu_3dm_gx4", "Xsens", "Inertial Sense", "MAVROS"]
     assert [each for each in all_drivers if each in words] == drivers
     assert unit_by_strength(strength * 1e-4) == ""
 
 
-def test_two_units_that_fit_alike_are_one_question_the_likelier_one_first():
+def test_two_equally_possible_units_are_both_named_the_likelier_first():
     words = unit_by_strength(1.25, 0.1)
     assert words.index("Inertial Sense") < words.index("Xsens")
     assert words.count("looks like") == words.count("multiply by") == 1
@@ -56,7 +56,7 @@ def test_two_units_that_fit_alike_are_one_question_the_likelier_one_first():
 
 
 @pytest.mark.parametrize("size", [0.0, 48e-6, 1e-3, 0.049, 6e6, math.inf, math.nan])
-def test_where_no_unit_fits_nothing_is_said(size):
+def test_no_unit_is_named_if_none_fits(size):
     assert likely_field_unit(size) == ""
 
 
@@ -70,5 +70,5 @@ def test_gravity_published_in_another_unit_is_recognised(name, factor, size):
 
 
 @pytest.mark.parametrize("size", [0.0, 5.0, 9.81, 20.0, 9810.0, math.inf, math.nan])
-def test_other_lengths_of_gravity_have_no_unit(size):
+def test_other_sizes_of_gravity_have_no_unit(size):
     assert likely_acceleration_unit(size) == ""

@@ -17,7 +17,7 @@ def window(**changes):
     return Window(**(given | changes))
 
 
-def test_it_counts_its_samples():
+def test_the_length_is_the_number_of_samples():
     assert len(window()) == 5
 
 
@@ -41,10 +41,10 @@ def test_taking_rows_keeps_the_samples_together(rows):
         ({"time": np.array([0.0, 0.2, 0.1, 0.3, 0.4])}, "increase"),
     ],
 )
-def test_unclean_samples_are_rejected_by_name(change, what):
+def test_unclean_samples_are_rejected_with_a_reason(change, what):
     with pytest.raises(ValueError, match=what):
         window(**change)
 
 
-def test_an_empty_window_is_a_window():
+def test_an_empty_window_is_allowed():
     assert len(Window(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))) == 0

@@ -1,4 +1,4 @@
-"""A turn in virtual time: a simulated robot, its base, and whoever fits and stores."""
+"""A turn in virtual time: a simulated robot, its base, the fit and the storage."""
 
 import math
 from dataclasses import replace
@@ -8,11 +8,9 @@ import numpy as np
 from simulated.turns import measure, turn
 
 from magcal_ros.core import Knowledge, Outcome, Reason, Refusal, calibrate
-from magcal_ros.core.multi_turn import Kept
+from magcal_ros.core.multi_turn import KeptTurns
 from magcal_ros.core.samples import ImuSample, Pairer, Streams
 from magcal_ros.core.session import (
-    Around,
-    Brief,
     Conclusion,
     FitTurn,
     Limits,
@@ -20,7 +18,9 @@ from magcal_ros.core.session import (
     Preview,
     PutInForce,
     SelfTurn,
+    TurnConditions,
     TurnMachine,
+    TurnRequest,
 )
 from magcal_ros.core.simulation import Ride, Robot
 
@@ -33,7 +33,7 @@ NO_RATE = (math.nan,) * 3
 
 
 class Scene:
-    """Lets robot, base and state machine live, and keeps what was said.
+    """Runs robot, base and state machine, and keeps the messages.
 
     The base follows its commands with a lag, times `gain`; `mangle` makes of each sample what
     arrives in its place, or None.
@@ -62,17 +62,17 @@ class Scene:
         self._steps = count()
         self._heard = {ImuSample: -math.inf, "field": -math.inf}
         limits = Limits(**{"timeout": 90.0, **limits})
-        self.brief = Brief(limits, Knowledge(), "maximum_likelihood", False, speed)
+        self.request = TurnRequest(limits, Knowledge(), "maximum_likelihood", False, speed)
 
     @property
     def conclusion(self):
         return self.concluded[-1]
 
     def open(self, **changes):
-        return self.tell("open", replace(self.brief, **changes), self.now)
+        return self.tell("open", replace(self.request, **changes), self.now)
 
     def tell(self, happened, *facts):
-        """Tell the machine and do what it says; returns its answer."""
+        """Pass an event to the machine and carry out its commands; returns its answer."""
         answer = getattr(self.turn, happened)(*facts)
         for command in self.turn.commands():
             self.asked.append(command)
@@ -95,7 +95,7 @@ class Scene:
         if isinstance(self.outcome, Exception):
             return "note_failed_fit", command, repr(self.outcome)
         outcome = replace(self.outcome, window=command.window)
-        return "note_fit", command, outcome, Kept(count=command.kept.count + 1)
+        return "note_fit", command, outcome, KeptTurns(count=command.kept.count + 1)
 
     def later(self, seconds, *event):
         self._later.append((self.now + seconds, event))
@@ -116,7 +116,7 @@ class Scene:
         return self.conclusion
 
     def freeze(self, seconds):
-        """Let the world go on while nobody serves the node."""
+        """Let time pass while the node is not served."""
         for _ in range(round(seconds / STEP)):
             self.now += STEP
             self._move(None)
@@ -144,8 +144,8 @@ class Scene:
         if number % 3 == 0:
             ages = self._heard[ImuSample], self._heard["field"]
             ages = [self.now - moment for moment in ages]
-            around = Around(*ages, self.listeners, self.is_allowed, self.is_guarded)
-            self.tell("look", around, self.now)
+            conditions = TurnConditions(*ages, self.listeners, self.is_allowed, self.is_guarded)
+            self.tell("look", conditions, self.now)
         if number % 10 == 0:
             # Half as often as the node: what has been seen of a turn is most of the time here.
             self.tell("tick", "/mag has been silent", self.now)
@@ -154,7 +154,7 @@ class Scene:
         if isinstance(sample, ImuSample):
             self._heard[ImuSample] = self.now
             if self.streams.add_imu(sample):
-                self.turn.robot.hear(sample.rate, self.now)
+                self.turn.robot.add_rate(sample.rate, self.now)
         else:
             self._heard["field"] = self.now
             if self.streams.add_field(sample):
@@ -163,7 +163,7 @@ class Scene:
             self.tell("take", pair, self.now)
 
     def assert_stopped_and_silent(self):
-        """The last words are zeros, several of them, and then nothing."""
+        """The last commands are several zeros, and then none."""
         self.live(1.5)
         assert [rate for _, rate in self.said[-5:]] == [0.0] * 5
         heard = len(self.said)

@@ -1,4 +1,4 @@
-"""A heading that is told again and again, and the gyro."""
+"""Repeated headings of another device, compared with the gyro."""
 
 import math
 
@@ -19,7 +19,7 @@ from magcal_ros.core.session import GyroTurn, HeadingAgainstGyro
         (lambda yaw: 0.7, "repeats an old heading"),
     ],
 )
-def test_a_heading_that_turns_otherwise_than_the_gyro_is_named(read, named):
+def test_a_heading_that_contradicts_the_gyro_is_reported(read, named):
     check, rng, yaw = HeadingAgainstGyro(), np.random.default_rng(1), 0.4
     for k in range(600):
         turn = 0.1 * 0.7 * math.sin(0.05 * k)
@@ -36,7 +36,7 @@ def turned(seconds, bias_variance=1e-6):
     return turn
 
 
-def test_the_turn_since_a_standing_knows_how_sure_it_is():
+def test_the_turn_since_a_measurement_has_a_correct_sigma():
     assert math.isinf(GyroTurn().sigma)
     turn = turned(10.0)
     assert turn.angle == pytest.approx(2.0)
@@ -44,11 +44,11 @@ def test_the_turn_since_a_standing_knows_how_sure_it_is():
     assert math.radians(0.3) < turn.sigma < math.radians(1.0)
     later = turn.after(20.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 1e-6)
     assert math.isinf(later.sigma)
-    # What comes after a gap is known again.
+    # After a gap the turn is known again.
     assert later.after(20.02, (0.0, 0.0, 1.0), (0.0, 0.0, 0.2), 1e-6).since(later).sigma < 0.01
 
 
-def test_a_turn_is_less_certain_where_no_rest_has_shown_the_bias_and_after_minutes():
+def test_a_turn_is_less_certain_without_a_rest_and_after_minutes():
     assert turned(10.0, 0.01**2).sigma == pytest.approx(10.0 * 0.01, rel=0.1)
     # A bias that walks is no constant one.
     assert turned(300.0).sigma > math.radians(5.0)

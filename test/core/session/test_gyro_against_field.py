@@ -1,4 +1,4 @@
-"""Whom the field believes: many rooms, speeds and faults."""
+"""Comparison of gyro and commands with the field: many rooms, speeds and faults."""
 
 import math
 
@@ -43,7 +43,7 @@ def drive(seed, speed=0.5, gain=1.0, noise=0.5e-6, soft_iron=0.0, radius=20e-6, 
     ],
     ids=str,
 )
-def test_a_true_gyro_is_never_accused(seed, world):
+def test_a_correct_gyro_is_never_rejected(seed, world):
     rate, angle, told, level, rng = drive(seed, **world)
     gyro = angle + np.cumsum(0.003 * rng.standard_normal(len(rate)) + 0.01) / RATE
     for end in range(20, len(rate), 25):
@@ -53,7 +53,7 @@ def test_a_true_gyro_is_never_accused(seed, world):
 @pytest.mark.parametrize("seed", first_of(range(6)))
 @pytest.mark.parametrize("hangs_at", [0.0, 0.1, 0.2])
 @pytest.mark.parametrize("world", [{}, {"gain": 0.8}, {"noise": 1e-6}], ids=str)
-def test_one_that_hangs_is_accused_within_a_quarter_turn(seed, hangs_at, world):
+def test_a_frozen_gyro_is_rejected_within_a_quarter_turn(seed, hangs_at, world):
     rate, _, told, level, _ = drive(seed, **world)
     gyro = np.cumsum(np.minimum(rate, hangs_at)) / RATE
     end = int(np.searchsorted(told, math.radians(100.0)))
@@ -63,12 +63,12 @@ def test_one_that_hangs_is_accused_within_a_quarter_turn(seed, hangs_at, world):
     assert objection_to_gyro(gyro[:late], told[:late], level[:late])
 
 
-def test_one_that_runs_while_the_robot_stands_is_accused():
+def test_a_gyro_that_measures_a_turn_of_a_robot_at_rest_is_rejected():
     _, _, told, level, _ = drive(1, gain=0.0)
     assert "the field did not change" in objection_to_gyro(told, told, level)
 
 
-def test_before_there_is_anything_to_tell_nothing_is_told():
+def test_without_enough_samples_there_is_no_objection():
     _, angle, told, level, _ = drive(1)
     assert not objection_to_gyro(angle[:5], told[:5], level[:5])
     assert not objection_to_gyro(0.0 * angle[:40], told[:40], level[:40])

@@ -14,7 +14,7 @@ from magcal_ros.core import Figure, Knowledge, Mounting, Reason, Refusal
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.session import LITTLE_DATA, Conclusion, Gathering, Limits, fit_gathered
+from magcal_ros.core.session import LITTLE_DATA, Conclusion, Limits, SampleCollector, fit_collected
 from magcal_ros.core.session.session import TUNING
 from magcal_ros.core.simulation import Ride, Robot, heading_errors
 from magcal_ros.files import open_recording
@@ -23,17 +23,17 @@ KNOWLEDGE = ROBOT.knowledge(1.5e-6, math.radians(1.0))
 
 
 def gathered(samples, mounting=ROBOT.mounting):
-    gathering = Gathering(mounting, "/imu", "/mag")
-    gathering.take(samples)
-    return gathering
+    collector = SampleCollector(mounting, "/imu", "/mag")
+    collector.take(samples)
+    return collector
 
 
 def fitted(samples, knowledge=KNOWLEDGE):
-    return fit_gathered(gathered(samples), knowledge)
+    return fit_collected(gathered(samples), knowledge)
 
 
 class House:
-    """A node around a turn, with everything at hand and nothing elsewhere."""
+    """The parts of a node that a turn needs."""
 
     def __init__(self):
         self.reporter = self
@@ -57,7 +57,7 @@ class House:
 
 
 def live(samples, knowledge):
-    """What the node's own control makes of the samples."""
+    """The result of the node's control with the samples."""
     pytest.importorskip("rclpy")
     from magcal_ros.core.samples import Streams
     from magcal_ros.core.session import SelfTurn
@@ -80,7 +80,7 @@ def live(samples, knowledge):
 
 
 @pytest.mark.parametrize("gyro", first_of([True, False]))
-def test_it_finds_what_the_node_finds(gyro):
+def test_a_recording_gives_the_same_calibration_as_the_node(gyro):
     samples = drive(400.0, gyro=gyro)
     found, expected = fitted(samples), live(samples, KNOWLEDGE)
     assert found.verdict.summary == expected.verdict.summary
@@ -91,7 +91,7 @@ def test_it_finds_what_the_node_finds(gyro):
 
 
 @pytest.mark.nightly
-def test_a_drive_is_answered_by_the_smoother_there_as_here():
+def test_a_drive_gives_the_same_fit_by_both_functions():
     rng = np.random.default_rng(4)
     car = Robot(strength=48e-6, inclination=math.radians(65.0), noise_force=0.05, noise_rate=2e-3)
     known = knowledge_of(48.0, inclination_deg=65.0)
@@ -104,7 +104,7 @@ def test_a_drive_is_answered_by_the_smoother_there_as_here():
     np.testing.assert_allclose(one.parameters, other.parameters, rtol=1e-6, atol=1e-12)
 
 
-def test_what_the_wheels_say_makes_a_drive_of_what_would_pass_for_a_small_circle():
+def test_the_speed_of_wheels_distinguishes_a_drive_from_a_small_circle():
     rng = np.random.default_rng(1)
     legs = [Leg(4.0)]
     for _ in range(8):
@@ -113,62 +113,62 @@ def test_what_the_wheels_say_makes_a_drive_of_what_would_pass_for_a_small_circle
     way, robot = travel(legs, rng, rate=25.0), Robot(noise_force=0.05, noise_rate=2e-3)
     drive = simulated_drive(way, rng, Vehicle(robot), streets=Streets(size=1e-6), receiver=None)
     known = knowledge_of(robot.strength * 1e6, inclination_deg=math.degrees(robot.inclination))
-    gathering = Gathering(Mounting())
-    gathering.take(drive._sensors(), drive.speeds)
-    figures = fit_gathered(gathering, known).estimate.figures
+    collector = SampleCollector(Mounting())
+    collector.take(drive._sensors(), drive.speeds)
+    figures = fit_collected(collector, known).estimate.figures
     assert figures[Figure.METRES] == pytest.approx(way.metres[-1], rel=0.1)
     assert figures[Figure.LOCAL_FIELD] > 0.3e-6
 
 
-def test_the_heading_is_right_afterwards():
+def test_the_heading_is_correct_after_the_calibration():
     errors = heading_errors(fitted(drive(400.0)).calibration.correction, ROBOT)
     assert np.degrees(np.sqrt(np.mean(errors**2))) < 0.7
 
 
-def test_the_whole_span_is_used_and_not_only_the_first_turn():
+def test_all_turns_of_the_recording_are_used():
     window = gathered(drive(1000.0)).window()
     assert window.time[-1] - window.time[0] > 0.98 * math.radians(1000.0) / 0.5
 
 
-def test_nothing_is_left_out_of_the_straight_parts_of_a_drive():
+def test_straight_parts_of_a_drive_are_used_completely():
     """With gaps of seconds there, long drives were refused, or told to turn the sensor over."""
     stamps = 100.0 + 0.02 * np.arange(15_000)
     rates = 0.6 * (np.sin(math.tau * stamps / 60.0) > 0.9)
     yaws = 0.02 * np.cumsum(rates)
     field = 2e-5 * np.column_stack([np.cos(yaws), -np.sin(yaws), np.full(len(yaws), -2.0)])
     field += 1e-7 * np.random.default_rng(1).standard_normal(field.shape)
-    gathering = Gathering(ROBOT.mounting)
+    collector = SampleCollector(ROBOT.mounting)
     for stamp, rate, raw in zip(stamps.tolist(), rates.tolist(), field.tolist(), strict=True):
         imu = ImuSample(stamp, (0.0, 0.0, 9.81 + 1e4 * raw[0]), (0.0, 0.0, rate + 10.0 * raw[1]))
-        gathering.take([imu, FieldSample(stamp, tuple(raw))])
-    assert np.diff(gathering.window().time).max() < 0.1
+        collector.take([imu, FieldSample(stamp, tuple(raw))])
+    assert np.diff(collector.window().time).max() < 0.1
 
 
-def test_a_simulated_gyro_without_noise_is_no_division_by_zero():
-    gathering = Gathering(ROBOT.mounting)
+def test_a_gyro_without_noise_causes_no_division_by_zero():
+    collector = SampleCollector(ROBOT.mounting)
     for k in range(1500):
         yaw = 0.01 * min(max(k - 400, 0), 650)
         imu = ImuSample(100.0 + 0.02 * k, (0.0, 0.0, 9.81), (0.0, 0.0, 0.5 * (400 < k < 1050)))
         field = (2e-5 * math.cos(yaw), -2e-5 * math.sin(yaw), -4e-5 + 1e-8 * (k % 2))
-        gathering.take([imu, FieldSample(imu.stamp, field)])
-    assert gathering.window().rests
+        collector.take([imu, FieldSample(imu.stamp, field)])
+    assert collector.window().rests
 
 
 @pytest.mark.nightly
-def test_hours_stay_within_the_sessions_memory(monkeypatch):
+def test_the_memory_for_hours_of_samples_is_bounded(monkeypatch):
     monkeypatch.setattr("magcal_ros.core.session.recorded.LONGER", 1)
     motion = turn(arc=60 * math.tau, samples=30_000, duration=600.0)
     window = measure(ROBOT, motion, np.random.default_rng(1), gyro=True)
-    gathering = Gathering(ROBOT.mounting)
+    collector = SampleCollector(ROBOT.mounting)
     stamps = (window.time + 100.0).tolist()
     for stamp, b, f, w in zip(
         stamps, window.field, window.specific_force, window.angular_rate, strict=True
     ):
-        gathering.take([ImuSample(stamp, tuple(f), tuple(w)), FieldSample(stamp, tuple(b))])
-    kept = gathering.window()
+        collector.take([ImuSample(stamp, tuple(f), tuple(w)), FieldSample(stamp, tuple(b))])
+    kept = collector.window()
     assert TUNING.largest_buffer // 8 < len(kept) <= TUNING.largest_buffer
     assert kept.time[-1] == stamps[-1]
-    assert gathering.heard == [30_000, 30_000]
+    assert collector.heard == [30_000, 30_000]
 
 
 def test_field_may_be_recorded_before_or_after_its_imu_samples():
@@ -183,20 +183,20 @@ def test_field_may_be_recorded_before_or_after_its_imu_samples():
 
 
 class TestRefusals:
-    def test_nothing_at_all(self):
+    def test_an_empty_recording(self):
         outcome = fitted([])
         assert outcome.reason is Reason.TOO_FEW_SAMPLES
         assert not outcome.verdict.accepted
 
     @pytest.mark.parametrize("kind", [ImuSample, FieldSample])
-    def test_one_sensor_only(self, kind):
+    def test_a_recording_of_one_sensor(self, kind):
         outcome = fitted([s for s in drive(400.0) if isinstance(s, kind)])
         assert outcome.reason is Reason.TOO_FEW_SAMPLES
 
-    def test_a_robot_that_stands(self):
+    def test_a_robot_at_rest(self):
         assert fitted(drive(0.0)).reason is Reason.NO_MOTION
 
-    def test_too_short_an_arc_says_what_was_seen(self):
+    def test_a_short_arc_is_refused_with_the_measured_arc(self):
         outcome = fitted(drive(30.0))
         assert outcome.reason is Reason.ARC_TOO_SHORT
         assert "of the turn measured" in outcome.verdict.summary
@@ -210,43 +210,43 @@ class TestRefusals:
             gathered(samples).window()
 
     @pytest.mark.nightly
-    def test_what_is_said_of_wrong_axes_asks_for_no_place_that_was_given(self):
+    def test_the_remedy_for_wrong_axes_does_not_ask_for_a_given_place(self):
         def said(knowledge):
             swapped = (
                 s._replace(rate=s.rate[::-1]) if isinstance(s, ImuSample) else s
                 for s in drive(400.0)
             )
-            return fit_gathered(gathered(swapped), knowledge).verdict.summary
+            return fit_collected(gathered(swapped), knowledge).verdict.summary
 
         asked = "give the place or the field's inclination"
         assert asked in said(Knowledge())
         assert asked not in said(knowledge_of(48.0, inclination_deg=65.0))
 
-    def test_every_little_data_reason_is_one_that_more_data_mends(self):
+    def test_every_reason_of_little_data_can_be_avoided_by_more_data(self):
         assert all(fitted(drive(arc)).reason in LITTLE_DATA for arc in (0.0, 10.0, 30.0))
 
 
-def test_bad_samples_are_dropped_and_said():
+def test_bad_samples_are_dropped_and_reported():
     samples = drive(400.0)
     nan = (math.nan,) * 3
     spoiled = [
         s._replace(field=nan) if isinstance(s, FieldSample) and k % 2 else s
         for k, s in enumerate(samples)
     ]
-    gathering = gathered([None, *spoiled])
-    assert np.isfinite(gathering.window().field).all()
-    words = "; ".join(gathering.complaints())
+    collector = gathered([None, *spoiled])
+    assert np.isfinite(collector.window().field).all()
+    words = "; ".join(collector.complaints())
     assert "/mag: " in words
     assert "samples are not finite" in words
-    assert gathering.streams.imu_drops["absent"] == 1
+    assert collector.streams.imu_drops["absent"] == 1
 
 
 def test_a_mounting_upside_down_is_taken_into_account():
     mounting = Mounting(pose=rotation_from_rpy(math.pi, 0.0, math.radians(30.0)))
     knowledge = dataclasses.replace(knowledge_of(50.0, 1.5, 60.0, 1.0), mounting=mounting)
     robot = Robot(mounting=knowledge.mounting)
-    gathering = gathered(drive(400.0, robot), knowledge.mounting)
-    outcome = fit_gathered(gathering, knowledge)
+    collector = gathered(drive(400.0, robot), knowledge.mounting)
+    outcome = fit_collected(collector, knowledge)
     errors = heading_errors(outcome.calibration.correction, robot)
     assert np.degrees(np.sqrt(np.mean(errors**2))) < 1.0
 
@@ -257,10 +257,10 @@ class TestRecordings:
             return gathered(source.readings())
 
     @pytest.mark.nightly
-    def test_the_car_gives_the_same_from_its_bag_and_its_csv(self, recording):
+    def test_bag_and_csv_of_the_car_give_the_same(self, recording):
         folder, knowledge = recording("car_circles_neu2025_kiran"), knowledge_of(51.3, 1.5, 66.3)
         one, other = (
-            fit_gathered(self.read(path), knowledge) for path in (folder, folder / "bag_mcap")
+            fit_collected(self.read(path), knowledge) for path in (folder, folder / "bag_mcap")
         )
         assert one.verdict.accepted
         assert one.verdict.summary == other.verdict.summary
@@ -270,16 +270,16 @@ class TestRecordings:
 
     @pytest.mark.nightly
     def test_a_span_of_the_hand_held_recording_is_one_turn(self, recording):
-        gathering = self.read(recording("broad05"), start=48.0, stop=62.0)
-        assert gathering.heard == pytest.approx([1333, 1333], abs=2)
-        assert gathering.progress().coverage.is_complete
-        outcome = fit_gathered(gathering, Knowledge())
+        collector = self.read(recording("broad05"), start=48.0, stop=62.0)
+        assert collector.heard == pytest.approx([1333, 1333], abs=2)
+        assert collector.progress().coverage.is_complete
+        outcome = fit_collected(collector, Knowledge())
         assert len(outcome.verdict.summary) > 40
         assert np.ptp(outcome.window.time) < 14.1
 
     @pytest.mark.nightly
     def test_a_boat_that_rolls_is_refused(self, recording):
-        outcome = fit_gathered(self.read(recording("sailboat_lsm303_roll")), Knowledge())
+        outcome = fit_collected(self.read(recording("sailboat_lsm303_roll")), Knowledge())
         assert not outcome.verdict.accepted
 
 
@@ -292,13 +292,13 @@ def test_limits_of_the_session_do_not_end_it(tmp_path):
 
 
 @pytest.mark.parametrize("turn_first", [True, False])
-def test_where_a_recording_was_set_back_the_better_stretch_is_taken(turn_first):
+def test_the_better_part_of_a_recording_with_a_jump_of_time_is_used(turn_first):
     turned, little = drive(400.0, start=1000.0), drive(90.0, start=900.0, seed=2)
     if not turn_first:
         turned, little = drive(400.0, start=900.0), drive(90.0, start=1000.0, seed=2)
-    gathering = gathered([*turned, *little] if turn_first else [*little, *turned])
-    assert gathering.progress().coverage.is_complete
-    outcome = fit_gathered(gathering, KNOWLEDGE)
+    collector = gathered([*turned, *little] if turn_first else [*little, *turned])
+    assert collector.progress().coverage.is_complete
+    outcome = fit_collected(collector, KNOWLEDGE)
     assert outcome.verdict.accepted, outcome.verdict.summary
 
 
@@ -311,7 +311,7 @@ def test_where_a_recording_was_set_back_the_better_stretch_is_taken(turn_first):
         *(pytest.param(*row, marks=pytest.mark.nightly) for row in ((10, 10), (20, 20))),
     ],
 )
-def test_a_field_at_a_tenth_of_the_imus_rate_carries_a_turn(imu_rate, steps, gyro):
+def test_a_field_at_a_tenth_of_the_imu_rate_suffices(imu_rate, steps, gyro):
     """A field sample a second is half a radian of turn: the robot turns twice, or more slowly."""
     ride = Ride(
         ROBOT,
@@ -327,7 +327,7 @@ def test_a_field_at_a_tenth_of_the_imus_rate_carries_a_turn(imu_rate, steps, gyr
     assert outcome.verdict.accepted, outcome.verdict.summary
 
 
-def test_a_field_at_ten_times_the_imus_rate_carries_a_turn():
+def test_a_field_at_ten_times_the_imu_rate_suffices():
     ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=50.0, steps_per_field=1)
     samples = [sample for _ in range(700) for sample in ride.step(0.5)]
     imus = [sample for sample in samples if isinstance(sample, ImuSample)][::10]

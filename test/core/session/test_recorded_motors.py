@@ -1,4 +1,4 @@
-"""What motors add is taken off a recording, as a node takes it off live."""
+"""The field of motors is subtracted from a recording as in the node."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ MOTORS = MotorField(
 
 
 def told():
-    """Readings without and with motors, what wheels say, and currents."""
+    """Readings without and with motors, speeds of wheels, and currents."""
     ride = Ride(ROBOT, np.random.default_rng(1), start=100.0, imu_rate=50.0)
     clean, loud, speeds, currents = [], [], [], []
     for k in range(1500):
@@ -42,7 +42,7 @@ def fields(readings):
     return np.array([each.field for each in readings if isinstance(each, FieldSample)])
 
 
-def test_speed_current_and_motion_are_taken_off():
+def test_the_fields_by_speed_current_and_motion_are_subtracted():
     clean, loud, speeds, currents = told()
     known = replace(KNOWN, motors=MOTORS)
     found = list(without_motors(loud, known, speeds, currents))

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.session import RotationPlan, Seen, planned_duration
+from magcal_ros.core.session import MeasuredTurn, RotationPlan, planned_duration
 from magcal_ros.core.session.rotation import TUNING
 
 SPEED = 0.5
@@ -10,14 +10,14 @@ BEYOND = TUNING.farthest_beyond
 
 
 def by_gyro(turned):
-    return Seen(turned, 0.0, True, False)
+    return MeasuredTurn(turned, 0.0, True, False)
 
 
-BLIND = Seen(0.0, 0.0, False, False)
+BLIND = MeasuredTurn(0.0, 0.0, False, False)
 
 
 @pytest.mark.parametrize("turned", [-BEYOND, 0.0, math.tau + BEYOND])
-def test_it_allows_a_turn_and_what_a_robot_coasts(turned):
+def test_a_full_turn_and_some_coasting_are_allowed(turned):
     limits = RotationPlan(SPEED, 0.0)
     limits.note(1.0, 0.0, by_gyro(turned))
     assert not limits.objection
@@ -27,14 +27,14 @@ def test_it_allows_a_turn_and_what_a_robot_coasts(turned):
     "turned",
     [-TUNING.farthest_beyond - 0.01, math.tau + TUNING.farthest_beyond + 0.01],
 )
-def test_it_ends_where_the_gyro_shows_more_than_a_turn(turned):
+def test_a_gyro_angle_beyond_the_plan_ends_the_turn(turned):
     limits = RotationPlan(SPEED, 0.0)
     limits.note(1.0, 0.0, by_gyro(turned))
     assert f"{math.degrees(turned):+.0f}°" in limits.objection
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_it_ends_where_the_commands_come_to_more_than_a_slipping_turn(sense):
+def test_commands_of_more_than_a_slipping_turn_end_it(sense):
     limits, now = RotationPlan(SPEED, 0.0), 0.0
     while not limits.objection:
         now += 0.1
@@ -43,14 +43,14 @@ def test_it_ends_where_the_commands_come_to_more_than_a_slipping_turn(sense):
     assert now * SPEED == pytest.approx(TUNING.leeway * math.tau, rel=0.02)
 
 
-def test_late_commands_count_for_as_long_as_they_were_in_force():
+def test_a_late_command_counts_for_the_time_it_was_in_force():
     limits = RotationPlan(SPEED, 0.0)
     limits.note(1.0, SPEED, BLIND)
     limits.note(1.0 + TUNING.leeway * math.tau / SPEED, SPEED, BLIND)
     assert limits.objection
 
 
-def test_to_and_fro_counts_both_ways():
+def test_commands_in_both_directions_are_added():
     limits, now = RotationPlan(SPEED, 0.0), 0.0
     while not limits.objection:
         now += 1.0
@@ -59,7 +59,7 @@ def test_to_and_fro_counts_both_ways():
     assert now * SPEED == pytest.approx(2.0 * TUNING.leeway * math.tau, rel=0.1)
 
 
-def test_its_time_is_that_of_the_plan_with_leeway_or_what_the_user_gives_if_less():
+def test_the_time_limit_is_that_of_the_plan_or_the_users_if_shorter():
     longest = TUNING.leeway * planned_duration(SPEED)
     assert not RotationPlan(SPEED, 7.0).is_late(7.0 + longest - 0.1)
     assert RotationPlan(SPEED, 7.0).is_late(7.0 + longest + 0.1)

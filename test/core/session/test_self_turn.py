@@ -1,4 +1,4 @@
-"""A robot that turns itself, in virtual time: what it is told, and every reason to stop it."""
+"""A robot that turns itself, in virtual time: its commands, and every reason to stop it."""
 
 import math
 
@@ -21,7 +21,7 @@ def robot(**options):
 
 
 def with_rate(change):
-    """Let the gyro read what `change` makes of its rate."""
+    """Change the rate of the gyro by `change`."""
 
     def mangle(sample):
         if isinstance(sample, ImuSample):
@@ -31,7 +31,7 @@ def with_rate(change):
     return mangle
 
 
-def test_it_turns_once_each_way_and_stands_where_it_stood():
+def test_the_robot_turns_once_each_way_and_ends_at_its_first_heading():
     scene = robot()
     conclusion = scene.until_concluded()
     assert conclusion.success, conclusion.message
@@ -43,14 +43,14 @@ def test_it_turns_once_each_way_and_stands_where_it_stood():
     assert scene.turned == pytest.approx(0.0, abs=0.2)
 
 
-def test_without_a_gyro_the_compass_leads_it_there_and_back():
+def test_without_a_gyro_the_compass_controls_the_turn():
     scene = robot(gyro=False)
     assert scene.until_concluded().success
     assert scene.farthest == pytest.approx(math.tau, abs=0.5)
     assert scene.turned == pytest.approx(0.0, abs=0.5)
 
 
-def test_nothing_is_said_before_both_sensors_and_a_base_are_there():
+def test_there_is_no_command_before_both_sensors_and_a_base_are_present():
     scene = robot()
     scene.mangle = lambda sample: sample if isinstance(sample, ImuSample) else None
     scene.live(2.0)
@@ -61,14 +61,14 @@ def test_nothing_is_said_before_both_sensors_and_a_base_are_there():
     scene.until_moving()
 
 
-def test_a_base_that_does_not_listen_is_said_with_the_topic():
+def test_a_missing_subscription_of_the_commands_is_reported_with_the_topic():
     scene = robot()
     scene.listeners = 0
     assert "nothing subscribes to /cmd_vel" in scene.until_concluded(5.0).message
     assert not scene.said
 
 
-def test_without_a_guard_it_does_not_set_off_and_says_so():
+def test_without_a_guard_the_turn_does_not_start_and_the_reason_is_given():
     scene = robot()
     scene.is_guarded = False
     words = scene.until_concluded(20.0).message
@@ -76,7 +76,7 @@ def test_without_a_guard_it_does_not_set_off_and_says_so():
     assert not scene.said
 
 
-def test_it_waits_for_a_guard_that_takes_its_time():
+def test_the_turn_waits_for_a_slow_guard():
     scene = robot()
     scene.is_guarded = False
     scene.live(5.0)
@@ -85,7 +85,7 @@ def test_it_waits_for_a_guard_that_takes_its_time():
     assert scene.until_concluded().success
 
 
-def test_it_stands_first_so_that_a_rest_is_seen():
+def test_the_robot_first_stands_still_so_that_a_rest_is_measured():
     scene = robot()
     scene.live(TUNING.stands_first - 0.3)
     assert not scene.said
@@ -93,7 +93,7 @@ def test_it_stands_first_so_that_a_rest_is_seen():
     assert scene.turn.last_window.rests[0].seconds > TUNING.stands_first - 1.0
 
 
-def test_a_guard_that_ends_in_the_turn_ends_it():
+def test_the_end_of_the_guard_ends_the_turn():
     scene = robot()
     scene.until_moving()
     scene.is_guarded = False
@@ -105,7 +105,7 @@ def test_a_guard_that_ends_in_the_turn_ends_it():
     scene.assert_stopped_and_silent()
 
 
-def test_a_turn_that_would_not_fit_into_the_window_is_refused_before_it_begins():
+def test_a_turn_longer_than_the_window_is_refused_at_the_start():
     scene = Scene(speed=SPEED, timeout=20.0)
     answer = scene.open()
     assert not answer.success
@@ -123,7 +123,7 @@ def test_a_turn_that_would_not_fit_into_the_window_is_refused_before_it_begins()
         (3.0, "far too fast", False),
     ],
 )
-def test_a_base_that_does_not_do_as_told_is_stopped_and_named(gain, words, gyro):
+def test_a_base_that_disobeys_is_stopped_and_the_fault_named(gain, words, gyro):
     scene = robot(gain=gain, gyro=gyro)
     conclusion = scene.until_concluded(10.0)
     assert not conclusion.success
@@ -146,7 +146,7 @@ def test_an_emergency_stop_in_the_turn_ends_it():
 
 
 @pytest.mark.parametrize(("kind", "topic"), [(True, "/imu"), (False, "/mag")])
-def test_a_sensor_that_dies_stops_the_robot_long_before_the_session_ends(kind, topic):
+def test_a_silent_sensor_stops_the_robot_long_before_the_session_ends(kind, topic):
     scene = robot()
     scene.until_moving()
     scene.mangle = lambda s: None if isinstance(s, ImuSample) is kind else s
@@ -157,7 +157,7 @@ def test_a_sensor_that_dies_stops_the_robot_long_before_the_session_ends(kind, t
     scene.assert_stopped_and_silent()
 
 
-def test_a_fault_around_it_stops_a_robot_that_turns_itself_and_no_other():
+def test_a_fault_of_the_conditions_stops_only_a_robot_that_turns_itself():
     scene = robot()
     scene.until_moving()
     scene.tell("stop_robot", "an error in a callback", scene.now)
@@ -170,7 +170,7 @@ def test_a_fault_around_it_stops_a_robot_that_turns_itself_and_no_other():
     assert by_hand.turn.state is TurnState.COLLECTING
 
 
-def test_switching_it_off_stops_the_robot():
+def test_disabling_rotation_stops_the_robot():
     scene = robot()
     scene.until_moving()
     scene.is_allowed = False
@@ -180,7 +180,7 @@ def test_switching_it_off_stops_the_robot():
 
 
 @pytest.mark.parametrize("event", ["cancel", "finish"])
-def test_who_ends_the_turn_stops_the_robot_at_once(event):
+def test_ending_the_turn_stops_the_robot_immediately(event):
     scene = robot()
     scene.until_moving()
     scene.tell(event, *([scene.now] if event == "finish" else []))
@@ -202,13 +202,11 @@ def test_a_new_turn_may_begin_while_the_zeros_of_the_last_are_sent():
 
 
 class TestGyro:
-    """A gyro that was heard leads the robot; it must go on to be heard, and to be right."""
+    """A gyro that controls the robot must keep sending, and be correct."""
 
     @pytest.mark.parametrize("rate", [NO_RATE, (math.inf, 0.0, 0.0)])
     @pytest.mark.parametrize("moment", first_of([11.0, 3.0, 16.0]))
-    def test_one_that_is_not_heard_any_more_stops_the_robot_within_half_a_second(
-        self, rate, moment
-    ):
+    def test_a_silent_gyro_stops_the_robot_within_half_a_second(self, rate, moment):
         scene = robot()
         scene.live(moment)
         scene.mangle = with_rate(lambda _: np.array(rate))
@@ -221,7 +219,7 @@ class TestGyro:
         assert scene.swept - before < math.radians(30.0)
 
     @pytest.mark.parametrize("gain", first_of([-1.0, 0.0, 3.0]))
-    def test_one_that_dies_beside_a_base_that_does_not_obey_is_followed_by_zeros(self, gain):
+    def test_zeros_follow_if_gyro_and_base_fail_together(self, gain):
         scene = robot()
         scene.live(3.0)
         scene.gain = gain
@@ -232,7 +230,7 @@ class TestGyro:
         scene.assert_stopped_and_silent()
 
     @pytest.mark.nightly
-    def test_a_short_dropout_is_lived_with(self):
+    def test_a_short_dropout_does_not_stop_the_robot(self):
         scene = robot()
         scene.live(3.0)
         scene.mangle = with_rate(lambda _: np.array(NO_RATE))
@@ -241,7 +239,7 @@ class TestGyro:
         assert scene.until_concluded().success
 
     @pytest.mark.parametrize("frozen_at", first_of([0.1, 0.02, 0.2]))
-    def test_one_that_freezes_below_the_rate_is_told_within_a_quarter_turn(self, frozen_at):
+    def test_a_gyro_that_freezes_below_the_rate_is_detected_within_a_quarter_turn(self, frozen_at):
         scene = robot()
         scene.mangle = with_rate(lambda rate: np.array([0.0, 0.0, min(rate[2], frozen_at)]))
         words = scene.until_concluded().message
@@ -249,7 +247,7 @@ class TestGyro:
         assert scene.farthest < math.radians(115.0)
         scene.assert_stopped_and_silent()
 
-    def test_one_that_hangs_in_full_turn_is_told_although_the_base_is_blocked(self):
+    def test_a_frozen_gyro_is_detected_although_the_base_is_blocked(self):
         scene = robot()
         scene.until_moving(0.45)
         scene.gain = 0.0
@@ -259,7 +257,7 @@ class TestGyro:
         assert "but the field did not change" in words
         assert scene.now - since < math.radians(115.0) / SPEED
 
-    def test_one_that_hangs_in_full_turn_neither_blames_the_base_nor_turns_it_far(self):
+    def test_a_frozen_gyro_is_not_attributed_to_the_base_and_the_turn_stays_short(self):
         scene = robot()
         scene.until_moving(0.45)
         scene.mangle = with_rate(lambda _: np.array([0.0, 0.0, SPEED]))
@@ -267,19 +265,19 @@ class TestGyro:
         assert scene.farthest < math.tau + math.radians(60.0)
         scene.assert_stopped_and_silent()
 
-    def test_saturation_at_a_third_is_told(self):
+    def test_saturation_at_a_third_of_the_rate_is_detected(self):
         scene = robot(speed=0.9)
         scene.mangle = with_rate(lambda rate: np.clip(rate, -0.3, 0.3))
         assert "the gyro measured" in scene.until_concluded().message
         assert scene.farthest < math.radians(115.0)
 
-    def test_a_slipping_base_with_a_true_gyro_is_not_stopped(self):
+    def test_a_slipping_base_with_a_correct_gyro_is_not_stopped(self):
         scene = robot(gain=0.7)
         assert scene.until_concluded().success
 
 
 class TestBounds:
-    def test_a_base_that_does_not_stop_is_given_up_beyond_its_full_turn(self):
+    def test_a_base_that_does_not_stop_ends_the_turn_beyond_a_full_circle(self):
         scene = robot(speed=1.0)
         scene.live(60.0, stop=lambda: scene.turned > math.radians(330.0))
 
@@ -292,7 +290,7 @@ class TestBounds:
         assert "outside the planned turn from 0° to 360°" in conclusion.message
         assert scene.farthest < math.radians(415.0)
 
-    def test_commands_have_an_end_even_where_every_sensor_is_content(self):
+    def test_commands_end_even_without_a_fault(self):
         scene = robot(gain=0.45)
         conclusion = scene.until_concluded(200.0)
         commanded = sum(
@@ -303,14 +301,14 @@ class TestBounds:
         assert not conclusion.success
         assert "were commanded, but the turn is not complete" in conclusion.message
 
-    def test_the_deadline_ends_a_turn_that_creeps_and_what_was_seen_is_used(self):
+    def test_the_deadline_ends_a_slow_turn_and_its_samples_are_used(self):
         scene = robot(gain=0.75, timeout=29.0)
         conclusion = scene.until_concluded(60.0)
         assert "did not complete its turn in time" in conclusion.message
         assert scene.said[-1][1] == 0.0
 
     @pytest.mark.parametrize("phase", [3.0, 15.0])
-    def test_who_was_not_looked_at_is_stopped_before_another_command(self, phase):
+    def test_after_a_pause_of_the_supervision_the_robot_is_stopped(self, phase):
         scene = robot()
         scene.live(phase)
         before = len(scene.said)
@@ -320,7 +318,7 @@ class TestBounds:
         assert "too busy to supervise the robot for 1" in scene.conclusion.message
         scene.assert_stopped_and_silent()
 
-    def test_a_hiccup_is_none(self):
+    def test_a_short_pause_of_the_supervision_is_allowed(self):
         scene = robot()
         scene.live(3.0)
         scene.freeze(0.8 * TUNING.gyro_silence)

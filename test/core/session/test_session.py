@@ -42,7 +42,7 @@ def session_with(window, limits=LIMITS, mounting=None, without=()):
 class TestStages:
     @pytest.mark.parametrize("gyro", [False, True])
     @pytest.mark.parametrize("sense", [-1.0, 1.0])
-    def test_a_full_turn_completes_it_and_not_much_less(self, gyro, sense):
+    def test_a_full_turn_completes_the_session_and_a_shorter_one_does_not(self, gyro, sense):
         window = simulated(gyro=gyro, arc=sense * 400 * DEGREE, samples=800, duration=20.0)
         session, done_at = Session(LIMITS, Mounting(), now=0.0), None
         session.note_sigma(CERTAIN)
@@ -57,7 +57,7 @@ class TestStages:
         assert done_at == pytest.approx(345.0, abs=18.0)
 
     @pytest.mark.parametrize("sigmas", [[], [UNCERTAIN], [UNCERTAIN, UNCERTAIN]])
-    def test_a_full_turn_ends_at_the_first_fit_that_is_certain(self, sigmas):
+    def test_a_full_turn_ends_with_the_first_certain_fit(self, sigmas):
         session = session_with(simulated())
         for sigma in sigmas:
             session.note_sigma(sigma)
@@ -83,7 +83,7 @@ class TestStages:
         assert stages[0] is Stage.COLLECTING
         assert stages[-1] is Stage.COMPLETE
 
-    def test_a_turn_that_never_gets_certain_ends_after_two_rounds(self):
+    def test_an_uncertain_turn_ends_after_two_rounds(self):
         session = session_with(simulated(arc=710 * DEGREE, samples=900, duration=27.0))
         assert session.progress(26.9).coverage.is_complete
         session.look()
@@ -112,32 +112,32 @@ class TestStages:
                 session.note_sigma(math.radians(sigma))
         assert session.progress(turned / 20.0).stage is stage
 
-    def test_three_quarters_do_not_complete_it(self):
+    def test_three_quarters_of_a_turn_do_not_complete_the_session(self):
         progress = session_with(simulated(arc=270 * DEGREE)).progress(15.0)
         assert progress.stage is Stage.COLLECTING
         assert progress.coverage.arc == pytest.approx(270 * DEGREE, abs=0.1)
 
-    def test_it_is_silent_when_no_pair_ever_came(self):
+    def test_a_session_without_any_pair_is_silent(self):
         session = Session(LIMITS, Mounting(), now=50.0)
         assert session.progress(59.9).stage is Stage.COLLECTING
         assert session.progress(60.1).stage is Stage.SILENT
         assert not session.has_samples
 
-    def test_it_is_silent_when_the_pairs_stop_coming(self):
+    def test_a_session_whose_pairs_stop_is_silent(self):
         session = session_with(simulated(arc=2.0, duration=15.0))
         last = 15.0 * 499 / 500
         assert session.progress(last + 9.0).stage is Stage.COLLECTING
         assert session.progress(last + 11.0).stage is Stage.SILENT
 
-    def test_it_times_out_while_pairs_still_come(self):
+    def test_a_session_times_out_while_pairs_arrive(self):
         session = session_with(simulated(arc=2.0, duration=90.5, samples=900))
         assert session.progress(89.9).stage is Stage.COLLECTING
         assert session.progress(90.5).stage is Stage.TIMED_OUT
 
-    def test_a_turn_that_is_complete_stays_so_after_the_timeout(self):
+    def test_a_complete_turn_stays_complete_after_the_timeout(self):
         assert session_with(simulated()).progress(1000.0).stage is Stage.COMPLETE
 
-    def test_the_clock_that_counts_is_the_one_passed_in(self):
+    def test_only_the_clock_that_is_passed_in_counts(self):
         """Stamps may lie years from the steady clock."""
         session = Session(LIMITS, Mounting(), now=5.0)
         for pair in pairs_of(simulated(arc=2.0)):
@@ -148,16 +148,16 @@ class TestStages:
 
 
 class TestProgress:
-    def test_before_any_pair_it_says_that_nothing_was_seen(self):
+    def test_before_any_pair_the_progress_is_zero(self):
         words = Session(LIMITS, Mounting(), now=0.0).progress(1.0).in_words
         assert words == "0° of the turn measured, 0 samples; the robot has not turned yet"
 
-    def test_words_tell_arc_samples_and_hole(self):
+    def test_the_progress_names_arc_samples_and_gap(self):
         words = session_with(simulated(arc=270 * DEGREE)).progress(15.0).in_words
         assert ", 500 samples; missing: " in words
         assert "to the right of the start" in words
 
-    def test_words_of_a_complete_turn_name_no_hole(self):
+    def test_the_progress_of_a_complete_turn_names_no_gap(self):
         assert "missing" not in session_with(simulated()).progress(15.0).in_words
 
     @pytest.mark.parametrize("gyro", [False, True])
@@ -167,7 +167,7 @@ class TestProgress:
         expected = math.copysign(20.0, arc)
         assert math.degrees(session.progress(15.0).turn_rate) == pytest.approx(expected, abs=2.0)
 
-    def test_a_robot_that_stands_has_turned_nothing(self):
+    def test_a_robot_at_rest_has_not_turned(self):
         progress = session_with(simulated(arc=0.0)).progress(15.0)
         assert progress.coverage.arc == progress.turn_rate == 0.0
 
@@ -180,7 +180,7 @@ class TestProgress:
 
 
 class TestWindow:
-    def test_it_holds_what_was_added(self):
+    def test_the_window_contains_the_added_samples(self):
         window = simulated()
         found = session_with(window).window()
         rows = np.searchsorted(window.time + 100.0, found.time)
@@ -190,10 +190,10 @@ class TestWindow:
         assert (found.specific_force == window.specific_force[rows]).all()
         assert (found.angular_rate == window.angular_rate[rows]).all()
 
-    def test_without_a_gyro_it_has_no_rate(self):
+    def test_without_a_gyro_the_window_has_no_rate(self):
         assert session_with(simulated(gyro=False)).window().angular_rate is None
 
-    def test_a_gyro_that_is_always_zero_is_none(self):
+    def test_a_gyro_that_is_always_zero_counts_as_absent(self):
         window = simulated(Robot(noise_rate=0.0), arc=0.0)
         assert (window.angular_rate == 0.0).all()
         assert session_with(window).window().angular_rate is None
@@ -220,8 +220,8 @@ class TestWindow:
         assert session.progress(2.0).samples == len(pairs)
         assert not session.was_set_back
 
-    def test_where_time_is_set_back_the_turn_begins_anew(self):
-        """A clock that jumps, or a bag that loops: nobody knows where the robot stands now."""
+    def test_the_turn_restarts_if_time_is_set_back(self):
+        """After a jump of the clock, or a looping bag, the robot's heading is unknown."""
         pairs = list(pairs_of(simulated()))
         session = Session(LIMITS, Mounting(), now=0.0)
         for pair in pairs[len(pairs) // 2 :]:
@@ -233,7 +233,7 @@ class TestWindow:
         assert session.progress(2.0).coverage.is_complete
         assert (np.diff(session.window().time) > 0.0).all()
 
-    def test_a_gyro_that_reads_infinity_now_and_then_is_no_gyro_there(self):
+    def test_infinite_rates_count_as_missing(self):
         pairs = list(pairs_of(simulated()))
         session = Session(LIMITS, Mounting(), now=0.0)
         for k, pair in enumerate(pairs):
@@ -242,7 +242,7 @@ class TestWindow:
         assert session.progress(2.0).coverage.arc > 330 * DEGREE
         assert np.isfinite(session.window().angular_rate).all()
 
-    def test_a_pause_does_not_weigh_in_it(self):
+    def test_a_pause_has_no_weight_in_the_window(self):
         moving = simulated(arc=3.0, samples=300, duration=10.0)
         standing = simulated(arc=0.0, samples=3000, duration=100.0, start_rpy=(0.0, 0.0, 3.0))
         session = session_with(moving)
@@ -252,7 +252,7 @@ class TestWindow:
         assert session.progress(60.0).samples == 3300
         assert len(session.window()) < 700
 
-    def test_nothing_collected_is_refused_in_words(self):
+    def test_an_empty_session_is_refused_with_words(self):
         with pytest.raises(Refusal, match="check both topics") as caught:
             Session(LIMITS, Mounting(), now=0.0).window()
         assert caught.value.reason is Reason.TOO_FEW_SAMPLES
@@ -261,8 +261,8 @@ class TestWindow:
 class TestMemory:
     @pytest.mark.nightly
     @pytest.mark.parametrize("turns", first_of([0.7, 0.0, 40.0]))
-    def test_a_hundred_thousand_pairs_stay_within_the_bound(self, turns):
-        """Standing, creeping through part of a turn, and going round and round."""
+    def test_the_buffer_of_a_hundred_thousand_pairs_is_bounded(self, turns):
+        """A rest, a slow part of a turn, and many turns."""
         motion = {"arc": turns * math.tau, "samples": 100_000, "duration": 2000.0}
         window = simulated(gyro=False, **motion)
         session, most = Session(LIMITS, Mounting(), now=0.0), 0
@@ -277,7 +277,7 @@ class TestMemory:
         arc = session.progress(2000.0).coverage.arc
         assert arc == pytest.approx(min(turns, 1.0) * math.tau, abs=0.15)
 
-    def test_a_long_wait_does_not_push_the_turn_out(self):
+    def test_a_long_rest_does_not_displace_the_turn(self):
         moving = simulated(arc=6.0, samples=400, duration=12.0)
         session = session_with(moving)
         standing = simulated(arc=0.0, samples=60_000, duration=600.0, start_rpy=(0.0, 0.0, 6.0))
@@ -288,7 +288,7 @@ class TestMemory:
         assert session.window().time[0] == 100.0
 
     @pytest.mark.parametrize("gyro", first_of([True, False]))
-    def test_one_slow_turn_stays_whole_however_long_it_takes(self, monkeypatch, gyro):
+    def test_a_slow_turn_is_kept_completely(self, monkeypatch, gyro):
         """As an hour at 1 kHz in the real buffer: 180 times what it holds."""
         smaller = replace(TUNING, largest_buffer=1024)
         monkeypatch.setattr("magcal_ros.core.session.session.TUNING", smaller)
@@ -300,7 +300,7 @@ class TestMemory:
         assert counts.min() > 0.5 * counts.mean()
 
 
-def test_a_robot_that_is_turned_over_keeps_the_way_it_went():
+def test_a_robot_that_is_turned_over_keeps_its_sense_of_turn():
     """Its heading stands still while it rolls, and the rows of a pause would be thinned."""
     rolled = simulated(arc=math.tau, samples=1500, duration=15.0, axis=np.array([1.0, 0.0, 0.0]))
     turned = simulated(arc=math.tau, samples=300, duration=15.0)

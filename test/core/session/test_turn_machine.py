@@ -1,4 +1,4 @@
-"""One turn in virtual time: what is asked for, in which order, and what everyone is told."""
+"""One turn in virtual time: the commands, their order, and the answers."""
 
 import math
 
@@ -21,7 +21,7 @@ def turned_fully(**options):
     return scene
 
 
-def test_a_turn_is_fitted_put_in_force_stored_and_told():
+def test_a_turn_is_fitted_put_in_force_stored_and_reported():
     scene = turned_fully()
     assert scene.turn.state is TurnState.FITTING
     assert 5.7 < scene.turned < 7.0
@@ -36,7 +36,7 @@ def test_a_turn_is_fitted_put_in_force_stored_and_told():
     assert scene.turn.last_conclusion is conclusion
 
 
-def test_a_verdict_that_falls_short_leaves_what_is_in_force_and_names_the_remedy():
+def test_a_refused_turn_keeps_the_calibration_in_force_and_names_the_remedy():
     scene = turned_fully(outcome=SHORT)
     conclusion = scene.until_concluded()
     assert not conclusion.success
@@ -46,19 +46,19 @@ def test_a_verdict_that_falls_short_leaves_what_is_in_force_and_names_the_remedy
     assert scene.turn.last_outcome.verdict is SHORT.verdict
 
 
-def test_what_cannot_be_fitted_offers_nothing_to_accept():
+def test_a_turn_that_cannot_be_fitted_offers_nothing_to_accept():
     conclusion = turned_fully(outcome=BAD).until_concluded()
     assert not conclusion.success
     assert "~/accept" not in conclusion.message
 
 
-def test_a_fault_in_the_fit_is_told_and_the_next_turn_is_welcome():
+def test_an_error_of_the_fit_is_reported_and_the_next_turn_is_accepted():
     scene = turned_fully(outcome=MemoryError("out of it"))
     assert "unexpectedly: MemoryError('out of it')" in scene.until_concluded().message
     assert scene.open().success
 
 
-def test_a_second_turn_is_refused_in_every_state_of_the_first():
+def test_a_second_turn_is_refused_in_every_state():
     scene = Scene()
     assert scene.open().success
     for state in (TurnState.COLLECTING, TurnState.FITTING, TurnState.SAVING):
@@ -70,7 +70,7 @@ def test_a_second_turn_is_refused_in_every_state_of_the_first():
     assert len(scene.in_force) == 1
 
 
-def test_finish_fits_what_there_is_and_says_by_whom_it_was_ended():
+def test_finish_fits_the_samples_and_says_that_the_user_ended_the_turn():
     scene = Scene()
     assert "~/start" in scene.tell("finish", scene.now).message
     scene.open()
@@ -81,7 +81,7 @@ def test_finish_fits_what_there_is_and_says_by_whom_it_was_ended():
     assert scene.until_concluded().message.startswith("finished by the user; ")
 
 
-def test_finish_after_the_turn_has_ended_by_itself_waits_for_its_verdict():
+def test_finish_after_the_end_waits_for_the_verdict():
     for state in (TurnState.FITTING, TurnState.SAVING):
         scene = Scene()
         scene.open()
@@ -92,7 +92,7 @@ def test_finish_after_the_turn_has_ended_by_itself_waits_for_its_verdict():
         assert len(asked_for(scene, FitTurn)) == 1
 
 
-def test_finish_of_too_little_is_refused_with_what_was_seen_and_not_fitted():
+def test_finish_of_a_short_turn_is_refused_without_a_fit():
     scene = Scene()
     scene.open()
     scene.live(1.0, 0.5)
@@ -105,7 +105,7 @@ def test_finish_of_too_little_is_refused_with_what_was_seen_and_not_fitted():
 
 
 @pytest.mark.parametrize("state", [TurnState.COLLECTING, TurnState.FITTING])
-def test_cancel_ends_it_at_once_and_a_late_fit_changes_nothing(state):
+def test_cancel_ends_the_turn_immediately_and_a_late_fit_changes_nothing(state):
     scene = Scene()
     scene.open()
     scene.live(60.0, 0.5, stop=lambda: scene.turn.state is state)
@@ -117,7 +117,7 @@ def test_cancel_ends_it_at_once_and_a_late_fit_changes_nothing(state):
     assert not scene.in_force
 
 
-def test_cancel_is_too_late_once_it_is_in_force_and_too_early_before():
+def test_cancel_is_refused_before_a_turn_and_once_it_is_in_force():
     scene = Scene()
     assert "nothing to cancel" in scene.tell("cancel").message
     scene.open()
@@ -126,7 +126,7 @@ def test_cancel_is_too_late_once_it_is_in_force_and_too_early_before():
     assert scene.until_concluded().success
 
 
-def test_half_a_turn_is_used_when_the_time_is_up():
+def test_half_a_turn_is_used_after_the_timeout():
     scene = Scene(timeout=12.0)
     scene.open()
     scene.live(7.0, 0.5)
@@ -137,7 +137,7 @@ def test_half_a_turn_is_used_when_the_time_is_up():
     assert "(Ended by the time limit of 12 s.)" in message
 
 
-def test_nothing_at_all_is_said_in_the_sensors_words():
+def test_a_turn_without_samples_is_answered_with_the_complaints_of_the_sensors():
     scene = Scene(silence=4.0)
     scene.mangle = lambda _: None
     scene.open()
@@ -147,7 +147,7 @@ def test_nothing_at_all_is_said_in_the_sensors_words():
 
 
 @pytest.mark.parametrize("arc", [math.radians(20.0), math.radians(200.0)])
-def test_a_sensor_that_dies_ends_it_with_its_name(arc):
+def test_a_silent_sensor_ends_the_turn_and_is_named(arc):
     scene = Scene(silence=3.0)
     scene.open()
     scene.live(arc / 0.5, 0.5)
@@ -157,7 +157,7 @@ def test_a_sensor_that_dies_ends_it_with_its_name(arc):
     assert scene.conclusion.success == (arc > 1.0)
 
 
-def test_a_pause_shorter_than_the_patience_is_waited_out():
+def test_a_short_pause_of_a_sensor_does_not_end_the_turn():
     scene = Scene(silence=6.0)
     scene.open()
     scene.live(6.0, 0.5)
@@ -167,7 +167,7 @@ def test_a_pause_shorter_than_the_patience_is_waited_out():
     assert scene.until_concluded(yaw_rate=0.5).success
 
 
-def test_a_clock_that_is_set_back_begins_the_turn_anew_and_says_so():
+def test_a_clock_that_is_set_back_restarts_the_turn_and_is_reported():
     scene = Scene()
     scene.open()
     scene.live(6.0, 0.5)
@@ -201,7 +201,7 @@ def test_a_turn_goes_on_while_previews_say_that_it_is_uncertain():
     assert scene.turn.state is not TurnState.COLLECTING
 
 
-def test_the_preview_of_a_turn_that_is_gone_says_nothing_of_the_next():
+def test_the_preview_of_an_earlier_turn_is_ignored():
     scene = Scene()
     scene.open()
     scene.live(9.0, 0.5)
@@ -217,7 +217,7 @@ def test_the_preview_of_a_turn_that_is_gone_says_nothing_of_the_next():
 class TestAnotherSensor:
     @pytest.mark.parametrize("changed", [("spare", "imu"), ("mag", "spare")])
     @pytest.mark.parametrize("state", [TurnState.COLLECTING, TurnState.FITTING])
-    def test_that_comes_in_the_middle_of_a_turn_ends_it(self, state, changed):
+    def test_another_sensor_ends_the_turn(self, state, changed):
         scene = Scene()
         scene.tell("note_sensors", "mag", "imu")
         scene.open()
@@ -230,7 +230,7 @@ class TestAnotherSensor:
         assert len(scene.concluded) == 1
         assert not scene.in_force
 
-    def test_stops_a_robot_that_turns_itself(self):
+    def test_another_sensor_stops_a_robot_that_turns_itself(self):
         scene = Scene(speed=0.8)
         scene.tell("note_sensors", "mag", "imu")
         scene.open()
@@ -239,7 +239,7 @@ class TestAnotherSensor:
         assert not scene.conclusion.success
         scene.assert_stopped_and_silent()
 
-    def test_is_none_that_names_itself_late_or_only_now_and_then(self):
+    def test_a_frame_that_is_missing_at_times_is_no_other_sensor(self):
         scene = Scene()
         scene.open()
         for field, imu in (("", "imu"), ("mag", "imu"), ("", ""), ("mag", "imu")):
@@ -247,7 +247,7 @@ class TestAnotherSensor:
             scene.tell("note_sensors", field, imu)
         assert scene.until_concluded(yaw_rate=0.5).success
 
-    def test_does_not_get_what_was_fitted_for_the_one_before(self):
+    def test_another_sensor_does_not_get_the_calibration_of_the_previous_one(self):
         scene = Scene(outcome=SHORT)
         scene.tell("note_sensors", "mag", "imu")
         scene.open()
@@ -257,14 +257,14 @@ class TestAnotherSensor:
         assert scene.turn.outcome_is_of_others
 
 
-def test_what_breaks_ends_the_turn_in_every_state():
+def test_an_error_ends_the_turn_in_every_state():
     for state in (TurnState.COLLECTING, TurnState.FITTING, TurnState.SAVING):
         scene = Scene()
-        scene.tell("break_off", "no turn")
+        scene.tell("abort", "no turn")
         assert not scene.concluded
         scene.open()
         scene.live(60.0, 0.5, stop=lambda scene=scene, state=state: scene.turn.state is state)
-        scene.tell("break_off", "no room")
+        scene.tell("abort", "no room")
         assert scene.conclusion.message == "no room"
         assert scene.turn.state is TurnState.IDLE
 
@@ -294,13 +294,13 @@ class TestKeptTurns:
         scene.tell("note_sensors", "another", "imu")
         assert self.kept_by_the_next(scene) == 0
 
-    def test_a_turn_alone_forgets_those_before(self):
+    def test_a_turn_without_accumulation_forgets_earlier_turns(self):
         scene = self.after_one()
         scene.open()
         scene.tell("cancel")
         assert self.kept_by_the_next(scene) == 0
 
-    def test_turns_forgotten_during_the_fit_do_not_come_back_with_it(self):
+    def test_turns_forgotten_during_the_fit_stay_forgotten(self):
         scene = Scene()
         scene.open(accumulate=True)
         scene.live(60.0, 0.5, stop=lambda: scene.turn.state is TurnState.FITTING)
@@ -308,13 +308,13 @@ class TestKeptTurns:
         scene.until_concluded()
         assert self.kept_by_the_next(scene) == 0
 
-    def test_a_method_that_joins_nothing_is_refused_before_the_turn(self):
+    def test_a_method_that_cannot_join_turns_is_refused_at_the_start(self):
         answer = Scene().open(accumulate=True, method="min_max")
         assert not answer.success
         assert "min_max does not join turns" in answer.message
 
 
-def test_an_answer_to_what_nobody_asked_is_passed_over():
+def test_an_answer_to_no_request_is_ignored():
     scene = Scene()
     scene.tell("note_fit", 0, GOOD, scene.turn._kept)
     scene.open()
@@ -325,7 +325,7 @@ def test_an_answer_to_what_nobody_asked_is_passed_over():
 
 @pytest.mark.parametrize("rate", first_of([1.0, 0.3]))
 @pytest.mark.parametrize("takes", [0.4, 4.0])
-def test_a_slow_look_turns_the_robot_no_more_than_a_quarter_turn_further(rate, takes):
+def test_slow_supervision_adds_at_most_a_quarter_turn(rate, takes):
     """Before, 1.6 to 2 turns where a busy machine took 4 s for a look."""
     scene = Scene(sigma=math.radians(0.6))
     scene.preview_takes = takes

@@ -1,4 +1,4 @@
-"""A simulated drive obeys physics: what its sensors say follows from the truth."""
+"""A simulated drive obeys physics: its measurements follow from the truth."""
 
 import dataclasses
 import math
@@ -48,7 +48,7 @@ def driven(rng, legs, vehicle=QUIET, body=HARD, **options):
     return simulated_drive(truth, rng, vehicle, **options)
 
 
-def test_the_speed_is_the_way_over_time_and_looks_along_the_nose(rng):
+def test_the_velocity_is_the_derivative_of_the_path_along_the_vehicle(rng):
     truth = travel(city(rng, 60.0) + parking(rng), rng)
     velocity = np.gradient(truth.position, truth.period, axis=0)
     ahead = velocity[:, 0] * np.cos(truth.yaw) + velocity[:, 1] * np.sin(truth.yaw)
@@ -68,7 +68,7 @@ def test_the_force_is_up_and_the_vehicles_own_acceleration(rng):
     assert pull[:, 2] == pytest.approx(STANDARD_GRAVITY, abs=0.05)
 
 
-def test_gravity_and_field_give_the_imus_yaw_where_nothing_bends(rng):
+def test_gravity_and_field_give_the_imu_yaw_without_disturbances(rng):
     drive = driven(rng, circles(20.0), streets=None)
     field = drive.correction_at(drive.time[0]).apply(drive.field)
     yaw = yaw_from_up_and_field(drive.up, field)
@@ -84,7 +84,7 @@ def test_the_gyro_integrates_to_the_yaw(rng):
     assert turned == pytest.approx(drive.truth.yaw[-1] - drive.truth.yaw[0], abs=0.02)
 
 
-def test_streets_bend_by_what_they_are_asked_for_and_forget_over_their_reach(rng):
+def test_street_disturbances_have_the_requested_size_and_correlation_length(rng):
     """Over many streets: one has too few places to tell."""
     places = np.column_stack([np.arange(0.0, 60.0, 1.0), np.zeros(60)])
     fields = np.array(
@@ -93,7 +93,7 @@ def test_streets_bend_by_what_they_are_asked_for_and_forget_over_their_reach(rng
     fields = fields.swapaxes(1, 2).reshape(-1, 3) * 1e6
     # The quartile of Student's distribution of four degrees of freedom and size one is 0.524.
     assert np.median(np.abs(fields)) == pytest.approx(3.0 * 0.524, rel=0.1)
-    # Signs tell the correlation beneath heavy tails (Greiner's relation).
+    # Signs show the correlation despite heavy tails (Greiner's relation).
     signs = np.sign(fields)
     near, far = (math.sin(0.5 * math.pi * np.mean(signs[:, 0] * signs[:, n])) for n in (1, 2))
     assert near == pytest.approx(0.7 * math.exp(-1.0 / 30.0) + 0.3 * math.exp(-0.5), abs=0.06)
@@ -101,7 +101,7 @@ def test_streets_bend_by_what_they_are_asked_for_and_forget_over_their_reach(rng
     assert np.mean(fields**4) / np.mean(fields**2) ** 2 > 4.0
 
 
-def test_the_same_place_bends_alike_again(rng):
+def test_the_same_place_has_the_same_disturbance(rng):
     truth = travel(one_street(2, back=False), rng, body=HARD)
     field = StreetField(Streets(small_share=0.0), rng)
     bent = field.along(truth.position)
@@ -112,7 +112,7 @@ def test_the_same_place_bends_alike_again(rng):
     assert again == pytest.approx(bent[ahead, 0], abs=0.3e-6)
 
 
-def test_fixes_are_late_and_stay_away_in_an_outage(rng):
+def test_fixes_are_late_and_missing_in_an_outage(rng):
     receiver = Receiver(drift=0.0, noise=0.0, delay=0.5, speed_noise=0.1, outages=((20.0, 30.0),))
     drive = driven(rng, [Leg(10.0), Leg(5.0, 10.0), Leg(60.0, 10.0)], receiver=receiver)
     since = np.array([p.stamp for p in drive.positions]) - drive.time[0]
@@ -125,7 +125,7 @@ def test_fixes_are_late_and_stay_away_in_an_outage(rng):
     )
 
 
-def test_the_faults_of_wheels(rng):
+def test_faults_of_wheels_are_simulated(rng):
     legs = reversing(rng, 4, share=0.5)
 
     def said(**faults):
@@ -143,7 +143,7 @@ def test_the_faults_of_wheels(rng):
     assert np.ptp(speeds[401:]) == 0.0
 
 
-def test_iron_comes_and_goes_and_a_fence_stands_on_one_way(rng):
+def test_iron_has_a_time_and_a_fence_a_place(rng):
     iron = Iron((5e-6, 0.0, 0.0), 10.0, 20.0)
     drive = driven(rng, [Leg(30.0)], streets=None, irons=(iron,))
     strength = [
@@ -163,12 +163,12 @@ def test_iron_comes_and_goes_and_a_fence_stands_on_one_way(rng):
     assert bent[np.cos(drive.truth.yaw - 0.7) < 0.8].max() == 0.0
 
 
-def test_a_boat_drifts_where_it_does_not_look(rng):
+def test_a_boat_drifts_sideways(rng):
     truth = travel([Leg(60.0)], rng, current=(0.5, -0.2))
     assert truth.position[-1] == pytest.approx([30.0, -12.0], abs=0.1)
 
 
-def test_samples_come_by_stamp_and_hold_everything(rng):
+def test_samples_are_complete_and_ordered_by_stamp(rng):
     drive = driven(rng, [Leg(5.0)])
     samples = list(drive.samples())
     stamps = [s.stamp for s in samples]

@@ -29,7 +29,7 @@ def run(one, steps, yaw_rate=0.0):
     return imus, [sample for sample in samples if isinstance(sample, FieldSample)]
 
 
-def test_a_turn_gives_what_the_simulator_measures():
+def test_a_turn_gives_the_measurements_of_the_simulator():
     """Two ways to one truth: small steps, and attitudes in closed form."""
     start, rate = (0.15, -0.1, 2.0), 0.6
     one = ride(steps_per_field=1)
@@ -59,7 +59,7 @@ def test_a_robot_set_down_shows_its_pose(roll, pitch, yaw):
 
 
 @pytest.mark.parametrize("rate", [0.5, -0.5])
-def test_turning_left_raises_the_yaw_and_the_gyros_z(rate):
+def test_a_turn_to_the_left_increases_yaw_and_gyro_z(rate):
     one = ride()
     before = one.magnetic_yaw
     imus, _ = run(one, 200, rate)
@@ -67,7 +67,7 @@ def test_turning_left_raises_the_yaw_and_the_gyros_z(rate):
     assert imus[-1].rate == pytest.approx(PERFECT.gyro_bias + np.array([0.0, 0.0, rate]))
 
 
-def test_it_turns_about_the_axis_it_is_given():
+def test_the_robot_turns_about_the_given_axis():
     one = ride()
     one.axis = np.array([0.0, math.sin(0.3), math.cos(0.3)])
     imus, _ = run(one, 300, 0.4)

@@ -51,7 +51,7 @@ def test_the_true_correction_gives_the_true_field_and_heading():
     np.testing.assert_allclose(heading_errors(robot.true_correction, robot), 0.0, atol=1e-12)
 
 
-def test_an_uncorrected_hard_iron_swings_the_heading():
+def test_uncorrected_hard_iron_gives_a_periodic_heading_error():
     robot = Robot(roll=0.0, pitch=0.0, hard_iron=[5e-6, 0.0, 0.0])
     worst = np.abs(heading_errors(Correction.identity(), robot)[:, 4]).max()
     assert worst == pytest.approx(math.asin(5e-6 / 25e-6), rel=0.05)
@@ -72,7 +72,7 @@ def test_noise_has_its_sigma():
     assert np.std(force) == pytest.approx(robot.noise_force, rel=0.03)
 
 
-def test_outliers_hit_their_share():
+def test_outliers_have_their_share():
     motion = turn(samples=5000)
     window = measure(QUIET, motion, rng(), trouble=Trouble(outliers=0.1))
     hit = np.abs(window.field - measure(QUIET, motion, rng()).field).max(axis=1) > 1e-12
@@ -98,7 +98,7 @@ def test_wobble_has_its_size_and_lies_across_the_axis():
     assert np.sqrt((drawn**2).sum(axis=1).mean() / 2.0) == pytest.approx(0.1, rel=0.1)
 
 
-def test_trial_attitudes_hold_level_in_the_middle():
+def test_the_middle_trial_attitudes_are_level():
     attitudes = trial_attitudes(10.0 * DEGREE)
     np.testing.assert_allclose(attitudes[:, 4] @ UP_ENU, np.tile(UP_ENU, (24, 1)), atol=1e-15)
     tilt = np.degrees(np.arccos((attitudes @ UP_ENU)[..., 2]))

@@ -25,7 +25,7 @@ def driven(seed, seconds=300.0, legs=None, vehicle=None, **options):
 
 
 def log_from(drive, *, speed=False):
-    """What is remembered of it."""
+    """The log that is kept of it."""
     window = Window(drive.time, drive.field, drive.force, drive.rate)
     log = log_of(window)
     if not speed:

@@ -29,7 +29,7 @@ def clock(battery, starts=(), stops=()):
     return Clock.of(battery, time, rate, turns == 0.0)
 
 
-def test_the_mean_of_a_node_is_that_of_the_current_before_it_was_told():
+def test_the_mean_of_a_node_allows_for_the_latency_of_the_current():
     battery = battery_of(told(pulse(STAMPS)), 0.5, 9.5)
     begin = np.arange(1.0, 9.0, 0.6)
     currents = Currents(battery, clock(battery), begin, begin + 0.6)
@@ -51,7 +51,7 @@ def test_a_rest_beside_the_turn_has_its_own_mean():
     assert mean[2] < -1.5
 
 
-def test_between_slow_messages_the_current_changes_where_the_robot_starts_or_stops():
+def test_between_slow_messages_the_current_changes_at_starts_and_stops():
     stamps = np.arange(0.0, 10.5, 1.0)
     starts, stops = (2.3, 6.4), (4.6, 8.3)
 
@@ -75,7 +75,7 @@ def test_between_slow_messages_the_current_changes_where_the_robot_starts_or_sto
     assert np.median(sigma[~near]) < 0.3 < np.median(sigma[near])
 
 
-def test_a_ripple_that_messages_miss_is_unknown_and_does_not_move_the_mean():
+def test_an_unsampled_ripple_is_in_the_variance_and_not_in_the_mean():
     rng = np.random.default_rng(0)
     stamps = np.arange(-1.0, 61.0, 1.0)
     moves = (stamps > 1.0) & (stamps < 59.0)
@@ -120,7 +120,7 @@ def test_every_series_of_messages_gives_means_and_variances(name, size, gap):
     assert variance.max() < 100.0 * np.ptp(values) ** 2
 
 
-def test_the_least_current_is_the_reference_and_none_given_back():
+def test_the_least_current_is_the_reference_without_fed_back_current():
     current = np.where(STAMPS < 3.0, -0.5, -4.0)
     current[50:52] = [0.0, 2.0]
     assert battery_of(told(current), 0.5, 9.5).reference == -0.5
@@ -138,7 +138,7 @@ def test_the_least_current_is_the_reference_and_none_given_back():
         told(pulse(STAMPS))[:30] + told(pulse(STAMPS))[45:],
     ],
 )
-def test_a_current_that_is_not_known_throughout_is_not_used(messages):
+def test_a_current_with_gaps_is_not_used(messages):
     assert battery_of(messages, 0.5, 9.5) is None
 
 

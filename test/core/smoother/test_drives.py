@@ -1,4 +1,4 @@
-"""A drive shows the calibration, and how sure it is."""
+"""The calibration by a drive, and its sigma."""
 
 import dataclasses
 import math
@@ -32,7 +32,7 @@ from magcal_ros.core.smoother import (
     fit_drive,
     fit_iron,
     likelihood_ratio_of,
-    liveliest_part,
+    part_with_most_motion,
     priors_of,
     smooth,
 )
@@ -57,7 +57,7 @@ def fitted(drive):
 
 
 def fit_to(drive, **options):
-    """What the smoother finds in a drive."""
+    """The smoother's result of a drive."""
     return fit_of(log_from(drive, **options), BOSTON)
 
 
@@ -65,7 +65,7 @@ def fit_of(log, knowledge):
     return fit_drive(log, drive_nodes(log, NOBODY), knowledge)
 
 
-def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
+def test_a_drive_gives_the_calibration_within_its_sigma(drive, fitted):
     error = heading_error(fitted.posterior.correction, drive.vehicle.robot)
     said = math.degrees(fitted.posterior.heading_sigma)
     assert error < 3.0
@@ -77,7 +77,7 @@ def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("drive", first_of([(150.0, False), (240.0, False), (240.0, True)]))
-def test_a_drive_read_once_a_second_is_fitted_within_its_sigma(drive):
+def test_a_drive_sampled_once_a_second_is_fitted_within_its_sigma(drive):
     seconds, means = drive
     rng = np.random.default_rng(5)
     vehicle = random_vehicle(rng)
@@ -107,17 +107,17 @@ def test_the_start_follows_a_yaw_that_drifts_by_a_turn_and_more():
     assert np.abs(off[:2]).max() < 2.0
 
 
-def test_the_part_of_a_long_window_is_that_in_which_the_force_changes():
+def test_the_part_with_most_motion_is_that_of_changing_force():
     time = np.arange(0.0, 1000.0, 0.5)
     force = np.tile([0.0, 0.0, 9.8], (len(time), 1))
     force[(time > 620.0) & (time < 700.0), 0] += 1.0
     window = Window(time, force, force, np.zeros_like(force))
-    part = liveliest_part(window)
+    part = part_with_most_motion(window)
     assert part.time[0] <= 620.0
     assert part.time[-1] >= 700.0
     assert np.ptp(part.time) == pytest.approx(200.0, abs=1.0)
-    assert np.array_equal(liveliest_part(log_of(window)).time, part.time)
-    assert liveliest_part(window.take(time < 300.0)) is None
+    assert np.array_equal(part_with_most_motion(log_of(window)).time, part.time)
+    assert part_with_most_motion(window.take(time < 300.0)) is None
 
 
 @pytest.mark.nightly
@@ -140,7 +140,7 @@ def test_a_gyro_bias_that_changes_over_a_drive_of_90_minutes_does_no_harm():
     assert math.degrees(found.posterior.heading_sigma) < 0.85
 
 
-def test_a_start_eighty_degrees_off_is_found_all_the_same(drive):
+def test_a_start_eighty_degrees_off_converges(drive):
     vehicle = dataclasses.replace(
         drive.vehicle,
         robot=dataclasses.replace(drive.vehicle.robot, hard_iron=np.array([90e-6, -60e-6, 40e-6])),
@@ -171,7 +171,7 @@ def test_the_speed_of_the_wheels_is_the_velocity_ahead(drive):
     assert np.median(np.abs(ahead - by_time)) < 0.3
 
 
-def test_pieces_between_which_the_gyro_was_lost_make_one_calibration(drive):
+def test_pieces_separated_by_gyro_gaps_give_one_calibration(drive):
     """Ten seconds are missing, in which the vehicle may have turned anyhow."""
     log = log_from(drive)
     middle = log.time[0] + 100.0
@@ -184,7 +184,7 @@ def test_pieces_between_which_the_gyro_was_lost_make_one_calibration(drive):
     assert error < 2.5 * math.degrees(found.posterior.heading_sigma)
 
 
-def test_the_iron_that_was_added_is_found_in_ninety_seconds(drive):
+def test_added_iron_is_found_in_ninety_seconds(drive):
     robot = drive.vehicle.robot
     changed = drive.vehicle.with_iron(np.array([8e-6, -6e-6, 0.0]))
     other = driven(9, 90.0, vehicle=changed)
@@ -202,8 +202,8 @@ def test_the_true_calibration_is_likelier_than_a_wrong_one(drive, nodes):
     assert likelihood_ratio_of(old, new, BOSTON).gain > 12.0
 
 
-def test_a_drive_whose_stamps_come_in_bursts_is_refused_by_name(drive):
-    """A buffer that is read once a second: what was turned between, nobody knows."""
+def test_a_drive_with_bursts_of_stamps_is_refused_with_the_reason(drive):
+    """A buffer that is read once a second: the rotation in between is unknown."""
     window = Window(drive.time, drive.field, drive.force, drive.rate)
     read = np.floor(window.time)
     bursts = dataclasses.replace(window, time=read + 0.05 * (window.time - read))
@@ -227,7 +227,7 @@ def weak_motion(seconds, turns, soft_iron, seed):
 
 @pytest.mark.parametrize("turns", first_of([True, False]))
 @pytest.mark.parametrize("soft_iron", first_of([PAPER_SOFT_IRON, np.zeros((3, 3))]))
-def test_two_minutes_of_weak_motion(turns, soft_iron):
+def test_two_minutes_of_weak_motion_have_a_correct_sigma(turns, soft_iron):
     """A robot that sways on the spot is not taken to drive."""
     error, said = weak_motion(120.0, turns, soft_iron, 1)
     assert error < 0.6
@@ -240,14 +240,14 @@ def test_two_minutes_of_weak_motion(turns, soft_iron):
 @pytest.mark.parametrize("turns", [False, True])
 @pytest.mark.parametrize("soft_iron", [np.zeros((3, 3)), PAPER_SOFT_IRON])
 @pytest.mark.parametrize("seconds", [120.0, 600.0])
-def test_weak_motion_over_many_windows(seconds, turns, soft_iron):
+def test_weak_motion_has_a_correct_sigma_over_many_windows(seconds, turns, soft_iron):
     errors, said = np.array([weak_motion(seconds, turns, soft_iron, k) for k in range(20)]).T
     assert math.sqrt(np.mean(errors**2)) < 0.45
     assert np.mean((errors / said) ** 2) < 2.0
 
 
-def test_a_robot_that_creeps_along_a_street_says_no_more_than_it_may():
-    """Nothing pulls here either, but the street is in what is left of the field."""
+def test_slow_driving_in_a_street_has_a_correct_sigma():
+    """There is no acceleration here either, but the street is in the residuals of the field."""
     drive = driven(3, legs=city(np.random.default_rng(3), 120.0, fastest=0.4))
     found = fit_to(drive)
     error = heading_error(found.posterior.correction, drive.vehicle.robot)
@@ -256,7 +256,7 @@ def test_a_robot_that_creeps_along_a_street_says_no_more_than_it_may():
     assert said > 1.0
 
 
-def test_a_field_that_stays_at_rest_says_nothing_of_the_streets():
+def test_a_constant_field_at_rest_does_not_determine_the_disturbance():
     """Where nothing passes the robot, streets that change from place to place stay as large."""
     drive = driven(12, 120.0)
     found = fit_to(drive, speed=False)
@@ -270,7 +270,7 @@ def test_a_field_that_stays_at_rest_says_nothing_of_the_streets():
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seconds", [120.0, 300.0])
 @pytest.mark.parametrize("speed", [False, True])
-def test_sigma_is_right_over_many_drives(seconds, speed):
+def test_the_sigma_is_correct_over_many_drives(seconds, speed):
     errors, said = [], []
     for seed in range(100):
         drive = driven(seed, seconds)
@@ -285,7 +285,7 @@ def test_sigma_is_right_over_many_drives(seconds, speed):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("walk", [2e-5, 5e-5])
-def test_a_bias_that_walks_is_not_taken_for_a_noisy_gyro(walk):
+def test_a_random_walk_of_the_bias_is_not_taken_for_gyro_noise(walk):
     """Half an hour: the rate is off by .05 to .1 °/s at the end, and not at the beginning."""
     drive = driven(7, 1800.0)
     second = np.diff(drive.time, prepend=drive.time[0])[:, None]

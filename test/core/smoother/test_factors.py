@@ -84,9 +84,9 @@ def forward(count: int) -> np.ndarray:
 
 
 def followed(_: Course, state: State) -> Linear:
-    keeps = np.linspace(0.1, 0.9, 2 * (len(state.local) - 1)).reshape(2, -1)
+    correlation = np.linspace(0.1, 0.9, 2 * (len(state.local) - 1)).reshape(2, -1)
     return factors.second_order(
-        state, ACCELERATION.start, keeps, (VELOCITY.start, ACCELERATION.start)
+        state, ACCELERATION.start, correlation, (VELOCITY.start, ACCELERATION.start)
     )
 
 
@@ -134,7 +134,7 @@ def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
     """Return the derivative of a prediction along a step."""
 
     def at(sign: float) -> np.ndarray:
-        # Without a gyro nothing tells where ahead is.
+        # Without a gyro the direction ahead is unknown.
         ahead = sign * STEP * shared[AT["mounting_yaw"]] * (factor is factors.force)
         turned = replace(course, axes=course.axes @ rotation_about(factors.Z, ahead)[0])
         return factor(turned, state.moved(sign * STEP * local, sign * STEP * shared)).residual
@@ -143,27 +143,27 @@ def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
 
 
 @pytest.mark.parametrize("factor", FACTORS, ids=lambda f: f.__name__)
-def test_derivatives_by_the_nodes_unknowns(
+def test_derivatives_by_unknowns_of_nodes_are_correct(
     course: Course, state: State, factor: Callable[[Course, State], Linear]
 ) -> None:
     linear = factor(course, state)
-    scale = max(np.abs(linear.here).max(), 1.0)
+    scale = max(np.abs(linear.by_node).max(), 1.0)
     count, none = len(linear.residual), np.zeros(SHARED + 12)
     for unknown in range(LOCAL):
         for parity in (0, 1):
             local = np.zeros((len(state.local), LOCAL))
             local[parity::2, unknown] = 1.0
             expected = np.zeros_like(linear.residual)
-            expected[parity::2] = linear.here[parity::2, :, unknown]
-            if linear.there is not None:
+            expected[parity::2] = linear.by_node[parity::2, :, unknown]
+            if linear.by_next is not None:
                 rows = np.arange(1 - parity, count, 2)
-                expected[rows] += linear.there[rows, :, unknown]
+                expected[rows] += linear.by_next[rows, :, unknown]
             found = change(factor, course, state, local, none)
             np.testing.assert_allclose(found, expected, atol=1e-3 * scale)
 
 
 @pytest.mark.parametrize("factor", BY_SHARED, ids=lambda f: f.__name__)
-def test_derivatives_by_the_shared_unknowns(
+def test_derivatives_by_shared_unknowns_are_correct(
     course: Course, state: State, factor: Callable[[Course, State], Linear]
 ) -> None:
     linear = factor(course, state)

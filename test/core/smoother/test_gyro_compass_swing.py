@@ -1,4 +1,4 @@
-"""The gyro's word against the compass's: silent on clean turns, loud in a distorted room."""
+"""The deviation of compass from gyro: small for good turns, large in a distorted room."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ def known(robot):
 @pytest.mark.parametrize(
     ("arc", "samples"), [(360.0, 60), pytest.param(180.0, 500, marks=pytest.mark.nightly)]
 )
-def test_a_clean_turn_reads_next_to_nothing(arc, samples):
+def test_a_good_turn_has_a_small_deviation(arc, samples):
     robot = Robot()
     motion = turn(arc=arc * DEGREE, samples=samples)
     estimate = fit(
@@ -33,7 +33,7 @@ def test_a_clean_turn_reads_next_to_nothing(arc, samples):
 
 @pytest.mark.parametrize("phase", first_of([0.0, 1.0, 2.0]))
 @pytest.mark.parametrize("swing_deg", first_of([27.0, 19.0]))
-def test_a_room_that_turns_the_field_shows_in_its_true_size(phase, swing_deg):
+def test_the_deviation_in_a_distorted_room_has_the_true_size(phase, swing_deg):
     robot, motion, rng = Robot(), turn(), np.random.default_rng(2)
     window = measure(robot, motion, rng, gyro=True)
     swing = swing_deg * DEGREE * np.sin(np.linspace(0.0, 2.0 * math.pi, len(window)) + phase)

@@ -1,4 +1,4 @@
-"""Robots that stand at known headings and never turn."""
+"""Robots at rest at known headings, without a turn."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 from long_form import first_of
 
 from magcal_ros.core import Belief, Knowledge, Reason, ReferenceField, Refusal
-from magcal_ros.core.calibration import heading_jacobian, headings_apart
+from magcal_ros.core.calibration import heading_differences, heading_jacobian
 from magcal_ros.core.geometry import STANDARD_GRAVITY, field_in_enu, rotation_from_rpy, wrapped
 from magcal_ros.core.methods import declination_hint
 from magcal_ros.core.methods.known_headings import fit
-from magcal_ros.core.session import add_standing
+from magcal_ros.core.session import add_known_heading
 from magcal_ros.core.simulation import DEGREE, Robot
-from magcal_ros.core.smoother import SIZES, Standing, fit_headings
+from magcal_ros.core.smoother import SIZES, KnownHeadingMeasurement, fit_headings
 
 ROBOT = Robot(yaw=2.0 * DEGREE)
 SIGMA = 1.0 * DEGREE
@@ -31,9 +31,9 @@ def knowledge(declination: float = 0.0) -> Knowledge:
     return Knowledge(reference)
 
 
-def standings(
+def measurements(
     yaws=THREE, rng=None, place: float = 0.0, robot: Robot = ROBOT, is_true: bool = False
-) -> list[Standing]:
+) -> list[KnownHeadingMeasurement]:
     """Return what a robot measures at headings to magnetic north, by chance if there is any."""
     found = []
     for yaw in yaws:
@@ -46,24 +46,26 @@ def standings(
             told = yaw + SIGMA * rng.standard_normal()
         field = robot.raw_field((pose @ here)[None])[0]
         force = STANDARD_GRAVITY * pose[:, 2]
-        found.append(Standing(field, force, wrapped(told), SIGMA, by_declination=is_true))
+        found.append(
+            KnownHeadingMeasurement(field, force, wrapped(told), SIGMA, by_declination=is_true)
+        )
     return found
 
 
 def off(correction, robot: Robot = ROBOT) -> np.ndarray:
-    return headings_apart(robot.true_correction, correction, robot.strength, robot.inclination)
+    return heading_differences(robot.true_correction, correction, robot.strength, robot.inclination)
 
 
-def test_three_known_headings_show_all_that_a_turn_does_and_the_yaw_of_the_installation():
-    found = fit(standings(), knowledge())
+def test_three_known_headings_determine_the_calibration_and_the_installation_yaw():
+    found = fit(measurements(), knowledge())
     assert np.abs(off(found.correction)).max() < 0.3 * DEGREE
     assert found.installation is not None
     assert found.installation.yaw == pytest.approx(ROBOT.yaw, abs=0.3 * DEGREE)
     assert found.arc > 3.5
 
 
-def test_one_known_heading_is_right_near_it_and_says_what_it_does_not_show():
-    found = fit_headings(standings([0.0]), knowledge()).posterior
+def test_one_known_heading_is_correct_near_it_and_uncertain_elsewhere():
+    found = fit_headings(measurements([0.0]), knowledge()).posterior
     field = field_in_enu(ROBOT.strength, ROBOT.inclination)
     jacobian = heading_jacobian(found.correction, field, 0.0)
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", jacobian, found.covariance, jacobian))
@@ -76,52 +78,54 @@ def test_one_known_heading_is_right_near_it_and_says_what_it_does_not_show():
 
 
 @pytest.mark.parametrize("yaws", [(0.5, 3.4), THREE], ids=len)
-def test_sigma_is_honest(yaws, request):
+def test_the_sigma_is_correct(yaws, request):
     many = request.config.getoption("markexpr") == ""
     ratios = []
     for seed in range(120 if many else 4):
         rng = np.random.default_rng(seed)
         robot = replace(ROBOT, yaw=2.0 * DEGREE * rng.standard_normal())
-        found = fit_headings(standings(yaws, rng, 0.9e-6, robot), knowledge()).posterior
+        found = fit_headings(measurements(yaws, rng, 0.9e-6, robot), knowledge()).posterior
         ratios.append(np.mean(off(found.correction, robot) ** 2) / found.heading_sigma**2)
     assert 0.3 < np.mean(ratios) < 1.5
 
 
 @pytest.mark.parametrize("seeds", first_of([2, 8]))
-def test_a_street_passed_once_counts_as_one_place(seeds):
+def test_a_street_passed_once_counts_once(seeds):
     ratios = []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         robot = replace(ROBOT, yaw=2.0 * DEGREE * rng.standard_normal())
-        kept, way = [], 6.0
-        keeps, here = math.exp(-way / 30.0), 2e-6 * rng.standard_normal(3)
+        kept, distance = [], 6.0
+        correlation, here = math.exp(-distance / 30.0), 2e-6 * rng.standard_normal(3)
         for yaw in np.repeat(np.linspace(0.0, math.tau, 4, endpoint=False), 10):
-            here = keeps * here + 2e-6 * math.sqrt(1.0 - keeps**2) * rng.standard_normal(3)
-            (standing,) = standings([yaw + 0.2 * rng.standard_normal()], rng, 0.0, robot)
+            here = correlation * here + 2e-6 * math.sqrt(
+                1.0 - correlation**2
+            ) * rng.standard_normal(3)
+            (measurement,) = measurements([yaw + 0.2 * rng.standard_normal()], rng, 0.0, robot)
             pose = rotation_from_rpy(0.0, 0.0, yaw).T
-            bent = standing.field + robot.distortion @ pose @ here
-            kept.append(replace(standing, field=bent, way=way))
+            bent = measurement.field + robot.distortion @ pose @ here
+            kept.append(replace(measurement, field=bent, distance=distance))
         found = fit_headings(kept, knowledge(), SIZES["street"]).posterior
         ratios.append(np.mean(off(found.correction, robot) ** 2) / found.heading_sigma**2)
     assert 0.3 < np.mean(ratios) < 1.5
 
 
 def by_antennas(seed, drift):
-    """What a device's headings show along a street, by a gyro that is off by .03°/s."""
+    """The fit to a device's headings along a street, with a gyro bias of .03°/s."""
     rng = np.random.default_rng(seed)
     robot = replace(ROBOT, yaw=2.0 * DEGREE * rng.standard_normal())
     bias = 0.03 * DEGREE * rng.standard_normal()
     yaws = np.cumsum(rng.choice([0.0, 0.0, 0.5 * math.pi, -0.5 * math.pi], 40))
     off, here, kept = drift * DEGREE * rng.standard_normal(), 1e-6 * rng.standard_normal(3), []
     for k, yaw in enumerate(yaws):
-        (told,) = standings([yaw], rng, 0.0, robot)
+        (told,) = measurements([yaw], rng, 0.0, robot)
         here = math.exp(-1.0) * here + 1e-6 * 0.93 * rng.standard_normal(3)
         off = math.exp(-0.05) * off + drift * DEGREE * 0.31 * rng.standard_normal()
         bent = told.field + robot.distortion @ rotation_from_rpy(0.0, 0.0, yaw).T @ here
         turned = yaw - yaws[k - 1] + 5.0 * bias + 0.2 * DEGREE * rng.standard_normal()
         by_gyro = {"turned": turned, "turned_sigma": 0.3 * DEGREE} if k else {}
         kept.append(
-            replace(told, field=bent, heading=wrapped(told.heading + off), way=30.0, **by_gyro)
+            replace(told, field=bent, heading=wrapped(told.heading + off), distance=30.0, **by_gyro)
         )
         kept[-1] = replace(kept[-1], seconds=5.0 if k else 0.0, drifts=True)
     return robot, kept
@@ -131,7 +135,7 @@ LONG = [pytest.param(drift, 30, marks=pytest.mark.nightly) for drift in (0.0, 2.
 
 
 @pytest.mark.parametrize(("drift", "seeds"), [(4.0, 3), *LONG])
-def test_headings_of_a_device_that_drift_are_in_sigma_and_right_ones_cost_little(drift, seeds):
+def test_drifting_headings_enlarge_the_sigma_and_correct_ones_hardly(drift, seeds):
     squares = []
     for seed in range(seeds):
         robot, kept = by_antennas(50_000 + seed, drift)
@@ -144,7 +148,7 @@ def test_headings_of_a_device_that_drift_are_in_sigma_and_right_ones_cost_little
         assert said < (0.9 * DEGREE) ** 2
 
 
-def test_a_device_that_integrates_a_gyro_may_drift_evenly_from_the_start():
+def test_a_device_that_integrates_a_gyro_may_drift_at_a_constant_rate():
     """By .12°/s, which is 24° in the end."""
     squares = []
     for seed in range(86_200, 86_204):
@@ -170,22 +174,22 @@ def test_a_device_that_integrates_a_gyro_may_drift_evenly_from_the_start():
         pytest.param(lambda yaw: yaw + math.pi, "half a turn", marks=pytest.mark.nightly),
     ],
 )
-def test_headings_that_are_read_wrongly_are_named(read, named):
-    told = [replace(each, heading=wrapped(read(each.heading))) for each in standings()]
+def test_wrongly_interpreted_headings_are_named(read, named):
+    told = [replace(each, heading=wrapped(read(each.heading))) for each in measurements()]
     with pytest.raises(Refusal, match=named) as refusal:
         fit(told, knowledge())
     assert refusal.value.reason is Reason.HEADING_CONTRADICTED
 
 
 def test_the_heading_that_contradicts_the_others_is_named():
-    told = standings()
+    told = measurements()
     told[1] = replace(told[1], heading=told[1].heading + 0.7)
     with pytest.raises(Refusal, match="Known heading 2 of 3"):
         fit(told, knowledge())
 
 
-def test_a_gyro_that_turned_otherwise_is_named():
-    told = standings()
+def test_a_gyro_that_measured_another_turn_is_named():
+    told = measurements()
     for k in (1, 2):
         turned = wrapped(told[k].heading - told[k - 1].heading)
         told[k] = replace(told[k], turned=turned, turned_sigma=2.0 * DEGREE)
@@ -195,9 +199,9 @@ def test_a_gyro_that_turned_otherwise_is_named():
         fit(told, knowledge())
 
 
-def test_magnetic_north_told_as_true_is_said():
+def test_magnetic_headings_given_as_true_are_reported():
     declination = 12.0 * DEGREE
-    right = standings(robot=Robot(), is_true=True)
+    right = measurements(robot=Robot(), is_true=True)
     known = knowledge(declination)
     assert not declination_hint(fit(right, known), right, known)
     wrong = [replace(each, heading=wrapped(each.heading + declination)) for each in right]
@@ -208,22 +212,22 @@ def test_magnetic_north_told_as_true_is_said():
 
 def test_headings_to_true_north_share_the_declinations_error():
     known = knowledge(10.0 * DEGREE)
-    alone = fit_headings(standings(), known).posterior.heading_sigma
-    shared = fit_headings(standings(is_true=True), known).posterior.heading_sigma
+    alone = fit_headings(measurements(), known).posterior.heading_sigma
+    shared = fit_headings(measurements(is_true=True), known).posterior.heading_sigma
     assert shared**2 - alone**2 == pytest.approx((0.5 * DEGREE) ** 2, rel=0.4)
 
 
-def test_standings_add_up_and_one_that_says_the_same_takes_its_place():
+def test_measurements_accumulate_and_a_repeated_one_is_replaced():
     kept, sigmas = (), []
-    for each in standings():
-        found = add_standing(kept, each, knowledge())
+    for each in measurements():
+        found = add_known_heading(kept, each, knowledge())
         assert found.applies
-        kept = found.standings
+        kept = found.measurements
         sigmas.append(found.outcome.verdict.summary)
         assert "One more known heading" in found.words
     assert len(kept) == 3
-    assert len(add_standing(kept, standings()[0], knowledge()).standings) == 3
-    wrong = add_standing(kept, replace(standings([1.0])[0], heading=-1.0), knowledge())
-    assert wrong.standings == kept
+    assert len(add_known_heading(kept, measurements()[0], knowledge()).measurements) == 3
+    wrong = add_known_heading(kept, replace(measurements([1.0])[0], heading=-1.0), knowledge())
+    assert wrong.measurements == kept
     assert not wrong.applies
     assert "Earlier known headings that are kept: 3." in wrong.words

@@ -1,4 +1,4 @@
-"""Iron that is added on the way is told from streets, and when it came is found."""
+"""Iron added during a drive is distinguished from streets, and its time is found."""
 
 import math
 
@@ -11,8 +11,8 @@ from streets import BOSTON, driven, heading_error, log_from
 
 from magcal_ros.core import Calibration
 from magcal_ros.core.calibration import Evidence
-from magcal_ros.core.keeping import KEEPING
 from magcal_ros.core.samples import DriveRecorder, FieldSample, ImuSample, Pair
+from magcal_ros.core.self_calibration import SELF_CALIBRATION
 from magcal_ros.core.smoother import drive_nodes, find_change
 
 NOBODY = np.eye(3)
@@ -21,7 +21,7 @@ CAME = 110.0
 
 
 def in_force(drive, sigma=math.radians(0.8), iron=(0.0, 0.0, 0.0)):
-    """What a turn left: right but for some iron, tesla, known to sigma, radians of heading."""
+    """A calibration by a turn, correct but for some iron (tesla), with a sigma in radians."""
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = np.eye(3) * (sigma * LEVEL) ** 2
     robot = drive.vehicle.with_iron(np.array(iron)).robot
@@ -43,12 +43,12 @@ def gain(drive, **promise):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", first_of([4, 7]))
-def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
+def test_iron_added_half_a_minute_ago_is_found_with_its_time(seed):
     iron = (8e-6, -6e-6, 0.0)
     drive = driven(seed, CAME + 30.0, irons=(Iron(iron, CAME),))
     found = changed(drive)
     since = found.since - drive.time[0]
-    assert found.gain > KEEPING.notice_proof
+    assert found.gain > SELF_CALIBRATION.notice_proof
     assert since == pytest.approx(CAME, abs=1.5)
     with_iron = drive.vehicle.with_iron(np.array(iron)).robot
     assert heading_error(in_force(drive).correction, with_iron) > 10.0
@@ -58,19 +58,19 @@ def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
 
 @pytest.mark.parametrize("seed", first_of([4, 7]))
 def test_streets_are_no_change(seed):
-    assert gain(driven(seed, 150.0)) < KEEPING.notice_proof
+    assert gain(driven(seed, 150.0)) < SELF_CALIBRATION.notice_proof
 
 
 @pytest.mark.nightly
-def test_what_the_calibration_itself_is_uncertain_by_is_no_change():
+def test_the_uncertainty_of_the_calibration_is_no_change():
     drive = driven(4, 120.0)
     off = {"iron": (6e-6, 0.0, 0.0)}
     rough, sure = (gain(drive, sigma=math.radians(sigma), **off) for sigma in (10.0, 0.3))
-    assert rough < KEEPING.notice_proof < sure
+    assert rough < SELF_CALIBRATION.notice_proof < sure
 
 
 def recorded(drive, added):
-    """What a recorder keeps of a drive to whose field something is added, tesla."""
+    """The log of a drive to whose field something is added, tesla."""
     recorder = DriveRecorder(600.0)
     rows = zip(drive.time, drive.field + added, drive.force, drive.rate, strict=True)
     for stamp, field, force, rate in rows:
@@ -88,21 +88,21 @@ def from_a_stop(seed):
 
 
 @pytest.mark.parametrize("quarter", first_of(range(4)))
-def test_iron_that_comes_to_a_robot_at_rest_is_told_before_it_turns(quarter):
+def test_iron_added_at_rest_is_found_before_a_turn(quarter):
     drive, start = from_a_stop(5)
     way = 0.5 * math.pi * quarter
     iron = 10e-6 * np.array([math.cos(way), math.sin(way), 0.0])
     log = recorded(drive, np.outer(drive.time > start - 4.0, iron))
     found = find_change(drive_nodes(log, NOBODY), in_force(drive), BOSTON)
-    assert found.gain > KEEPING.notice_proof
+    assert found.gain > SELF_CALIBRATION.notice_proof
     came = found.fit.posterior.correction.hard_iron - in_force(drive).correction.hard_iron
     assert came == pytest.approx(iron, abs=3e-6)
 
 
 @pytest.mark.nightly
-def test_steel_that_a_drive_comes_to_is_no_iron():
+def test_steel_beside_the_road_is_not_taken_for_added_iron():
     drive, start = from_a_stop(5)
     steel = (drive.time > start + 15.0)[:, None] * (drive.truth.attitude @ [0.0, 12e-6, -9e-6])
     nodes = drive_nodes(recorded(drive, steel), NOBODY)
     found = find_change(nodes, in_force(drive), BOSTON)
-    assert found is None or found.gain < KEEPING.notice_proof
+    assert found is None or found.gain < SELF_CALIBRATION.notice_proof

@@ -1,4 +1,4 @@
-"""What the smoother recovers, and how certain it says it is."""
+"""The smoother recovers simulated turns within its sigma."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_clean_turn_is_recovered():
 @pytest.mark.nightly
 @pytest.mark.parametrize("by_rate", [False, True])
 @pytest.mark.parametrize("size", [3e-6, 20e-6])
-def test_rests_tell_the_motors_field_from_hard_iron(size, by_rate):
+def test_rests_distinguish_the_motor_field_from_hard_iron(size, by_rate):
     motion, window = driven(evenly, ROBOT, 3.0)
     estimate = fit(collected(with_motors(window, motion, size, by_rate=by_rate)), known(ROBOT))
     error = error_of(estimate, ROBOT)
@@ -73,7 +73,7 @@ def test_hard_iron_that_drifts_is_named(size, grade):
 
 
 @pytest.mark.nightly
-def test_a_smooth_circle_leaves_a_doubt_that_sigma_holds():
+def test_a_smooth_circle_has_a_large_and_correct_sigma():
     """A bias of the gyro across up looks the same where nothing rests."""
     robot = replace(ROBOT, inclination=68.0 * DEGREE)
     motion, window = driven(lambda time: 1.0 + 0.0 * time, robot, 0.0)
@@ -87,7 +87,7 @@ def test_a_smooth_circle_leaves_a_doubt_that_sigma_holds():
 
 
 @pytest.mark.nightly
-def test_a_bent_field_shows_in_the_swing_of_compass_against_gyro():
+def test_a_disturbed_field_shows_in_the_deviation_of_compass_from_gyro():
     motion, window = driven(evenly, ROBOT, 3.0)
     yaw = np.arctan2(motion.attitude[:, 0, 1], motion.attitude[:, 0, 0])
     bent = 3e-6 * np.column_stack([np.cos(yaw), np.sin(2.0 * yaw), np.zeros(len(yaw))])
@@ -105,7 +105,7 @@ def test_soft_iron_is_found():
     assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
 
 
-def test_effects_that_are_not_there_stay_near_zero():
+def test_absent_effects_are_near_zero():
     robot = Robot(noise_field=0.3e-6)
     window = measure(robot, turn(), np.random.default_rng(2), gyro=True)
     shared = smooth(window, known(robot)).fit.state.shared
@@ -115,7 +115,7 @@ def test_effects_that_are_not_there_stay_near_zero():
 
 
 @pytest.mark.nightly
-def test_squared_errors_are_as_large_as_their_variance():
+def test_squared_errors_match_their_variance():
     ratios = []
     for seed in range(24):
         rng = np.random.default_rng([11, seed])
@@ -155,8 +155,8 @@ def slowly(every: int, seed: int, *, means: bool) -> Window:
     ],
     ids=str,
 )
-def test_samples_that_come_slowly_tell_the_turn_and_not_more_of_its_sway(every, means, monkeypatch):
-    """The sway alone tells the vertical hard iron, and the gyro sees little of it between them."""
+def test_slow_samples_determine_the_turn_but_not_its_sway(every, means, monkeypatch):
+    """The sway alone determines the vertical hard iron; slow gyro samples miss most of it."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
     estimate = fit(slowly(every, 2, means=means))
     rms = np.sqrt(np.mean(heading_errors(estimate.correction, ROBOT) ** 2, axis=0))
@@ -167,8 +167,8 @@ def test_samples_that_come_slowly_tell_the_turn_and_not_more_of_its_sway(every, 
 @pytest.mark.nightly
 @pytest.mark.parametrize("means", [False, True])
 @pytest.mark.parametrize("every", [5, 6])
-def test_tilted_headings_of_5_hz_are_as_good_as_said(every, means, monkeypatch):
-    """Single readings were 1.5 times as far off as said: half of the sway of 2 Hz was missed."""
+def test_tilted_headings_at_5_hz_have_a_correct_sigma(every, means, monkeypatch):
+    """Single readings erred 1.5 times the sigma: half of the sway of 2 Hz was missed."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
     ratios = []
     for seed in range(1, 11):
@@ -179,15 +179,15 @@ def test_tilted_headings_of_5_hz_are_as_good_as_said(every, means, monkeypatch):
 
 
 @pytest.mark.parametrize("every", first_of([30, 15]))
-def test_a_swaying_turn_read_once_a_second_is_refused_with_its_rate(every, monkeypatch):
-    """20 degrees wrong at 10 degrees of tilt, at 2.4 said, while a drive answered for them."""
+def test_a_swaying_turn_sampled_once_a_second_is_refused(every, monkeypatch):
+    """Explained by a drive they erred by 20 degrees at 10 degrees of tilt, sigma 2.4."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
     outcome = calibrate(slowly(every, 2, means=False), Knowledge())
     assert outcome.reason is Reason.TOO_SLOW
     assert f"come at {30 // every} Hz" in outcome.verdict.summary
 
 
-def test_a_fit_tells_how_much_of_it_is_done():
+def test_a_fit_reports_its_progress():
     window = measure(ROBOT, turn(duration=20.0), np.random.default_rng(3), gyro=True)
     told: list[float] = []
     assert calibrate(window, known(ROBOT), progress=told.append).verdict.accepted
@@ -195,7 +195,7 @@ def test_a_fit_tells_how_much_of_it_is_done():
     assert 0.0 <= told[0] < 0.1 < 0.25 < told[-1] <= 1.0
 
 
-def test_steps_after_one_that_made_the_evidence_worse_are_shortened():
+def test_steps_are_shortened_after_a_loss_of_evidence():
     worse = Damping().next(10.0).next(12.0)
     assert worse.share == 0.5
     assert worse.next(13.0).share == 0.25

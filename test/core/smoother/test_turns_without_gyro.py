@@ -1,4 +1,4 @@
-"""What the smoother recovers of turns without a gyro, or with one of which an axis is dead."""
+"""The smoother recovers turns without a gyro, or with a dead axis of the gyro."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simulated.turns import Motion, measure, smooth_wobble, turn
 from magcal_ros.core import Figure, Knowledge, Reason, Refusal, Window
 from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.methods.smoother import fit
-from magcal_ros.core.samples import living_axes
+from magcal_ros.core.samples import working_axes
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors
 
 ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05)
@@ -42,7 +42,7 @@ def down_of(estimate) -> float:
 
 @pytest.fixture(scope="module")
 def level():
-    """Return a level turn, and what is found of it."""
+    """Return a level turn and its fit."""
     window = measure(ROBOT, turn(), np.random.default_rng(2))
     return window, fit(window, known(ROBOT))
 
@@ -94,7 +94,7 @@ def swaying(height: float, seed: int) -> Window:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("height", first_of([0.3, 0.0]))
-def test_lean_is_told_from_sway_that_shakes_a_high_accelerometer(height):
+def test_tilt_is_distinguished_from_sway_of_a_high_accelerometer(height):
     """Taken for lean, the shaking would shrink the field: the heading on slopes would be wrong."""
     estimate = fit(swaying(height, 3), Knowledge())
     error = error_on_slopes(estimate, ROBOT)
@@ -105,7 +105,7 @@ def test_lean_is_told_from_sway_that_shakes_a_high_accelerometer(height):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("number", first_of([9910, 9909, 9904]))
-def test_what_sway_lifts_beside_the_pivot_is_not_taken_for_a_lever_arm_of_a_metre(number):
+def test_sway_beside_the_pivot_is_not_taken_for_a_long_lever_arm(number):
     """A lever arm would explain the changes upward by a lean of the body, and hide the true one."""
     scene, knowledge = by_turn("fast", "typical", "open")(number)
     estimate = fit(replace(scene.window, angular_rate=None), knowledge)
@@ -116,7 +116,7 @@ def test_what_sway_lifts_beside_the_pivot_is_not_taken_for_a_lever_arm_of_a_metr
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("height", [0.3, 0.0])
-def test_how_far_a_body_sways_is_told_without_bias(height):
+def test_the_size_of_the_sway_is_unbiased(height):
     """The most likely leans are too small, and with them the downward field is too large."""
     ratios = []
     for seed in range(5, 9):
@@ -127,19 +127,19 @@ def test_how_far_a_body_sways_is_told_without_bias(height):
     assert abs(np.mean(ratios)) < 0.025
 
 
-def test_a_dead_axis_is_not_believed():
+def test_a_dead_axis_is_not_used():
     """On a slope the body leans all round, which the dead axes say it does not."""
     motion = turn(start_rpy=(0.15, 0.0, 0.3))
     window = measure(ROBOT, motion, np.random.default_rng(4), gyro=True)
     rate = window.angular_rate * [0.0, 0.0, 1.0]
-    assert living_axes(rate) == (False, False, True)
+    assert working_axes(rate) == (False, False, True)
     estimate = fit(replace(window, angular_rate=rate), known(ROBOT))
     error = error_of(estimate, ROBOT)
     assert error < 0.5 * DEGREE
     assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
 
 
-def test_a_gyro_that_is_all_zeros_is_none(level):
+def test_a_gyro_of_zeros_counts_as_absent(level):
     window, one = level
     other = fit(replace(window, angular_rate=np.zeros((len(window), 3))), known(ROBOT))
     np.testing.assert_array_equal(one.correction.matrix, other.correction.matrix)
@@ -154,7 +154,7 @@ def test_a_gyro_that_is_all_zeros_is_none(level):
     ],
     ids=["short", "still", "along the field"],
 )  # fmt: skip
-def test_turns_that_show_too_little_are_refused_in_words(motion: Motion, reason: Reason):
+def test_turns_with_too_little_information_are_refused(motion: Motion, reason: Reason):
     window = measure(ROBOT, motion, np.random.default_rng(6))
     with pytest.raises(Refusal) as refused:
         fit(window, known(ROBOT))

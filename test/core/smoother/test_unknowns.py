@@ -1,4 +1,4 @@
-"""What is believed of the unknowns before the samples."""
+"""The priors of the unknowns."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_other_groups_do_not_depend_on_the_sensor_module():
     assert variance < PRIORS.spread["axes"] ** 2
 
 
-def test_a_distortion_is_one_of_axes_or_of_soft_iron():
+def test_a_distortion_is_of_axes_or_of_soft_iron():
     """The density of the whole is that of two independent causes whose squares add up."""
     rng = np.random.default_rng(0)
     axes = np.exp(PRIORS.spread["axes"] * rng.standard_normal(400_000))
@@ -56,7 +56,7 @@ def test_a_distortion_is_one_of_axes_or_of_soft_iron():
         assert math.isclose(expected, np.mean(axes[near] ** 2), rel_tol=0.1)
 
 
-def test_a_large_distortion_is_rather_soft_iron():
+def test_a_large_distortion_is_attributed_to_soft_iron():
     x, log_density = PRIORS.factors_of("axes", {"soft_iron": 30.0})
     expected = math.sqrt(np.average(np.exp(2.0 * x), weights=np.exp(log_density)))
     assert expected < PRIORS.most["axes"] / 2.0

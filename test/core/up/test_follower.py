@@ -1,4 +1,4 @@
-"""Up stays up on circles, starts, stops and ramps, and through whatever the messages do."""
+"""Up is correct on circles, starts, stops and ramps, and with faulty messages."""
 
 import dataclasses
 import math
@@ -22,12 +22,12 @@ MIRRORED = (-1.0, -1.0, -1.0)
 
 @pytest.fixture
 def watched():
-    """Return a robot that can be driven, and the errors of the up that follows it."""
+    """Return a robot that can be driven, and the errors of its estimated up."""
     errors = TiltErrors(UpFollower())
     return Course(errors), errors
 
 
-def test_the_first_message_gives_up():
+def test_the_first_message_gives_an_up_vector():
     follower = UpFollower()
     assert follower.at(1.0, 0.2) is None
     follower.add(ImuSample(1.0, (G * math.sin(0.1), 0.0, G * math.cos(0.1)), (0.0, 0.0, 0.01)))
@@ -36,7 +36,7 @@ def test_the_first_message_gives_up():
     assert up.variance > 0.05**2
 
 
-def test_at_rest_it_is_the_averaged_accelerometer(watched):
+def test_at_rest_up_is_the_averaged_accelerometer(watched):
     course, errors = watched
     course.ride.stand(0.1, -0.2, 1.0)
     course.go(5.0)
@@ -44,7 +44,7 @@ def test_at_rest_it_is_the_averaged_accelerometer(watched):
     assert errors.sigmas[-1] < 0.3
 
 
-def test_a_circle_does_not_tilt_it(watched):
+def test_a_circle_does_not_tilt_up(watched):
     """The accelerometer leans by 8.7 degrees."""
     course, errors = watched
     course.go(3.0)
@@ -53,7 +53,7 @@ def test_a_circle_does_not_tilt_it(watched):
     assert errors.rms() < 0.6
 
 
-def test_a_circle_that_was_never_left_is_seen_through(watched):
+def test_a_circle_from_the_start_does_not_tilt_up(watched):
     course, errors = watched
     course.circle(30.0)
     assert errors.errors[0] > 8.0
@@ -61,7 +61,7 @@ def test_a_circle_that_was_never_left_is_seen_through(watched):
 
 
 @pytest.mark.parametrize("seed", first_of([1, 2, 3]))
-def test_starts_and_stops_pass(seed):
+def test_starts_and_stops_have_a_short_effect(seed):
     errors = TiltErrors(UpFollower())
     course = Course(errors, seed=seed)
     course.go(3.0)
@@ -73,7 +73,7 @@ def test_starts_and_stops_pass(seed):
     assert errors.rms() < 0.4
 
 
-def test_a_ramp_is_followed_at_once(watched):
+def test_a_ramp_is_followed_immediately(watched):
     course, errors = watched
     course.go(3.0)
     errors.errors.clear()
@@ -91,7 +91,7 @@ def test_a_robot_set_down_elsewhere_is_found_within_a_second(watched):
 
 
 @pytest.mark.nightly
-def test_the_variance_is_honest_while_driving():
+def test_the_variance_is_correct_while_driving():
     ratios = []
     for seed in range(2):
         errors = TiltErrors(UpFollower())
@@ -115,7 +115,7 @@ BIASES = [(2.2, 0.0, 0.0), (3.5, 2.0, 1.9), (5.0, -5.0, 5.0), (0.0, 0.0, 5.0)]
 
 
 @pytest.mark.parametrize("bias", first_of(BIASES))
-def test_a_large_bias_is_learnt_at_rest_and_honestly_said_before(bias):
+def test_a_large_bias_is_learnt_at_rest_and_in_the_variance_before(bias):
     course, errors = with_bias(*bias)
     course.go(10.0)
     assert np.max(np.divide(errors.errors, errors.sigmas)[:200]) < 2.5
@@ -128,7 +128,7 @@ def test_a_large_bias_is_learnt_at_rest_and_honestly_said_before(bias):
 
 
 @pytest.mark.parametrize("bias", first_of(BIASES))
-def test_what_a_rest_has_shown_of_the_gyro_is_told_and_nothing_else(bias):
+def test_the_bias_at_rest_is_available_after_a_rest_only(bias):
     course, errors = with_bias(*bias)
     follow = errors.follower
     course.circle(15.0)
@@ -142,7 +142,7 @@ def test_what_a_rest_has_shown_of_the_gyro_is_told_and_nothing_else(bias):
     assert np.abs(np.array(follow.gyro_at_rest.rate) - np.radians(bias)).max() < 3e-3
 
 
-def test_without_a_field_a_bias_about_up_is_left_and_up_is_right_all_the_same():
+def test_without_a_field_a_bias_about_up_remains_and_up_is_correct():
     course, errors = with_bias(5.0, 0.0, 5.0)
     follow = errors.follower
     follow.add_field = lambda stamp, field: None
@@ -163,7 +163,7 @@ def test_a_slow_even_circle_is_not_taken_for_rest():
     assert errors.rms(last=2000) < 0.8
 
 
-def test_a_car_with_a_bias_stands_upright(recording):
+def test_a_car_with_a_gyro_bias_has_a_correct_up(recording):
     """It stands for fifteen seconds; the gyro reads 3.5, 2.0 and 1.9 degrees per second."""
     follower = UpFollower()
     samples = read_csv_folder(recording("car_neu2024_yash"))
@@ -180,7 +180,7 @@ def test_a_car_with_a_bias_stands_upright(recording):
     assert np.degrees(np.arccos(up @ mean / np.linalg.norm(mean))) < 1.0
 
 
-def test_a_car_that_circles_at_once_stays_upright(recording):
+def test_a_car_that_circles_from_the_start_has_a_correct_up(recording):
     """Its mean specific force leans by 5 degrees, and by 2 more or less from lap to lap."""
     follower = UpFollower()
     samples = read_csv_folder(recording("car_neu2024_harshith"))
@@ -198,17 +198,17 @@ def test_a_car_that_circles_at_once_stays_upright(recording):
     assert math.sqrt(np.mean(np.square(leans))) < 5.0
 
 
-def test_with_a_known_acceleration_stop_and_go_does_not_tilt_it():
-    """Never at rest, pulled by up to 12 degrees; the speed's derivative is a little wrong."""
+def test_with_a_known_acceleration_stop_and_go_does_not_tilt_up():
+    """Never at rest, accelerations of up to 12 degrees; the derivative of the speed errs."""
     errors = TiltErrors(UpFollower())
-    plain = TiltErrors(UpFollower())
+    printable = TiltErrors(UpFollower())
     rng = np.random.default_rng(4)
 
     def listen(sample, ride):
         if isinstance(sample, ImuSample):
             noise = 0.15 * rng.standard_normal(3)
             errors.take(sample, ride, linear_acceleration=tuple(1.03 * pull + noise))
-        plain(sample, ride)
+        printable(sample, ride)
 
     course = Course(listen, rate=50.0)
     for _ in range(6):
@@ -216,7 +216,7 @@ def test_with_a_known_acceleration_stop_and_go_does_not_tilt_it():
             pull = forward * FORWARD + 4.0 * rate * LEFT
             course.go(2.5, acceleration=pull, yaw_rate=rate)
     assert np.percentile(errors.errors, 90) <= 3.0
-    assert np.percentile(errors.errors, 90) < 0.5 * np.percentile(plain.errors, 90)
+    assert np.percentile(errors.errors, 90) < 0.5 * np.percentile(printable.errors, 90)
 
 
 class TestWithoutGyro:
@@ -226,7 +226,7 @@ class TestWithoutGyro:
         assert not errors.follower.is_propagated
         assert 0.0 < errors.rms(last=200) < 0.3
 
-    def test_a_pull_is_not_seen_through_but_its_variance_says_so(self):
+    def test_an_acceleration_tilts_up_and_is_in_the_variance(self):
         errors = TiltErrors(UpFollower())
         course = Course(errors, gyro=False)
         course.go(3.0)
@@ -237,7 +237,7 @@ class TestWithoutGyro:
         assert errors.sigmas[-1] > 10.0 * calm
         assert np.mean(np.square(np.divide(errors.errors, errors.sigmas))[400:]) < 3.0
 
-    def test_a_gyro_that_stays_away_and_comes_back(self, watched):
+    def test_a_gyro_that_stops_and_returns_is_used_again(self, watched):
         course, errors = watched
         course.go(3.0)
         course.listener = lambda sample, ride: errors(
@@ -251,14 +251,14 @@ class TestWithoutGyro:
         course.go(3.0)
         assert errors.rms() < 0.8
 
-    def test_rates_that_nobody_filled_are_no_gyro(self):
+    def test_unset_rates_count_as_no_gyro(self):
         follower = UpFollower()
         for k in range(100):
             follower.add(ImuSample(1.0 + 0.01 * k, (0.0, 0.0, G), (0.0, 0.0, 0.0)))
         assert not follower.is_propagated
 
 
-def test_a_mirrored_gyro_is_found_out(watched):
+def test_a_mirrored_gyro_is_detected(watched):
     course, errors = watched
 
     def mirror(sample, ride):
@@ -284,13 +284,13 @@ class TestAtAStamp:
         course.go(1.0, tipping=0.5 * FORWARD)
         return follower, course
 
-    def test_before_the_newest_message_it_is_interpolated(self):
+    def test_before_the_newest_message_up_is_interpolated(self):
         follower, _ = self.turning()
         up = follower.at(12.495, 0.2).direction
         expected = 0.5 * (12.495 - 12.0)
         assert math.atan2(up[1], up[2]) == pytest.approx(expected, abs=0.01)
 
-    def test_after_the_newest_message_the_body_turns_on(self):
+    def test_after_the_newest_message_the_rotation_continues(self):
         follower, _ = self.turning()
         angles = [
             math.atan2(up.direction[1], up.direction[2])
@@ -298,14 +298,14 @@ class TestAtAStamp:
         ]
         assert angles[1] - angles[0] == pytest.approx(0.05, abs=0.003)
 
-    def test_beyond_the_largest_gap_there_is_none(self):
+    def test_beyond_the_largest_gap_there_is_no_up(self):
         follower, _ = self.turning()
         assert follower.at(13.21, 0.2) is None
         assert follower.at(9.0, 0.2) is None
 
 
 @pytest.mark.parametrize("gap", [0.6, -1.0])
-def test_a_gap_or_a_step_back_starts_anew(gap):
+def test_a_gap_or_a_step_back_restarts_the_filter(gap):
     follower = UpFollower()
     Course(TiltErrors(follower)).go(2.0)
     follower.add(ImuSample(12.0 + gap, (G, 0.0, 0.0), (0.0, 0.0, 0.4)))
@@ -331,7 +331,7 @@ samples = st.builds(ImuSample, st.floats(0.0, 3.0), triples, triples)
 
 @examples(40)
 @given(st.lists(samples, max_size=30))
-def test_whatever_comes_up_is_a_unit_vector_with_a_variance(messages):
+def test_any_input_gives_a_unit_vector_with_a_variance(messages):
     follower = UpFollower()
     for message in messages:
         follower.add(message)

@@ -18,13 +18,13 @@ def nodding(check, sense, seconds=20.0, noise=0.002, seed=1):
         check.add(tuple(force + noise * rng.standard_normal(3)), (sense * rate * STEP, 0, 0), STEP)
 
 
-def test_a_gyro_that_turns_as_the_accelerometer_is_believed():
+def test_a_gyro_that_agrees_with_the_accelerometer_is_used():
     check = GyroCheck()
     nodding(check, 1.0)
     assert check.is_believed
 
 
-def test_a_mirrored_gyro_is_not_until_it_is_put_right():
+def test_a_mirrored_gyro_is_not_used_until_it_is_corrected():
     check = GyroCheck()
     nodding(check, -1.0)
     assert not check.is_believed
@@ -32,20 +32,20 @@ def test_a_mirrored_gyro_is_not_until_it_is_put_right():
     assert check.is_believed
 
 
-def test_a_steady_circle_says_nothing():
+def test_a_steady_circle_is_no_evidence():
     check = GyroCheck()
     for _ in range(1000):
         check.add((0.0, 0.15, 1.0), (0.0, 0.0, 0.5 * STEP), STEP)
     assert check.is_believed
 
 
-def test_noise_alone_says_nothing():
+def test_noise_alone_is_no_evidence():
     check = GyroCheck()
     nodding(check, 0.0, noise=0.02)
     assert check.is_believed
 
 
-def test_a_shaking_engine_makes_no_gyro_mirrored(recording):
+def test_engine_vibration_is_not_taken_for_a_mirrored_gyro(recording):
     """The engine shakes the rate about x by 0.09 rad/s, root mean square."""
     follower = UpFollower()
     for sample in read_csv_folder(recording("car_neu2024_gautham")).samples():
@@ -55,8 +55,8 @@ def test_a_shaking_engine_makes_no_gyro_mirrored(recording):
 
 
 @pytest.mark.parametrize(("sense", "believed"), [(1.0, True), (-1.0, False)])
-def test_under_shaking_a_nod_still_tells(sense, believed):
-    """The rate about x shakes at 5 Hz against the force, ten times stronger than the nod says."""
+def test_a_tilt_is_evidence_despite_vibration(sense, believed):
+    """The rate about x vibrates at 5 Hz against the force, ten times the rate of the tilt."""
     check, rng = GyroCheck(), np.random.default_rng(2)
     for k in range(1500):
         stamp = k * STEP
@@ -70,7 +70,7 @@ def test_under_shaking_a_nod_still_tells(sense, believed):
 
 
 @pytest.mark.parametrize(("noise", "propagates"), [(0.002, False), (0.0, True)])
-def test_a_gyro_with_one_living_axis_does_not_turn_a_leaning_up_about_it(noise, propagates):
+def test_a_gyro_with_one_working_axis_does_not_rotate_up_about_it(noise, propagates):
     """In a robot without noise, as simulated, two axes may rest and be right."""
     rng, follower = np.random.default_rng(3), UpFollower()
     lean = 0.0 if propagates else 0.22
@@ -84,7 +84,7 @@ def test_a_gyro_with_one_living_axis_does_not_turn_a_leaning_up_about_it(noise, 
     assert math.degrees(math.acos(min(1.0, float(up @ follower.newest)))) < 1.0
 
 
-def test_the_sway_of_a_car_that_rolls_straight_on_is_hardly_taken_for_a_bias():
+def test_the_sway_of_a_car_driving_straight_hardly_changes_the_bias():
     """Half a second of it is; the sway of one block is not that of the next all over again."""
     worst = np.zeros(4)
     for seed in range(4):

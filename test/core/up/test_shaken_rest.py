@@ -1,4 +1,4 @@
-"""A robot that stands while its engine shakes it shows the gyro's bias all the same."""
+"""A robot at rest with engine vibration shows the gyro's bias."""
 
 import math
 
@@ -24,7 +24,7 @@ class Vehicle:
         self.stamp = self.yaw = 0.0
 
     def go(self, seconds, turn=0.0, pull=(0.0, 0.0), field=True, swing=0.0):
-        """Live on, turning at a rate that swings by a share of it, pulled by m/s²."""
+        """Continue, turning at a varying rate, with an acceleration in m/s²."""
         for _ in range(round(seconds / STEP)):
             self.stamp += STEP
             rate = turn * (1.0 + swing * math.sin(self.stamp))
@@ -62,7 +62,7 @@ def test_ten_seconds_show_bias_and_up(seed):
 
 
 @pytest.mark.parametrize("seed", first_of([1, 2, 3]))
-def test_a_bias_of_a_cheap_gyro_is_taken_as_it_is_shown(seed):
+def test_a_large_bias_of_a_cheap_gyro_is_measured(seed):
     """It lies ten sigmas off what is expected of a gyro."""
     vehicle = Vehicle(seed, np.radians([3.0, -2.0, 1.0]))
     vehicle.go(10.0)
@@ -70,7 +70,7 @@ def test_a_bias_of_a_cheap_gyro_is_taken_as_it_is_shown(seed):
 
 
 @pytest.mark.parametrize("seed", first_of([1, 2, 3]))
-def test_circles_after_it_do_not_tilt_up(seed):
+def test_circles_after_the_rest_do_not_tilt_up(seed):
     vehicle = Vehicle(seed)
     vehicle.go(14.0)
     for _ in range(5):
@@ -79,7 +79,7 @@ def test_circles_after_it_do_not_tilt_up(seed):
 
 
 def shown(**changes):
-    """What six seconds of blocks show; each second's force, rate and field may be changed."""
+    """The result of six seconds of blocks; force, rate and field of each may be changed."""
     watch, said = ShakenRest(), []
     for second in range(6):
         values = {"force": (0.1, 0.0, 0.99), "rate": (0.06, -0.03, 0.02), "field": (2.0, 1.0, -4.0)}
@@ -112,11 +112,11 @@ def test_four_seconds_that_agree_show_force_and_rate():
     ],
     ids=["speeds up", "turns faster", "turns evenly"],
 )
-def test_who_moves_shows_nothing(moved):
+def test_a_moving_robot_shows_no_rest(moved):
     assert not shown(**moved)
 
 
-def test_without_a_field_nobody_tells_it_from_an_even_turn():
+def test_without_a_field_a_rest_cannot_be_distinguished_from_an_even_turn():
     vehicle = Vehicle()
     vehicle.go(15.0, field=False)
     assert vehicle.bias_error > 0.2

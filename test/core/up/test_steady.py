@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.up import BlockMeans, SteadySpell
+from magcal_ros.core.up import BlockMeans, SteadyInterval
 
 NOISE = 0.002
 RATE_NOISE = 0.002
@@ -10,7 +10,7 @@ UP, ZERO = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
 
 def spell(force, seconds, rate=(0.0, 0.0, 0.002)):
-    found = SteadySpell()
+    found = SteadyInterval()
     for _ in range(int(seconds / 0.04)):
         found.add(BlockMeans(force, rate, 4, 0.04), NOISE, RATE_NOISE)
     return found
@@ -20,33 +20,33 @@ def shows_up(found):
     return found.shows_up(UP, 1.0, 5e-4, NOISE)
 
 
-def test_a_tilt_leaves_the_length_and_is_believed_soon():
+def test_a_tilt_keeps_the_length_of_the_force_and_is_soon_accepted():
     assert shows_up(spell((math.sin(0.1), 0.0, math.cos(0.1)), 0.3))
 
 
-def test_a_pull_stretches_it_and_is_not():
+def test_an_acceleration_changes_the_length_and_is_not_accepted():
     assert not shows_up(spell((0.2, 0.0, 1.0), 3.0))
 
 
-def test_no_pull_lasts():
+def test_a_constant_force_is_accepted_after_a_time():
     assert shows_up(spell((0.2, 0.0, 1.0), 4.2))
 
 
 @pytest.mark.parametrize(("seconds", "believed"), [(0.6, False), (1.2, True)])
-def test_where_the_length_is_undecided_time_decides(seconds, believed):
+def test_if_the_length_is_undecided_the_duration_decides(seconds, believed):
     assert shows_up(spell((0.03, 0.0, 1.0), seconds)) is believed
 
 
-def test_a_gyro_that_reads_much_but_evenly_is_steady():
+def test_a_constant_rate_is_steady():
     assert spell(UP, 5.0, rate=(0.06, -0.05, 0.04)).seconds > 4.9
 
 
-def test_a_turn_that_begins_ends_the_spell():
+def test_the_begin_of_a_turn_ends_the_steady_interval():
     found = spell(UP, 5.0)
     assert not found.add(BlockMeans(UP, (0.0, 0.0, 0.05), 4, 0.04), NOISE, RATE_NOISE)
 
 
-def test_a_change_begins_a_new_spell():
+def test_a_change_begins_a_new_steady_interval():
     found = spell(UP, 2.0)
     assert not found.add(BlockMeans((0.1, 0.0, 1.0), ZERO, 4, 0.04), NOISE, RATE_NOISE)
     assert found.seconds == 0.04

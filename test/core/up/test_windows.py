@@ -14,7 +14,7 @@ def away_deg(found, motion):
     return np.degrees(np.sqrt(np.mean(sine**2)))
 
 
-def test_a_steady_sideways_pull_is_averaged_out():
+def test_a_steady_sideways_acceleration_is_averaged_out():
     robot = Robot(noise_rate=1e-3)
     motion = turn(arc=6.0 * np.pi, samples=1500, duration=60.0)
     window = measure(robot, motion, np.random.default_rng(2), gyro=True)
@@ -24,14 +24,14 @@ def test_a_steady_sideways_pull_is_averaged_out():
     assert away_deg(propagated_up(window), motion) < 1.5
 
 
-def test_without_a_gyro_the_accelerometer_is_all_there_is():
+def test_without_a_gyro_up_is_by_the_accelerometer_alone():
     motion = turn()
     window = measure(Robot(), motion, np.random.default_rng(3))
     assert away_deg(propagated_up(window), motion) < 1.2
 
 
-def test_a_large_bias_that_a_rest_has_shown_holds_for_what_comes_after_it():
-    """The past learns it at rest; what begins at a stop in the end has hardly seen any."""
+def test_a_large_bias_by_a_rest_is_used_after_it():
+    """The forward pass learns it at rest; the backward pass starts at a stop."""
     circling = turn(arc=6.0 * np.pi, samples=1500, duration=60.0)
     first, last = circling.attitude[0], circling.attitude[-1]
     ways = [np.broadcast_to(first, (500, 3, 3)), circling.attitude]

@@ -68,8 +68,8 @@ def px4(text):
     given = {}
     for line in text.splitlines():
         if not line.startswith("#"):
-            command, verb, name, value = line.split(" ")
-            assert (command, verb) == ("param", "set")
+            command, kind, name, value = line.split(" ")
+            assert (command, kind) == ("param", "set")
             given[name] = float(value)
     three = {k: [given[f"CAL_MAG0_{axis}{k}"] for axis in "XYZ"] for k in ("OFF", "SCALE", "ODIAG")}
     matrix = symmetric(three["SCALE"], three["ODIAG"])
@@ -88,7 +88,7 @@ def vectornav(text):
 
 
 def c_header(text, folder):
-    """Let a compiler read the header, twice, where there is one; else read it by eye."""
+    """Compile the header, included twice, if there is a compiler; else parse its text."""
     compiler = shutil.which("cc")
     if compiler is None:
         code = re.sub(r"/\*.*?\*/", "", text, flags=re.S)

@@ -1,4 +1,4 @@
-"""Every export, applied as its consumer applies it, against the correction itself."""
+"""Every export, applied as its consumer applies it, gives the same correction."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ def symmetric_correction(seed):
 
 
 def in_frd(correct):
-    """What a consumer with forward-right-down axes makes of fields in forward-left-up."""
+    """Fields in forward-left-up, corrected by a consumer with forward-right-down axes."""
     return lambda field: correct(field * FLIP) * FLIP
 
 
 @examples(25)
 @given(seeds, st.sampled_from(sorted(FULL)))
-def test_consumers_of_the_full_matrix_get_all_of_it(seed, name):
+def test_consumers_of_the_full_matrix_get_the_whole_correction(seed, name):
     correction = any_correction(seed)
     text = EXPORTERS[name](calibration(correction))
     found = FULL[name](text)(FIELDS)
@@ -73,7 +73,7 @@ def test_vectornav_gets_gauss_in_its_own_axes_and_a_checksum(seed):
 
 @examples(25)
 @given(seeds, st.sampled_from(sorted(SYMMETRIC)))
-def test_autopilots_get_a_symmetric_correction_whole(seed, name):
+def test_autopilots_get_a_symmetric_correction_completely(seed, name):
     correction = symmetric_correction(seed)
     text = EXPORTERS[name](calibration(correction))
     correct = in_frd(SYMMETRIC[name](text))
@@ -83,7 +83,7 @@ def test_autopilots_get_a_symmetric_correction_whole(seed, name):
 
 @examples(25)
 @given(seeds, st.sampled_from(sorted(SYMMETRIC)))
-def test_autopilots_lose_a_rotation_and_nothing_else(seed, name):
+def test_autopilots_lose_only_a_rotation(seed, name):
     correction = any_correction(seed, degrees=4.5)
     correct = in_frd(SYMMETRIC[name](EXPORTERS[name](calibration(correction))))
     origin = correct(np.zeros((1, 3)))
@@ -95,7 +95,7 @@ def test_autopilots_lose_a_rotation_and_nothing_else(seed, name):
 
 
 @pytest.mark.parametrize("name", sorted(SYMMETRIC))
-def test_the_lost_rotation_is_said_or_refused(name):
+def test_a_lost_rotation_is_reported_or_refused(name):
     def turned_by(degrees):
         pose = rotation_from_rpy(degrees * DEGREE, 0.0, 0.0)
         return calibration(Correction(pose @ np.diag([1.0, 1.1, 0.9]), np.zeros(3)))
@@ -131,7 +131,7 @@ def test_px4_subtracts_gauss_and_turns_left_to_right():
     assert off == pytest.approx([-0.02, -0.03, 0.04])
 
 
-def test_px4_refuses_scales_that_it_would_not_take():
+def test_scales_that_px4_would_ignore_are_refused():
     with pytest.raises(NotExportable, match=r"0\.1 to 3"):
         EXPORTERS["px4"](calibration(Correction(np.diag([1.0, 1.0, 3.1]), np.zeros(3))))
 
@@ -142,7 +142,7 @@ def test_the_checksum_is_that_of_the_manufacturer():
     assert checksum("VNWRG,23,1,0,0,0,1,0,0,0,1,0,0,0") == 0x76
 
 
-def test_vectornav_takes_no_exponents_and_nothing_absurd():
+def test_vectornav_gets_no_exponents_and_no_impossible_numbers():
     tiny = Correction(np.eye(3) + 1e-8, [1e-12, 0.0, -1e-12])
     line = EXPORTERS["vectornav"](calibration(tiny))
     assert "e" not in line
@@ -151,7 +151,7 @@ def test_vectornav_takes_no_exponents_and_nothing_absurd():
         EXPORTERS["vectornav"](calibration(Correction(np.eye(3), [0.2, 0.0, 0.0])))
 
 
-def test_madgwick_gets_the_hard_iron_and_is_told_what_it_loses():
+def test_madgwick_gets_the_hard_iron_and_the_loss_is_reported():
     correction = any_correction(3)
     text = EXPORTERS["imu_filter_madgwick"](calibration(correction))
     found = consumers.madgwick(text)(FIELDS)
@@ -172,7 +172,7 @@ def test_ctu_vras_gets_every_name_it_reads():
     np.testing.assert_allclose(bias, correction.hard_iron, atol=SMALLEST)
 
 
-def test_fusioncore_learns_the_strength_of_the_corrected_field():
+def test_fusioncore_gets_the_strength_of_the_corrected_field():
     given = consumers.ros_parameters(EXPORTERS["fusioncore"](calibration()))
     assert given["magnetometer.field_strength"] == 50e-6
 
@@ -207,7 +207,7 @@ def test_no_export_shows_the_rounding_errors_of_a_computer(name):
 
 
 @pytest.mark.parametrize("name", sorted(set(EXPORTERS) - {"vectornav"}))
-def test_every_text_says_where_it_comes_from(name):
+def test_every_text_names_its_origin(name):
     text = EXPORTERS[name](calibration(symmetric_correction(1)))
     assert "by magcal_ros, method design_tip, quality good" in text
     assert text.endswith("\n")
@@ -222,7 +222,7 @@ def test_exporters_need_no_ros():
 
 
 @pytest.mark.parametrize("consumer", EXPORTERS)
-def test_words_of_a_file_do_not_end_the_comment_they_become(consumer):
+def test_text_from_a_file_cannot_end_a_comment(consumer):
     one = calibration(Correction(np.eye(3), np.array([1e-5, 0.0, 0.0])))
     evil = "good\nevil: 1 */ int evil; **//\x1b[2J"
     text = EXPORTERS[consumer](replace(one, evidence=replace(one.evidence, method=evil)))
@@ -232,7 +232,7 @@ def test_words_of_a_file_do_not_end_the_comment_they_become(consumer):
         assert text.count("*/") == 1
 
 
-def test_a_rotation_just_beyond_the_limit_is_not_called_the_limit():
+def test_a_rotation_just_beyond_the_limit_is_not_shown_as_the_limit():
     turned = calibration(Correction(rotation_from_rpy(np.radians(5.02), 0.0, 0.0), np.zeros(3)))
     with pytest.raises(NotExportable, match=r"turns the field by 5\.02°, more than 5° "):
         EXPORTERS["px4"](turned)
@@ -241,7 +241,7 @@ def test_a_rotation_just_beyond_the_limit_is_not_called_the_limit():
 @pytest.mark.parametrize(
     ("name", "words"), [("ardupilot", "RAW_IMU"), ("px4", "CAL_MAG0_ID"), ("vectornav", "identity")]
 )
-def test_what_the_numbers_rest_on_is_said(name, words):
+def test_the_basis_of_the_numbers_is_given(name, words):
     text = EXPORTERS[name](calibration(Correction.identity()))
     assert words in NOTES.get(name, text)
     assert (name in NOTES) is not ("DEPENDS ON" in text)

@@ -1,4 +1,4 @@
-"""ArduPilot's logs are read as raw fields; MAG's own calibration is taken off."""
+"""ArduPilot's logs are read as raw fields; the calibration of MAG is removed."""
 
 import re
 import sys
@@ -9,7 +9,7 @@ from drives import drive
 from log_writers import write_bin, write_text_log, write_tlog
 
 from magcal_ros.core.samples import FieldSample, ImuSample, PositionSample, VelocitySample
-from magcal_ros.files import FileTrouble, logs, open_recording
+from magcal_ros.files import FileError, logs, open_recording
 
 pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
 
@@ -30,7 +30,7 @@ def numbers(readings):
 
 
 @pytest.mark.parametrize(("name", "write"), [("a.BIN", write_bin), ("a.log", write_text_log)])
-def test_a_dataflash_log_gives_what_the_sensors_measured(tmp_path, name, write):
+def test_a_dataflash_log_gives_the_raw_measurements(tmp_path, name, write):
     path = write(tmp_path / name, SAMPLES, offsets=(120, -45, 300), matrix=SOFT_IRON)
     source, readings = read(path)
     imu, field = numbers(readings)
@@ -40,7 +40,7 @@ def test_a_dataflash_log_gives_what_the_sensors_measured(tmp_path, name, write):
     assert source.field_frame == "ardupilot_compass"
 
 
-def test_stamps_are_the_autopilots_at_the_time_of_its_receiver(tmp_path):
+def test_stamps_are_converted_to_the_time_of_the_receiver(tmp_path):
     fixes = [(SAMPLES[0].stamp + 1.0, 48.1, 11.5, 3.0, 90.0)]
     source, readings = read(write_bin(tmp_path / "a.bin", SAMPLES, fixes=fixes))
     gaps = np.diff([s.stamp for s in readings if isinstance(s, ImuSample)])
@@ -54,7 +54,7 @@ def test_stamps_are_the_autopilots_at_the_time_of_its_receiver(tmp_path):
     assert (moving.east, moving.north) == pytest.approx((3.0, 0.0), abs=1e-6)
 
 
-def test_logs_of_old_releases_number_their_sensors_by_the_messages_name(tmp_path):
+def test_old_logs_have_the_sensor_number_in_the_message_name(tmp_path):
     imu, mag = "GyrX,GyrY,GyrZ,AccX,AccY,AccZ", "MagX,MagY,MagZ,OfsX,OfsY,OfsZ"
     lines = [
         "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
@@ -73,7 +73,7 @@ def test_logs_of_old_releases_number_their_sensors_by_the_messages_name(tmp_path
     assert numbers(readings)[1][0] == pytest.approx([0.0, -18e-6, -27e-6], abs=1e-7)
 
 
-def test_telemetry_is_read_and_says_where_offsets_are_not_known(tmp_path):
+def test_telemetry_is_read_and_unknown_offsets_are_reported(tmp_path):
     path = write_tlog(tmp_path / "a.tlog", SAMPLES, offsets=(120, -45, 300))
     source, readings = read(path)
     imu, field = numbers(readings)
@@ -86,7 +86,7 @@ def test_telemetry_is_read_and_says_where_offsets_are_not_known(tmp_path):
     assert numbers(readings)[1] == pytest.approx(FIELD, abs=1.2e-7)
 
 
-def test_a_calibration_by_the_autopilot_on_the_way_is_taken_off_from_then_on(tmp_path):
+def test_a_calibration_by_the_autopilot_is_removed_from_its_time_on(tmp_path):
     half, first = len(SAMPLES) // 2, SAMPLES[0].stamp
     one = write_text_log(tmp_path / "a.log", SAMPLES[:half], offsets=(120, -45, 300))
     options = {"offsets": (-20, 10, 30), "matrix": SOFT_IRON, "first": first}
@@ -95,7 +95,7 @@ def test_a_calibration_by_the_autopilot_on_the_way_is_taken_off_from_then_on(tmp
     assert numbers(read(one)[1])[1] == pytest.approx(FIELD, abs=1.2e-7)
 
 
-def test_telemetry_goes_on_where_the_autopilot_started_anew(tmp_path):
+def test_telemetry_continues_after_a_restart_of_the_autopilot(tmp_path):
     one = write_tlog(tmp_path / "a.tlog", SAMPLES, start=1.7e9)
     two = write_tlog(tmp_path / "b.tlog", SAMPLES, start=1.7e9 + 300.0)
     one.write_bytes(one.read_bytes() + two.read_bytes())
@@ -116,14 +116,14 @@ def check_the_second_is_taken(path, fault):
     assert source.field_topic == "MAG[1]"
     assert fault in source.notes[0]
     assert numbers(readings)[1] == pytest.approx(FIELD, abs=1.2e-7)
-    with pytest.raises(FileTrouble, match=re.escape(fault)):
+    with pytest.raises(FileError, match=re.escape(fault)):
         read(path, field="MAG[0]")
 
 
-def test_the_first_living_compass_is_taken_and_another_can_be_chosen(tmp_path):
+def test_the_first_working_compass_is_used_and_another_can_be_chosen(tmp_path):
     path = write_bin(tmp_path / "a.bin", SAMPLES, compasses=two_compasses)
     check_the_second_is_taken(path, "MAG[0] holds one value")
-    with pytest.raises(FileTrouble, match=r"no MAG\[7\]; it has: MAG\[0\], MAG\[1\]"):
+    with pytest.raises(FileError, match=r"no MAG\[7\]; it has: MAG\[0\], MAG\[1\]"):
         read(path, field="MAG[7]")
 
 
@@ -144,7 +144,7 @@ def both(sample):
     ],
     ids=["mask", "lane", "primary", "switches"],
 )
-def test_the_sensors_that_the_autopilot_used_are_taken(tmp_path, options, reason):
+def test_the_sensors_used_by_the_autopilot_are_used(tmp_path, options, reason):
     path = write_bin(tmp_path / "a.bin", SAMPLES, compasses=both, imus=(0, 1), **options)
     source, readings = read(path)
     assert (source.imu_topic, source.field_topic) == ("IMU[1]", "MAG[1]")
@@ -158,7 +158,7 @@ def test_the_sensors_that_the_autopilot_used_are_taken(tmp_path, options, reason
 
 
 @pytest.mark.parametrize("scale", [1.2, 0.0, 1.6])
-def test_the_scale_is_taken_off_where_the_autopilot_applies_it(tmp_path, scale):
+def test_the_scale_is_removed_if_the_autopilot_applies_it(tmp_path, scale):
     applied = scale if 1.0 / 1.5 < scale < 1.5 else 1.0
     path = write_bin(
         tmp_path / "a.bin",
@@ -172,7 +172,7 @@ def test_the_scale_is_taken_off_where_the_autopilot_applies_it(tmp_path, scale):
     assert numbers(read(path)[1])[1] == pytest.approx(FIELD, abs=0.7e-7)
 
 
-def test_the_compensation_of_the_motors_stays_in_the_field_and_is_said(tmp_path):
+def test_motor_compensation_stays_in_the_field_and_is_reported(tmp_path):
     options = {"offsets": (120, -45, 300), "matrix": SOFT_IRON, "scale": 1.1}
     path = write_bin(
         tmp_path / "a.bin", SAMPLES, **options, motors=lambda t: (60.0 * np.sin(t), -20.0, 10.0)
@@ -201,19 +201,19 @@ def test_a_field_of_another_orientation_is_left_out(tmp_path):
     assert "COMPASS_ORIENT was changed during the log" in source.notes[0]
 
 
-def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
+def test_a_log_without_a_working_magnetometer_is_refused(tmp_path):
     dead = write_bin(tmp_path / "a.bin", SAMPLES, compasses=lambda _: {0: (0.0, 0.0, 0.0)})
-    with pytest.raises(FileTrouble, match=r"no working magnetometer.*COMPASS_ENABLE"):
+    with pytest.raises(FileError, match=r"no working magnetometer.*COMPASS_ENABLE"):
         read(dead)
     without = write_bin(tmp_path / "b.bin", SAMPLES, compasses=lambda _: {})
-    with pytest.raises(FileTrouble, match="no MAG data: check COMPASS_ENABLE"):
+    with pytest.raises(FileError, match="no MAG data: check COMPASS_ENABLE"):
         read(without)
 
 
 def test_a_magnetometer_that_the_autopilot_calls_unhealthy_is_named_so(tmp_path):
     path = write_bin(tmp_path / "a.bin", SAMPLES, unhealthy=lambda *_: True)
     words = rf"calls MAG\[0\] unhealthy in all its {len(FIELD)} samples \(Health is 0\).*wiring"
-    with pytest.raises(FileTrouble, match=words):
+    with pytest.raises(FileError, match=words):
         read(path)
     first = write_bin(
         tmp_path / "b.bin", SAMPLES, compasses=both, unhealthy=lambda number, _: number == 0
@@ -230,36 +230,36 @@ def test_samples_that_are_left_out_as_unhealthy_are_counted(tmp_path):
     assert f"{left_out} of {len(FIELD)} samples of MAG[0] are left out" in source.notes[0]
 
 
-def test_without_the_library_the_words_name_it(tmp_path, monkeypatch):
+def test_without_the_library_the_message_names_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", None)
-    with pytest.raises(FileTrouble, match="pip install"):
+    with pytest.raises(FileError, match="pip install"):
         read(write_bin(tmp_path / "a.bin", SAMPLES))
 
 
 @pytest.mark.faults
 @pytest.mark.parametrize("name", ["a.bin", "a.log", "a.tlog", "a.ulg"])
-def test_anything_else_by_that_name_is_trouble_in_words(tmp_path, name):
+def test_another_file_of_that_name_is_refused_with_the_reason(tmp_path, name):
     path = tmp_path / name
     path.touch()
-    with pytest.raises(FileTrouble, match="is empty"):
+    with pytest.raises(FileError, match="is empty"):
         read(path)
     for content in (b"\xa3\x95" + bytes(range(256)) * 30, b"FMT, 1\nFMT,", b"\0" * 9000):
         path.write_bytes(content)
-        with pytest.raises(FileTrouble, match=r"a\."):
+        with pytest.raises(FileError, match=r"a\."):
             read(path)
 
 
 @pytest.mark.faults
 @pytest.mark.parametrize("content", [b"a letter, and no log\n" * 50, bytes(range(256)) * 50])
-def test_anything_else_is_no_telemetry_without_imu(tmp_path, content):
+def test_another_file_is_refused_as_telemetry_without_imu(tmp_path, content):
     path = tmp_path / "a.tlog"
     path.write_bytes(content)
-    with pytest.raises(FileTrouble, match="is not a telemetry log"):
+    with pytest.raises(FileError, match="is not a telemetry log"):
         read(path)
 
 
 @pytest.mark.faults
-def test_a_log_that_was_cut_short_or_damaged_is_read_as_far_as_it_goes(tmp_path, capsys):
+def test_the_intact_part_of_a_damaged_log_is_read(tmp_path, capsys):
     path = write_bin(tmp_path / "a.bin", SAMPLES)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2] + b"\0" * 5000 + whole[len(whole) // 2 :])
@@ -274,9 +274,9 @@ def test_a_log_that_was_cut_short_or_damaged_is_read_as_far_as_it_goes(tmp_path,
 def test_size_and_time_are_limited(tmp_path, monkeypatch):
     path = write_bin(tmp_path / "a.bin", SAMPLES)
     monkeypatch.setattr(logs, "LONGEST_READING", 0.0)
-    with pytest.raises(FileTrouble, match="takes longer than 0 s"):
+    with pytest.raises(FileError, match="takes longer than 0 s"):
         read(path)
     with path.open("r+b") as handle:
         handle.truncate(logs.LARGEST_LOG + 1)
-    with pytest.raises(FileTrouble, match=r"has 1\.0 GiB"):
+    with pytest.raises(FileError, match=r"has 1\.0 GiB"):
         read(path)

@@ -1,14 +1,14 @@
-"""What phones export is recognised by its columns."""
+"""Exports of phones are recognised by their columns."""
 
 import numpy as np
 import pytest
 from drives import drive
 from log_writers import write_phyphox, write_sensor_logger
 
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import UsageError
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.samples import FieldSample, ImuSample, VelocitySample
-from magcal_ros.files import FileTrouble, open_recording
+from magcal_ros.files import FileError, open_recording
 
 SAMPLES = drive(60.0)
 IMU = np.array([[*s.force, *s.rate] for s in SAMPLES if isinstance(s, ImuSample)])
@@ -32,7 +32,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("kind", WRITERS)
-def test_a_phones_folder_gives_what_the_sensors_measured(tmp_path, kind):
+def test_the_folder_of_a_phone_gives_its_measurements(tmp_path, kind):
     _, imu, field = numbers(WRITERS[kind](tmp_path / "phone"))
     assert imu == pytest.approx(IMU, abs=1e-6)
     assert field == pytest.approx(FIELD, abs=1e-9)
@@ -59,12 +59,12 @@ def test_location_gives_place_and_course(tmp_path):
     assert [(m.stamp, m.east) for m in moving] == [(1001.0, pytest.approx(2.0))]
 
 
-def test_acceleration_without_gravity_is_refused_with_what_to_record(tmp_path):
+def test_acceleration_without_gravity_is_refused_with_the_sensor_to_record(tmp_path):
     path = WRITERS["ios"](tmp_path / "phone")
     still = (path / "Accelerometer.csv").read_text()
     (path / "Gravity.csv").unlink()
     (path / "TotalAcceleration.csv").write_text(still)
-    with pytest.raises(FileTrouble, match="without gravity"):
+    with pytest.raises(FileError, match="without gravity"):
         numbers(path)
 
 
@@ -79,10 +79,10 @@ def test_other_files_in_the_folder_do_no_harm(tmp_path):
 def test_a_missing_sensor_is_named(tmp_path):
     path = WRITERS["phyphox"](tmp_path / "phone")
     (path / "Magnetometer.csv").unlink()
-    with pytest.raises(FileTrouble, match="has no field"):
+    with pytest.raises(FileError, match="has no field"):
         numbers(path)
 
 
-def test_topics_are_for_bags(tmp_path):
-    with pytest.raises(Misuse, match="without topics"):
+def test_topics_are_refused_for_a_phone(tmp_path):
+    with pytest.raises(UsageError, match="without topics"):
         numbers(WRITERS["phyphox"](tmp_path / "phone"), imu="/imu")

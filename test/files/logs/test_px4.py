@@ -9,7 +9,7 @@ from log_writers import DEVICE, write_ulog
 from scipy.spatial.transform import Rotation
 
 from magcal_ros.core.samples import FieldSample, ImuSample, VelocitySample
-from magcal_ros.files import RIGHT_ANGLES, FileTrouble, mounting_of, open_recording, rotation_of
+from magcal_ros.files import RIGHT_ANGLES, FileError, mounting_of, open_recording, rotation_of
 
 pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
 
@@ -21,7 +21,7 @@ SCALE = np.array([[1.1, 0.05, 0.02], [0.05, 0.9, -0.03], [0.02, -0.03, 1.05]])
 
 @pytest.mark.parametrize("raw", [True, False], ids=["raw", "corrected"])
 @pytest.mark.parametrize("rotation", [0, 6, 28])
-def test_a_ulog_gives_what_the_sensors_measured_whatever_the_calibration(tmp_path, raw, rotation):
+def test_a_ulog_gives_the_raw_measurements_with_any_calibration(tmp_path, raw, rotation):
     options = {"offset": (0.1, -0.2, 0.05), "scale": SCALE, "rotation": rotation, "raw": raw}
     path = write_ulog(tmp_path / "a.ulg", SAMPLES, **options)
     with open_recording(path) as source:
@@ -39,7 +39,7 @@ def field_of(path):
 
 
 @pytest.mark.parametrize("raw", [True, False], ids=["raw", "corrected"])
-def test_the_topic_that_was_logged_more_often_is_taken(tmp_path, raw):
+def test_the_topic_with_more_samples_is_used(tmp_path, raw):
     """By default PX4 logs the raw field once a second, and the corrected one twice."""
     options = {"offset": (0.1, -0.2, 0.05), "scale": SCALE, "raw": raw, "every": 2}
     field, _ = field_of(write_ulog(tmp_path / "a.ulg", SAMPLES, **options))
@@ -63,7 +63,7 @@ CUSTOM = {"CAL_MAG1_ROLL": 10.0, "CAL_MAG1_PITCH": -20.0, "CAL_MAG1_YAW": 30.0}
 
 @pytest.mark.parametrize("raw", [True, False], ids=["raw", "corrected"])
 @pytest.mark.parametrize(("rotation", "own"), [(6, (0.0, 0.0, 270.0)), (100, (10.0, -20.0, 30.0))])
-def test_a_levelled_board_and_angles_of_ones_own_turn_the_field(tmp_path, raw, rotation, own):
+def test_board_levelling_and_custom_angles_rotate_the_field(tmp_path, raw, rotation, own):
     level = Rotation.from_euler("xyz", (2.5, -1.5, 0.5), degrees=True).as_matrix()
     pose = level @ Rotation.from_euler("xyz", own, degrees=True).as_matrix()
     path = write_ulog(
@@ -89,7 +89,7 @@ def test_the_estimate_of_the_bias_is_not_taken_for_the_field(tmp_path):
 
 
 @pytest.mark.parametrize("every", [0, 2], ids=["raw", "both"])
-def test_the_compensation_for_the_power_is_in_the_field_where_px4_logs_it(tmp_path, every):
+def test_power_compensation_stays_in_the_field_if_px4_logs_it(tmp_path, every):
     compensated = {"CAL_MAG_COMP_TYP": 2, "CAL_MAG1_XCOMP": 3.0}
     options = {**CALIBRATION, "every": every, "power": lambda t: (0.05 * np.sin(t), 0.0, 0.0)}
     path = write_ulog(tmp_path / "a.ulg", SAMPLES, **options, parameters=compensated)
@@ -101,7 +101,7 @@ def test_the_compensation_for_the_power_is_in_the_field_where_px4_logs_it(tmp_pa
     assert ("do not change it" if every else "the raw field only") in source.notes[0]
 
 
-def test_the_magnetometer_that_was_selected_is_taken(tmp_path):
+def test_the_selected_magnetometer_is_used(tmp_path):
     path = write_ulog(tmp_path / "a.ulg", SAMPLES, other_rotation=0, selected=77)
     _, source = field_of(path)
     assert source.field_topic == "sensor_mag[1]"
@@ -121,7 +121,7 @@ def test_devices_that_share_a_topic_are_not_mixed(tmp_path):
     assert field_of(path)[0] == pytest.approx(np.array(rest), abs=1e-10)
 
 
-def test_the_receiver_tells_time_place_and_course_and_the_autopilot_its_yaw(tmp_path):
+def test_the_log_gives_time_place_course_and_the_yaw_of_the_autopilot(tmp_path):
     first = SAMPLES[0].stamp
     path = write_ulog(
         tmp_path / "a.ulg",
@@ -137,7 +137,7 @@ def test_the_receiver_tells_time_place_and_course_and_the_autopilot_its_yaw(tmp_
         assert source.yaw[:, 1] == pytest.approx([0.0, np.pi / 2.0], abs=1e-6)
 
 
-def test_rotations_are_mavlinks():
+def test_rotations_are_those_of_mavlink():
     enums = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega").enums
     for number, angles in enumerate(RIGHT_ANGLES):
         words = enums["MAV_SENSOR_ORIENTATION"][number].name.split("_")
@@ -146,30 +146,30 @@ def test_rotations_are_mavlinks():
         assert tuple(named.values()) == angles
 
 
-def test_an_unknown_rotation_is_trouble():
-    with pytest.raises(FileTrouble, match="rotation 77"):
+def test_an_unknown_rotation_is_an_error():
+    with pytest.raises(FileError, match="rotation 77"):
         rotation_of(77)
 
 
-def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
+def test_a_log_without_a_working_magnetometer_is_refused(tmp_path):
     hanging = [
         s._replace(field=(1e-5, 2e-5, 3e-5)) if isinstance(s, FieldSample) else s for s in SAMPLES
     ]
     with (
-        pytest.raises(FileTrouble, match=r"no working magnetometer.*SYS_HAS_MAG"),
+        pytest.raises(FileError, match=r"no working magnetometer.*SYS_HAS_MAG"),
         open_recording(write_ulog(tmp_path / "a.ulg", hanging)),
     ):
         pass
 
 
 @pytest.mark.faults
-def test_a_damaged_log_is_read_as_far_as_it_goes_or_refused_in_words(tmp_path, capsys):
+def test_the_intact_part_of_a_damaged_log_is_read_or_it_is_refused(tmp_path, capsys):
     path = write_ulog(tmp_path / "a.ulg", SAMPLES)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with open_recording(path) as source:
         assert len(list(source.readings())) > 0.4 * len(SAMPLES)
     path.write_bytes(whole[:300] + b"\xff" * 3000)
-    with pytest.raises(FileTrouble, match=r"a\.ulg"), open_recording(path):
+    with pytest.raises(FileError, match=r"a\.ulg"), open_recording(path):
         pass
     assert capsys.readouterr() == ("", "")

@@ -1,4 +1,4 @@
-"""What is read from bytes is what rclpy reads, to the last bit."""
+"""Messages are read from bytes exactly as by rclpy."""
 
 import contextlib
 import math
@@ -58,7 +58,7 @@ def same(a, b):
 
 @examples(60)
 @given(FRAMES, SECONDS, NANOSECONDS, st.lists(DOUBLES, min_size=3, max_size=3), NINE, ORDERS)
-def test_a_field_is_what_rclpy_reads(frame, sec, nanosec, field, covariance, order):
+def test_a_field_is_read_as_by_rclpy(frame, sec, nanosec, field, covariance, order):
     data = by_hand(order, frame, sec, nanosec, [*field, *covariance])
     message = deserialize_message(data, MagneticField)
     found = read_field(data)
@@ -71,7 +71,7 @@ def test_a_field_is_what_rclpy_reads(frame, sec, nanosec, field, covariance, ord
 
 @examples(60)
 @given(FRAMES, SECONDS, NANOSECONDS, st.lists(DOUBLES, min_size=37, max_size=37), ORDERS)
-def test_an_imu_is_what_rclpy_reads(frame, sec, nanosec, doubles, order):
+def test_an_imu_message_is_read_as_by_rclpy(frame, sec, nanosec, doubles, order):
     data = by_hand(order, frame, sec, nanosec, doubles)
     message = deserialize_message(data, Imu)
     found, wanted = read_imu(data), imu_sample(message)
@@ -108,7 +108,7 @@ def test_marks_of_absence_are_understood_on_both_ways(force, rate):
 @pytest.mark.parametrize(
     "text", [b"", b"abc", b"a\0b\0", b"\0", b"\xff\xfe\0", b"\xe4\xf6\0", b"x" * 100_000 + b"\0"]
 )
-def test_odd_frames_are_read_as_rclpy_reads_them(text):
+def test_unusual_frames_are_read_as_by_rclpy(text):
     body = struct.pack("<iII", 3, 4, len(text)) + text
     body += bytes(-len(body) % 8) + struct.pack("<12d", *range(12))
     data = b"\0\1\0\0" + body
@@ -124,7 +124,7 @@ def test_odd_frames_are_read_as_rclpy_reads_them(text):
 
 
 @pytest.mark.parametrize(("kind", "read"), [(Imu, read_imu), (MagneticField, read_field)])
-def test_bytes_cut_short_are_said_to_be_unreadable(kind, read):
+def test_truncated_bytes_are_unreadable(kind, read):
     data = serialize_message(stamped(kind(), "a_frame", 1, 2))
     whole = read(data)
     assert whole.frame == "a_frame"
@@ -159,7 +159,7 @@ def test_speeds_and_fixes_are_those_of_the_message(length):
     assert read_fix(serialize_message(fix)) == fix_of(fix)
 
 
-def test_a_frame_that_claims_to_be_enormous_is_unreadable():
+def test_a_frame_of_impossible_length_is_unreadable():
     data = bytearray(serialize_message(stamped(MagneticField(), "mag", 1, 2)))
     for length in (2**31 - 1, 2**32 - 1, 97, 200):
         struct.pack_into("<I", data, 12, length)

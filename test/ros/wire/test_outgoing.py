@@ -1,4 +1,4 @@
-"""What is filled into a template is what rclpy would have written, byte for byte."""
+"""A filled template has exactly the bytes that rclpy writes."""
 
 import math
 import struct
@@ -67,7 +67,7 @@ def attitude_message(stamp, frame, heading, declination, sigma=0.0):
     st.tuples(*[DOUBLES] * 3),
     st.lists(DOUBLES, min_size=9, max_size=9).map(tuple),
 )
-def test_a_field(stamp, frame, field, covariance):
+def test_a_field_is_written_as_by_rclpy(stamp, frame, field, covariance):
     filled = FIELD.fill(STAMP.pack(*stamp), frame, field + covariance)
     assert isinstance(filled, bytes)
     assert essence(filled) == essence(field_message(stamp, frame, field, covariance))
@@ -75,7 +75,7 @@ def test_a_field(stamp, frame, field, covariance):
 
 @examples(60)
 @given(STAMPS, FRAMES, st.tuples(*[ANGLES] * 3), st.tuples(*[DOUBLES] * 4), ANGLES, ANGLES)
-def test_an_attitude(stamp, frame, angles, variances, declination, sigma):
+def test_an_attitude_is_written_as_by_rclpy(stamp, frame, angles, variances, declination, sigma):
     heading = Heading(*angles, *variances)
     numbers = heading.quaternion(declination) + heading.covariance(sigma**2)
     filled = ATTITUDE.fill(STAMP.pack(*stamp), frame, numbers)

@@ -1,0 +1,370 @@
+"""Find the sensor whose axes contradict the other two, its axes, and whether the IMU is upright."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from magcal_ros.core.doctor.axes_hypotheses import LIMITS, AxesHypotheses
+from magcal_ros.core.doctor.health import Finding, ok_or_warning, severe_finding, undetermined
+from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, INVERTED
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.rotations import (
+    DIRECTIONS,
+    axes_in_words,
+    is_mirrored,
+    likely_slip,
+    rank_of,
+    rpy_from_rotation,
+    swapped,
+)
+from magcal_ros.core.knowledge import CLEAR, Knowledge
+from magcal_ros.core.samples.units import LEAST_UPRIGHT
+from magcal_ros.core.samples.window import SensorLog
+
+NOSE = "lift the nose by 20° while the robot turns"
+LIFT = f"{NOSE}, or drive over a kerb"
+GIVE_DIP = ", and give the place or the field's inclination"
+DRIVE = "; or drive straight, where a receiver's course shows the yaw"
+WRONG_SIGN = (
+    "gravity has the wrong sign: REP-145 requires +9.81 on z at rest, so negate "
+    "linear_acceleration in the driver"
+)
+UPSIDE_DOWN = (
+    "the IMU's z points down, but REP-103 requires x forward, y left, z up: turn the IMU's axes "
+    "in the driver (by 180° about x if they are x forward, y right, z down), or mount it upright"
+)
+STAND = "let the robot stand upright for a few seconds, and turn it about its vertical axis alone"
+WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is positive"
+
+
+def check_gravity_direction(
+    log: SensorLog,
+    given: AxesHypotheses | None,
+    other: AxesHypotheses | None,
+    turned_left: bool | None,
+) -> tuple[Finding, bool | None]:
+    """Check the direction of gravity.
+
+    Return a finding, and whether gravity's sign is wrong; None if either the sign or the IMU's axes
+    are. `turned_left` is whether the user turned the robot to the left; None if unknown.
+    """
+    name, usual = "accelerometer: up", _usual_up(log)
+    if np.linalg.norm(usual) < LEAST_UPRIGHT:
+        return undetermined("gravity_sign", name, STAND), False
+    usual = usual / np.linalg.norm(usual)
+    evidence = f"up is ({usual[0]:.2f}, {usual[1]:.2f}, {usual[2]:.2f})"
+    if usual[2] > LEAST_UPRIGHT:
+        return ok_or_warning("gravity_sign", name, evidence), False
+    if usual[2] > -LEAST_UPRIGHT:
+        return severe_finding("imu_axes", name, evidence, upward_axis_in_words(usual)), False
+    flipped = _is_flipped(given, other, turned_left)
+    key, words = {
+        None: ("gravity_sign", f"either {WRONG_SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"),
+        True: ("gravity_sign", WRONG_SIGN),
+        False: ("imu_axes", UPSIDE_DOWN),
+    }[flipped]
+    return severe_finding(key, name, evidence, words), flipped
+
+
+def _usual_up(log: SensorLog) -> FloatArray:
+    """Return the median direction of the force (3,), which is short if the directions vary.
+
+    Only the quarter with the slowest rates is used: a sensor that is swung by hand measures mostly
+    other accelerations than gravity.
+    """
+    force = log.force
+    if log.has_gyro:
+        slowest = np.argsort(np.linalg.norm(log.rate, axis=1), kind="stable")
+        force = force[slowest[: 1 + len(slowest) // 4]]
+    size = np.linalg.norm(force, axis=1, keepdims=True)
+    return np.asarray(np.median(force / np.maximum(size, 1e-9), axis=0))
+
+
+def upward_axis_in_words(up: FloatArray) -> str:
+    """Return which axis points up, and the remedy; `up` is a unit vector (3,)."""
+    axis = int(np.argmax(np.abs(up)))
+    way = DIRECTIONS[2][int(up[axis] < 0.0)]
+    return (
+        f"at rest the IMU's {'xyz'[axis]} axis points {way}, but its z axis should point up: turn "
+        "the IMU's axes in the driver, or mount it upright"
+    )
+
+
+def _is_flipped(
+    given: AxesHypotheses | None, other: AxesHypotheses | None, turned_left: bool | None
+) -> bool | None:
+    """Return whether gravity's sign is wrong, or else the IMU is upside down; None if unclear."""
+    if given is None or other is None:
+        return None
+    turned = given.turned(given.best)
+    if turned_left is not None and abs(turned) > LIMITS.least_turn:
+        # If the vector of up points down, a turn to the left looks like one to the right.
+        return (turned > 0.0) is not turned_left
+    worse = given.field_right - other.field_right
+    return None if abs(worse) < LIMITS.doubtful else worse > 0.0
+
+
+STANDARD = np.eye(3)
+NOTHING_FITS = (
+    "no mounting and no swapped or mirrored axes explain gyro, field and gravity together: check "
+    "that the gyro responds to turns, check its unit and the stamps, and turn far from iron"
+)
+SEVERAL_WRONG = (
+    "gyro, magnetometer and gravity contradict each other, and wrong axes of one sensor do not "
+    "explain it. Linear acceleration and iron nearby can be the cause, too: stand still, turn on "
+    f"the spot away from iron, and {LIFT}"
+)
+DEAD_GYRO = "correct the dead axes of the gyro first, then turn once more"
+TURNED_RIGHT = (
+    "all sensors measured a turn to the right, but a turn to the left was expected: turn left and "
+    "check again. If it was a turn to the left, z of all sensors points down"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PossibleAxes:
+    """The possible axes of the magnetometer by a movement."""
+
+    candidates: FloatArray
+    """Axes that explain the samples, the likeliest first. Rows are the magnetometer's axes, after
+    the known mounting, in the body's. Shape (k, 3, 3)."""
+    right: bool  # whether the axes as given are possible
+    knowledge: Knowledge
+
+    @property
+    def pose(self) -> FloatArray:
+        """The known mounting, shape (3, 3)."""
+        return self.knowledge.mounting.pose
+
+    @property
+    def dip_known(self) -> bool:
+        """Whether the reference inclination distinguishes axes from their opposites."""
+        dip = self.knowledge.reference.inclination
+        return not dip.is_unknown and abs(dip.value) > CLEAR * LIMITS.dip_sigma
+
+    @property
+    def likeliest(self) -> FloatArray:
+        """The likeliest axes; the axes as given if these are possible."""
+        return STANDARD if self.right else np.asarray(self.candidates[0])
+
+    @property
+    def mount_rpy_deg(self) -> tuple[int, int, int] | None:
+        """The correct parameter `mount_rpy_deg`; None if no mounting corrects the axes."""
+        return None if is_mirrored(self.likeliest) else mount_of(self.likeliest, self.pose)
+
+    @property
+    def words(self) -> str:
+        """The fault and its remedy, if gyro and accelerometer are right; empty without a fault."""
+        if self.right:
+            return ""
+        return (
+            f"{self.alternatives}. To tell which, {self.movement}"
+            if self.movement
+            else self.alternatives
+        )
+
+    @property
+    def alternatives(self) -> str:
+        """As `words`, but without the movement that distinguishes the candidates."""
+        alternatives = named(self.candidates, self._describe)
+        return f"the magnetometer's axes do not match the IMU's: {alternatives}"
+
+    @property
+    def movement(self) -> str:
+        """The movement that distinguishes the candidates; empty for a single candidate."""
+        if len(self.candidates) < 2:
+            return ""
+        first = self.candidates[0]
+        is_opposite = len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
+        if is_opposite and not self.dip_known:
+            return (
+                "give the place or the field's inclination: only this shows whether all axes are "
+                "reversed"
+            )
+        dip = "" if self.dip_known else GIVE_DIP
+        level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)
+        return f"{LIFT}{dip}{DRIVE if level else ''}"
+
+    def _describe(self, axes: FloatArray) -> str:
+        whole = np.rint(self.pose.T @ axes)
+        if not np.array_equal(np.abs(whole).sum(axis=0), np.ones(3)):
+            whole = axes
+        if is_mirrored(axes):
+            words = axes_in_words(whole)
+            return f"{words} (mirrored: no mounting explains this; {likely_slip(whole)})"
+        named = " (NED)" if np.array_equal(whole, np.diag([1.0, -1.0, -1.0])) else ""
+        return f"{axes_in_words(whole)}{named}: set `{parameter_line(mount_of(axes, self.pose))}`"
+
+
+def named(candidates: FloatArray, say: Callable[[FloatArray], str]) -> str:
+    """Describe the likeliest of the candidates (k, 3, 3), with the number of the others."""
+    left = len(candidates) - LIMITS.most_named
+    words = [say(axes) for axes in candidates[: LIMITS.most_named]]
+    return "; or ".join([*words, f"{left} more"] if left > 0 else words)
+
+
+def mount_of(axes: FloatArray, pose: FloatArray) -> tuple[int, int, int]:
+    """Return roll, pitch and yaw, degrees, of the mounting for axes found after a known pose."""
+    degrees = (round(math.degrees(angle)) for angle in rpy_from_rotation(axes.T @ pose))
+    roll, pitch, yaw = ((angle + 179) % 360 - 179 for angle in degrees)
+    return roll, pitch, yaw
+
+
+def parameter_line(rpy_deg: tuple[int, int, int]) -> str:
+    """Return the line for a parameter file."""
+    return f"mount_rpy_deg: [{', '.join(f'{angle}.0' for angle in rpy_deg)}]"
+
+
+class AxesDiagnosis(NamedTuple):
+    """Which sensors have wrong axes."""
+
+    findings: tuple[Finding, ...]
+    """The findings on the axes of all sensors."""
+    chosen: int | None = None  # the chosen hypothesis; None if none explains the movement
+    axes: PossibleAxes | None = None
+    """The possible axes of the magnetometer; None if they are not determined."""
+
+
+def diagnose_axes(
+    hypotheses: AxesHypotheses,
+    knowledge: Knowledge,
+    turned_left: bool | None,
+    gyro_is_half_dead: bool = False,
+) -> AxesDiagnosis:
+    """Name the sensors whose axes are or may be wrong; with dead gyro axes, only the gyro."""
+    misfit, given = hypotheses.misfit, hypotheses.as_given
+    if hypotheses.rms[hypotheses.best] > LIMITS.worst_fit:
+        finding = ok_or_warning("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
+        return AxesDiagnosis((finding,))
+    remains = misfit < LIMITS.remains
+    contrary = np.zeros(len(misfit), dtype=np.bool_)
+    if turned_left is not None:
+        # The user may have turned the wrong way while all sensors are right.
+        turned = np.array([hypotheses.turned(k) for k in range(len(misfit))])
+        contrary = (np.abs(turned) > LIMITS.least_turn) & ((turned > 0.0) != turned_left)
+    if misfit[given] < 2.0 * LIMITS.remains:
+        return _all_agree(hypotheses, remains, knowledge, contrary)
+    kept = remains & ~contrary
+    remains = kept if kept.any() else remains
+    remains[given] = False
+    left = [int(k) for k in np.flatnonzero(remains)]
+    rank = {k: _wrong_sensors(hypotheses, k) for k in left}
+    least = min(len(rank[k]) for k in left)
+    fewest = [k for k in left if len(rank[k]) == least]
+    # Likely hypotheses are ordered by how common the mistake is.
+    gyro, field = hypotheses.gyro, hypotheses.field
+    fewest.sort(key=lambda k: (misfit[k] > LIMITS.likely, rank_of(gyro[k]), rank_of(field[k])))
+    if gyro_is_half_dead and any(rank[k] != ("gyro",) for k in fewest):
+        return AxesDiagnosis((undetermined("axes", "axes", DEAD_GYRO),))
+    return _findings_on_axes(hypotheses, fewest, rank, knowledge)
+
+
+def _wrong_sensors(hypotheses: AxesHypotheses, k: int) -> tuple[str, ...]:
+    """Return the sensors whose axes are wrong by hypothesis `k`."""
+    gyro, field = hypotheses.gyro[k], hypotheses.field[k]
+    axes = {"gyro": gyro, "magnetometer": field}
+    wrong = tuple(sensor for sensor, each in axes.items() if not np.array_equal(each, STANDARD))
+    # If both differ from the accelerometer in the same way, the accelerometer's axes are wrong.
+    alike = np.array_equal(gyro, field) or np.array_equal(gyro, -field)
+    return ("accelerometer",) if len(wrong) > 1 and alike and not is_mirrored(gyro) else wrong
+
+
+def _all_agree(
+    hypotheses: AxesHypotheses, remains: BoolArray, knowledge: Knowledge, contrary: BoolArray
+) -> AxesDiagnosis:
+    given = hypotheses.as_given
+    # The possible axes of the magnetometer if the gyro's are right.
+    alike = (hypotheses.gyro == hypotheses.gyro[given]).all(axis=(1, 2))
+    axes = PossibleAxes(hypotheses.field[remains & alike], True, knowledge)
+    known = np.array_equal(knowledge.mounting.pose, STANDARD)
+    evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
+    more = int(remains.sum() - remains[given])
+    found = [ok_or_warning("axes", "axes", evidence)]
+    if more:
+        pairs = f"pair{'s' * (more > 1)} of orientations"
+        rest = f"{more} other {pairs} of gyro and magnetometer"
+        why = f"{evidence} fit, but so would {rest}; to tell them apart, {axes.movement or LIFT}"
+        found = [undetermined("axes", "axes", why)]
+    if contrary[given]:
+        others = [_wrong_sensors(hypotheses, int(k)) for k in np.flatnonzero(remains & ~contrary)]
+        alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
+        said = TURNED_RIGHT + "".join(f", or only the {sensor} has wrong axes" for sensor in alone)
+        found.append(ok_or_warning("imu_axes", "axes: up", "a turn to the right", said))
+    return AxesDiagnosis(tuple(found), given, axes)
+
+
+def _findings_on_axes(
+    hypotheses: AxesHypotheses,
+    fewest: list[int],
+    rank: dict[int, tuple[str, ...]],
+    knowledge: Knowledge,
+) -> AxesDiagnosis:
+    """Name the sensor with wrong axes; ask for a movement if several are possible or wrong."""
+    culprits = list(dict.fromkeys(rank[k] for k in fewest))
+    if len(culprits[0]) > 1:
+        names = " and ".join(culprits[0])
+        evidence = f"other axes of {names} explain the movement better"
+        return AxesDiagnosis((ok_or_warning("axes", "axes", evidence, SEVERAL_WRONG),))
+    is_clear = len(culprits) == 1
+    said, axes = {}, None
+    for (sensor,) in culprits:
+        alternatives = [k for k in fewest if rank[k] == (sensor,)]
+        if sensor == "magnetometer":
+            axes = PossibleAxes(_distinct(hypotheses.field[alternatives]), False, knowledge)
+            said[sensor] = axes.words if is_clear else axes.alternatives
+            continue
+        words, slip = AXES_REMEDIES[sensor]
+        candidates = _distinct(hypotheses.gyro[alternatives])
+        is_asked = is_clear and len(candidates) > LIMITS.most_named
+        which = f". To tell which, {LIFT}" if is_asked else ""
+        said[sensor] = words.format(named(candidates, slip)) + which
+    names = " or ".join(said)
+    if not is_clear:
+        evidence = f"{names} contradicts the other sensors"
+        is_opposite = axes is not None and not axes.dip_known and len(axes.candidates) > 1
+        asked = f"{names} has wrong axes, and this movement does not show which: "
+        asked += f"{LIFT}{GIVE_DIP if is_opposite else ''}. Either {'; or '.join(said.values())}"
+        if axes is not None and (axes.candidates == INVERTED).all(axis=(1, 2)).any():
+            asked += f"; or {FIELD_POINTS_UP}"
+        return AxesDiagnosis((severe_finding("axes", "axes", evidence, asked),), fewest[0], axes)
+    evidence = "the other sensors contradict them"
+    line = severe_finding(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])
+    return AxesDiagnosis((line,), fewest[0], axes)
+
+
+KEYS = {"magnetometer": "field", "gyro": "gyro", "accelerometer": "force"}
+
+
+def _distinct(axes: FloatArray) -> FloatArray:
+    rows = (axes + 0.0).reshape(len(axes), -1)  # No zero with a sign.
+    return np.array([axes[k] for k in sorted(np.unique(rows, axis=0, return_index=True)[1])])
+
+
+def gyro_slip(axes: FloatArray) -> str:
+    """Describe how the gyro's axes (3, 3), rows in the body's, differ from the body's."""
+    if np.array_equal(np.abs(axes), STANDARD):
+        flipped = [name for name, sign in zip("xyz", np.diag(axes), strict=True) if sign < 0.0]
+        verb = "has" if len(flipped) == 1 else "have"
+        return f"{' and '.join(flipped)} {verb} the wrong sign"
+    if exchanged := swapped(axes):
+        return exchanged
+    return axes_in_words(axes, (("x", "-x"), ("y", "-y"), ("z", "-z")), " holds ")
+
+
+AXES_REMEDIES: dict[str, tuple[str, Callable[[FloatArray], str]]] = {
+    "gyro": (
+        "the gyro's axes do not match the accelerometer's: {}; correct it in the driver",
+        gyro_slip,
+    ),
+    "accelerometer": (
+        "gyro and magnetometer agree, but the accelerometer's axes do not match theirs: they are "
+        "{}; correct them in the driver",
+        lambda axes: axes_in_words(axes.T),
+    ),
+}
+"""By sensor: the remedy for wrong axes, and a function that describes one candidate."""

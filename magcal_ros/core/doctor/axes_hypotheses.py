@@ -1,0 +1,400 @@
+"""Compare all hypotheses on the axes of gyro and magnetometer by how well they fit the samples.
+
+The accelerometer's axes are assumed to be the body's. If these are wrong, gyro and magnetometer
+differ from them in the same way. Rows of a hypothesis' two matrices are the sensor's axes in the
+body's. For the field, rotating the gyro's axes is the same as rotating the magnetometer's back, and
+a mirrored gyro turns the other way. So the gyro is fitted to the field in 24 orientations and two
+senses, and to gravity with 48 matrices. Only pairs that pass both are fitted jointly.
+
+The unit of the gyro's rates is checked by the rate of the field's rotation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, accumulated
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
+from magcal_ros.core.geometry.rotations import signed_permutations, skews
+from magcal_ros.core.knowledge import Belief
+from magcal_ros.core.samples.alignment import (
+    BIAS,
+    FIELD,
+    IRON,
+    LAG,
+    NO_BIAS,
+    SCALE,
+    UP,
+    WIDE,
+    Alignment,
+    align,
+)
+from magcal_ros.core.samples.window import Segment, SensorLog, segment_of_log
+
+
+@dataclass(frozen=True)
+class HypothesisTuning:
+    """Priors of sensors that may be faulty, and limits of the hypotheses."""
+
+    remains: float = 20.0
+    """Chi-square, in independent samples, up to which a hypothesis is kept. From twice as much the
+    axes as given are called wrong, and beyond four times a hypothesis is not fitted."""
+    likely: float = 9.0  # chi-square up to which candidates are ordered by common mistakes
+    times: float = 2.0  # residual, relative to the best one, from which a fit is clearly worse
+    lift: float = math.radians(3.0)
+    """RMS tilt, radians, from which a smaller difference suffices to exclude a hypothesis."""
+    worst_fit: float = 0.3
+    """Residual, relative to the changing field, beyond which no hypothesis is accepted."""
+    dip_sigma: float = math.radians(3.0)
+    """Standard deviation, radians, that is added to that of a reference inclination."""
+    attitude_error: float = math.radians(0.5)  # radians, smallest error of a propagated attitude
+    most_named: int = 3  # candidates that are described for one sensor
+    most: int = 32  # hypotheses that are fitted
+    doubtful: float = 12.0
+    """Largest chi-square of field or gravity if soft iron or acceleration may explain it."""
+    good_fit: float = 0.06
+    """Residual, relative to the changing field, up to which small differences are significant."""
+    settled: float = 0.02  # seconds, change of the latency that ends the iteration
+    looks: int = 4  # largest number of iterations of the latency
+    least_turn: float = math.radians(40.0)  # radians, smallest turn between two attitudes
+    span: float = 0.6
+    """Seconds over which turns are compared: noise dominates shorter turns, bias longer ones."""
+    lever: float = 1.0
+    """Metres, standard deviation of the lever arm: from the elbow for a sensor that is swung by
+    hand, from the rear axle in a vehicle."""
+    rounds: int = 3  # iterations of the robust weights
+    unit_ratio: float = 5.0  # ratio of the rates from which the unit, not the scale, is wrong
+    # Seconds over which field and gyro are compared: the shortest in which the field changes.
+    spans: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
+    moved: float = 0.15  # smallest change of the field in a span that is used, relative to its size
+    below: float = 8.0
+    above: float = 2.2
+    """Largest ratio of rough to known factor, and of known to rough: noise enlarges the rough."""
+
+
+LIMITS = HypothesisTuning()
+
+
+class AxesHypothesis(NamedTuple):
+    """One hypothesis on the axes of gyro and magnetometer, as in `AxesHypotheses`."""
+
+    gyro: FloatArray
+    field: FloatArray  # axes of both sensors in the accelerometer's, shape (3, 3)
+    state: FloatArray
+    sigma: FloatArray  # the fitted parameters and their standard deviations, shape (23,)
+    part: Segment  # the samples of the fit
+
+    @property
+    def is_as_given(self) -> bool:
+        """Whether all axes are right."""
+        return bool((self.gyro == np.eye(3)).all() and (self.field == np.eye(3)).all())
+
+
+@dataclass(frozen=True, eq=False)
+class AxesHypotheses:
+    """The results of all k hypotheses that were compared."""
+
+    gyro: FloatArray
+    field: FloatArray
+    """Axes of the two sensors in the accelerometer's. Shape (k, 3, 3)."""
+    base: FloatArray
+    """Chi-square, in independent samples, minus the best, without the inclination. Shape (k,)."""
+    rms: FloatArray  # typical residual of the field over the size of its changing part. Shape (k,).
+    parameters: FloatArray
+    sigma: FloatArray
+    """Parameters as in `AlignmentFit`, with the total latency, and their sigmas, (k, 23)."""
+    part: Segment  # the samples of the fit
+    found: Alignment  # the fit, which is the same for a field and its opposite
+    inclination: Belief  # distinguishes a field from its opposite
+
+    @cached_property
+    def cost(self) -> FloatArray:
+        """Chi-square with the inclination, shape (k,)."""
+        return np.asarray(self.base + _inclination_misfit(self.found, self.inclination))
+
+    @property
+    def misfit(self) -> FloatArray:
+        """Chi-square minus the best, shape (k,)."""
+        return np.asarray(self.cost - self.cost.min())
+
+    @property
+    def field_right(self) -> float:
+        """The smallest chi-square with the magnetometer's axes as given."""
+        return float(self.cost[_are_right(self.field)].min())
+
+    @property
+    def as_given(self) -> int:
+        """The index of the hypothesis that all axes are right."""
+        return int(np.argmax(_are_right(self.gyro) & _are_right(self.field)))
+
+    @property
+    def best(self) -> int:
+        """The index of the hypothesis with the best fit."""
+        return int(np.argmin(self.cost))
+
+    @property
+    def fits_well(self) -> bool:
+        """Whether the best fit is so good that small differences are significant."""
+        return bool(self.rms[self.best] < LIMITS.good_fit)
+
+    @property
+    def confirms_unit(self) -> bool:
+        """Whether the gyro's unit is right: the best hypothesis fits well, and not by chance.
+
+        In less than a quarter turn, some axes fit a field that varies from place to place, whatever
+        the gyro's unit.
+        """
+        axes_fit = bool(self.rms[self.as_given] < LIMITS.good_fit)
+        return self.fits_well and (axes_fit or abs(self.turned(self.best)) > 0.5 * math.pi)
+
+    def is_better(self, other: AxesHypotheses) -> bool:
+        """Whether the axes as given explain the movement better than any axes in `other`."""
+        own = self.rms[self.as_given]
+        return bool(own < min(LIMITS.worst_fit, float(other.rms.min())))
+
+    def hypothesis(self, k: int) -> AxesHypothesis:
+        """Return hypothesis `k`."""
+        values = self.gyro[k], self.field[k], self.parameters[k], self.sigma[k]
+        return AxesHypothesis(*values, self.part)
+
+    def turned(self, k: int) -> float:
+        """Return the angle turned about the accelerometer's up, by hypothesis `k`, radians."""
+        segment = self.part
+        up = unit(segment.up[:-1])
+        rate = (1.0 + self.parameters[k, SCALE]) * segment.turn @ self.gyro[k]
+        rate = rate - self.parameters[k, BIAS] * segment.seconds[:, None]
+        return float(np.sum(rate * up))
+
+
+def _are_right(axes: FloatArray) -> BoolArray:
+    """Return which axes (k, 3, 3) are the body's."""
+    return np.asarray((axes == np.eye(3)).all(axis=(1, 2)))
+
+
+def compare_axes(
+    log: SensorLog, inclination: Belief, bias: FloatArray = NO_BIAS
+) -> AxesHypotheses | None:
+    """Compare all hypotheses on the axes; None if the robot turns too little.
+
+    `bias` (3,) is the gyro's bias from a rest, rad/s, at which each fit starts.
+    """
+    every = signed_permutations()
+    proper = every[:24]
+    part, lag = segment_of_log(log), 0.0
+    if part is None or most_turned(part) < LIMITS.least_turn:
+        return None
+    senses = _fit_to_the_field(part, proper, bias)
+    for _ in range(LIMITS.looks):
+        more = float(senses.parameters[senses.best, LAG])
+        nearer = segment_of_log(log, lag + more) if abs(more) > LIMITS.settled else None
+        if nearer is None:
+            break
+        part, lag = nearer, lag + more
+        senses = _fit_to_the_field(part, proper, bias)
+    gyro, field, base = _hypotheses_to_fit(part, senses, every, proper)
+    found = align(part, field, gyro, bias=bias)
+    # The opposite of each field fits equally well.
+    twice = np.tile(np.arange(len(field)), 2)
+    parameters = found.parameters[twice]
+    parameters[:, LAG] += lag
+    parameters[len(field) :, FIELD.start : IRON.stop] *= -1.0
+    return AxesHypotheses(
+        gyro[twice],
+        np.concatenate([field, -field]),
+        base[twice] - base.min(),
+        found.rms[twice],
+        parameters,
+        np.sqrt(np.einsum("kii->ki", found.covariance[twice])),
+        part,
+        found,
+        inclination,
+    )
+
+
+def most_turned(segment: Segment) -> float:
+    """Return the approximate angle between the most distant attitudes, radians."""
+    return float(np.ptp(np.cumsum(segment.turn + segment.coning, axis=0), axis=0).max())
+
+
+def _fit_to_the_field(segment: Segment, proper: FloatArray, bias: FloatArray) -> Alignment:
+    """Fit the field to the gyro alone, in both senses and 24 orientations each."""
+    senses = np.repeat(np.array([np.eye(3), -np.eye(3)]), len(proper), axis=0)
+    return align(segment, np.concatenate([proper, proper]), senses, with_up=False, bias=bias)
+
+
+def _hypotheses_to_fit(
+    segment: Segment, senses: Alignment, every: FloatArray, proper: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return axes (m, 3, 3) and chi-square (m,) of the hypotheses to fit, with all axes right."""
+    # A vehicle's accelerations tilt gravity for a long time: only changes are compared.
+    misfit, rms = gravity_misfit(segment, every)
+    gravity = _limited(misfit, rms, senses.least_tilt > 0.0)
+    is_good = bool(senses.rms[senses.best] < LIMITS.good_fit)
+    lifted = senses.tilt > LIMITS.lift and senses.least_tilt > 0.0 and is_good
+    against_field = _limited(senses.misfit, senses.rms, lifted).reshape(2, -1)
+    sense = np.rint(np.linalg.det(every))
+    cost = (against_field[(sense < 0.0).astype(int)] + gravity[:, None]).ravel()
+    field = np.einsum("kij,gjl->gkil", proper, sense[:, None, None] * every).reshape(-1, 3, 3)
+    order = np.argsort(cost, kind="stable")
+    gyro = order // len(proper)
+    # A level turn leaves most axes of a gyro open: the axes as given are always included.
+    likely = (np.arange(len(order)) < LIMITS.most) | (gyro == 0)
+    right = (gyro == 0) & _are_right(field[order])
+    kept = (likely & (cost[order] - cost.min() < 4.0 * LIMITS.remains)) | right
+    return every[gyro[kept]], field[order[kept]], cost[order[kept]]
+
+
+def _limited(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
+    """Return misfits (k,), limited if soft iron or linear acceleration may explain them."""
+    # In a turn about one axis, unusually strong soft iron looks like other axes. Linear
+    # acceleration does, too, if gravity does not show a lift that the gyro measures. Then only
+    # clearly worse fits are excluded.
+    plainly = rms > LIMITS.times * rms[np.argmin(misfit)]
+    capped = np.minimum(misfit, LIMITS.doubtful)
+    return np.asarray(np.where(plainly | lifted, misfit, capped))
+
+
+def _inclination_misfit(found: Alignment, dip: Belief) -> FloatArray:
+    """Return chi-square (2 k,) of the inclination by each field, then by their opposites."""
+    is_known = np.asarray(np.isfinite(found.covariance).all(axis=(1, 2)))
+    if dip.is_unknown:
+        return np.zeros(2 * len(is_known))
+    up, field = unit(found.parameters[:, UP]), found.parameters[:, FIELD]
+    size = np.linalg.norm(field, axis=1)
+    along = np.sum(up * field, axis=1) / size
+    level = np.sqrt(np.maximum(1.0 - along**2, 1e-6))
+    slope = (up - (along / size)[:, None] * field) / (size * level)[:, None]
+    covariance = np.where(is_known[:, None, None], found.covariance[:, FIELD, FIELD], 0.0)
+    variance = np.einsum("ki,kij,kj->k", slope, covariance, slope)
+    # The gyro's drift looks like a small tilt, which does not determine the field.
+    variance += (LIMITS.attitude_error / max(found.least_tilt, 1e-6)) ** 2
+    variance += LIMITS.dip_sigma**2 + dip.sigma**2
+    measured = -np.arcsin(np.clip(along, -1.0, 1.0))
+    misfits = [
+        np.where(is_known, (sign * measured - dip.value) ** 2 / variance, 0.0) for sign in (1, -1)
+    ]
+    return np.concatenate(misfits)
+
+
+def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compare axes of the gyro by how well they explain the changes of gravity's direction.
+
+    Return chi-square (k,) minus the best, and the typical residual, radians (k,).
+
+    A rotation by a small angle d changes up by -d x up. At a lever arm r, it adds an acceleration
+    that follows from r and the gyro. Other accelerations change the size of specific force, which
+    no rotation does, and its direction by as much.
+    Rows of each of the `axes` (k, 3, 3) are the gyro's axes in the accelerometer's.
+    """
+    seconds = accumulated(segment.seconds)
+    first, last, turn = _turns_in(segment, LIMITS.span)
+    if len(first) < 4:
+        return np.zeros(len(axes)), np.zeros(len(axes))
+    size = np.linalg.norm(segment.up, axis=1, keepdims=True)
+    uneven = float(np.median(np.abs(size[last] - size[first]))) / 0.6745
+    up = segment.up / np.maximum(size, 1e-9)
+    middle = skews(0.5 * (up[last] + up[first]))
+    measured = up[last] - up[first]
+    turned = turn @ axes
+    # seen = middle x (turned (1 + scale) - bias seconds) + swung r
+    count, n = len(axes), len(first)
+    moved = np.einsum("nij,knj->kni", middle, turned)
+    drift = -middle * (seconds[last] - seconds[first])[:, None, None]
+    rate = segment.rate @ axes
+    turns = skews(rate)
+    # The acceleration in g at a lever arm of one metre.
+    swung = (skews(np.gradient(rate, seconds, axis=1)) + turns @ turns) / STANDARD_GRAVITY
+    swung = -middle @ middle @ (swung[:, last] - swung[:, first])
+    drifted = np.broadcast_to(drift, (count, n, 3, 3))
+    design = np.concatenate([drifted, moved[..., None], swung], axis=3)
+    target = measured - moved
+    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [LIMITS.lever] * 3)
+    prior = np.diag(sizes**-2.0)
+    repeated = max(float(np.mean(last - first)), 1.0)
+    sigma, left = math.radians(5.0), np.zeros((count, n))
+    for _ in range(LIMITS.rounds):
+        weight = 7.0 / (4.0 + left / sigma**2) / sigma**2 / repeated
+        rows = design * weight[..., None, None]
+        normal = np.einsum("knia,knib->kab", rows, design) + prior
+        found = np.linalg.solve(normal, np.einsum("knia,kni->ka", rows, target)[..., None])[..., 0]
+        left = np.sum((target - np.einsum("knia,ka->kni", design, found)) ** 2, axis=2)
+        typical = np.sqrt(np.median(left, axis=1) / 2.37)
+        cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
+        sigma = max(float(typical[np.argmin(cost)]), uneven, LIMITS.attitude_error)
+    cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
+    cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
+    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, LIMITS.attitude_error))
+
+
+def _turns_in(segment: Segment, span: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return first and last row of each span of `span` seconds, and the gyro's turn (n, 3)."""
+    seconds, angle = accumulated(segment.seconds), accumulated(segment.turn)
+    last = np.searchsorted(seconds, seconds + span)
+    first = np.flatnonzero(last < len(seconds))
+    return first, last[first], angle[last[first]] - angle[first]
+
+
+UNIT_ERRORS: tuple[tuple[float, str], ...] = (
+    (math.radians(1.0), "degrees/s published as rad/s"),
+    (math.degrees(1.0), "rad/s converted from degrees twice"),
+    (math.radians(1.0) / STANDARD_GRAVITY, "rates converted to degrees and multiplied by gravity"),
+    (1.0 / STANDARD_GRAVITY, "rates multiplied by gravity, as accelerations are"),
+)
+"""Factors to rad/s for known errors of the unit, and their causes."""
+FEWEST_SPANS = 3  # smallest number of spans that determine the unit
+
+
+def rate_factors(segment: Segment) -> tuple[float, ...] | None:
+    """Return which of 1 and the known factors may convert rates to rad/s; None if they are rad/s.
+
+    In a short time, the field vector moves by its size times the angle. The size is that of the
+    field's changing part, which is right within a factor of two from a quarter turn on. The factor
+    is 1 if neither gyro nor field determines the unit.
+    """
+    for rough in (_by_the_gyro(segment), _by_the_field(segment)):
+        if rough is None:
+            continue
+        if 1.0 / LIMITS.unit_ratio < rough < LIMITS.unit_ratio:
+            return None
+        known = (1.0, *(factor for factor, _ in UNIT_ERRORS))
+        near = tuple(f for f in known if rough / LIMITS.below < f < rough * LIMITS.above)
+        if near:
+            return near
+    return (1.0,)
+
+
+def _by_the_gyro(segment: Segment) -> float | None:
+    """Return the field's movement over the gyro's angle, in the spans with the largest angles.
+
+    The movement by magnetic objects along a road is measured in spans without a turn.
+    """
+    first, last, turn = _turns_in(segment, LIMITS.spans[0])
+    change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
+    turned = np.linalg.norm(turn, axis=1)
+    most = float(np.max(turned, initial=0.0))
+    quick, slow = turned > 0.5 * most, turned < 0.1 * most
+    if quick.sum() < FEWEST_SPANS:
+        return None
+    street = float(np.median(change[slow])) if slow.sum() >= FEWEST_SPANS else 0.0
+    by_turning = float(np.median(change[quick])) ** 2 - street**2
+    return math.sqrt(by_turning) / float(np.median(turned[quick])) if by_turning > 0.0 else None
+
+
+def _by_the_field(segment: Segment) -> float | None:
+    """Return this ratio in the spans with the largest movements of the field; None without any.
+
+    A field that varies from place to place moves farther than by the turn: the unit is not wrong.
+    """
+    for span in LIMITS.spans:
+        first, last, turn = _turns_in(segment, span)
+        change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
+        moved = change > max(LIMITS.moved, 0.5 * float(np.max(change, initial=0.0)))
+        if moved.sum() >= FEWEST_SPANS:
+            turned = np.linalg.norm(turn[moved], axis=1)
+            return float(np.median(change[moved])) / max(float(np.median(turned)), 1e-12)
+    return None

@@ -1,0 +1,184 @@
+"""The report of the doctor: every fault of the sensors, graded, with its remedy.
+
+A turn is refused with the same remedies if a fault of the sensors makes it unusable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.doctor.axes_diagnosis import PossibleAxes, parameter_line
+from magcal_ros.core.doctor.axes_hypotheses import rate_factors
+from magcal_ros.core.doctor.course import AxesInUse, axes_in_use, course_findings
+from magcal_ros.core.doctor.field_by_movement import with_field
+from magcal_ros.core.doctor.health import (
+    WRONG_UNIT,
+    Finding,
+    alive_finding,
+    dead_axes,
+    field_findings,
+    noise_findings,
+    stuck_axes,
+    up_axis,
+)
+from magcal_ros.core.doctor.motion import compare
+from magcal_ros.core.doctor.prepared import prepare
+from magcal_ros.core.doctor.quirks import known_quirks, orientation_findings
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.samples.bursts import bursts_in_words
+from magcal_ros.core.samples.units import MISLED_BY_AXES, with_explanation
+from magcal_ros.core.samples.window import SensorLog, Window, segment_of_log
+
+UNPAIRED_ONLY = ("bursts", "stamps", "repeats")  # keys of findings that need unpaired samples
+
+
+@dataclass(frozen=True)
+class SensorReport:
+    """All findings on the sensors of a log."""
+
+    findings: tuple[Finding, ...]
+    mount_rpy_deg: tuple[int, int, int] | None = None
+    """The mounting that corrects the magnetometer's axes; None if they are right or not known, or
+    if no mounting corrects them."""
+    used: AxesInUse | None = None  # the compass to compare with a drive's course
+    axes: PossibleAxes | None = None  # the possible axes of the magnetometer
+
+    @property
+    def misleads(self) -> bool:
+        """Whether a fault would make headings wrong."""
+        return any(finding.grade is Grade.REFUSED for finding in self.findings)
+
+    @property
+    def parameters(self) -> str:
+        """The line of a parameter file that corrects the axes; empty if there is none."""
+        return "" if self.mount_rpy_deg is None else parameter_line(self.mount_rpy_deg)
+
+    def with_more(self, findings: Iterable[Finding]) -> SensorReport:
+        """Return the report with more findings."""
+        return replace(self, findings=(*self.findings, *findings))
+
+    def with_course(self, gap: Belief, imu_yaw: Belief) -> SensorReport:
+        """Return the report with findings on the axes' yaw, which needs a course."""
+        assert self.used is not None
+        lines, mount = course_findings(self.used, gap, imu_yaw)
+        report = self.with_more(lines)
+        return report if mount is None else replace(report, mount_rpy_deg=mount)
+
+
+def examine(
+    log: SensorLog, knowledge: Knowledge = Knowledge(), turned_left: bool | None = None
+) -> SensorReport:
+    """Check the sensors of a log for all known faults.
+
+    `turned_left` is whether the user turned the robot to the left; None if unknown.
+    """
+    prepared = prepare(log)
+    left = prepared.log
+    if min(len(left.imu_time), len(left.field_time)) < 3:
+        return SensorReport((*prepared.findings, *known_quirks(log)))
+    found = compare(prepared, knowledge, turned_left)
+    lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
+    lines = with_field(lines, prepared, found, knowledge)
+    mount, wrong, axes = None, None, found.axes
+    is_field = any(finding.key == "field_axes" for finding in found.findings)
+    if axes is not None and is_field and len(axes.candidates) == 1:
+        mount, wrong = axes.mount_rpy_deg, axes.candidates[0]
+    lines += known_quirks(log, wrong)
+    lines += orientation_findings(log, knowledge) if wrong is None else []
+    used = None
+    if found.hypothesis is not None and found.factor == 1.0 and not found.up_is_down:
+        used = axes_in_use(found.hypothesis, knowledge)
+    return SensorReport(tuple(lines), mount, used, axes)
+
+
+# A refusal and a report examine the same turn several times.
+@lru_cache(maxsize=1)
+def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> SensorReport:
+    """Check the sensors by the samples of a turn, which are already paired and cleaned."""
+    report = examine(SensorLog.of_window(window), knowledge)
+    kept = [f for f in report.findings if f.key not in UNPAIRED_ONLY]
+    return replace(report, findings=tuple(kept))
+
+
+AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit", "frozen")
+"""Keys of the findings that explain why field, gyro and gravity disagree."""
+
+
+def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return a refusal if axes are certainly wrong; None if they may be right."""
+    refusal = _wrong_gyro(window, knowledge)
+    if refusal is not None or window.angular_rate is None:
+        return refusal
+    certain = _refusal_from_page(window, knowledge, least=Grade.REFUSED)
+    return None if certain is None else wrong_stamps(window) or certain
+
+
+def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return a refusal of readings that no fit can use; None if a fit can be tried.
+
+    Saturation makes the hard iron look smaller, and a field in another unit contradicts the priors
+    of a fit, which are in tesla.
+    """
+    for found in field_findings(window.field) if len(window) >= 3 else ():
+        if found.is_wrong and found.key == WRONG_UNIT:
+            return _refusal_from_page(window, knowledge, (WRONG_UNIT,))
+        if found.is_wrong and found.key == "saturation":
+            words = f"the magnetometer saturates ({found.evidence}); {found.remedy}"
+            return Refusal(Reason.NO_SOLUTION, words)
+        if found.key == "frozen" and stuck_axes(window.field):
+            words = f"{found.remedy}, or its range ends below the field"
+            return Refusal(Reason.NO_SOLUTION, words)
+    return _wrong_gyro(window, knowledge)
+
+
+def _wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return a refusal if the gyro is frozen, dead about the vertical, or in a wrong unit."""
+    rate = window.angular_rate
+    if rate is None or len(window) < 3:
+        return None
+    if rate.any() and not np.ptp(rate, axis=0).any():
+        return _refusal_from_page(window, knowledge, ("frozen",))
+    if up_axis(window.specific_force) in dead_axes(rate):
+        return Refusal(
+            Reason.AXES_DISAGREE,
+            f"{alive_finding('gyro', rate, window.specific_force).remedy}; correct the driver, or "
+            "let it mark the rates as absent (angular_velocity_covariance[0] = -1; in a table, "
+            "leave the columns out) to be calibrated without a gyro",
+        )
+    segment = segment_of_log(SensorLog.of_window(window))
+    if segment is not None and set(rate_factors(segment) or ()) - {1.0}:
+        return _refusal_from_page(window, knowledge, ("rate_unit",))
+    return None
+
+
+def wrong_stamps(window: Window) -> Refusal | None:
+    """Return a refusal if there is a gyro and the stamps come in bursts; else None."""
+    bursts = "" if window.angular_rate is None else bursts_in_words(window.time)
+    if not bursts:
+        return None
+    return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not match: {bursts}")
+
+
+def refusal_by_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
+    """Return the refusal for wrong axes if they caused a method's refusal, else the latter."""
+    wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
+    return with_explanation(refusal, window) if wrong is None else wrong
+
+
+def refusal_by_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
+    """Return the refusal of a turn that was not detected, or that for the faults behind it."""
+    return _wrong_gyro(window, knowledge) or _refusal_from_page(window, knowledge) or refusal
+
+
+def _refusal_from_page(
+    window: Window, knowledge: Knowledge, lines: tuple[str, ...] = AXES, least: Grade = Grade.WARN
+) -> Refusal | None:
+    findings = examine_window(window, knowledge).findings
+    remedies = [f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines]
+    return Refusal(Reason.AXES_DISAGREE, "; ".join(remedies)) if any(remedies) else None

@@ -1,0 +1,318 @@
+"""A moving vehicle, live or replayed: compares IMU, speed, fixes and compass with one another."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from magcal_ros.core.driving.chords import (
+    Chord,
+    Chords,
+    CourseCells,
+    CourseOffset,
+    GyroFrame,
+    Tick,
+    fit_course_offset,
+)
+from magcal_ros.core.driving.driving_tuning import ACCELERATION, COURSE, MOUNTING, SpeedSource
+from magcal_ros.core.driving.mounting_yaw import MountingYaw, MountingYawEstimator, SpeedCheck
+from magcal_ros.core.driving.speed import Speedometer, VehicleAcceleration
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.samples.streams import (
+    FieldSample,
+    ImuSample,
+    PositionSample,
+    Streams,
+    TravelSample,
+    VelocitySample,
+)
+from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.core.up.stillness import ZERO
+
+
+class HullDriftDetector:
+    """Compares course and gyro over a minute of straight driving."""
+
+    def __init__(self) -> None:
+        self._seen: deque[Chord] = deque(maxlen=120)
+        self.judged = self.drifted = 0
+
+    def add(self, chord: Chord) -> bool:
+        """Add a chord; return whether course and heading agree, as far as is known."""
+        seen = self._seen
+        seen.append(chord)
+        while chord.stamp - seen[0].stamp > COURSE.span:
+            seen.popleft()
+        if len(seen) >= COURSE.chords:
+            self.judged += 1
+            self.drifted += self._drifts()
+        return not self.is_drifting
+
+    def _drifts(self) -> bool:
+        """Whether the newest chords are from a hull, whose course is not its heading."""
+        time, _, _, courses, compass_gaps, gaps, sigmas, _ = np.array(self._seen).T
+        # The gyro's yaw minus that of the compass, and the gyro's yaw, unwrapped.
+        leads, headings = np.unwrap(gaps - compass_gaps), np.unwrap(gaps + courses)
+        gaps, since = np.unwrap(gaps), time - time.mean()
+        slope, lead = (float(since @ each / (since @ since)) for each in (gaps, leads))
+        # Gyro and compass differ by the gyro's bias, but not by the turning of a hull.
+        least, most = min(lead, 0.0) - COURSE.bias, max(lead, 0.0) + COURSE.bias
+        bias = since * min(max(slope, least), most)
+        left, turned = gaps - bias, headings - bias
+        left -= np.median(left)
+        turned -= turned.mean()
+        # The variance by the receiver's noise is not drift.
+        square = (1.4826 * float(np.median(np.abs(left)))) ** 2 - float(np.median(sigmas)) ** 2
+        if square > COURSE.scatter**2:
+            return True
+        # The receiver's noise is not correlated with turns; a course that does not follow them is.
+        by_turns = float(turned @ turned)
+        has_turned = by_turns >= len(turned) * COURSE.turned**2
+        return has_turned and float(turned @ left) > COURSE.share * by_turns
+
+    @property
+    def is_drifting(self) -> bool:
+        """Whether course and heading differ for a large part of the path."""
+        return self.drifted > 3 and self.drifted > 0.2 * self.judged
+
+    def restart(self) -> None:
+        """Forget the newest chords: the zero of the gyro's yaw has changed."""
+        self._seen.clear()
+
+
+Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
+
+
+def run_immediately(work: Callable[[], Any], then: Callable[[Any], None]) -> None:
+    """Call `work`, and `then` with its result."""
+    then(work())
+
+
+class TravelEstimator:
+    """Follows a drive with bounded memory; without speed and fixes it does nothing.
+
+    `run` calls a function of some tens of milliseconds, and another one with its result, by default
+    at once; a node uses another thread. `course` is the newest fit of compass against course, for
+    the yaw to *magnetic* north; None before a fit. `is_heard` is whether any speed or fix has come.
+    """
+
+    def __init__(self, run: Run = run_immediately) -> None:
+        self._run, self._is_running = run, False
+        self.speedometer = Speedometer()
+        self.mounting = MountingYawEstimator(self.speedometer)
+        self.cells = CourseCells()
+        self.drift = HullDriftDetector()
+        self.course: CourseOffset | None = None
+        self.metres = 0.0
+        self.acceleration = VehicleAcceleration()
+        self._frame = GyroFrame()
+        self._chords = Chords()
+        self._pending: deque[Chord] = deque(maxlen=256)
+        self.is_heard = False
+        self._given: tuple[float, float] | None = None
+        self._restarts = 0
+
+    @property
+    def known_mounting(self) -> MountingYaw | None:
+        """The yaw of the IMU in the vehicle; None until the drive determines it."""
+        found = self.mounting.found
+        return found if found is not None and found.is_known else None
+
+    @property
+    def source(self) -> SpeedSource | None:
+        """The source of the speed in use."""
+        track = self.speedometer.track
+        return None if track is None else track.source
+
+    @property
+    def speed(self) -> float:
+        """The newest speed, m/s; NaN without a source."""
+        track = self.speedometer.track
+        return math.nan if track is None else track.last
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether the speed of wheels is frequent enough to time starts and stops."""
+        track = self.speedometer.track
+        if track is None or track.source is not SpeedSource.ODOMETRY:
+            return False
+        return math.isfinite(track.newest) and not track.is_slow
+
+    def wheel_speed(self, stamp: float) -> float:
+        """Return the speed of wheels, m/s; NaN without a measurement near a stamp, seconds."""
+        track = self.speedometer.tracks[SpeedSource.ODOMETRY]
+        if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
+            return math.nan
+        return track.last
+
+    def use_mounting_yaw(self, yaw: float, sigma: float) -> None:
+        """Use a yaw of the IMU in the vehicle from elsewhere, radians, until a fit is usable."""
+        self._given = (yaw, sigma)
+        self._use_fit()
+
+    def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> Triple | None:
+        """Add an IMU sample; return the vehicle's acceleration, m/s², body axes.
+
+        None if it is not known; nothing may then be subtracted.
+        """
+        if not self.is_heard:
+            return None
+        tick = self._frame.add(sample, gyro_bias)
+        if self._frame.restarts != self._restarts:
+            self._restarts = self._frame.restarts
+            for each in (self.acceleration, self._chords, self.mounting, self.drift):
+                each.restart()
+        if tick is not None:
+            self._on_tick(tick)
+        return self.acceleration.linear(sample.stamp, sample.force, self._frame)
+
+    def wants_speed(self, stamp: float) -> bool:
+        """Whether a speed of wheels at a stamp is used; other messages need not be decoded."""
+        return self.speedometer.tracks[SpeedSource.ODOMETRY].wants(stamp)
+
+    def add_travel(self, sample: TravelSample) -> None:
+        """Add a sample of wheels or receiver."""
+        is_usable = self.speedometer.add(sample)
+        self.is_heard = is_usable or self.is_heard
+        if isinstance(sample, PositionSample) or (is_usable and isinstance(sample, VelocitySample)):
+            self._chords.add_fix(sample)
+
+    def add_yaw(self, yaw: float) -> None:
+        """Add the yaw of the IMU's x to magnetic north by the compass, radians."""
+        if self.is_heard:
+            self._chords.add_yaw(yaw)
+
+    def forget_compass(self) -> None:
+        """Forget the comparison of compass and course: another calibration is in use."""
+        self.cells = CourseCells()
+        self.course = None
+        self._pending.clear()
+
+    def fit_course(self) -> CourseOffset | None:
+        """Fit the offset of the compass against course to the whole drive."""
+        self.course = self._begin_course()()
+        return self.course
+
+    def _begin_course(self) -> Callable[[], CourseOffset | None]:
+        """Return a function that fits the course, in up to a tenth of a second."""
+        if self.drift.is_drifting:
+            return lambda: None
+        table = self.cells.table()
+        return lambda: fit_course_offset(table)
+
+    def give_up_fit(self) -> None:
+        """Forget a failed fit, so that the next one may start."""
+        self._is_running = False
+
+    def _on_tick(self, tick: Tick) -> None:
+        track = self.speedometer.track
+        is_due = False
+        for met, speed in self.acceleration.add(tick, track):
+            is_due = self.mounting.add(met, speed) or is_due
+            if math.isfinite(speed):
+                self.metres += abs(speed) * met.seconds
+        if is_due and not self._is_running:
+            self._fit(tick.stamp)
+        for receiver in (SpeedSource.FIXES, SpeedSource.VELOCITY):
+            if math.isfinite(self.speedometer.tracks[receiver].newest):
+                self._chords.delay = self.speedometer.tracks[receiver].delay
+        self._pending.extend(self._chords.add_tick(tick))
+        self._settle()
+
+    def _fit(self, stamp: float) -> None:
+        """Start the fits of the mounting yaw and of the course."""
+        mounting, course = self.mounting.begin_fit(stamp), self._begin_course()
+        self._is_running = True
+
+        def work() -> tuple[tuple[SpeedCheck, ...], CourseOffset | None]:
+            return mounting(), course()
+
+        def then(found: tuple[tuple[SpeedCheck, ...], CourseOffset | None]) -> None:
+            self._is_running = False
+            self.mounting.take(found[0])
+            self.course = found[1]
+            self._use_fit()
+
+        self._run(work, then)
+
+    def _use_fit(self) -> None:
+        found, acceleration, given = self.mounting.found, self.acceleration, self._given
+        if found is not None and found.is_usable:
+            # A rough yaw is enough: the acceleration is continuously tested against the force.
+            acceleration.yaw, acceleration.noise = found.yaw, found.noise
+            acceleration.scale = min(1.0, found.scale)
+            acceleration.is_yaw_usable = True
+            acceleration.is_yaw_known = found.is_known
+        elif given is not None and given[1] < MOUNTING.believed:
+            acceleration.yaw, acceleration.is_yaw_usable, acceleration.is_yaw_known = (
+                given[0],
+                True,
+                True,
+            )
+
+    def _settle(self) -> None:
+        """Use chords once it is known whether the vehicle drove forwards."""
+        track = self.speedometer.track
+        while self._pending:
+            chord = self._pending[0]
+            moment = chord.stamp - self._chords.delay
+            sign, is_clear, is_open = self.acceleration.trip_at(moment)
+            if track is not None and track.is_signed:
+                speed = track.at(moment + track.delay)
+                sign = sign if speed is None else math.copysign(1.0, speed)
+            elif self.acceleration.is_yaw_known and not is_clear and is_open:
+                waits = self._pending[-1].stamp - chord.stamp
+                if waits < ACCELERATION.longest:
+                    return
+            self._pending.popleft()
+            chord = chord if sign > 0.0 else chord.backwards
+            if self.drift.add(chord):
+                self.cells.add(chord)
+
+
+class TravelReplay:
+    """Merges travel samples into a recording's readings, and follows up and speed along it.
+
+    `acceleration` is the vehicle's acceleration at the newest IMU sample, m/s², body axes; zero if
+    it is unknown.
+    """
+
+    def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:
+        self._travel, self._streams = list(travel), streams
+        self.estimator, self.up = TravelEstimator(), UpFollower()
+        self.acceleration: Triple = ZERO
+
+    def readings(
+        self, readings: Iterable[ImuSample | FieldSample | None]
+    ) -> Iterator[ImuSample | FieldSample | None]:
+        """Yield the readings in their order; the attributes belong to the newest one."""
+        if not self._travel and self._streams is None:
+            yield from readings
+            return
+        newest = -math.inf
+
+        def stamp_of(reading: ImuSample | FieldSample | TravelSample | None) -> float:
+            # A reading without numbers keeps its place.
+            return newest if reading is None else reading.stamp
+
+        for reading in heapq.merge(readings, self._travel, key=stamp_of):
+            if isinstance(reading, ImuSample):
+                newest = reading.stamp
+                if self._streams is not None and not self._streams.add_imu(reading):
+                    continue
+                acceleration = self.estimator.add_imu(reading, self.up.gyro_bias.rate)
+                self.up.add(reading, acceleration)
+                self.acceleration = acceleration or ZERO
+            elif isinstance(reading, FieldSample):
+                if self._streams is not None and not self._streams.add_field(reading):
+                    continue
+                self.up.add_field(reading.stamp, reading.field)
+            elif reading is not None:
+                self.estimator.add_travel(reading)
+                continue
+            yield reading

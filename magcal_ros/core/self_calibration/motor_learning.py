@@ -1,0 +1,338 @@
+"""The field of the motors, learnt while a robot drives: at starts, stops and turns.
+
+The states of a Kalman filter, in body axes, are the field of the place, the error of the hard iron,
+coloured noise of the body, and the motors' gains, one vector for each input. The gyro propagates
+the field of the place, which is forgotten within some metres: the gains are determined by changes
+of the inputs and not of the place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInput, MotorState
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.heading.motor_field_filter import PLACE_FIELD
+
+MICROTESLA = 1e6
+PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)
+FIXED = 9
+"""States before the gains: field of the place, error of the hard iron, coloured noise; µT."""
+GAINS = slice(FIXED, FIXED + 3 * len(INPUTS))
+LATE = GAINS.stop
+"""State: latency of the current, seconds."""
+CURRENT = INPUTS.index(MotorInput.CURRENT)
+
+
+@dataclass(frozen=True)
+class LearningTuning:
+    """Priors of robots and places."""
+
+    block: float = 0.2  # seconds whose samples are averaged
+    body: float = 0.05  # µT per axis of the body's coloured noise at rest
+    body_length: float = 4.0  # correlation time of this noise, seconds
+    freedom: float = 5.0  # degrees of freedom of the Student distribution of samples
+    pace: float = 0.01  # weight of a block in the averages of noise and inputs
+    street: float = 2.0  # local disturbance, µT per axis
+    iron_walk: float = 0.003  # random walk of the hard iron, µT per root second
+    usual: float = 0.05  # µT, median of the field of an input at its usual size
+    spread: float = 2.0  # sigma of its natural logarithm, as of `motors_moving`
+    most: float = 30.0  # µT, largest such field
+    late: float = 0.1  # prior mean and sigma of the current's latency, seconds
+
+
+TUNING = LearningTuning()
+
+USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0, 0.5, 0.5), strict=True))
+"""Size of an input while a robot moves, until it is known: rad/s, m/s, A."""
+
+
+@dataclass
+class _Interval:
+    """Sums over the samples of a block, and rotation and path of the robot."""
+
+    begin: float
+    turned: FloatArray
+    mean_turned: FloatArray
+    seconds: float = 0.0
+    count: int = 0
+    field: FloatArray | float = 0.0
+    inputs: FloatArray | float = 0.0
+    path: float = 0.0
+    clear: bool = True
+
+
+class MotorLearning:
+    """Learns the motors' gains from successive samples; `heard` are the measured inputs."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self.heard: frozenset[MotorInput] = frozenset()
+        self._calibration = calibration
+        self._white = (calibration.noise_field * MICROTESLA) ** 2
+        size = LATE + 1
+        self._mean = np.zeros(size)
+        self._prior_mean, self._prior, self._known = _beginning(calibration)
+        self._covariance = np.zeros((size, size))
+        rows = np.r_[IRON, GAINS]
+        self._covariance[np.ix_(rows, rows)] = self._prior
+        self._mean[GAINS] = self._prior_mean[3:]
+        self._mean[LATE], self._covariance[LATE, LATE] = TUNING.late, TUNING.late**2
+        motors = calibration.motors
+        ripple = TUNING.body if motors is None else motors.ripple * MICROTESLA
+        self._ripple = max(ripple, TUNING.body)
+        self._reference = math.nan if motors is None else motors.reference
+        self._squares = np.square([USUAL_SIZES[each] for each in INPUTS])
+        if motors is not None:
+            for each, usual in zip(motors.inputs, motors.usual, strict=True):
+                self._squares[INPUTS.index(each)] = max(usual, 1e-3) ** 2
+        self._block: _Interval | None = None
+        self._before: _Interval | None = None
+        self._was_clear = True
+        self._left = self._rate = np.zeros(3)
+        self._stamp = -math.inf
+        self._forget_place()
+
+    def add(self, stamp: float, raw: Triple, rate: Triple, motor_state: MotorState) -> bool:
+        """Add a raw field sample; return whether a block is complete.
+
+        The stamp is in seconds, `raw` in tesla in the magnetometer's axes, `rate` in rad/s in body
+        axes without the gyro's bias, and `motor_state` are the inputs of the motors' field.
+        """
+        seconds, self._stamp = stamp - self._stamp, stamp
+        if not 0.0 < seconds < PLACE_FIELD.longest:
+            self._forget_place()
+            self._block = self._before = None
+            return False
+        if self._block is None:
+            self._block = _Interval(stamp, np.zeros(3), np.zeros(3))
+        block, moves = self._block, motor_state.moving > 0.0
+        if moves:
+            # A robot at rest has a gyro's noise, and no turn.
+            block.turned = block.turned + seconds * np.array(rate)
+        block.path += seconds * moves * PLACE_FIELD.path(motor_state.speed, rate)
+        block.seconds += seconds
+        block.count += 1
+        block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
+        block.field = block.field + np.array(raw)
+        block.inputs = block.inputs + np.array(motor_state.values)
+        block.clear = block.clear and motor_state.moving in (0.0, 1.0)
+        if stamp - block.begin < TUNING.block:
+            return False
+        # Sensors and motors have latency: next to a start or stop no block is clear.
+        before, self._before, self._block = self._before, block, None
+        if before is not None:
+            self._take(before, block, self._was_clear and block.clear)
+            self._was_clear = before.clear
+        return True
+
+    @property
+    def motors(self) -> MotorField:
+        """The present estimate; the gain of an input that explains nothing is near zero."""
+        here = np.r_[IRON, GAINS]
+        which = [k for k, each in enumerate(INPUTS) if self._is_used(each)]
+        rows = np.concatenate([np.arange(3), *(3 + 3 * k + np.arange(3) for k in which)])
+        prior_mean = self._prior_mean[rows]
+        prior = np.linalg.inv(self._prior[np.ix_(rows, rows)])
+        now = np.linalg.inv(self._covariance[np.ix_(here[rows], here[rows])])
+        weighted = now @ self._mean[here[rows]] - prior @ prior_mean
+        known = np.array([True] * 3 + [k in self._known for k in which for _ in range(3)])
+        seen = _GainPosterior(
+            _positive(np.asarray(now - prior)), weighted, prior, prior_mean, known
+        )
+        return self._in_sensor_axes(*seen.posterior(self._scales(seen, which)), which)
+
+    @property
+    def delay(self) -> tuple[float, float]:
+        """Latency of the current, and its standard deviation, seconds."""
+        return float(self._mean[LATE]), math.sqrt(self._covariance[LATE, LATE])
+
+    def _is_used(self, which: MotorInput) -> bool:
+        return which in self.heard or INPUTS.index(which) in self._known
+
+    def _scales(self, seen: _GainPosterior, which: list[int]) -> FloatArray:
+        """Return the prior sigmas of gains that the calibration does not contain, µT per unit.
+
+        Each is the root mean square under the posterior of the size (`Unknown`), one input after
+        the other.
+        """
+        grid = TUNING.usual * np.exp(TUNING.spread * np.linspace(-2.0, 3.2, 14))
+        grid = grid[grid < TUNING.most]
+        belief = -0.5 * (np.log(grid / TUNING.usual) / TUNING.spread) ** 2
+        scales = np.ones(len(seen.weighted))
+        per_unit = {k: 1.0 / math.sqrt(self._squares[k]) for k in which}
+        free = [(j, k) for j, k in enumerate(which) if k not in self._known]
+        for j, k in free:
+            scales[3 + 3 * j : 6 + 3 * j] = TUNING.usual * per_unit[k]
+        for _ in range(2 if free else 0):
+            for j, k in free:
+                odds = np.empty(len(grid))
+                for i, size in enumerate(grid):
+                    scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
+                    odds[i] = seen.evidence(scales)
+                odds = np.exp(odds + belief - np.max(odds + belief))
+                size = math.sqrt(float(odds @ grid**2 / odds.sum()))
+                scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
+        return scales
+
+    def _in_sensor_axes(
+        self, covariance: FloatArray, mean: FloatArray, which: list[int]
+    ) -> MotorField:
+        """Return the gains, given the hard iron of the calibration in force."""
+        calibration, count = self._calibration, len(which)
+        back = np.linalg.inv(calibration.correction.matrix)
+        gain = np.linalg.solve(covariance[:3, :3], covariance[:3, 3:]).T
+        own = covariance[3:, 3:] - gain @ covariance[:3, 3:]
+        found = mean[3:] - gain @ mean[:3]
+        turn = np.kron(np.eye(count), back)
+        by_iron = turn @ gain @ calibration.correction.matrix
+        cross_covariance = calibration.covariance[:, 9:] @ by_iron.T
+        whole = turn @ own @ turn.T / MICROTESLA**2
+        whole = whole + by_iron @ calibration.covariance[9:, 9:] @ by_iron.T
+        return MotorField(
+            tuple(INPUTS[k] for k in which),
+            (turn @ found).reshape(-1, 3) / MICROTESLA,
+            0.5 * (whole + whole.T),
+            cross_covariance,
+            self._ripple / MICROTESLA,
+            tuple(math.sqrt(self._squares[k]) for k in which),
+            self._reference,
+        )
+
+    def _forget_place(self) -> None:
+        """Reset the field of the place to its prior."""
+        for at in (PLACE, BODY):
+            self._mean[at] = 0.0
+            self._covariance[at, :] = self._covariance[:, at] = 0.0
+        self._covariance[PLACE, PLACE] = PLACE_FIELD.field**2 * np.eye(3)
+        self._covariance[BODY, BODY] = TUNING.body**2 * np.eye(3)
+
+    def _take(self, block: _Interval, after: _Interval, is_even: bool) -> None:
+        """Propagate over a block and update with its means, but not next to a start or stop."""
+        count = block.count
+        u = np.asarray(block.inputs) / count
+        known = ~np.isnan(u)
+        self.heard |= {each for each, is_known in zip(INPUTS, known, strict=True) if is_known}
+        u = np.where(known, u, 0.0)
+        moves = u[0] > 0.0
+        self._predict(block, moves)
+        # At rest all inputs are zero, also silent ones; except the current that holds a robot.
+        is_known = known[CURRENT] or math.isnan(self._reference)
+        if moves:
+            is_known = known[[self._is_used(each) for each in INPUTS]].all()
+        if not (is_known and block.clear and is_even):
+            return
+        raw = np.asarray(block.field) / count
+        y = self._calibration.correction.apply(raw) * MICROTESLA
+        later = np.asarray(after.inputs)[CURRENT] / after.count - u[CURRENT]
+        faster = later / block.seconds if known[CURRENT] and math.isfinite(later) else 0.0
+        u[CURRENT] += self._mean[LATE] * faster
+        gain = self._mean[GAINS].reshape(-1, 3)[CURRENT]
+        h = np.column_stack([np.kron([1.0, 1.0, 1.0, *u], np.eye(3)), faster * gain])
+        noise = self._white / count + 1e-4
+        p_h = self._covariance @ h.T
+        spread = h @ p_h + noise * np.eye(3)
+        # The last column is the derivative by the current's latency.
+        off = y - h[:, :LATE] @ self._mean[:LATE]
+        square = float(off @ np.linalg.solve(spread, off))
+        weight = (TUNING.freedom + 3.0) / (TUNING.freedom + square)
+        # Outliers have less weight; a large step that the gains may explain is no outlier.
+        gain = np.linalg.solve(spread + (1.0 / min(weight, 1.0) - 1.0) * spread, p_h.T).T
+        self._mean += gain @ off
+        self._covariance -= gain @ p_h.T
+        self._covariance = 0.5 * (self._covariance + self._covariance.T)
+        if moves:
+            self._squares += TUNING.pace * (np.where(known, u**2, self._squares) - self._squares)
+            step = TUNING.pace * (min(square / 3.0, 4.0) - 1.0)
+            self._ripple = min(max(self._ripple * math.exp(step), TUNING.body), TUNING.most)
+
+    def _predict(self, block: _Interval, moves: bool) -> None:
+        path, seconds = block.path, block.seconds
+        # From the middle of the block before to the middle of this one.
+        turned = self._left + block.mean_turned
+        rate = block.turned / seconds
+        faster, self._rate = rate - self._rate, rate
+        self._left = block.turned - block.mean_turned
+        step = np.eye(len(self._mean))
+        correlation = math.exp(-seconds / TUNING.body_length)
+        step[PLACE, PLACE] = exp_rotation(-turned)
+        step[BODY, BODY] = correlation * np.eye(3)
+        self._mean = step @ self._mean
+        self._covariance = step @ self._covariance @ step.T
+        place = self._mean[PLACE]
+        self._covariance[PLACE, PLACE] += PLACE_FIELD.change(place, turned, faster, path, seconds)
+        path_variance = TUNING.street**2 * PLACE_FIELD.path_variance(path)
+        self._covariance[PLACE, PLACE] += path_variance * np.eye(3)
+        level = self._ripple if moves else TUNING.body
+        self._covariance[BODY, BODY] += level**2 * (1.0 - correlation**2) * np.eye(3)
+        self._covariance[IRON, IRON] += TUNING.iron_walk**2 * seconds * np.eye(3)
+
+
+def _beginning(calibration: Calibration) -> tuple[FloatArray, FloatArray, frozenset[int]]:
+    """Return prior mean and covariance of hard iron and gains (µT), and the known inputs."""
+    matrix = calibration.correction.matrix
+    size = 3 + 3 * len(INPUTS)
+    mean, covariance = np.zeros(size), np.zeros((size, size))
+    for k, each in enumerate(INPUTS):
+        at = slice(3 + 3 * k, 6 + 3 * k)
+        covariance[at, at] = (TUNING.most / USUAL_SIZES[each]) ** 2 * np.eye(3)
+    covariance[:3, :3] = matrix @ calibration.covariance[9:, 9:] @ matrix.T * MICROTESLA**2
+    motors, known = calibration.motors, frozenset[int]()
+    if motors is not None:
+        known = frozenset(INPUTS.index(each) for each in motors.inputs)
+        places = [INPUTS.index(each) for each in motors.inputs]
+        rows = np.concatenate([np.arange(3), *(3 + 3 * k + np.arange(3) for k in places)])
+        turn = np.kron(np.eye(1 + len(places)), matrix)
+        joint = motors.joint(calibration.covariance)[9:, 9:]
+        covariance[np.ix_(rows, rows)] = turn @ joint @ turn.T * MICROTESLA**2
+        mean[rows[3:]] = (motors.gain @ matrix.T).ravel() * MICROTESLA
+        step = INPUTS.index(MotorInput.MOVING)
+        if step in known and INPUTS.index(MotorInput.CURRENT) not in known:
+            # The step found in the turn may have been the field of a current.
+            at = slice(3 + 3 * step, 6 + 3 * step)
+            whole = np.array(motors.usual) @ motors.gain @ matrix.T * MICROTESLA
+            covariance[at, at] += np.outer(whole, whole)
+    # Files may contain exact numbers; a filter needs a positive covariance.
+    return mean, covariance + 1e-6 * np.eye(size), known
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    """Return the nearest matrix without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+@dataclass(frozen=True, eq=False)
+class _GainPosterior:
+    """The likelihood of the iron's error and the gains, and their priors."""
+
+    shown: FloatArray  # information of the samples, shape (m, m)
+    weighted: FloatArray  # the same times the mean, shape (m,)
+    prior: FloatArray  # information of the prior of the known numbers, shape (m, m)
+    prior_mean: FloatArray  # shape (m,)
+    known: BoolArray  # which numbers have this prior, shape (m,); the others have a sigma
+
+    def posterior(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return covariance and mean under prior sigmas of the other numbers."""
+        information, weighted = self._believed(scales)
+        covariance = np.linalg.inv(self.shown + information)
+        return 0.5 * (covariance + covariance.T), covariance @ (self.weighted + weighted)
+
+    def evidence(self, scales: FloatArray) -> float:
+        """Return the log evidence of such sigmas, up to a constant."""
+        information, weighted = self._believed(scales)
+        both, whole = self.shown + information, self.weighted + weighted
+        cost = np.linalg.slogdet(both)[1] - np.linalg.slogdet(information)[1]
+        return 0.5 * float(whole @ np.linalg.solve(both, whole) - cost)
+
+    def _believed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the information of all priors, and the same times the mean."""
+        known = self.known
+        free = np.diag(np.where(known, 0.0, scales**-2))
+        information = np.where(np.outer(known, known), self.prior, 0.0) + free
+        return information, information @ np.where(known, self.prior_mean, 0.0)

@@ -1,0 +1,344 @@
+"""Self-calibration while driving: a state machine without a clock or a thread.
+
+Its inputs are samples, its outputs jobs. The owner runs a job in a worker and returns the findings,
+from which decisions follow. Time is that of the samples, and only movement counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma, known_sigma
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.drive_log import DriveRecorder
+from magcal_ros.core.samples.streams import Pair
+from magcal_ros.core.self_calibration.jobs import (
+    METHOD,
+    SELF_CALIBRATION,
+    CalibrationStep,
+    CandidateKind,
+    Decision,
+    DecisionKind,
+    DriveCandidate,
+    DriveJob,
+    DriveResult,
+    HeldOutComparison,
+    Mode,
+    Probation,
+    difference,
+    is_another,
+    is_finer,
+    is_same,
+)
+
+TRIAL = "trial"
+
+
+class SelfCalibration:
+    """Follows a drive and decides; `recorder` keeps the movement."""
+
+    def __init__(self, mode: Mode = Mode.PROPOSE) -> None:
+        self.mode = mode
+        self.proposal: Calibration | None = None  # waits for the user
+        self.recorder = DriveRecorder(SELF_CALIBRATION.memory)
+        self._in_force: Calibration | None = None
+        self.before: deque[Calibration] = deque(maxlen=SELF_CALIBRATION.kept)  # the newest last
+        self._on_probation: dict[CandidateKind, Probation] = {}
+        self._first: DriveCandidate | None = None
+        self._trial: CalibrationStep | None = (
+            None  # the previous calibration, while it is still compared
+        )
+        self.decisions: deque[Decision] = deque(
+            maxlen=SELF_CALIBRATION.remembered
+        )  # the oldest first
+        self._not_before = self._changed = -math.inf
+        self._looked = -math.inf
+        self._round = 0
+        self._is_pending = self._is_outdated = False
+        self.lost = 0  # failed jobs since the last finished one
+
+    @property
+    def in_words(self) -> str:
+        """The present state in words."""
+        if self.mode is Mode.OFF:
+            return "off"
+        if self.proposal is not None:
+            return "a calibration is proposed: call ~/accept to put it in force"
+        if self._on_probation:
+            each = self._on_probation.values()
+            worded = " and ".join(probation.candidate.in_words for probation in each)
+            return f"on probation: {worded}"
+        if self.recorder.rests:
+            return "waiting for movement"
+        sought = "a calibration" if self._in_force is None else "a better calibration"
+        return f"looking for {sought}, {self.recorder.seconds / 60.0:.0f} min of driving remembered"
+
+    @property
+    def _compared(self) -> Calibration | None:
+        """The calibration to compare with: the proposal, or else the one in force."""
+        return self._in_force if self.proposal is None else self.proposal
+
+    def forget(self) -> None:
+        """Forget the drive and its results: the sensors have changed, or the mode has."""
+        self.recorder.begin_anew()
+        self._on_probation.clear()
+        self._first = self._trial = self.proposal = None
+        self._not_before = self._changed = self._looked = -math.inf
+        self._is_outdated = True
+
+    def put_in_force(self, calibration: Calibration | None) -> None:
+        """Note that another calibration is in force.
+
+        After a decision of this machine, the previous calibration remains on trial. Any other
+        calibration resets the comparison.
+        """
+        old = self._in_force
+        if is_same(calibration, old):
+            return
+        last = self.decisions[-1] if self.decisions else None
+        wanted = self.proposal if last is None or self.proposal is not None else last.calibration
+        decided = calibration is not None and is_same(calibration, wanted)
+        self._in_force, self.proposal = calibration, None
+        self._on_probation.clear()
+        self._first = None
+        self._is_outdated = True
+        if old is not None:
+            self.before.append(old)
+        rolled = last is not None and last.kind is DecisionKind.ROLLED_BACK
+        if last is not None and last.kind is DecisionKind.REFINED and decided:
+            self.before.pop()
+            return
+        self._trial = None
+        if decided and old is not None and not rolled:
+            self._trial = CalibrationStep(self.recorder.clock, old)
+        if not decided or rolled:
+            self._changed = -math.inf
+        if not decided:
+            self._not_before = -math.inf
+
+    def add(self, pair: Pair, speed: float = math.nan) -> bool:
+        """Add a pair, which counts only if its IMU has a rate.
+
+        The speed is in m/s, NaN if unknown. Returns whether a job is due.
+        """
+        if self.mode is Mode.OFF or not math.isfinite(sum(pair.imu.rate)):
+            return False
+        if not self.recorder.add(pair, speed):
+            return False
+        if self._is_pending or self.recorder.seconds < SELF_CALIBRATION.look_every:
+            return False
+        wait = (
+            SELF_CALIBRATION.look_again
+            if CandidateKind.IRON in self._on_probation
+            else SELF_CALIBRATION.look_every
+        )
+        # The cause of a failed job may last: the wait doubles after each failure.
+        return self.recorder.clock - self._looked >= wait * 2.0**self.lost
+
+    def job(self, knowledge: Knowledge) -> DriveJob:
+        """Return the job that is due; its findings are passed to `note`."""
+        self._is_pending, self._is_outdated = True, False
+        self._looked = self.recorder.clock
+        self._round += 1
+        in_force, windows = self._compared, SELF_CALIBRATION.windows
+        contenders = {kind.value: each.steps for kind, each in self._on_probation.items()}
+        if self._trial is not None:
+            contenders[TRIAL] = (self._trial,)
+        if in_force is not None:
+            # With a calibration in force, one window for each job is enough.
+            windows = windows[self._round % len(windows) :][:1]
+        since = self._not_before, self._changed
+        return DriveJob(self.recorder.log(), knowledge, in_force, windows, *since, contenders)
+
+    def fail(self) -> None:
+        """Note that a job has failed; a later one tries again."""
+        self._is_pending = False
+        self.lost += 1
+
+    def note(self, findings: DriveResult) -> list[Decision]:
+        """Return the decisions that follow from a job's findings.
+
+        The calibration of a decision must be put in force, or offered if it is `PROPOSED`.
+        """
+        is_current = self._is_pending and not self._is_outdated
+        self._is_pending, self.lost = False, 0
+        if not is_current:
+            return []
+        made = self._weigh(findings)
+        if not math.isnan(self.recorder.begun):
+            made = [replace(each, clock=each.clock - self.recorder.begun) for each in made]
+        self.decisions.extend(made)
+        return made
+
+    def _weigh(self, findings: DriveResult) -> list[Decision]:
+        in_force = self._compared
+        if in_force is None:
+            return self._begin(findings)
+        made = self._tried(findings)
+        if not _changes(made):
+            made += self._proved(findings, in_force) or self._refined(findings, in_force)
+        if not _changes(made):
+            made += self._take_up(findings, in_force) + self._notice(findings, in_force)
+        return made
+
+    def _begin(self, findings: DriveResult) -> list[Decision]:
+        """Accept the first calibration if two windows agree."""
+        clock = findings.clock
+        good = [each for each in findings.candidates if self._is_believable(each)]
+        for candidate in sorted(good, key=lambda each: each.sigma):
+            first = self._first
+            if first is None:
+                self._first = candidate
+                words = f"{candidate.in_words}; a second one that agrees confirms it"
+                return [Decision(clock, DecisionKind.PROBATION, words)]
+            if candidate.end - first.end < 0.5 * SELF_CALIBRATION.look_every:
+                continue
+            apart = difference(first.calibration, candidate.calibration)
+            allowed = SELF_CALIBRATION.differs * math.hypot(first.sigma, candidate.sigma)
+            self._first = candidate
+            if apart <= allowed:
+                words = (
+                    f"{candidate.in_words}: it agrees with the fit before it "
+                    f"({math.degrees(apart):.1f}° apart), and no calibration was in force"
+                )
+                return [self._change(clock, candidate.calibration, words)]
+        return []
+
+    def _tried(self, findings: DriveResult) -> list[Decision]:
+        """Compare the calibration in force with the previous one."""
+        trial, proof = self._trial, findings.comparisons.get(TRIAL)
+        if trial is None or proof is None:
+            return []
+        why = proof.reason_to_accept()
+        if why:
+            self._trial, self._not_before = None, trial.since
+            if self.proposal is not None and is_same(trial.calibration, self._in_force):
+                self.proposal = None
+                words = f"the proposal is withdrawn, as what is in force is better: {why}"
+                return [Decision(findings.clock, DecisionKind.DROPPED, words)]
+            words = f"the earlier calibration was better after all: {why}"
+            return [
+                self._change(findings.clock, trial.calibration, words, DecisionKind.ROLLED_BACK)
+            ]
+        if proof.seconds > SELF_CALIBRATION.longest_trial:
+            self._trial = None
+            words = f"{proof.seconds:.0f} s of road show that no earlier calibration was better"
+            return [Decision(findings.clock, DecisionKind.CONFIRMED, words)]
+        return []
+
+    def _proved(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
+        made: list[Decision] = []
+        for kind, probation in list(self._on_probation.items()):
+            proof = findings.comparisons.get(kind.value, HeldOutComparison())
+            since = findings.since_change
+            if kind is CandidateKind.IRON and since is not None and is_another(since, in_force):
+                # The newest fit of the hard iron since the change.
+                probation = self._on_probation[kind] = Probation.of(since, probation.steps)
+            candidate = probation.candidate
+            why = proof.reason_to_accept(kind)
+            if why and self._is_believable(candidate):
+                if kind is CandidateKind.IRON:
+                    self._changed = self._not_before = candidate.start
+                words = f"{candidate.in_words}: {why}"
+                return [*made, self._change(findings.clock, candidate.calibration, words)]
+            if findings.clock - probation.steps[0].since > SELF_CALIBRATION.longest_probation:
+                del self._on_probation[kind]
+                words = f"{candidate.in_words}: not proved better on the road since"
+                made.append(Decision(findings.clock, DecisionKind.DROPPED, words))
+        return made
+
+    def _refined(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
+        """Replace a calibration from driving by a fit to more data of the same drive."""
+        if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
+            return []
+        found = [findings.finer] if math.isfinite(self._changed) else findings.candidates
+        for each in found:
+            if each is not None and self._is_believable(each) and is_finer(each, in_force):
+                known = math.degrees(known_sigma(in_force))
+                words = f"{each.in_words}, compared with ±{known:.1f}° before"
+                self._on_probation.clear()
+                return [Decision(findings.clock, DecisionKind.REFINED, words, each.calibration)]
+        return []
+
+    def _take_up(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
+        """Put a plausible candidate that differs from the calibration in force on probation."""
+        good = [
+            each
+            for each in findings.candidates
+            if self._is_believable(each)
+            and (is_another(each, in_force) or is_finer(each, in_force))
+        ]
+        if not good:
+            return []
+        best = min(good, key=lambda each: each.sigma)
+        if known_sigma(in_force) > SELF_CALIBRATION.largest_sigma and is_finer(best, in_force):
+            # Both are about as likely on held-out data: their sigmas are the proof.
+            known = math.degrees(known_sigma(in_force))
+            words = (
+                f"{best.in_words}: it agrees with the calibration {self._which}, which was known "
+                f"to ±{known:.1f}°"
+            )
+            return [self._change(findings.clock, best.calibration, words)]
+        if CandidateKind.ALL in self._on_probation:
+            return []
+        self._on_probation[CandidateKind.ALL] = Probation.of(best)
+        apart = math.degrees(difference(in_force, best.calibration))
+        words = f"{best.in_words} differs by {apart:.1f}° from what is {self._which}"
+        return [Decision(findings.clock, DecisionKind.PROBATION, words)]
+
+    def _notice(self, findings: DriveResult, in_force: Calibration) -> list[Decision]:
+        """Report a change of hard iron, and put the new hard iron on probation."""
+        since = findings.since_change
+        if since is None or CandidateKind.IRON in self._on_probation:
+            return []
+        sigma = math.hypot(since.sigma, calibration_sigma(in_force))
+        apart = difference(in_force, since.calibration)
+        if apart < SELF_CALIBRATION.notice_differs * sigma:
+            return []
+        self._on_probation[CandidateKind.IRON] = Probation.of(since)
+        if self.before:
+            # If the iron is removed again, the calibration before it is valid again.
+            self._trial = CalibrationStep(since.start, self.before[-1])
+        words = (
+            f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
+            f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"
+        )
+        return [Decision(findings.clock, DecisionKind.NOTICED, words)]
+
+    def _is_believable(self, candidate: DriveCandidate) -> bool:
+        largest, few = SELF_CALIBRATION.largest_sigma, SELF_CALIBRATION.fewest_sectors
+        if candidate.kind is CandidateKind.IRON and self._compared is not None:
+            few = SELF_CALIBRATION.fewest_for_iron
+            # A calibration that is clearly wrong may be replaced by a rough one.
+            apart = difference(self._compared, candidate.calibration)
+            largest = max(largest, SELF_CALIBRATION.plainly * apart)
+        return candidate.sigma <= largest and candidate.sectors >= few
+
+    @property
+    def _which(self) -> str:
+        """The calibration to compare with, in words."""
+        return "in force" if self.proposal is None else "proposed"
+
+    def _change(
+        self,
+        clock: float,
+        calibration: Calibration,
+        words: str,
+        kind: DecisionKind = DecisionKind.APPLIED,
+    ) -> Decision:
+        self._on_probation.clear()
+        evidence = replace(calibration.evidence, reasons=(words,))
+        calibration = replace(calibration, evidence=evidence)
+        if self.mode is Mode.PROPOSE:
+            self.proposal, kind = calibration, DecisionKind.PROPOSED
+            if self._in_force is not None:
+                self._trial = CalibrationStep(clock, self._in_force)
+        return Decision(clock, kind, words, calibration)
+
+
+def _changes(made: list[Decision]) -> bool:
+    """Whether the last decision puts another calibration in force, or offers it."""
+    return bool(made) and made[-1].calibration is not None

@@ -1,0 +1,162 @@
+"""The fits and comparisons that a worker process computes for self-calibration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from magcal_ros.core.assessment.bounds import SIGMA
+from magcal_ros.core.assessment.verdict import LEVEL_ONLY, NO_REFERENCE
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import local_sigma
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.self_calibration.jobs import (
+    METHOD,
+    SELF_CALIBRATION,
+    CalibrationStep,
+    CandidateKind,
+    DriveCandidate,
+    DriveJob,
+    DriveResult,
+    HeldOutComparison,
+)
+from magcal_ros.core.smoother import drives
+from magcal_ros.core.smoother.iron_added import find_change
+from magcal_ros.core.smoother.nodes import Nodes
+
+
+def examine_drive(job: DriveJob) -> DriveResult:
+    """Return the findings of a job."""
+    nodes = drives.drive_nodes(job.log, job.knowledge.mounting.to_body)
+    clock = float(job.log.time[-1])
+    since_change = _since_change(nodes, job, clock)
+    first = max(float(nodes.time[0]) - 5.0, job.not_before)
+    if since_change is not None:
+        first = max(first, since_change.start)
+    found = [
+        _all_twelve(nodes, job, clock - seconds, clock)
+        for seconds in job.windows
+        if clock - seconds >= first
+    ]
+    whole = tuple(each for each in found if each is not None)
+    comparisons = {
+        name: compare_held_out(nodes, job.in_force.correction, steps, job.knowledge)
+        for name, steps in job.contenders.items()
+        if job.in_force is not None
+    }
+    return DriveResult(
+        clock, whole, since_change, _iron_since_known(nodes, job, clock), comparisons
+    )
+
+
+def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
+    """Return the hard iron since the most likely change; None if no change is likely."""
+    if job.in_force is None:
+        return None
+    first = max(clock - SELF_CALIBRATION.look_back, job.not_before)
+    change = find_change(nodes.between(first), job.in_force, job.knowledge)
+    if change is None or change.gain < SELF_CALIBRATION.notice_proof:
+        return None
+    return candidate_of(change.fit, CandidateKind.IRON, job, change.since, clock)
+
+
+def _iron_since_known(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
+    """Return the hard iron since the last proved change; None without one."""
+    is_long = SELF_CALIBRATION.shortest_since <= clock - job.changed < math.inf
+    if job.in_force is None or not is_long:
+        return None
+    start = max(job.changed, clock - SELF_CALIBRATION.look_back)
+    fitted = drives.fit_iron(nodes.between(start), job.in_force.correction, job.knowledge)
+    return None if fitted is None else candidate_of(fitted, CandidateKind.IRON, job, start, clock)
+
+
+def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate | None:
+    try:
+        fitted = drives.fit_drive(job.log, nodes.between(start), job.knowledge)
+    except Refusal:
+        return None
+    return candidate_of(fitted, CandidateKind.ALL, job, start, end)
+
+
+def compare_held_out(
+    nodes: Nodes, old: Correction, new: tuple[CalibrationStep, ...], knowledge: Knowledge
+) -> HeldOutComparison:
+    """Compare two calibrations on held-out data.
+
+    If the new calibration is refitted, each stretch is predicted by the fit before it (prequential;
+    Dawid, 1984), so that all data since the first fit count.
+    """
+    road = nodes.between(new[0].since)
+    if len(road) < 4:
+        return HeldOutComparison()
+    before = drives.corrected(road, old, knowledge.mounting.matrix)
+    ratio = drives.likelihood_ratio_of(before, _read(road, new, knowledge), knowledge)
+    seconds = float(np.ptp(road.time))
+    return HeldOutComparison(
+        seconds, ratio.gain, ratio.halves, ratio.without_best_quarter, ratio.opposing
+    )
+
+
+def _read(nodes: Nodes, steps: tuple[CalibrationStep, ...], knowledge: Knowledge) -> Nodes:
+    """Return the nodes, each corrected by the step of its time."""
+    field = nodes.field.copy()
+    for since, calibration in steps:
+        later = nodes.time > since
+        read = drives.corrected(nodes, calibration.correction, knowledge.mounting.matrix)
+        field[later] = read.field[later]
+    return replace(nodes, field=field)
+
+
+def candidate_of(
+    fitted: drives.DriveFit, kind: CandidateKind, job: DriveJob, start: float, end: float
+) -> DriveCandidate:
+    """Return the candidate from a fit to the drive between two stamps."""
+    posterior, before, reference = fitted.posterior, job.in_force, job.knowledge.reference
+    sigma, covariance = posterior.heading_sigma, posterior.covariance
+    if kind is CandidateKind.IRON and before is not None:
+        # The matrix and its covariance are those of the old calibration.
+        covariance = np.zeros_like(covariance)
+        covariance[:9, :9] = before.covariance[:9, :9]
+        covariance[9:, 9:] = posterior.covariance[9:, 9:]
+    words = (
+        f"Calibrated from {fitted.seconds:.0f} s of ordinary driving, {fitted.sectors} of 12"
+        f" headings: heading ±{math.degrees(sigma):.1f}° on level ground (1σ) by the calibration"
+    )
+    figures = {
+        Figure.HEADINGS_DRIVEN.value: float(fitted.sectors),
+        Figure.DRIVING_TIME.value: fitted.seconds,
+        Figure.STREET.value: fitted.street,
+        Figure.LOCAL_FIELD.value: fitted.local_field,
+    }
+    # The raw field of the drive contains the motors' field.
+    motors = None if before is None else before.motors
+    motors = None if motors is None else motors.with_another_calibration()
+    calibration = Calibration(
+        posterior.correction,
+        covariance,
+        fitted.noise,
+        0.01 if before is None else before.noise_up,
+        posterior.strength,
+        posterior.inclination,
+        Evidence(
+            METHOD,
+            "good",
+            SIGMA.check(sigma).grade.value,
+            words,
+            not_shown=() if reference.is_complete else (NO_REFERENCE, LEVEL_ONLY),
+            figures=figures,
+        ),
+        motors,
+    )
+    # Two more figures follow from the calibration.
+    by_place = local_sigma(calibration)
+    figures[Figure.LOCAL_SIGMA.value] = by_place
+    figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, by_place)
+    evidence = calibration.evidence.made_with(reference)
+    calibration = replace(calibration, evidence=evidence)
+    return DriveCandidate(kind, calibration, sigma, fitted.sectors, start, end)

@@ -1,0 +1,368 @@
+"""Measurements at known headings, as nodes of the smoother.
+
+Each measurement is a node. It has no link to the one before, or only the gyro's turn since then.
+The unknowns and their priors are those of the smoother; unknowns of motion stay zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from dataclasses import field as member
+from typing import NamedTuple
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray, freeze
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part, unit
+from magcal_ros.core.heading.yaw_filter import FUSION
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoother import factors
+from magcal_ros.core.smoother.model import GAUSSIAN, LEAST_VARIANCE
+from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.priors import Priors, priors_of
+from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
+from magcal_ros.core.smoother.state import Course, State
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    BIAS_UP,
+    BODY_FIELD,
+    EARTH,
+    HEADING_DRIFT,
+    HEADING_RATE,
+    LOCAL,
+    MICROTESLA,
+    SHARED,
+    SIZES,
+    STREET,
+    YAW,
+    Size,
+)
+
+X = np.array([1.0, 0.0, 0.0])
+STEPS = 30
+CLOSE = 1e-2  # sigmas of an unknown below which a step ends the iterations
+BY_MOTION = (
+    *("gyro_bias", "bias_walk", "gyro_matrix", "lever_arm", "latency"),
+    *("motors_moving", "motors_rate", "drift", "force_moving", "gradient"),
+)
+"""Unknowns of motion, which stay zero."""
+
+
+class Drift(NamedTuple):
+    """The part of a device's headings that drifts."""
+
+    sigma: float  # degrees
+    time: float  # correlation time, seconds
+    rate: float = 1e-4  # sigma of a constant drift rate, degrees per second
+
+
+INTEGRATED = math.degrees(FUSION.integrated_rate)
+NO_DRIFT = Drift(1e-3, FUSION.drift_time)
+DRIFTS: dict[Drift, float] = {
+    Drift(0.7, 0.3 * FUSION.drift_time): 0.3,
+    Drift(2.0, FUSION.drift_time): 0.3,
+    Drift(6.0, 3.0 * FUSION.drift_time): 0.3,
+    Drift(2.0, FUSION.drift_time, INTEGRATED): 0.1,
+}
+"""Drifts with their prior odds against none. Reflections from walls and trees turn the heading of
+antennas a metre apart by some degrees for minutes, on half of all robots; larger errors last
+longer. One device in ten integrates a gyro and drifts at a constant rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownHeadingMeasurement:
+    """The measurements of a robot at rest at a known heading."""
+
+    field: FloatArray  # mean raw field, tesla, in the magnetometer's axes. Shape (3,).
+    force: FloatArray  # mean specific force, m/s², body axes. Shape (3,).
+    heading: float  # ENU yaw to magnetic north of `forward`, radians
+    sigma: float  # standard deviation of the heading, radians
+    by_declination: bool = False
+    """Whether the heading was given to true north: such headings share the declination's error."""
+    forward: FloatArray = member(default_factory=lambda: X)
+    """Direction in body axes that `heading` refers to; body x unless given. Shape (3,)."""
+    turned: float = 0.0
+    turned_sigma: float = math.inf
+    """Gyro rotation since the previous measurement, radians to the left, with an infinite sigma if
+    there is none."""
+    distance: float = math.inf
+    """Distance from the previous measurement, metres, for the correlation of the local disturbance;
+    infinite for another place."""
+    seconds: float = 0.0  # since the previous measurement, for the gyro's bias and a drift
+    drifts: bool = False  # whether a device gives the heading, with an error that may drift
+    common_sigma: float = 0.0  # of the error common to all headings, radians
+    noise_field: float = 0.3e-6
+    noise_up: float = 0.003
+    """Standard deviations of single samples: tesla per axis, radians of tilt per axis."""
+    force_sigma: float = SIZES["force"].usual
+    """m/s² per axis of `force`; larger if it is measured in motion."""
+
+    def __post_init__(self) -> None:
+        freeze(self, field=(3,), force=(3,), forward=(3,))
+
+    @property
+    def in_words(self) -> str:
+        """The heading in words, degrees."""
+        yaw, sigma = math.degrees(self.heading), math.degrees(self.sigma)
+        return f"{yaw:.1f}° ±{sigma:.1f}° to magnetic north"
+
+
+@dataclass(frozen=True, eq=False)
+class KnownHeadingOptimum:
+    """The optimum at one size of the local disturbance."""
+
+    state: State
+    covariance: FloatArray
+    cost: float
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class KnownHeadingModel:
+    """All measurements as nodes, with their priors."""
+
+    course: Course
+    force: FloatArray
+    force_sigma: FloatArray
+    heading: FloatArray
+    sigma: FloatArray
+    forward: FloatArray
+    turned: FloatArray
+    turned_sigma: FloatArray
+    seconds: FloatArray
+    drifts: bool
+    correlation: FloatArray
+    """Correlation of the local disturbance with the previous measurement. Shape (n - 1,)."""
+    common: FloatArray
+    priors: Priors
+    start: State
+
+    @classmethod
+    def of(
+        cls, measurements: Sequence[KnownHeadingMeasurement], knowledge: Knowledge
+    ) -> KnownHeadingModel:
+        """Return measurements as nodes, with the priors from the knowledge."""
+        field_ = np.array([each.field for each in measurements]) @ knowledge.mounting.to_body.T
+        force = np.array([each.force for each in measurements])
+        heading = np.array([each.heading for each in measurements])
+        forward = np.array([each.forward for each in measurements])
+        course = course_of(field_ * MICROTESLA)
+        seconds = np.array([each.seconds for each in measurements[1:]])
+        priors = _priors(knowledge, bool(seconds.any()))
+        state = _start(course.nodes, force, heading, forward, priors)
+        by = np.array([each.by_declination for each in measurements], dtype=float)
+        common = np.array([each.common_sigma for each in measurements])
+        return cls(
+            course,
+            force,
+            np.array([each.force_sigma for each in measurements]),
+            heading,
+            np.array([each.sigma for each in measurements]),
+            forward,
+            np.array([each.turned for each in measurements[1:]]),
+            np.array([each.turned_sigma for each in measurements[1:]]),
+            seconds,
+            any(each.drifts for each in measurements),
+            np.exp(-np.array([each.distance for each in measurements[1:]]) / priors.lengths.street),
+            np.hypot(by * knowledge.reference.declination_sigma, common),
+            replace(priors, mean=_about(priors, state)),
+            state,
+        )
+
+    def field_of(self, state: State) -> factors.Linear:
+        """Return the residuals of the field at a state."""
+        return factors.magnetic(self.course, state, Places.none(len(self.heading), 1.0))
+
+    def residuals(self, state: State, size: float, drift: Drift) -> dict[str, Weighted]:
+        """Return all residuals with their variances.
+
+        `size` is the size of the local disturbance, `drift` the drift of the headings.
+        """
+        ones = np.ones(len(self.heading))
+
+        def known(linear: factors.Linear, variance: FloatArray) -> Weighted:
+            return Weighted(linear, variance, GAUSSIAN)
+
+        found = {
+            "field": known(self.field_of(state), rms_size(SIZES["field"]) ** 2 * ones),
+            "force": known(factors.force_at_rest(self.force, state), self.force_sigma**2),
+            "heading": known(
+                factors.known_heading(self.heading, self.forward, state), self.sigma**2
+            ),
+        }
+        if len(ones) > 1:
+            turn = factors.known_turn(self.turned, self.seconds, self.forward, state)
+            found["turn"] = known(turn, self.turned_sigma**2)
+            correlation = np.exp(-self.seconds / drift.time)
+            variance = drift.sigma**2 * (1.0 - correlation**2) + LEAST_VARIANCE
+            found["drift"] = known(
+                factors.heading_drift(state, correlation, self.seconds), variance
+            )
+            still = factors.process(state, HEADING_RATE, np.ones(len(correlation)))
+            found["drift rate"] = known(still, LEAST_VARIANCE * ones[1:])
+            variance = size**2 * (1.0 - self.correlation**2) + LEAST_VARIANCE
+            found["street"] = known(factors.process(state, STREET, self.correlation), variance)
+        return found
+
+    def prior(self, state: State, size: float, drift: Drift) -> Prior:
+        """Return the priors; parameters as for `residuals`."""
+        local = np.full_like(state.local, 1.0)
+        local[:, : LOCAL - 8] = LEAST_VARIANCE
+        local[0, HEADING_DRIFT], local[0, HEADING_RATE] = drift.sigma**-2.0, drift.rate**-2.0
+        local[0, STREET] = size**-2.0
+        local[1:, STREET] = LEAST_VARIANCE
+        local[:, BODY_FIELD] = rms_size(SIZES["body_field"]) ** -2.0
+        free = self.free
+        information = np.zeros((SHARED, SHARED))
+        information[free, free] = self.priors.scale[free] ** -2.0
+        information[EARTH, EARTH] = self.priors.fields.gaussian.information
+        offset = self.priors.mean - state.shared
+        return Prior(local, -state.local, information[np.ix_(free, free)], offset[free])
+
+    @property
+    def free(self) -> IntArray:
+        """The indices of the estimated shared unknowns."""
+        return np.flatnonzero(self.priors.scale > 0.0)
+
+    def optimum(
+        self, size: float, start: State | None = None, drift: Drift = NO_DRIFT
+    ) -> KnownHeadingOptimum:
+        """Return the optimum; parameters as for `residuals`."""
+        state, free = start or self.start, self.free
+        for _ in range(STEPS):
+            weighted, prior = self.residuals(state, size, drift), self.prior(state, size, drift)
+            solution = solve(list(weighted.values()), prior, free)
+            if float(np.max(np.abs(solution.shared) / _sigmas(solution))) < CLOSE:
+                break
+            shared = np.zeros(SHARED)
+            shared[free] = solution.shared
+            state = state.moved(solution.local, shared)
+        covariance = solution.covariance + self._by_common_errors(weighted, prior, solution)
+        whole = np.zeros((SHARED, SHARED))
+        whole[np.ix_(free, free)] = covariance
+        misfit = self._misfit(weighted, prior)
+        cost = misfit + solution.log_determinant + _log_steps(self.correlation, size, 3)
+        cost += _log_steps(np.exp(-self.seconds / drift.time), drift.sigma, 1)
+        cost += 2.0 * math.log(drift.rate)
+        return KnownHeadingOptimum(state, whole, cost, misfit)
+
+    def _misfit(self, weighted: dict[str, Weighted], prior: Prior) -> float:
+        """Return the sum of squared normalised residuals; the hard iron adds almost nothing."""
+        square = sum(float(part.chi2.sum()) for part in weighted.values())
+        square += float(np.sum(prior.local_information * prior.local_offset**2))
+        return square + float(prior.offset @ prior.information @ prior.offset)
+
+    def _by_common_errors(
+        self, weighted: dict[str, Weighted], prior: Prior, solution: Solution
+    ) -> FloatArray:
+        """Return the covariance by errors common to all headings: declination, antenna mounting."""
+        if not self.common.any():
+            return np.zeros_like(solution.covariance)
+        still = {name: _with_residual(part, 0.0) for name, part in weighted.items()}
+        still["heading"] = _with_residual(weighted["heading"], self.common[:, None])
+        offset, local = np.zeros_like(prior.offset), np.zeros_like(prior.local_offset)
+        at_rest = replace(prior, offset=offset, local_offset=local)
+        step = solve(list(still.values()), at_rest, self.free).shared
+        return np.outer(step, step)
+
+
+def _log_steps(correlation: FloatArray, size: float, width: int) -> float:
+    """Return the log determinant of the covariance of a process (`residuals`): start and steps."""
+    steps = np.log(size**2 * (1.0 - correlation**2) + LEAST_VARIANCE).sum()
+    return width * (2.0 * math.log(size) + float(steps))
+
+
+def _with_residual(part: Weighted, residual: FloatArray | float) -> Weighted:
+    changed = np.zeros_like(part.linear.residual) + residual
+    return replace(part, linear=replace(part.linear, residual=changed))
+
+
+def _sigmas(solution: Solution) -> FloatArray:
+    return np.sqrt(np.diag(solution.covariance))
+
+
+def rms_size(size: Size) -> float:
+    """Return the root mean square of a size under its prior."""
+    return size.usual * math.exp(size.spread**2)
+
+
+def _priors(knowledge: Knowledge, by_gyro: bool) -> Priors:
+    """Return the priors of measurements; uncertain sigmas are replaced by their RMS."""
+    priors = priors_of(knowledge)
+    scale = priors.scale.copy()
+    for name, at in AT.items():
+        scale[at] *= 0.0 if name in BY_MOTION else _mean_factor(name, priors)
+    # Only known headings show the yaw of the magnetometer.
+    scale[YAW] = math.hypot(scale[YAW], knowledge.mounting.yaw_sigma)
+    if by_gyro:
+        scale[BIAS_UP] = FUSION.bias_sigma
+    return replace(priors, scale=scale)
+
+
+def _mean_factor(name: str, priors: Priors) -> float:
+    """Return the root mean square of the factor of a group's sigmas (`Unknown`)."""
+    spread = priors.spread[name]
+    if spread == 0.0:
+        return 1.0
+    x = np.linspace(-6.0 * spread, math.log(priors.most[name]), 400)
+    odds = np.exp(priors.log_density(name, x, {}))
+    return math.sqrt(float(np.sum(odds * np.exp(2.0 * x)) / np.sum(odds)))
+
+
+def _start(
+    nodes: Nodes, force: FloatArray, heading: FloatArray, forward: FloatArray, priors: Priors
+) -> State:
+    """Return the state that agrees with the headings and the accelerometer."""
+    up = unit(force)
+    ahead = unit(level_part(forward, up))
+    left = np.cross(up, ahead)
+    cosine, sine = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    east, north = cosine * ahead - sine * left, sine * ahead + cosine * left
+    attitude = np.stack([east, north, up], axis=2)
+    shared = priors.mean.copy()
+    state = State(attitude, np.zeros((len(heading), LOCAL)), shared)
+    shared[AT["iron"]] = np.mean(nodes.field - attitude @ state.earth, axis=0)
+    return state
+
+
+def _about(priors: Priors, state: State) -> FloatArray:
+    """Return the means of the priors, that of the hard iron at the start."""
+    mean = priors.mean.copy()
+    mean[AT["iron"]] = state.shared[AT["iron"]]
+    return mean
+
+
+def _nodes(field_: FloatArray) -> Nodes:
+    """Return nodes at rest without links; field (n, 3) in nominal axes, µT."""
+    n = len(field_)
+    one, links = np.eye(3), n - 1
+    several = np.repeat(one[None], n, axis=0)
+    return Nodes(
+        time=np.arange(n, dtype=float),
+        field=field_,
+        inside=several,
+        rate=np.zeros((n, 3)),
+        count=np.ones(n),
+        quiet=np.ones(n, dtype=bool),
+        seconds=np.ones(links),
+        turned=several[:links],
+        angle=np.zeros((links, 3)),
+        force=np.full((links, 3), [0.0, 0.0, STANDARD_GRAVITY]),
+        along=several[:links],
+        swing=np.zeros((links, 3)),
+        samples=np.zeros(links),
+        unseen=np.zeros((links, 3)),
+        noise=0.0,
+        mean_force=np.full((n, 3), [0.0, 0.0, STANDARD_GRAVITY]),
+    )
+
+
+def course_of(field_: FloatArray) -> Course:
+    """Return the course of nodes at rest, by their field (n, 3) in nominal axes, µT."""
+    nodes = _nodes(field_)
+    n = len(nodes)
+    zeros, still = np.zeros(n), np.ones(n, dtype=bool)
+    return Course(nodes, np.eye(3), zeros, ~still, still, zeros, zeros)

@@ -1,0 +1,120 @@
+"""Comparison of two calibrations on held-out data, one of them refitted during the drive."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from long_form import first_of
+from simulated.drive import Fence, Vehicle, simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
+
+from magcal_ros.core import Belief, Figure, Knowledge, Window
+from magcal_ros.core.assessment import LEVEL_ONLY, NO_REFERENCE
+from magcal_ros.core.earth_field import made_elsewhere
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples import log_of
+from magcal_ros.core.self_calibration import (
+    CalibrationStep,
+    CandidateKind,
+    DriveJob,
+    compare_held_out,
+    examine_drive,
+)
+from magcal_ros.core.simulation import Robot
+from magcal_ros.core.smoother import drive_nodes
+
+BOSTON = knowledge_of(51.3, inclination_deg=66.3)
+ROBOT = Robot(strength=51.3e-6, inclination=math.radians(66.3), noise_field=0.3e-6)
+RIGHT = ROBOT.true_correction
+OLD, WORSE = (
+    Vehicle(ROBOT).with_iron(np.array([0.0, iron, 0.0])).robot.true_correction
+    for iron in (15e-6, 30e-6)
+)
+
+
+def driven(**options):
+    rng = np.random.default_rng(4)
+    way = travel(city(rng, 120.0), rng, rate=10.0)
+    drive = simulated_drive(way, rng, Vehicle(ROBOT), **options)
+    window = Window(drive.time, drive.field, drive.force, drive.rate)
+    return drive_nodes(log_of(window), np.eye(3))
+
+
+def step(since, correction):
+    """Return from when data are corrected by a correction."""
+    return CalibrationStep(since, SimpleNamespace(correction=correction))
+
+
+def proved(road, *steps, old=OLD):
+    return compare_held_out(road, old, steps, BOSTON)
+
+
+@pytest.fixture(scope="module")
+def road():
+    return driven()
+
+
+@pytest.fixture(scope="module")
+def whole(road):
+    """The comparison on all data for the correct calibration."""
+    return proved(road, step(road.time[0], RIGHT))
+
+
+@pytest.mark.parametrize("knowledge", [BOSTON, Knowledge()])
+def test_a_candidate_says_whether_the_reference_was_known(knowledge):
+    """Without it, a place that is met later is not another one than that of the drive."""
+    rng = np.random.default_rng(4)
+    drive = simulated_drive(travel(city(rng, 130.0), rng, rate=10.0), rng, Vehicle(ROBOT))
+    log = log_of(Window(drive.time, drive.field, drive.force, drive.rate))
+    job = DriveJob(log, knowledge, None, (120.0,), -math.inf, -math.inf, {})
+    (found,) = examine_drive(job).candidates
+    evidence = found.calibration.evidence
+    is_known = knowledge is BOSTON
+    assert (NO_REFERENCE in evidence.not_shown) is not is_known
+    assert (LEVEL_ONLY in evidence.not_shown) is not is_known
+    found_with = evidence.figure(Figure.REFERENCE_STRENGTH, 0.0)
+    assert found_with == pytest.approx(51.3e-6 if is_known else 0.0)
+    without_best_quarter = replace(
+        BOSTON.reference, inclination=Belief(0.5, 0.02), strength=Belief(4e-5, 1e-6)
+    )
+    assert bool(made_elsewhere(found.calibration, without_best_quarter)) is is_known
+
+
+def test_the_correct_one_is_likelier_in_both_halves(whole):
+    assert whole.likelihood > 10.0
+    assert min(whole.halves) > 5.0
+    assert "in both halves" in whole.reason_to_accept(kind=CandidateKind.IRON)
+
+
+def test_data_before_the_first_fit_do_not_count(road):
+    proof = proved(road, step(road.time[-1] - 30.0, RIGHT))
+    assert proof.seconds < 30.0
+    assert proved(road, step(road.time[-1], RIGHT)).seconds == 0.0
+
+
+@pytest.mark.nightly
+def test_a_fit_is_compared_on_later_data_only(road, whole):
+    middle = 0.5 * (road.time[0] + road.time[-1])
+    first, last = step(road.time[0], WORSE), step(middle, RIGHT)
+    both = proved(road, first, last).likelihood
+    assert proved(road, first).likelihood < both < whole.likelihood
+
+
+def test_no_heading_contradicts_added_iron(whole):
+    assert whole.opposing < 0.5
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("heading", first_of([90.0, 0.0, 180.0, 270.0]))
+def test_steel_beside_the_road_is_not_taken_for_added_iron(heading):
+    side = (0.0, 15e-6, 0.0)
+    road = driven(fences=(Fence(side, math.radians(heading), math.radians(100.0)),))
+    proof = proved(road, step(road.time[0], OLD), old=RIGHT)
+    assert proof.opposing > 1.5
+    assert proof.reason_to_accept(kind=CandidateKind.IRON) == ""
+    explained = replace(proof, likelihood=20.0, halves=(5.0, 5.0))
+    assert explained.reason_to_accept(kind=CandidateKind.IRON) == ""
+    assert replace(explained, opposing=0.5).reason_to_accept(kind=CandidateKind.IRON)

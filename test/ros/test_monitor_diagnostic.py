@@ -1,0 +1,49 @@
+"""The monitor's result is in diagnostics and status until a new calibration."""
+
+import dataclasses
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from support import PATIENCE, REFERENCE, ROBOT, store_calibration
+
+from magcal_ros.core.monitoring import MonitorResult
+
+
+@pytest.fixture
+def scene(start_node, actor):
+    node = start_node(REFERENCE)
+    robot = actor(ROBOT)
+    heard = {}
+
+    def keep(message):
+        heard.update({status.name: status for status in message.status})
+
+    robot.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+    return node, robot, lambda: heard.get("calibrator: Watch")
+
+
+def test_a_stale_calibration_is_reported_until_a_new_one(scene, ros_home):
+    node, robot, said = scene
+
+    def wait_for(words):
+        robot.run(PATIENCE, stop=lambda: words in said().message)
+        assert words in said().message
+
+    robot.run(PATIENCE, stop=lambda: said() is not None)
+    assert "before a calibration is in force" in said().message
+    assert robot.status["watch"] is None
+    store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
+    assert robot.answer(robot.call("load")).success
+    wait_for("Not judged yet")
+    assert said().level == DiagnosticStatus.OK
+    robot.run(PATIENCE, 0.5, lambda: len(node._first.monitor._records) > 3)
+    assert len(node._first.monitor._records) > 3, "field messages reach the watch"
+    node._first.monitor.result = dataclasses.replace(MonitorResult(), is_stale=True, minutes=4.0)
+    wait_for("has not held for about 4 min")
+    assert said().level == DiagnosticStatus.WARN
+    robot.run(PATIENCE, stop=lambda: robot.status["watch"]["stale"])
+    assert robot.answer(robot.call("load")).success
+    wait_for("Not judged yet")
+    assert said().level == DiagnosticStatus.OK
+    robot.run(PATIENCE, stop=lambda: not robot.status["watch"]["stale"])
+    assert not robot.status["watch"]["stale"]
