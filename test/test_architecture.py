@@ -13,7 +13,8 @@ import magcal_ros
 ROOT = Path(magcal_ros.__file__).resolve().parent
 FILES = sorted(ROOT.rglob("*.py"))
 CORE_FILES = sorted((ROOT / "core").rglob("*.py"))
-TEST_FILES = sorted(Path(__file__).resolve().parent.rglob("*.py"))
+TESTS = Path(__file__).resolve().parent
+TEST_FILES = sorted(TESTS.rglob("*.py"))
 LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 
 MAY_IMPORT = {
@@ -155,6 +156,13 @@ def test_tests_import_nothing_from_the_benchmarks():
         if (wrong := {*imports.findall(path.read_text(encoding="utf-8"))} & scripts - helpers)
     }
     assert found == {}
+
+
+def test_what_is_tested_while_ros_is_installed_needs_none():
+    for room in ("core", "files", "report"):
+        for path in (TESTS / room).rglob("*.py"):
+            assert "rclpy" not in {source_of(each) for each in imported_modules(path)}, path
+            assert 'importorskip("rclpy")' not in path.read_text(encoding="utf-8"), path
 
 
 def test_the_core_reads_no_clock_and_prints_nothing():
