@@ -79,8 +79,8 @@ def test_sensors_that_are_silent():
 
 
 def test_a_gyro_that_belongs_to_another_robot():
-    plain = window_of()
-    rate = np.zeros((500, 3))
+    plain = window_of(samples=150)
+    rate = np.zeros((150, 3))
     rate[:, 2] = 3.0 * np.sin(3.0 * plain.time)
     window = Window(plain.time, plain.field, plain.specific_force, rate)
     assert not calibrate(window, Robot().knowledge()).verdict.accepted
@@ -101,7 +101,7 @@ def words_of(window, knowledge=None):
 
 
 def test_a_field_that_follows_no_turn_is_told_by_how_much_it_strays():
-    clean = window_of()
+    clean = window_of(samples=150)
     phase = np.linspace(0.0, 2.0 * np.pi, len(clean))[:, None] * [7.0, 9.0, 11.0]
     words = words_of(Window(clean.time, clean.field + 25e-6 * np.sin(phase), clean.specific_force))
     assert "the field deviates by" in words
