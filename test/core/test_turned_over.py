@@ -121,7 +121,7 @@ def test_the_methods_for_it_take_any_median_orientation(method):
 
 def test_a_boat_that_rolls_is_told_to_turn():
     """Its z points up, and the axis that it rolls about lies."""
-    time = np.arange(0.0, 20.0, 0.1)
+    time = np.arange(0.0, 20.0, 0.05)
     roll = Rotation.from_rotvec(0.95 * np.sin(time)[:, None] * [1.0, 0.0, 0.0])
     window = measure(ROBOT, Motion(time, roll.as_matrix()), np.random.default_rng(1), gyro=False)
     assert not was_turned_over(window)

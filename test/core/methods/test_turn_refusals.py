@@ -79,8 +79,8 @@ def test_sensors_that_are_silent():
 
 
 def test_a_gyro_that_belongs_to_another_robot():
-    plain = window_of(samples=150)
-    rate = np.zeros((150, 3))
+    plain = window_of()
+    rate = np.zeros((500, 3))
     rate[:, 2] = 3.0 * np.sin(3.0 * plain.time)
     window = Window(plain.time, plain.field, plain.specific_force, rate)
     assert not calibrate(window, Robot().knowledge()).verdict.accepted
