@@ -18,20 +18,20 @@ INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-compile
 
 AFTER_OTHERS := nice -n 15
 BY_TWO := --numprocesses 2 --dist worksteal
-BY_THREE := --numprocesses 3 --dist worksteal
+BY_FOUR := --numprocesses 4 --dist worksteal
 
 # Each process would rewrite the asserts of all tests, to say more where one fails: seconds of a
 # core. Instead what failed runs once more with the words, and has failed all the same.
 PLAIN := --assert=plain
 ALONE := --last-failed --last-failed-no-failures none
 
-.PHONY: demo test lint types unit ros nightly bench soak matrix docs pictures clean
+.PHONY: demo test lint types computed unit ros nightly bench soak matrix docs pictures clean
 
 demo: $(VENV)/.demo
 	@$(BIN)/magcal demo --speed 4
 
-# The tests of ROS mostly wait; what only computes has the time that they leave.
-test: $(VENV)/.test
+# The tests of ROS mostly wait, as pip does; what only computes has the time that they leave.
+test:
 	$(MAKE) --jobs 4 --output-sync=target ros unit lint types
 
 lint: $(VENV)/.test
@@ -42,9 +42,17 @@ lint: $(VENV)/.test
 types: $(VENV)/.test
 	$(AFTER_OTHERS) $(BIN)/mypy magcal_ros
 
-UNIT_TESTS := $(AFTER_OTHERS) $(BIN)/python -m pytest -q --ignore test/ros
+PYTEST := $(BIN)/python -m pytest -q -o cache_dir=.pytest_cache/
 
-unit: $(VENV)/.test
+# What needs no ROS begins while ROS is being installed.
+COMPUTED := test/core test/files test/report
+COMPUTED_TESTS := $(AFTER_OTHERS) $(PYTEST)computed $(COMPUTED)
+UNIT_TESTS := $(AFTER_OTHERS) $(PYTEST)unit test $(COMPUTED:%=--ignore %) --ignore test/ros
+
+computed: $(VENV)/.computed
+	$(COMPUTED_TESTS) $(PLAIN) $(BY_TWO) || { $(COMPUTED_TESTS) $(ALONE); exit 1; }
+
+unit: computed $(VENV)/.test
 	$(UNIT_TESTS) $(PLAIN) $(BY_TWO) || { $(UNIT_TESTS) $(ALONE); exit 1; }
 
 # A robot that turns itself is stopped, rightly, when the machine stalls for .3 s. A test that
@@ -52,12 +60,12 @@ unit: $(VENV)/.test
 STALLED := --reruns 3 --only-rerun 'keeps? the machine busy'
 
 # What failed beside the other jobs is run once more alone: a fault of ours fails again.
-ROS_TESTS := $(BIN)/python -m pytest -q -o cache_dir=.pytest_cache/ros test/ros
+ROS_TESTS := $(PYTEST)ros test/ros
 
 # Each process has a DDS domain of its own.
 ros: $(VENV)/.test
 	$(BIN)/python -c "import rclpy"
-	$(ROS_TESTS) $(PLAIN) $(BY_THREE) $(STALLED) || $(ROS_TESTS) $(ALONE)
+	$(ROS_TESTS) $(PLAIN) $(BY_FOUR) $(STALLED) || $(ROS_TESTS) $(ALONE)
 
 # Everything once more, with statistics over many seeds and ten times as many random cases.
 nightly: $(VENV)/.test
@@ -91,8 +99,13 @@ $(VENV)/.demo: setup.py | $(VENV)/bin/pip
 	@$(INSTALL) --editable '.[bags,ros,report,live]'
 	@touch $@
 
-$(VENV)/.test: setup.py | $(VENV)/bin/pip
-	@$(INSTALL) --editable '.[ros,test]'
+$(VENV)/.computed: setup.py | $(VENV)/bin/pip
+	@$(INSTALL) --editable '.[computed]'
+	@touch $@
+
+# By its name: tests that run already import the package, which must not be installed anew.
+$(VENV)/.test: $(VENV)/.computed
+	@$(INSTALL) 'magcal_ros[ros,test]'
 	@touch $@ $(VENV)/.demo
 
 $(VENV)/.docs: setup.py | $(VENV)/bin/pip

@@ -51,16 +51,24 @@ REPORT = ["matplotlib>=3.5.1"]
 
 DOCS = ["myst-parser>=2", "sphinx>=7"]
 
-TEST_TOOLS = [
-    "colcon-common-extensions==0.3.0",
+# For the tests that need no ROS.
+COMPUTED = [
+    *ARDUPILOT_LOGS,
+    *BAG_READER,
+    *LIVE_VIEW,
+    *PX4_LOGS,
+    *REPORT,
     "hypothesis>=6.100",
-    "mypy>=1.11",
     # A second evaluation of the World Magnetic Model to compare with.
     "pygeomag>=1.1",
     "pytest>=8",
-    "pytest-rerunfailures>=15",
     "pytest-timeout>=2.3",
     "pytest-xdist>=3.5",
+]
+TEST_TOOLS = [
+    "colcon-common-extensions==0.3.0",
+    "mypy>=1.11",
+    "pytest-rerunfailures>=15",
     "ruff>=0.6",
     "scipy-stubs; python_version >= '3.11'",
     "types-PyYAML",
@@ -97,20 +105,14 @@ setup(
     extras_require={
         "ardupilot": ARDUPILOT_LOGS,
         "bags": BAG_READER,
+        "computed": COMPUTED,
         "docs": DOCS,
         "live": LIVE_VIEW,
         "px4": PX4_LOGS,
         "report": REPORT,
         "ros": JAZZY_WHEELS,
         "ros-kilted": KILTED_WHEELS,
-        "test": [
-            *ARDUPILOT_LOGS,
-            *BAG_READER,
-            *LIVE_VIEW,
-            *PX4_LOGS,
-            *REPORT,
-            *TEST_TOOLS,
-        ],
+        "test": [*COMPUTED, *TEST_TOOLS],
     },
     zip_safe=True,
     author="magcal_ros contributors",

@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import gc
 import os
 import re
 import sys
@@ -60,6 +61,12 @@ def claim_domain():
 
 
 claim_domain()
+
+
+def pytest_collection_finish():
+    """Keep all modules and tests from what is searched for garbage each time."""
+    gc.freeze()
+
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 

@@ -13,7 +13,8 @@ import magcal_ros
 ROOT = Path(magcal_ros.__file__).resolve().parent
 FILES = sorted(ROOT.rglob("*.py"))
 CORE_FILES = sorted((ROOT / "core").rglob("*.py"))
-TEST_FILES = sorted(Path(__file__).resolve().parent.rglob("*.py"))
+TESTS = Path(__file__).resolve().parent
+TEST_FILES = sorted(TESTS.rglob("*.py"))
 LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 
 MAY_IMPORT = {
@@ -113,9 +114,12 @@ def module_of(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+MODULES = {module_of(path) for path in FILES}
+
+
 def needed_modules(path):
     """Modules of the package that a file imports anywhere, also inside of functions."""
-    known = {module_of(each) for each in FILES}
+    known = MODULES
     for node in nodes_of(path):
         if isinstance(node, ast.ImportFrom):
             inner = {f"{node.module}.{name.name}" for name in node.names}
@@ -155,6 +159,13 @@ def test_tests_import_nothing_from_the_benchmarks():
         if (wrong := {*imports.findall(path.read_text(encoding="utf-8"))} & scripts - helpers)
     }
     assert found == {}
+
+
+def test_what_is_tested_while_ros_is_installed_needs_none():
+    needs = re.compile(r"(?m)^ *(?:from|import) rclpy|importorskip\(.rclpy")
+    for room in ("core", "files", "report"):
+        for path in (TESTS / room).rglob("*.py"):
+            assert not needs.search(path.read_text(encoding="utf-8")), path
 
 
 def test_the_core_reads_no_clock_and_prints_nothing():

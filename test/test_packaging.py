@@ -114,7 +114,8 @@ def extras_of_setup():
 @pytest.mark.parametrize("name", ["noxfile.py", "Makefile"])
 def test_only_existing_extras_are_required(name):
     text = (CHECKOUT / name).read_text(encoding="utf-8").replace("{extra}", "ros")
-    asked = {each for group in re.findall(r"\.\[([\w,-]+)\]", text) for each in group.split(",")}
+    groups = re.findall(r"(?:\.|magcal_ros)\[([\w,-]+)\]", text)
+    asked = {each for group in groups for each in group.split(",")}
     assert asked
     assert asked <= extras_of_setup()
 

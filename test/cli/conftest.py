@@ -5,7 +5,7 @@ import sys
 import pytest
 from remembered import remembered
 
-from magcal_ros.core.doctor import SensorReport
+from magcal_ros.core.doctor import SensorReport, sensor_report
 from magcal_ros.core.multi_turn import joined
 from magcal_ros.core.session import recorded
 from magcal_ros.report import turn
@@ -27,3 +27,9 @@ def one_fit(monkeypatch):
     """Fit the same samples once for all commands."""
     monkeypatch.setattr(recorded, "calibrate", CALIBRATE)
     monkeypatch.setattr(recorded, "calibrate_turns", CALIBRATE_TURNS)
+
+
+@pytest.fixture
+def right_axes(monkeypatch):
+    """Look for no wrong axes after a quick fit, which takes a tenth of that time."""
+    monkeypatch.setattr(sensor_report, "wrong_axes", lambda *_: None)

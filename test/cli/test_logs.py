@@ -51,6 +51,7 @@ def level_circle(field):
     return float(sizes.std() / sizes.mean())
 
 
+@pytest.mark.usefixtures("right_axes")
 def test_ardupilot_uses_the_calibration_from_its_log(tmp_path, capsys):
     """With two compasses, and motors whose field of 0 to 12 µT it compensates before and after."""
     pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
@@ -88,6 +89,7 @@ def test_ardupilot_uses_the_calibration_from_its_log(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("rotation", first_of([6, 0]))
+@pytest.mark.usefixtures("right_axes")
 def test_px4_uses_the_calibration_from_its_log(tmp_path, capsys, rotation):
     pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
     level = rotation_from_rpy(*np.radians([3.0, -2.0, 1.0]))
@@ -107,6 +109,7 @@ def test_px4_uses_the_calibration_from_its_log(tmp_path, capsys, rotation):
     assert level_circle((own - offset) @ scale @ turn.T) < 0.02 < level_circle(own)
 
 
+@pytest.mark.usefixtures("right_axes")
 def test_check_compares_with_the_autopilots_own_yaw(tmp_path, capsys):
     pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
     bare = write_bin(tmp_path / "a.BIN", SAMPLES)
@@ -130,6 +133,7 @@ def test_the_doctor_reads_a_log(tmp_path, capsys):
     assert "field: unit" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("right_axes")
 def test_an_upright_phone_is_fitted_with_its_mounting(tmp_path, capsys):
     turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # its x points up
     samples = [
@@ -230,6 +234,7 @@ class TestASlowImu:
         first = capsys.readouterr().out.splitlines()[0]
         assert "the field comes at 1 Hz" in first
 
+    @pytest.mark.usefixtures("right_axes")
     def test_check_does_not_say_that_there_is_no_gyro(self, tmp_path, capsys):
         calibration = fitted(write_sensor_logger(tmp_path / "fast", SAMPLES), tmp_path)
         slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 1.0)

@@ -13,6 +13,8 @@ from magcal_ros.cli.main import main
 from magcal_ros.core.earth_field import model_field
 from magcal_ros.core.earth_field.wmm import Place
 
+pytestmark = pytest.mark.usefixtures("right_axes")
+
 PLACE = ["--latitude", "48.14", "--longitude", "11.58", "--altitude", "520"]
 HOME = Place(48.14, 11.58, 520.0)
 IN_2021 = 1_625_000_000.0

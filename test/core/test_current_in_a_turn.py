@@ -8,6 +8,7 @@ import pytest
 from currents import ELECTRONICS, LARGEST, turn_with_current
 from long_form import first_of
 from realistic_robots import collected, heading_error
+from remembered import remembered
 
 from magcal_ros.core import Compass, Correction, calibrate, calibrate_turns
 from magcal_ros.core.calibration import MotorInput, calibration_sigma
@@ -19,6 +20,7 @@ from magcal_ros.core.session import SampleCollector
 SIZE = 10e-6
 
 
+@remembered
 def fitted(shape, number, size=SIZE, *, battery=True, **how):
     scene, known, messages = turn_with_current(shape, size, number, **how)
     outcome = calibrate(collected(scene.window, messages if battery else ()), known)
@@ -72,14 +74,14 @@ def test_an_irrelevant_current_does_no_harm():
 
 
 def test_without_a_battery_the_motors_have_no_current():
-    _, outcome = fitted("hold", 3, battery=False)
+    _, outcome = fitted("hold", 3, battery=False, course="even")
     motors = outcome.calibration.motors
     assert MotorInput.CURRENT not in motors.inputs
     assert math.isnan(motors.reference)
 
 
 def test_learning_while_driving_starts_with_the_result_of_the_turn():
-    _, outcome = fitted("hold", 3)
+    _, outcome = fitted("hold", 3, course="even")
     known = outcome.calibration.motors
     learning = MotorLearning(outcome.calibration).motors
     here, there = (each.inputs.index(MotorInput.CURRENT) for each in (known, learning))
@@ -117,7 +119,7 @@ def test_the_fit_uses_the_currents_of_a_recording():
 
 
 def test_a_hold_current_is_subtracted_at_rest():
-    scene, outcome = fitted("hold", 3)
+    scene, outcome = fitted("hold", 3, course="even")
     found = outcome.calibration
     compass, sense, motors = Compass(found), MotionDetector(), found.motors
     rng, gain = np.random.default_rng(4), motors.gain[motors.inputs.index(MotorInput.CURRENT)]
@@ -139,7 +141,7 @@ def test_a_hold_current_is_subtracted_at_rest():
 
 
 def test_without_a_gyro_the_current_is_used_too():
-    scene, known, messages = turn_with_current("hold", SIZE, 3)
+    scene, known, messages = turn_with_current("hold", SIZE, 3, course="even")
     window = replace(scene.window, angular_rate=None)
     found = calibrate(collected(window, messages), known).calibration
     motors = found.motors

@@ -101,7 +101,7 @@ def words_of(window, knowledge=None):
 
 
 def test_a_field_that_does_not_follow_the_turn_is_reported_with_its_residual():
-    clean = window_of()
+    clean = window_of(samples=150)
     phase = np.linspace(0.0, 2.0 * np.pi, len(clean))[:, None] * [7.0, 9.0, 11.0]
     words = words_of(Window(clean.time, clean.field + 25e-6 * np.sin(phase), clean.specific_force))
     assert "the field deviates by" in words

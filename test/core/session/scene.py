@@ -146,8 +146,8 @@ class Scene:
             ages = [self.now - moment for moment in ages]
             conditions = TurnConditions(*ages, self.listeners, self.is_allowed, self.is_guarded)
             self.tell("look", conditions, self.now)
-        if number % 10 == 0:
-            # Half as often as the node: what has been seen of a turn is most of the time here.
+        if number % 20 == 0:
+            # A quarter as often as the node: what has been seen of a turn is most of the time here.
             self.tell("tick", "/mag has been silent", self.now)
 
     def _arrive(self, sample):
