@@ -5,14 +5,12 @@ differ from them in the same way. Rows of a hypothesis' two matrices are the sen
 body's. For the field, rotating the gyro's axes is the same as rotating the magnetometer's back, and
 a mirrored gyro turns the other way. So the gyro is fitted to the field in 24 orientations and two
 senses, and to gravity with 48 matrices. Only pairs that pass both are fitted jointly.
-
-The unit of the gyro's rates is checked by the rate of the field's rotation.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -68,13 +66,6 @@ class HypothesisTuning:
     """Metres, standard deviation of the lever arm: from the elbow for a sensor that is swung by
     hand, from the rear axle in a vehicle."""
     rounds: int = 3  # iterations of the robust weights
-    unit_ratio: float = 5.0  # ratio of the rates from which the unit, not the scale, is wrong
-    # Seconds over which field and gyro are compared: the shortest in which the field changes.
-    spans: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
-    moved: float = 0.15  # smallest change of the field in a span that is used, relative to its size
-    below: float = 8.0
-    above: float = 2.2
-    """Largest ratio of rough to known factor, and of known to rough: noise enlarges the rough."""
 
 
 LIMITS = HypothesisTuning()
@@ -181,28 +172,32 @@ def compare_axes(
 ) -> AxesHypotheses | None:
     """Compare all hypotheses on the axes; None if the robot turns too little.
 
-    `bias` (3,) is the gyro's bias from a rest, rad/s, at which each fit starts.
+    `bias` (3,) is the gyro's bias from a rest, rad/s. Without it the rates would show the most
+    turning where the robot turns least.
     """
     every = signed_permutations()
     proper = every[:24]
+    log = replace(log, rate=log.rate - bias)
     part, lag = segment_of_log(log), 0.0
     if part is None or most_turned(part) < LIMITS.least_turn:
         return None
-    senses = _fit_to_the_field(part, proper, bias)
+    senses = _fit_to_the_field(part, proper)
     for _ in range(LIMITS.looks):
         more = float(senses.parameters[senses.best, LAG])
         nearer = segment_of_log(log, lag + more) if abs(more) > LIMITS.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
-        senses = _fit_to_the_field(part, proper, bias)
+        senses = _fit_to_the_field(part, proper)
     gyro, field, base = _hypotheses_to_fit(part, senses, every, proper)
-    found = align(part, field, gyro, bias=bias)
+    found = align(part, field, gyro)
     # The opposite of each field fits equally well.
     twice = np.tile(np.arange(len(field)), 2)
     parameters = found.parameters[twice]
     parameters[:, LAG] += lag
     parameters[len(field) :, FIELD.start : IRON.stop] *= -1.0
+    parameters[:, BIAS] += (1.0 + parameters[:, SCALE, None]) * (bias @ gyro[twice])
+    part = replace(part, turn=part.turn + part.seconds[:, None] * bias, rate=part.rate + bias)
     return AxesHypotheses(
         gyro[twice],
         np.concatenate([field, -field]),
@@ -221,10 +216,10 @@ def most_turned(segment: Segment) -> float:
     return float(np.ptp(np.cumsum(segment.turn + segment.coning, axis=0), axis=0).max())
 
 
-def _fit_to_the_field(segment: Segment, proper: FloatArray, bias: FloatArray) -> Alignment:
+def _fit_to_the_field(segment: Segment, proper: FloatArray) -> Alignment:
     """Fit the field to the gyro alone, in both senses and 24 orientations each."""
     senses = np.repeat(np.array([np.eye(3), -np.eye(3)]), len(proper), axis=0)
-    return align(segment, np.concatenate([proper, proper]), senses, with_up=False, bias=bias)
+    return align(segment, np.concatenate([proper, proper]), senses, with_up=False)
 
 
 def _hypotheses_to_fit(
@@ -292,7 +287,7 @@ def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, Floa
     Rows of each of the `axes` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
     seconds = accumulated(segment.seconds)
-    first, last, turn = _turns_in(segment, LIMITS.span)
+    first, last, turn = turns_in(segment, LIMITS.span)
     if len(first) < 4:
         return np.zeros(len(axes)), np.zeros(len(axes))
     size = np.linalg.norm(segment.up, axis=1, keepdims=True)
@@ -331,70 +326,9 @@ def gravity_misfit(segment: Segment, axes: FloatArray) -> tuple[FloatArray, Floa
     return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, LIMITS.attitude_error))
 
 
-def _turns_in(segment: Segment, span: float) -> tuple[IntArray, IntArray, FloatArray]:
+def turns_in(segment: Segment, span: float) -> tuple[IntArray, IntArray, FloatArray]:
     """Return first and last row of each span of `span` seconds, and the gyro's turn (n, 3)."""
     seconds, angle = accumulated(segment.seconds), accumulated(segment.turn)
     last = np.searchsorted(seconds, seconds + span)
     first = np.flatnonzero(last < len(seconds))
     return first, last[first], angle[last[first]] - angle[first]
-
-
-UNIT_ERRORS: tuple[tuple[float, str], ...] = (
-    (math.radians(1.0), "degrees/s published as rad/s"),
-    (math.degrees(1.0), "rad/s converted from degrees twice"),
-    (math.radians(1.0) / STANDARD_GRAVITY, "rates converted to degrees and multiplied by gravity"),
-    (1.0 / STANDARD_GRAVITY, "rates multiplied by gravity, as accelerations are"),
-)
-"""Factors to rad/s for known errors of the unit, and their causes."""
-FEWEST_SPANS = 3  # smallest number of spans that determine the unit
-
-
-def rate_factors(segment: Segment) -> tuple[float, ...] | None:
-    """Return which of 1 and the known factors may convert rates to rad/s; None if they are rad/s.
-
-    In a short time, the field vector moves by its size times the angle. The size is that of the
-    field's changing part, which is right within a factor of two from a quarter turn on. The factor
-    is 1 if neither gyro nor field determines the unit.
-    """
-    for rough in (_by_the_gyro(segment), _by_the_field(segment)):
-        if rough is None:
-            continue
-        if 1.0 / LIMITS.unit_ratio < rough < LIMITS.unit_ratio:
-            return None
-        known = (1.0, *(factor for factor, _ in UNIT_ERRORS))
-        near = tuple(f for f in known if rough / LIMITS.below < f < rough * LIMITS.above)
-        if near:
-            return near
-    return (1.0,)
-
-
-def _by_the_gyro(segment: Segment) -> float | None:
-    """Return the field's movement over the gyro's angle, in the spans with the largest angles.
-
-    The movement by magnetic objects along a road is measured in spans without a turn.
-    """
-    first, last, turn = _turns_in(segment, LIMITS.spans[0])
-    change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
-    turned = np.linalg.norm(turn, axis=1)
-    most = float(np.max(turned, initial=0.0))
-    quick, slow = turned > 0.5 * most, turned < 0.1 * most
-    if quick.sum() < FEWEST_SPANS:
-        return None
-    street = float(np.median(change[slow])) if slow.sum() >= FEWEST_SPANS else 0.0
-    by_turning = float(np.median(change[quick])) ** 2 - street**2
-    return math.sqrt(by_turning) / float(np.median(turned[quick])) if by_turning > 0.0 else None
-
-
-def _by_the_field(segment: Segment) -> float | None:
-    """Return this ratio in the spans with the largest movements of the field; None without any.
-
-    A field that varies from place to place moves farther than by the turn: the unit is not wrong.
-    """
-    for span in LIMITS.spans:
-        first, last, turn = _turns_in(segment, span)
-        change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
-        moved = change > max(LIMITS.moved, 0.5 * float(np.max(change, initial=0.0)))
-        if moved.sum() >= FEWEST_SPANS:
-            turned = np.linalg.norm(turn[moved], axis=1)
-            return float(np.median(change[moved])) / max(float(np.median(turned)), 1e-12)
-    return None

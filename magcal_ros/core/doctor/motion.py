@@ -15,13 +15,12 @@ from magcal_ros.core.doctor.axes_diagnosis import (
 )
 from magcal_ros.core.doctor.axes_hypotheses import (
     LIMITS,
-    UNIT_ERRORS,
     AxesHypotheses,
     AxesHypothesis,
     compare_axes,
     most_turned,
-    rate_factors,
 )
+from magcal_ros.core.doctor.gyro_unit import UNIT_ERRORS, rate_factors
 from magcal_ros.core.doctor.health import (
     Finding,
     dead_axes,

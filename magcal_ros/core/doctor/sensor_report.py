@@ -13,9 +13,9 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.axes_diagnosis import PossibleAxes, parameter_line
-from magcal_ros.core.doctor.axes_hypotheses import rate_factors
 from magcal_ros.core.doctor.course import AxesInUse, axes_in_use, course_findings
 from magcal_ros.core.doctor.field_by_movement import with_field
+from magcal_ros.core.doctor.gyro_unit import rate_factors
 from magcal_ros.core.doctor.health import (
     WRONG_UNIT,
     Finding,

@@ -91,14 +91,13 @@ def align(
     axes: FloatArray,
     gyro: FloatArray,
     with_up: bool = True,
-    bias: FloatArray = NO_BIAS,
 ) -> Alignment:
     """Return the fits of all candidates, with their misfit relative to the best.
 
-    Parameters as for `AlignmentFit`; `bias` (3,) is the initial bias of the gyro, rad/s.
+    Parameters as for `AlignmentFit`.
     """
     problem = AlignmentFit(segment, axes, gyro, WIDE, with_up)
-    some, noise = problem.descend(problem.start(bias), START_NOISE, FIRST_STEPS), START_NOISE
+    some, noise = problem.descend(problem.start(), START_NOISE, FIRST_STEPS), START_NOISE
     information, _, cost = problem.normal_equations(some, noise)
     state, rms, misfit = some.copy(), problem.rms(some), cost - cost.min()
     kept = np.arange(len(axes))
@@ -186,10 +185,9 @@ class AlignmentFit:
             0.5 * antisymmetric / tuning.installation**2 + symmetric / tuning.soft_iron**2
         )
 
-    def start(self, bias: FloatArray = NO_BIAS) -> FloatArray:
-        """Return the best field and hard iron for each candidate, and a bias of its rates (3,)."""
+    def start(self) -> FloatArray:
+        """Return the best field and hard iron for each candidate, without a bias of its rates."""
         state = np.zeros((len(self.measured), PARAMETERS))
-        state[:, BIAS] = bias @ self.gyro
         rotation = self.propagate(state)[0]
         count, n = rotation.shape[:2]
         axes = np.broadcast_to(np.eye(3), (count, n, 3, 3))

@@ -1,5 +1,6 @@
 """Recordings with good axes have no fault of axes; bad stamps are named."""
 
+import numpy as np
 import pytest
 from long_form import first_of
 
@@ -25,9 +26,13 @@ BIASED = "car_neu2024_yash"
 BURSTS = "car_neu2023_aswin_asrec"
 
 
-def report_of(folder):
+def log_of(folder):
     with open_recording(folder) as source:
-        return examine(SensorLog.of(r for r in source.readings() if r is not None))
+        return SensorLog.of(r for r in source.readings() if r is not None)
+
+
+def report_of(folder):
+    return examine(log_of(folder))
 
 
 @pytest.mark.nightly
@@ -42,6 +47,18 @@ def test_the_axes_of_recordings_are_not_called_wrong(recording, name):
 @pytest.mark.parametrize("name", first_of([name for name in GOOD if name != BIASED]))
 def test_good_recorded_sensors_have_no_fault(recording, name):
     assert [f for f in report_of(recording(name)).findings if f.is_wrong] == []
+
+
+@pytest.mark.parametrize("bias", first_of([(2.0, -1.5, 1.0), (-2.0, 2.0, -3.0)]))
+def test_a_biased_gyro_has_no_wrong_axes_on_a_drive_that_begins_with_a_rest(recording, bias):
+    """The rates are largest where the vehicle stands; this part shows no axes."""
+    log = log_of(recording("car_drive_neu2022_rahul"))
+    imu, field = (time < log.imu_time[0] + 240.0 for time in (log.imu_time, log.field_time))
+    rate = log.rate[imu] + np.radians(bias)
+    log = SensorLog(
+        log.imu_time[imu], log.force[imu], rate, log.field_time[field], log.field[field]
+    )
+    assert {f.key for f in examine(log).findings if f.is_wrong} <= {"gyro_bias"}
 
 
 @pytest.mark.nightly

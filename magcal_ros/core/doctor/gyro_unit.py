@@ -1,0 +1,87 @@
+"""The unit of the gyro's rates, by how fast the field turns."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.doctor.axes_hypotheses import turns_in
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.samples.window import Segment
+
+
+@dataclass(frozen=True)
+class UnitTuning:
+    """How field and gyro are compared."""
+
+    unit_ratio: float = 5.0  # ratio of the rates from which the unit, not the scale, is wrong
+    # Seconds over which field and gyro are compared: the shortest in which the field changes.
+    spans: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
+    moved: float = 0.15  # smallest change of the field in a span that is used, relative to its size
+    below: float = 8.0
+    above: float = 2.2
+    """Largest ratio of rough to known factor, and of known to rough: noise enlarges the rough."""
+
+
+TUNING = UnitTuning()
+UNIT_ERRORS: tuple[tuple[float, str], ...] = (
+    (math.radians(1.0), "degrees/s published as rad/s"),
+    (math.degrees(1.0), "rad/s converted from degrees twice"),
+    (math.radians(1.0) / STANDARD_GRAVITY, "rates converted to degrees and multiplied by gravity"),
+    (1.0 / STANDARD_GRAVITY, "rates multiplied by gravity, as accelerations are"),
+)
+"""Factors to rad/s for known errors of the unit, and their causes."""
+FEWEST_SPANS = 3  # smallest number of spans that determine the unit
+
+
+def rate_factors(segment: Segment) -> tuple[float, ...] | None:
+    """Return which of 1 and the known factors may convert rates to rad/s; None if they are rad/s.
+
+    In a short time, the field vector moves by its size times the angle. The size is that of the
+    field's changing part, which is right within a factor of two from a quarter turn on. The factor
+    is 1 if neither gyro nor field determines the unit.
+    """
+    for rough in (_by_the_gyro(segment), _by_the_field(segment)):
+        if rough is None:
+            continue
+        if 1.0 / TUNING.unit_ratio < rough < TUNING.unit_ratio:
+            return None
+        known = (1.0, *(factor for factor, _ in UNIT_ERRORS))
+        near = tuple(f for f in known if rough / TUNING.below < f < rough * TUNING.above)
+        if near:
+            return near
+    return (1.0,)
+
+
+def _by_the_gyro(segment: Segment) -> float | None:
+    """Return the field's movement over the gyro's angle, in the spans with the largest angles.
+
+    The movement by magnetic objects along a road is measured in spans without a turn.
+    """
+    first, last, turn = turns_in(segment, TUNING.spans[0])
+    change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
+    turned = np.linalg.norm(turn, axis=1)
+    most = float(np.max(turned, initial=0.0))
+    quick, slow = turned > 0.5 * most, turned < 0.1 * most
+    if quick.sum() < FEWEST_SPANS:
+        return None
+    street = float(np.median(change[slow])) if slow.sum() >= FEWEST_SPANS else 0.0
+    by_turning = float(np.median(change[quick])) ** 2 - street**2
+    return math.sqrt(by_turning) / float(np.median(turned[quick])) if by_turning > 0.0 else None
+
+
+def _by_the_field(segment: Segment) -> float | None:
+    """Return this ratio in the spans with the largest movements of the field; None without any.
+
+    A field that varies from place to place moves farther than by the turn: the unit is not wrong.
+    """
+    for span in TUNING.spans:
+        first, last, turn = turns_in(segment, span)
+        change = np.linalg.norm(segment.field[last] - segment.field[first], axis=1)
+        moved = change > max(TUNING.moved, 0.5 * float(np.max(change, initial=0.0)))
+        if moved.sum() >= FEWEST_SPANS:
+            turned = np.linalg.norm(turn[moved], axis=1)
+            return float(np.median(change[moved])) / max(float(np.median(turned)), 1e-12)
+    return None
