@@ -8,8 +8,8 @@ __getattr__, __dir__, __all__ = lazy_names(
     axes_diagnosis: mount_of parameter_line
     axes_hypotheses: compare_axes gravity_misfit
     guide: Guide GuideStep
-    health: alive_finding field_findings gravity_size_finding repeats_finding stamps_finding
-        stuck_axes
+    health: alive_finding field_findings gravity_size_finding noise_findings repeats_finding
+        stamps_finding stuck_axes
     latency: force_latency
     prepared: prepare
     quirks: AK09916_IN_ICM20948 AK8963_IN_MPU9250 FIELD_POINTS_UP QUIRKS WRAP

@@ -19,7 +19,7 @@ from magcal_ros.core.samples.units import (
     slow_words,
 )
 from magcal_ros.core.samples.units import TUNING as DIAGNOSIS
-from magcal_ros.core.samples.window import SensorLog, white_noise, working_axes
+from magcal_ros.core.samples.window import SensorLog, white_noise, without_spikes, working_axes
 
 WRONG_UNIT = "field_unit"  # `Finding.key`
 
@@ -63,6 +63,10 @@ class HealthTuning:
 
     jitter: float = 0.5  # RMS deviation of the gaps, relative to the usual gap, with a warning
     repeats: float = 0.05  # fraction of samples that repeat the sample before
+    spikes: float = 0.05
+    """Fraction of samples that deviate from their neighbours, with a warning: places along a road
+    cause up to 4%."""
+    spiky_gap: float = 0.07  # seconds between samples up to which a movement causes no spikes
     coarse: float = 0.5e-6  # tesla, resolution of the field
     lattice: float = 0.05  # largest deviation of numbers from a grid, relative to its step
     saturated: tuple[int, float] = (5, 1.5)
@@ -341,6 +345,7 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
     )
     evidence = f"{_in_words(field, unit)} per sample"
     found = [ok_or_warning("field_noise", "field: noise", evidence, words * is_noisy)]
+    found += _spikes(log)
     if log.has_gyro:
         rate = factor * float(white_noise(log.rate).max())
         force = float(white_noise(log.force).max())
@@ -350,3 +355,17 @@ def noise_findings(log: SensorLog, factor: float) -> list[Finding]:
             ok_or_warning("imu_noise", "IMU: noise", evidence, words * (rate > TUNING.rate_noise))
         )
     return found
+
+
+def _spikes(log: SensorLog) -> list[Finding]:
+    """Check for single wrong samples of a field that comes fast enough to show them."""
+    usual_gap = float(np.median(np.diff(log.field_time)))
+    if len(log.field) < TUNING.fewest or usual_gap > TUNING.spiky_gap:
+        return []
+    share = 1.0 - float(np.mean(without_spikes(log.field)))
+    words = (
+        "single samples are wrong: check the sensor's wires and bus (on I2C: shorter wires, "
+        "stronger pull-up resistors or a slower clock)"
+    )
+    evidence = f"{share:.0%} of the samples deviate from their neighbours"
+    return [ok_or_warning("spikes", "field: spikes", evidence, words * (share > TUNING.spikes))]

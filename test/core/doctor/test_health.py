@@ -10,10 +10,12 @@ from magcal_ros.core.doctor import (
     examine_window,
     field_findings,
     gravity_size_finding,
+    noise_findings,
     repeats_finding,
     stamps_finding,
     stuck_axes,
 )
+from magcal_ros.core.samples import SensorLog
 from magcal_ros.core.simulation import Robot
 
 COUNT = 600
@@ -159,3 +161,24 @@ def test_a_very_short_turn_can_be_examined(seconds):
     motion = turn(arc=math.radians(57.0), samples=max(3, round(60 * seconds)), duration=seconds)
     window = measure(Robot(noise_rate=1e-3), motion, np.random.default_rng(3), gyro=True)
     assert examine_window(window).findings
+
+
+@pytest.mark.parametrize(("share", "gap", "is_named"), [(0.1, 0.02, True), (0.01, 0.02, False)])
+def test_single_wrong_samples_are_named(field, force, share, gap, is_named):
+    rng = np.random.default_rng(5)
+    hit = rng.random(COUNT) < share
+    spiky = field + np.where(hit[:, None], 15e-6 * rng.standard_normal((COUNT, 3)), 0.0)
+    time = gap * np.arange(COUNT)
+    (line,) = [
+        f
+        for f in noise_findings(SensorLog(time, force, 0.0 * force, time, spiky), 1.0)
+        if f.key == "spikes"
+    ]
+    assert line.is_wrong is is_named
+    assert float(line.evidence.partition("%")[0]) == pytest.approx(100.0 * hit.mean(), abs=1.0)
+
+
+def test_a_slow_field_has_no_spikes(field, force):
+    time = 0.1 * np.arange(COUNT)
+    log = SensorLog(time, force, 0.0 * force, time, field[::-1])
+    assert "spikes" not in {f.key for f in noise_findings(log, 1.0)}
