@@ -25,12 +25,12 @@ BY_FOUR := --numprocesses 4 --dist worksteal
 PLAIN := --assert=plain
 ALONE := --last-failed --last-failed-no-failures none
 
-.PHONY: demo test lint types computed unit ros nightly bench soak matrix docs pictures clean
+.PHONY: demo test lint types without_ros unit ros nightly bench soak matrix docs pictures clean
 
 demo: $(VENV)/.demo
 	@$(BIN)/magcal demo --speed 4
 
-# The tests of ROS mostly wait, as pip does; what only computes has the time that they leave.
+# The tests of ROS mostly wait, and so does pip. The other tests run meanwhile at lower priority.
 test:
 	$(MAKE) --jobs 4 --output-sync=target ros unit lint types
 
@@ -44,15 +44,15 @@ types: $(VENV)/.test
 
 PYTEST := $(BIN)/python -m pytest -q -o cache_dir=.pytest_cache/
 
-# What needs no ROS begins while ROS is being installed.
-COMPUTED := test/core test/files test/report
-COMPUTED_TESTS := $(AFTER_OTHERS) $(PYTEST)computed $(COMPUTED)
-UNIT_TESTS := $(AFTER_OTHERS) $(PYTEST)unit test $(COMPUTED:%=--ignore %) --ignore test/ros
+# These tests need no ROS and begin while it is being installed.
+WITHOUT_ROS := test/core test/files test/report
+WITHOUT_ROS_TESTS := $(AFTER_OTHERS) $(PYTEST)without_ros $(WITHOUT_ROS)
+UNIT_TESTS := $(AFTER_OTHERS) $(PYTEST)unit test $(WITHOUT_ROS:%=--ignore %) --ignore test/ros
 
-computed: $(VENV)/.computed
-	$(COMPUTED_TESTS) $(PLAIN) $(BY_TWO) || { $(COMPUTED_TESTS) $(ALONE); exit 1; }
+without_ros: $(VENV)/.without_ros
+	$(WITHOUT_ROS_TESTS) $(PLAIN) $(BY_TWO) || { $(WITHOUT_ROS_TESTS) $(ALONE); exit 1; }
 
-unit: computed $(VENV)/.test
+unit: without_ros $(VENV)/.test
 	$(UNIT_TESTS) $(PLAIN) $(BY_TWO) || { $(UNIT_TESTS) $(ALONE); exit 1; }
 
 # A robot that turns itself is stopped, rightly, when the machine stalls for .3 s. A test that
@@ -99,12 +99,12 @@ $(VENV)/.demo: setup.py | $(VENV)/bin/pip
 	@$(INSTALL) --editable '.[bags,ros,report,live]'
 	@touch $@
 
-$(VENV)/.computed: setup.py | $(VENV)/bin/pip
-	@$(INSTALL) --editable '.[computed]'
+$(VENV)/.without_ros: setup.py | $(VENV)/bin/pip
+	@$(INSTALL) --editable '.[test-without-ros]'
 	@touch $@
 
 # By its name: tests that run already import the package, which must not be installed anew.
-$(VENV)/.test: $(VENV)/.computed
+$(VENV)/.test: $(VENV)/.without_ros
 	@$(INSTALL) 'magcal_ros[ros,test]'
 	@touch $@ $(VENV)/.demo
 

@@ -52,7 +52,7 @@ REPORT = ["matplotlib>=3.5.1"]
 DOCS = ["myst-parser>=2", "sphinx>=7"]
 
 # For the tests that need no ROS.
-COMPUTED = [
+TEST_WITHOUT_ROS = [
     *ARDUPILOT_LOGS,
     *BAG_READER,
     *LIVE_VIEW,
@@ -105,14 +105,14 @@ setup(
     extras_require={
         "ardupilot": ARDUPILOT_LOGS,
         "bags": BAG_READER,
-        "computed": COMPUTED,
         "docs": DOCS,
         "live": LIVE_VIEW,
         "px4": PX4_LOGS,
         "report": REPORT,
         "ros": JAZZY_WHEELS,
         "ros-kilted": KILTED_WHEELS,
-        "test": [*COMPUTED, *TEST_TOOLS],
+        "test-without-ros": TEST_WITHOUT_ROS,
+        "test": [*TEST_WITHOUT_ROS, *TEST_TOOLS],
     },
     zip_safe=True,
     author="magcal_ros contributors",

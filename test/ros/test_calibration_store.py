@@ -63,6 +63,14 @@ def met(ros_home, reads):
     return CalibrationStore(("/", "calibrator"), files, log, lambda *_: None), files, log
 
 
+def begun_with(chosen, files, log=None):
+    """Return a store that has begun to read a chosen file."""
+    log = Lines() if log is None else log
+    store = CalibrationStore(("/", "calibrator"), files, log, lambda *_: None, lambda: str(chosen))
+    store.begin()
+    return store
+
+
 def test_the_file_of_a_new_sensor_is_loaded_and_reported(met):
     store, files, log = met
     store.note_sensor("left")
@@ -137,10 +145,7 @@ def test_a_file_read_during_a_reset_is_not_used(met):
 def test_a_chosen_file_is_not_loaded_after_a_reset_and_the_first_message(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     files = Elsewhere()
-    store = CalibrationStore(
-        ("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen)
-    )
-    store.begin()
+    store = begun_with(chosen, files)
     files.go()
     store.forget()
     store.reset()
@@ -182,10 +187,7 @@ def test_a_damaged_file_is_reported_until_it_is_replaced(met, ros_home):
 def test_a_chosen_file_is_used_although_a_sensor_appears_during_the_read(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     files = Elsewhere()
-    store = CalibrationStore(
-        ("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen)
-    )
-    store.begin()
+    store = begun_with(chosen, files)
     store.note_sensor("left")
     files.go()
     assert store.calibration is not None
@@ -193,8 +195,7 @@ def test_a_chosen_file_is_used_although_a_sensor_appears_during_the_read(ros_hom
 
 def test_a_missing_chosen_file_is_reported_once(ros_home):
     chosen, files, log = ros_home / "chosen.yaml", Elsewhere(), Lines()
-    store = CalibrationStore(("/", "calibrator"), files, log, lambda *_: None, lambda: str(chosen))
-    store.begin()
+    store = begun_with(chosen, files, log)
     files.go()
     store.note_sensor("left")
     files.go()
@@ -205,10 +206,7 @@ def test_a_missing_chosen_file_is_reported_once(ros_home):
 def test_a_chosen_file_of_another_sensor_is_removed_when_the_sensor_appears(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     files = Elsewhere()
-    store = CalibrationStore(
-        ("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen)
-    )
-    store.begin()
+    store = begun_with(chosen, files)
     files.go()
     assert store.calibration is not None
     store.note_sensor("right")

@@ -172,8 +172,8 @@ def compare_axes(
 ) -> AxesHypotheses | None:
     """Compare all hypotheses on the axes; None if the robot turns too little.
 
-    `bias` (3,) is the gyro's bias from a rest, rad/s. Without it the rates would show the most
-    turning where the robot turns least.
+    `bias` (3,) is the gyro's bias from a rest, rad/s. It is subtracted first: otherwise a resting
+    robot may seem to turn most.
     """
     every = signed_permutations()
     proper = every[:24]

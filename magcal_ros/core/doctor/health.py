@@ -11,6 +11,7 @@ from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, accumulated, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, usual_size
 from magcal_ros.core.samples.bursts import bursts_in_words
+from magcal_ros.core.samples.spikes import without_spikes
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.units import (
     NOT_NUMBERS,
@@ -19,7 +20,7 @@ from magcal_ros.core.samples.units import (
     slow_words,
 )
 from magcal_ros.core.samples.units import TUNING as DIAGNOSIS
-from magcal_ros.core.samples.window import SensorLog, white_noise, without_spikes, working_axes
+from magcal_ros.core.samples.window import SensorLog, white_noise, working_axes
 
 WRONG_UNIT = "field_unit"  # `Finding.key`
 

@@ -11,10 +11,11 @@ __getattr__, __dir__, __all__ = lazy_names(
     drive_log: DriveRecorder log_of
     lever: without_lever_arm
     rest: COLUMNS GyroAtRest rests_around
+    spikes: spikes_replaced
     streams: DropReason FieldSample ImuSample Pair Pairer PositionSample STREAMS SpeedSample
         StampGuard Streams VelocitySample
     units: InputCounts complaints likely_acceleration_unit likely_field_unit unit_by_strength
         was_turned_over with_explanation
-    window: SensorLog Steps segment_of_log spikes_replaced working_axes
+    window: SensorLog Steps segment_of_log working_axes
     """,
 )

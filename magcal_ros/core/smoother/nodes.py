@@ -10,7 +10,8 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, block_means
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import AttachedRest
-from magcal_ros.core.samples.window import NEIGHBOURS, Window, spikes_replaced, white_noise
+from magcal_ros.core.samples.spikes import NEIGHBOURS, spikes_replaced
+from magcal_ros.core.samples.window import Window, white_noise
 from magcal_ros.core.smoother.currents import Clock, Currents
 from magcal_ros.core.smoother.gyro_steps import gyro_steps
 from magcal_ros.core.smoother.rests import rests

@@ -18,7 +18,8 @@ from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.geometry.shapes import fit_circle_robustly
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.samples.window import Window, without_spikes
+from magcal_ros.core.samples.spikes import without_spikes
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.start import StartGuess, starts

@@ -51,7 +51,7 @@ def test_good_recorded_sensors_have_no_fault(recording, name):
 
 @pytest.mark.parametrize("bias", first_of([(2.0, -1.5, 1.0), (-2.0, 2.0, -3.0)]))
 def test_a_biased_gyro_has_no_wrong_axes_on_a_drive_that_begins_with_a_rest(recording, bias):
-    """The rates are largest where the vehicle stands; this part shows no axes."""
+    """With the bias, the rates are largest while the vehicle stands."""
     log = log_of(recording("car_drive_neu2022_rahul"))
     imu, field = (time < log.imu_time[0] + 240.0 for time in (log.imu_time, log.field_time))
     rate = log.rate[imu] + np.radians(bias)
