@@ -109,6 +109,12 @@ def fit(
     return found.fits([kind])[0]
 
 
+def without_distortion(found: Fit) -> Fit:
+    """Return a fit as the start of another, whose soft iron and axes are as usual at first."""
+    groups = {**found.point.groups, "axes": 1.0, "soft_iron": 1.0}
+    return replace(found, point=replace(found.point, groups=groups))
+
+
 @dataclass(frozen=True, eq=False)
 class Optimum:
     """Where the iterations of one or several windows ended."""

@@ -14,7 +14,7 @@ from magcal_ros.core.geometry.arrays import integral
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window, working_axes
 from magcal_ros.core.smoother.factors import soft_iron
-from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
+from magcal_ros.core.smoother.fit import Fit, Tolerances, fit, without_distortion
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.priors import priors_of
@@ -29,6 +29,7 @@ from magcal_ros.core.smoother.unknowns import (
     MOVED,
     ON_THE_SPOT,
     ON_WHEELS,
+    PASSED,
     ROLLING,
     SIZES,
     SMALL_CIRCLE,
@@ -181,6 +182,13 @@ class _MotionFits:
         self.add(LATE, replace(spot, point=point))
         return min(self.fits.values(), key=lambda each: each.evidence)
 
+    def something_passes(self) -> None:
+        """Fit a turn on the spot of exact sensors again, with something magnetic that passes."""
+        priors = self._priors
+        self._priors = priors.with_something_passing
+        self.add(PASSED, without_distortion(self.fits[ON_THE_SPOT]))
+        self._priors = priors
+
     def parts_moved(self, usual: Fit) -> Fit:
         """Return the likelier fit of a turn on the spot, with or without parts that are moved.
 
@@ -284,8 +292,9 @@ def smooth(
         if not spot.converged:
             trials.add(ON_THE_SPOT, spot)
         best = trials.field_late()
-        if not knowledge.exact_sensors:
-            # With exact sensors, only a turn on the spot without moved parts is tried.
+        if knowledge.exact_sensors:
+            trials.something_passes()
+        else:
             best = trials.parts_moved(best)
             for name in ALTERNATIVES:
                 trials.add(name, best)

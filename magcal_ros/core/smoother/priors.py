@@ -18,6 +18,7 @@ from magcal_ros.core.smoother.unknowns import (
     CURRENT_LATE,
     EARTH,
     EXACT_IRON,
+    FREEDOM_IF_PASSED,
     IRON_OVER_AXES,
     LASTING,
     MODULE,
@@ -68,6 +69,12 @@ class Priors:
     def with_parts_moved(self) -> Priors:
         """The priors of a robot on which a part is moved during the window."""
         return replace(self, lengths=replace(self.lengths, body_field=LASTING))
+
+    @property
+    def with_something_passing(self) -> Priors:
+        """The priors of a turn past which something magnetic moves: wrong samples of the field."""
+        field = self.sizes["field"]._replace(freedom=FREEDOM_IF_PASSED)
+        return replace(self, sizes={**self.sizes, "field": field})
 
     def log_factor(self, name: str, known: Mapping[str, float]) -> tuple[float, float]:
         """Return mean and variance of the log of a group's factor, from the known factors."""

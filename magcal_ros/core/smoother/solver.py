@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import gammaln
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.smoother.factors import Linear
@@ -64,9 +65,19 @@ class Weighted:
         return np.asarray((self.freedom + width) * np.log1p(self.chi2 / self.freedom))
 
     @property
+    def normaliser(self) -> FloatArray:
+        """What each cost has beyond one of a Gaussian with the same variance, shape () or (k,).
+
+        It depends on the degrees of freedom only, and is zero for infinitely many.
+        """
+        half, width = 0.5 * np.asarray(self.freedom), self.linear.residual.shape[1]
+        gone = gammaln(half) - gammaln(half + 0.5 * width)
+        return np.asarray(2.0 * gone + width * np.log(half))
+
+    @property
     def cost(self) -> float:
         """The sum of `costs`."""
-        return float(np.sum(self.costs))
+        return float(np.sum(self.costs + self.normaliser))
 
 
 @dataclass(frozen=True, eq=False)

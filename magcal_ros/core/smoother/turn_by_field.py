@@ -7,21 +7,22 @@ direction; only a gyro could show that it is mounted upside down.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
+from magcal_ros.core.smoother.fit import Fit, Tolerances, fit, without_distortion
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_possible, mixture_of_kinds
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.posterior import posterior
 from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.state import Course, State
-from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, SMALL_CIRCLE
+from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, PASSED, SMALL_CIRCLE
 from magcal_ros.core.smoother.without_gyro import (
+    EXACT_NODE,
+    NODE,
     guesses,
     in_a_circle,
     in_a_gradient,
@@ -32,7 +33,7 @@ from magcal_ros.core.smoother.without_gyro import (
 
 NOTHING_FITS = "no installation and hard iron fit these samples; check the axes and repeat the turn"
 OTHER = ", other root"
-USUAL = {SMALL_CIRCLE: 0.1}
+USUAL = {SMALL_CIRCLE: 0.1, PASSED: 0.05}
 USUAL |= {name + OTHER: share for name, share in USUAL.items()}
 """Prior weights of the kinds of motion without a gyro, which alone could distinguish them."""
 RESTART = Tolerances(fewest=4)  # from the optimum of another kind of motion
@@ -50,7 +51,8 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
 
     Raises `Refusal` if no fit converges.
     """
-    nodes = nodes_by_field(window, knowledge.mounting.to_body)
+    longest = EXACT_NODE if knowledge.exact_sensors else NODE
+    nodes = nodes_by_field(window, knowledge.mounting.to_body, longest)
     usual = priors_of(knowledge)
     assert nodes.tied_to is not None
     rests = bool(Course.of(nodes, nodes.tied_to, np.zeros(3), usual.lengths).still.any())
@@ -61,8 +63,7 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
         raise Refusal(Reason.NO_SOLUTION, NOTHING_FITS)
     fits: dict[str, Fit] = {}
     for each, root in zip(roots, ("", OTHER), strict=False):
-        # With exact sensors only a turn on the spot is considered.
-        found = {ON_THE_SPOT: each} if knowledge.exact_sensors else _with_gradient(each)
+        found = _with_something_passing(each) if knowledge.exact_sensors else _with_gradient(each)
         fits |= {name + root: other for name, other in found.items()}
     return mixture_of_kinds(fits, roots[0].model.nodes, knowledge, USUAL)
 
@@ -73,8 +74,7 @@ def _with_gradient(first: Fit) -> dict[str, Fit]:
     A uniform field is not another kind of motion, but the special case of a zero gradient.
     """
     # A gradient resembles non-orthogonal axes, so that these start as orthogonal.
-    groups = {**first.point.groups, "axes": 1.0, "soft_iron": 1.0}
-    like = replace(first, point=replace(first.point, groups=groups))
+    like = without_distortion(first)
     spot = _upright(in_a_gradient(first.model.priors), like) or first
     circle = _upright(in_a_circle(spot.model.priors), spot)
     if circle is None:
@@ -84,6 +84,13 @@ def _with_gradient(first: Fit) -> dict[str, Fit]:
         again = _upright(spot.model.priors, circle)
         spot = again if again is not None and again.evidence < spot.evidence else spot
     return {ON_THE_SPOT: spot, SMALL_CIRCLE: circle}
+
+
+def _with_something_passing(usual: Fit) -> dict[str, Fit]:
+    """Return a fit of exact sensors, and that of the same turn with something that passes."""
+    priors = usual.model.priors.with_something_passing
+    passed = _upright(priors, without_distortion(usual))
+    return {ON_THE_SPOT: usual} | ({} if passed is None else {PASSED: passed})
 
 
 def _upright(priors: Priors, like: Fit) -> Fit | None:

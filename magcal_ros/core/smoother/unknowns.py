@@ -310,8 +310,11 @@ LATE = f"{ON_THE_SPOT}, field late"
 """A turn on the spot, in which a latency of the field replaces the motors' field."""
 MOVED = f"{ON_THE_SPOT}, parts moved"
 """A turn on the spot, in which a lid, an arm or a load on the robot is moved."""
+PASSED = f"{ON_THE_SPOT}, something passes"
+"""A turn on the spot of exact sensors, past which something magnetic moves."""
+FREEDOM_IF_PASSED = 1.0  # degrees of freedom of the field's noise for `PASSED`
 LASTING = 60.0  # correlation time of the body's coloured noise for `MOVED`: steps that last, s
-USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, LATE: 0.5, MOVED: 0.05, ANY_WAY: 0.1}
+USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, LATE: 0.5, MOVED: 0.05, PASSED: 0.05, ANY_WAY: 0.1}
 """Relative prior weights of the kinds of motion; one if none is given. Most robots have wheels, few
 turn exactly on the spot, and few have a part that is moved during a turn."""
 ROLLING: Mapping[str, float] = {**USUAL, ANY_WAY: 0.5}

@@ -38,7 +38,9 @@ from magcal_ros.core.smoother.unknowns import (
 
 SMOOTHED = 0.5
 """Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
-NODE = 0.3  # seconds of a node; a sway of more than 1 Hz is not resolved
+NODE, EXACT_NODE = 0.3, 0.15
+"""Seconds of a node; a sway of more than 1 Hz is not resolved. With exact sensors the sway that is
+not resolved would be the largest error."""
 AXIS = 0.3  # sigma of the turn's axis off its guess, radians per axis
 CIRCLE = 0.6  # sigma of the accelerometer's distance from the centre of a small circle, metres
 Z = np.array([0.0, 0.0, 1.0])
@@ -59,8 +61,11 @@ SWAY: Mapping[str, Size] = {
 }
 
 
-def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
-    """Return the nodes of a window without a gyro, with the turn rate from the field."""
+def nodes_by_field(window: Window, to_body: FloatArray, longest: float = NODE) -> Nodes:
+    """Return the nodes of a window without a gyro, with the turn rate from the field.
+
+    `longest` is the longest duration of a node, seconds.
+    """
     window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
     field = window.field @ to_body.T * MICROTESLA
     circle = fit_circle_robustly(field)
@@ -69,7 +74,7 @@ def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
     turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
     rate = np.gradient(-_smooth(window.time, turn[:, None]), window.time, axis=0) * axis
     made = replace(window, angular_rate=rate, missed=None)
-    nodes = nodes_of(made, to_body, Spacing(longest=NODE))
+    nodes = nodes_of(made, to_body, Spacing(longest=longest))
     return replace(nodes, tied_to=minimal_rotation(Z, axis))
 
 

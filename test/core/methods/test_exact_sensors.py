@@ -139,6 +139,21 @@ def test_a_passing_disturbance_is_left_out(size):
     assert rms_deg(fit(window, robot.knowledge()), robot) < 0.3
 
 
+@pytest.mark.parametrize("seed", first_of([30, 22, 24]))
+def test_a_strong_disturbance_is_not_taken_for_soft_iron(seed):
+    robot = Robot()
+    trouble = Trouble(disturbance=0.3 * robot.strength)
+    window = measure(robot, turn(), np.random.default_rng(seed), trouble=trouble)
+    assert rms_deg(fit(window, robot.knowledge()), robot) < 0.5
+
+
+def test_half_a_turn_of_a_robot_that_sways_strongly_is_near_the_limit():
+    robot, rng = Robot(), np.random.default_rng(21)
+    wobble = smooth_wobble(rng, 500, 15.0, 10 * DEGREE)
+    motion = turn(arc=180 * DEGREE, samples=500, duration=15.0, wobble=wobble)
+    assert rms_deg(fit(measure(robot, motion, rng), robot.knowledge()), robot) < 0.25
+
+
 def distorted(iron):
     """A robot with such soft iron, and its turn."""
     robot = Robot(soft_iron=np.diag(iron))
