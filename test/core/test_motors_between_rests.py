@@ -14,7 +14,6 @@ from magcal_ros.core import Figure, calibrate
 from magcal_ros.core.calibration import MotorState, predicted_heading_sigma
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, heading_errors
 
-
 KNOWLEDGE = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
 
 
