@@ -17,7 +17,7 @@ from magcal_ros.core.samples import FieldSample, ImuSample
 NED = np.diag([1.0, -1.0, -1.0])
 
 
-def record(folder, axes, scale=1.0, every=1):
+def record(folder, axes, scale=1.0, every=2):
     window, knowledge = wrong_case(axes, np.random.default_rng(2), "lift")
     window = window.take(np.arange(0, len(window), every))
     folder.mkdir()

@@ -148,7 +148,7 @@ def test_noise_that_is_subtracted_with_unknown_motors_is_counted_once():
     """Right after a start the place is known better than a sample shows it."""
     known = replace(motors(), covariance=(5e-6) ** 2 * np.eye(6))
     stamps, runs, told = turning(2.5)
-    steps = STEP + np.random.default_rng(9).normal(0.0, 5e-6, (30, 3))
+    steps = STEP + np.random.default_rng(9).normal(0.0, 5e-6, (12, 3))
     found = [errors(known, told, np.outer(runs, s), runs, k) for k, s in enumerate(steps)]
     soon = (stamps > 2.1) & (stamps < 2.4)
     off, sigma = (np.concatenate([each[k][soon] for each in found]) for k in (0, 1))

@@ -86,6 +86,7 @@ def test_a_gyro_of_another_robot():
     assert not calibrate(window, Robot().knowledge()).verdict.accepted
 
 
+@pytest.mark.nightly
 def test_a_magnetometer_that_is_upside_down_is_named():
     robot = Robot(roll=175 * DEGREE, pitch=5 * DEGREE)
     window = measure(robot, turn(samples=200), np.random.default_rng(7), gyro=True)
