@@ -11,7 +11,7 @@ from magcal_ros.core.doctor import examine
 from magcal_ros.core.geometry import exp_rotations
 from magcal_ros.core.samples import SensorLog
 
-SECONDS, STEP, SPEED, PASSES = 60.0, 0.04, 8.0, 4.0
+SECONDS, STEP, SPEED, PASSES = 100.0, 0.04, 8.0, 4.0
 """Duration and time between samples, the car's speed in m/s, and how long it passes a place."""
 
 
