@@ -295,9 +295,9 @@ class TestMemory:
 
     @pytest.mark.parametrize("gyro", first_of([True, False]))
     def test_a_slow_turn_is_kept_completely(self, small_buffer, gyro):
-        """As twenty minutes at 1 kHz in the real buffer: sixty times what it holds."""
+        """As an hour at 1 kHz in the real buffer: 180 times what it holds."""
         steady = Robot(gyro_bias=np.zeros(3), noise_rate=1e-6)
-        window = simulated(steady, gyro=gyro, arc=math.tau, samples=20_000, duration=60.0)
+        window = simulated(steady, gyro=gyro, arc=math.tau, samples=60_000, duration=60.0)
         found = session_with(window).window()
         true_yaw = math.tau * (found.time - 100.0) / 60.0
         counts = np.bincount((true_yaw * 36 / math.tau).astype(int).clip(0, 35), minlength=36)
